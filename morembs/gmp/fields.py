@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.linalg.columns import fix_signs
 from morembs.nonlinear.component import NonlinearComponent
 
 Floats = NDArray[np.float64]
@@ -78,16 +79,16 @@ def fields(component: NonlinearComponent, shapes: Floats) -> Fields:
             "the mass matrix couples x, y and rotations, or differs along x and y; expected one that stays the same "
             "when the component is turned. Take lumped or consistent masses of beams"
         )
-    U, m = _diagonal(_span(np.hstack((shapes[at[:, 0]], shapes[at[:, 1]]))), Mx)
-    Ur, mr = _diagonal(_span(shapes[turning]), M[turning][:, turning])
+    U, m = _diagonal(spanning(np.hstack((shapes[at[:, 0]], shapes[at[:, 1]]))), Mx)
+    Ur, mr = _diagonal(spanning(shapes[turning]), M[turning][:, turning])
     return Fields(
         U=U, Ur=Ur, translations=at, turning=turning, one=U.mean(axis=0),
         turn=Ur.sum(axis=0) / max(1, len(turning)), M=np.diag(np.concatenate((m, m, mr))),
     )  # fmt: skip
 
 
-def _span(columns: Floats) -> Floats:
-    """Orthogonal functions of mean square one that span the columns and the constant, so that motions are exact."""
+def spanning(columns: Floats, kept: float = _KEPT) -> Floats:
+    """Orthogonal functions of mean square one that span the columns (n, k) and the constant, which is the first."""
     if not len(columns):
         return np.zeros((0, 0))
     first = np.ones((len(columns), 1))
@@ -95,8 +96,8 @@ def _span(columns: Floats) -> Floats:
     size = np.abs(columns).max(axis=0)
     left, values, _ = np.linalg.svd(rest[:, size > 0] / size[size > 0], full_matrices=False)
     # Vectors of small singular values are orthogonal to the first no better than round-off over these values.
-    Q, R = np.linalg.qr(np.hstack((first, left[:, values > _KEPT * max(values.max(initial=0.0), 1.0)])))
-    return np.asarray(Q * np.sign(np.diag(R)) * np.sqrt(len(columns)))
+    Q, _ = np.linalg.qr(np.hstack((first, left[:, values > kept * max(values.max(initial=0.0), 1.0)])))
+    return fix_signs(Q * np.sqrt(len(columns)))
 
 
 def _diagonal(U: Floats, M: sp.spmatrix) -> tuple[Floats, Floats]:
@@ -104,4 +105,4 @@ def _diagonal(U: Floats, M: sp.spmatrix) -> tuple[Floats, Floats]:
     if not U.size:
         return U, np.zeros(0)
     m, turned = np.linalg.eigh(U.T @ (M @ U))
-    return U @ turned, np.maximum(m, 0.0)
+    return fix_signs(U @ turned), np.maximum(m, 0.0)

@@ -11,6 +11,7 @@ import scipy.sparse.linalg as spl
 from numpy.typing import NDArray
 
 from morembs.errors import InputError
+from morembs.linalg.columns import fix_signs
 from morembs.nonlinear.component import NonlinearComponent
 
 Floats = NDArray[np.float64]
@@ -70,9 +71,7 @@ def bending_modes(component: NonlinearComponent, count: int, stretch: Floats | N
             )
         tried = 2 * tried
     kept = bending[:count]
-    Psi = full[:, kept]
-    top = np.abs(Psi).argmax(axis=0) if count else np.zeros(0, dtype=int)
-    Psi = Psi * np.sign(Psi[top, np.arange(count)])
+    Psi = fix_signs(full[:, kept])
     last = omega_squared[kept[-1]] if count else 0.0
     excluded = omega_squared[(share >= _ALONG) & (omega_squared < last)]
     return BendingModes(Psi=Psi, squares=omega_squared[kept], excluded=excluded)

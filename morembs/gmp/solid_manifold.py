@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SolverError
 from morembs.gmp.equilibria import NotFollowedError, first_share
+from morembs.linalg.columns import fix_signs
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.nonlinear.continuation import Newton, Tangents
 from morembs.nonlinear.solid import NonlinearSolid
@@ -171,8 +172,7 @@ def plane_bending_modes(solid: NonlinearSolid, count: int, solver: LinearSolver 
         )
     Psi = np.zeros((solid.size, count))
     Psi[free] = shapes[:, bending]
-    top = np.abs(Psi).argmax(axis=0)
-    return PlaneModes(Psi=Psi * np.sign(Psi[top, np.arange(count)]), squares=omega_squared[bending])
+    return PlaneModes(Psi=fix_signs(Psi), squares=omega_squared[bending])
 
 
 def stretch(solid: NonlinearSolid, length: float, solver: LinearSolver | None = None) -> Floats:

@@ -21,7 +21,7 @@ from morembs.errors import InputError
 from morembs.gmp.chebyshev import ChebyshevTable, points
 from morembs.gmp.data import Parameterised
 from morembs.gmp.equilibria import Equilibrium
-from morembs.gmp.fields import Fields
+from morembs.gmp.fields import Fields, spanning
 from morembs.gmp.manifold import refuse_coarse
 from morembs.gmp.member import ReducedMember
 from morembs.gmp.offline import Tabulated, tabulated
@@ -240,8 +240,8 @@ def _fields(solid: NonlinearSolid, shapes: Floats) -> Fields:
     if max(abs(Mx - My).max(), abs(Mx - Mz).max()) > 1e-9 * abs(Mx).max():
         raise InputError("the mass matrix differs along x, y and z; expected that of solid elements")
     n = shapes.shape[1]
-    U = _span(np.hstack((shapes[:, :, 0].T, shapes[:, :, 1].T)))
-    Uz = _span(shapes[:, :, 2].T)
+    U = spanning(np.hstack((shapes[:, :, 0].T, shapes[:, :, 1].T)), _KEPT)
+    Uz = spanning(shapes[:, :, 2].T, _KEPT)
     r, rz = U.shape[1], Uz.shape[1]
     small = np.zeros((2 * r + rz,) * 2)
     small[:r, :r] = small[r : 2 * r, r : 2 * r] = U.T @ (Mx @ U)
@@ -250,14 +250,3 @@ def _fields(solid: NonlinearSolid, shapes: Floats) -> Fields:
     return Fields(
         U=U, Ur=Uz, translations=numbers[:, :2], turning=numbers[:, 2], one=np.eye(r)[0], turn=np.zeros(rz), M=small
     )
-
-
-def _span(columns: Floats) -> Floats:
-    """Orthogonal functions of mean square one that span the columns (n, k); the first is constant."""
-    rest = columns - columns.mean(axis=0)
-    size = np.abs(columns).max(axis=0)
-    left, values, _ = np.linalg.svd(rest[:, size > 0] / size[size > 0], full_matrices=False)
-    kept = np.hstack((np.ones((len(columns), 1)), left[:, values > _KEPT * values.max(initial=0.0)]))
-    # Vectors of small singular values are orthogonal to the first no better than round-off over these values.
-    Q, R = np.linalg.qr(kept)
-    return np.asarray(Q * np.sign(np.diag(R)) * np.sqrt(len(columns)))

@@ -117,8 +117,10 @@ def test_rotations_in_space(reduced):
 def test_joints_stay_closed_where_a_parameter_moves_them(reduced):
     """A body that starts deflected and in motion, on a joint that the parameter would open and tear."""
     p, rng = reduced[0].box.point(VALUES), np.random.default_rng(4)
-    size = arm(reduced, p).inertia.n
-    moving = {"elastic": 1e-6 * rng.standard_normal(size), "elastic_rate": 1e-2 * rng.standard_normal(size)}
+    # Less of the higher modes, which the step does not resolve.
+    shares = 0.5 ** np.arange(arm(reduced, p).inertia.n)
+    moving = {"elastic": 1e-5 * shares, "elastic_rate": 1e-2 * shares}
+    moving = {name: values * rng.standard_normal(len(shares)) for name, values in moving.items()}
     turning = np.array([40.0, 30.0, -50.0])
     body = arm(reduced, p, **moving)
     place = body.marker("TIP").place(body.start()[0])

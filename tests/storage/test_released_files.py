@@ -82,7 +82,11 @@ def test_a_run_goes_on_from_equilibria(unpacked: Path) -> None:
     resumed = member(checkpoint=unpacked / "equilibria.h5")
     assert resumed.report.solved == 0 and resumed.report.restored
     then = read_members(unpacked / "members.h5")["rod"]
-    assert resumed.data.table.coefficients == pytest.approx(then.table.coefficients, rel=1e-6, abs=1e-9)
+    now, before = resumed.data.table.coefficients, then.table.coefficients
+    # Modes and fields of the file have the signs of its own version.
+    now = now * np.sign((now * before).sum(axis=(0, 1)))
+    # Other processors round otherwise.
+    assert now == pytest.approx(before, rel=1e-6, abs=1e-9 * np.abs(before).max())
 
 
 @pytest.mark.parametrize("name", ["symmetric.h5", "coupled.model.h5", "members.h5", "equilibria.h5"])
