@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -57,7 +56,7 @@ def arm(
             + (f'job = "{job}"\n' if certified else "")
         )
     text = "\n".join(reversed(tables) if swapped else tables)
-    for part in (couple or "").split("+"):
+    for part in couple.split("+"):
         text += f'\n[[couple]]\nbetween = ["p0:right", "p1:left"]{part}\n'
     text += '\n[model]\nunits = "mm-t-s"\n'
     for k, end in ENDS:
@@ -117,8 +116,9 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("turned", [False, True])
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    ("case", "turned"), [*((case, False) for case in CASES), *((case, True) for case in ("rigid", "springs", "means"))]
+)
 def test_the_error_against_the_unreduced_parts_is_that_of_dense_solutions(
     case: str, turned: bool, tmp_path: Path
 ) -> None:
@@ -153,3 +153,121 @@ def test_the_error_against_the_unreduced_parts_is_that_of_dense_solutions(
     assert known["mode_deviation"][:2] == pytest.approx(off[:2], rel=1e-3, abs=1e-9)
     # The body is compared with the frequencies of the whole.
     assert body.full_frequencies_hz[6 : 6 + count] == pytest.approx(elastic_hz[:count], rel=1e-6)
+
+
+DAMPINGS: dict[str, list[dict[str, float]]] = {
+    "equal beta": [{"beta": 1e-6}] * 2, "unequal": [{"alpha": 300.0, "beta": 1e-6}, {"beta": 3e-6}],
+    "modal": [{"modal": 0.02}, {"modal": 0.05}],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", DAMPINGS)
+def test_damping_of_parts_is_that_of_their_jobs(case: str, tmp_path: Path) -> None:
+    jobs = []
+    for number, values in enumerate(DAMPINGS[case]):
+        modal = values.get("modal")
+        rayleigh = ", ".join(f"{key} = {value}" for key, value in values.items())
+        text = f"rayleigh = {{ {rayleigh} }}" if modal is None else f"modal = {modal}"
+        jobs.append(link(tmp_path, f"link{number}", damping=text))
+    stored, known = certificate(arm(tmp_path, jobs))
+    dense = whole(jobs, [RIGID], damping=DAMPINGS[case])
+    assert known["bound_kind"] == "estimate"
+    true = true_errors(stored, dense, known["frequencies_hz"][1:], 0.0)
+    assert (known["bound"][1:] >= true * (1 - 1e-9)).all()
+    assert known["error"][1:] == pytest.approx(true, rel=1e-4, abs=1e-7)
+    # The job of the same part with other damping is that of another body.
+    other = arm(tmp_path, jobs[::-1], name="other")
+    first, second = (str(job.parent / "part.h5") for job in jobs)
+    text = other.read_text().replace(first, "FIRST").replace(second, first).replace("FIRST", second)
+    other.write_text(text)
+    if case != "equal beta":
+        assert "its damping is not V' A V" in run("reduce", str(other), code=2)
+
+
+def test_parts_with_all_their_modes_have_no_error(tmp_path: Path) -> None:
+    # 36 nodes, 18 of them in two frames: 54 dofs inside.
+    job = link(tmp_path, reduce='name = "cb"\nmethod = "craig-bampton"\nmodes = 54')
+    _, known = certificate(arm(tmp_path, [job, job], modes=114, more="[damping]\nstructural = 0.02\n"))
+    assert known["limits"]["envelope"][1] < 1e-8 and known["error"].max() < 1e-8
+    assert np.abs(known["mode_deviation"]).max() < 1e-9 and known["mode_mac"] == pytest.approx(1.0, abs=1e-8)
+
+
+def test_parts_that_are_too_coarse_are_seen(tmp_path: Path) -> None:
+    """The assembly of bodies with a single mode is kept whole: it has no error of its own, and a large one."""
+    job = link(tmp_path, reduce='name = "cb"\nmethod = "craig-bampton"\nmodes = 1')
+    limits = []
+    for certified in (False, True):
+        path = arm(tmp_path, [job, job], modes=8, certified=certified, more="[damping]\nstructural = 0.02\n")
+        stored, known = certificate(path)
+        limits.append(known["limits"]["envelope"])
+        assert any("own errors are not in them" in warning for warning in stored.warnings) is not certified
+    assert limits[0][1] < 1e-6 and limits[1][0] > 0.05
+
+
+def test_the_certificate_knows_neither_the_order_of_the_parts_nor_their_place(tmp_path: Path) -> None:
+    job = link(tmp_path)
+    more = "[damping]\nstructural = 0.02\n"
+    _, one = certificate(arm(tmp_path, [job, job], more=more))
+    for number, changed in enumerate(({"swapped": True}, {"turned": True})):
+        _, other = certificate(arm(tmp_path, [job, job], more=more, name=f"arm{number}", **changed))
+        assert other["limits"]["envelope"] == pytest.approx(one["limits"]["envelope"], rel=1e-8)
+        assert other["mode_frequencies_hz"] == pytest.approx(one["mode_frequencies_hz"], rel=1e-9)
+        assert other["mode_deviation"][:2] == pytest.approx(one["mode_deviation"][:2], rel=1e-8)
+
+
+def test_bodies_that_keep_few_nodes_are_reduced_again(tmp_path: Path) -> None:
+    known = []
+    for nodes in ("all", "interfaces"):
+        job = link(tmp_path, f"link-{nodes}", output=f'path = "part.h5"\nnodes = "{nodes}"')
+        known.append(certificate(arm(tmp_path, [job, job], name=nodes, more="[damping]\nstructural = 0.02\n"))[1])
+    assert known[1]["limits"]["envelope"] == pytest.approx(known[0]["limits"]["envelope"], rel=1e-8)
+    assert known[1]["mode_mac"] == pytest.approx(known[0]["mode_mac"], rel=1e-8)
+
+
+def test_jobs_that_did_not_make_the_bodies_are_refused(tmp_path: Path) -> None:
+    job = link(tmp_path)
+    good, mesh = job.read_text(), (job.parent / "part.inp").read_text()
+    path = arm(tmp_path, [job, job])
+    text = path.read_text()
+
+    def refused(words: str) -> None:
+        for command in ("check", "reduce") if "V' A V" not in words else ("reduce",):
+            out = run(command, str(path), code=2)
+            assert words in " ".join(out.split()), out
+            assert not path.with_suffix(".h5").exists()
+
+    def changed(old: str, new: str, words: str) -> None:
+        assert old in good
+        job.write_text(good.replace(old, new))
+        refused(words)
+        job.write_text(good)
+
+    changed("young = 210e3", "young = 200e3", "its stiffness is not V' A V of the model, by 4.8e-02 of it")
+    changed("density = 7.85e-9", "density = 7.9e-9", "the masses are")
+    changed('name = "right"', 'name = "end"', "the interfaces are left, right and left, end")
+    average = 'nodes = "set:RIGHT"\ncoupling = "average"'
+    changed('nodes = "set:RIGHT"', average, "is rigid [0, 1, 2, 3, 4, 5] and average")
+    changed('nodes = "set:RIGHT"', 'nodes = "box:29,-1,-1,31,11,21"', "interface 'right' is at")
+    changed("[output]", "[preload]\nspeed = 1.0\naxis = [1, 0, 0]\n\n[output]", "it has a table 'preload'")
+    changed("young", "youngs", "unknown key 'youngs'")
+    # A node has moved since, and one more cube is there.
+    (job.parent / "part.inp").write_text(mesh.replace("20.0, 10.0, 10.0", "20.0, 10.5, 10.0"))
+    refused("its body was not reduced from its model")
+    (job.parent / "part.inp").write_text(decks.deck(decks.BEAM[:16]))
+    refused("its body was not reduced from its model")
+    (job.parent / "part.inp").write_text(mesh)
+    for old, new, words in (
+        (str(job), str(job) + "l", "cannot be read"),
+        (f'job = "{job}"', f'job = "{path}"', "it has a table 'substructure'"),
+        ("[certify]", "[response]", "add [certify], or leave job out"),
+        ('path = "arm.h5"', f'path = "{job.parent / "part.inp"}"', "would overwrite the mesh of it"),
+        ("position", "at = { E = 1.0 }\nposition", "job was given beside at"),
+    ):
+        assert old in text
+        new_text = text.replace(old, new)
+        if words.startswith("add"):
+            new_text = new_text.replace(f"band_hz = {BAND}\npoints = 20", "from_hz = 10\nto_hz = 20")
+        path.write_text(new_text)
+        refused(words)
+    path.write_text(text.replace(f'job = "{job}"\n', "", 1))
+    refused("the parts 'p0' came without the job that made their body")
