@@ -225,6 +225,7 @@ def test_the_certificate_knows_neither_the_order_of_the_parts_nor_their_place(tm
         assert other["limits"]["envelope"] == pytest.approx(one["limits"]["envelope"], rel=1e-8)
         assert other["mode_frequencies_hz"] == pytest.approx(one["mode_frequencies_hz"], rel=1e-9)
         assert other["mode_deviation"][:2] == pytest.approx(one["mode_deviation"][:2], rel=1e-8)
+        assert other["mode_mac"] == pytest.approx(one["mode_mac"], rel=1e-8) and one["mode_mac"][:2].min() > 0.99
 
 
 def test_bodies_that_keep_few_nodes_are_reduced_again(tmp_path: Path) -> None:
