@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import morembs
-from morembs.body.file import StoredBodies, read_body
+from morembs.body.file import StoredBodies, read_body, write_body
 from morembs.budget import UNLIMITED, Budget
 from morembs.cli.commands import app
 from morembs.errors import BudgetError
@@ -20,6 +20,7 @@ from morembs.jobs.inputs import interfaces_of
 from morembs.jobs.job import load_job
 from tests.support import decks
 from tests.support.dense_assembly import Joint, Part, Whole, elastic
+from tests.support.tubes import STEEL
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "job.md"
 STRUCTURAL = "[damping]\nstructural = 0.02\n"
@@ -182,13 +183,14 @@ def test_damping_of_parts_is_that_of_their_jobs(case: str, tmp_path: Path) -> No
     true = true_errors(stored, dense, known["frequencies_hz"][1:], 0.0)
     assert (known["bound"][1:] >= true * (1 - 1e-9)).all()
     assert known["error"][1:] == pytest.approx(true, rel=1e-4, abs=1e-7)
-    # The job of the same part with other damping is that of another body.
-    other = arm(tmp_path, jobs[::-1], name="other")
-    first, second = (str(job.parent / "part.h5") for job in jobs)
-    text = other.read_text().replace(first, "FIRST").replace(second, first).replace("FIRST", second)
-    other.write_text(text)
-    if case != "equal beta":
-        assert "its damping is not V' A V" in run("reduce", str(other), code=2)
+    # The job of the same part with other damping, or without any, is that of another body.
+    for old in (f"[damping]\n{text}", text):
+        job = jobs[1].read_text()
+        jobs[1].write_text(job.replace(old, "" if old.startswith("[") else "modal = 0.03"))
+        assert "part 'p1': its body was not reduced from its model: its damping is not V' A V" in run(
+            "reduce", str(tmp_path / "arm.toml"), code=2
+        )
+        jobs[1].write_text(job)
 
 
 def test_parts_with_all_their_modes_have_no_error(tmp_path: Path) -> None:
@@ -262,6 +264,8 @@ def test_jobs_that_did_not_make_the_bodies_are_refused(tmp_path: Path) -> None:
     changed('nodes = "set:RIGHT"', average, "is rigid [0, 1, 2, 3, 4, 5] and average")
     changed('nodes = "set:RIGHT"', 'nodes = "box:29,-1,-1,31,11,21"', "interface 'right' is at")
     changed("[output]", "[preload]\nspeed = 1.0\naxis = [1, 0, 0]\n\n[output]", "it has a table 'preload'")
+    damped = "[damping]\nrayleigh = { beta = 1e-6 }\n\n[output]"
+    changed("[output]", damped, "its damping is not V' A V of the model, and it has none")
     changed("young", "youngs", "unknown key 'youngs'")
     # A node has moved since, and one more cube is there.
     (job.parent / "part.inp").write_text(mesh.replace("20.0, 10.0, 10.0", "20.0, 10.5, 10.0"))
@@ -294,3 +298,38 @@ def test_a_budget_that_the_parts_exceed_is_refused(tmp_path: Path) -> None:
         pytest.raises(BudgetError, match=r"the matrices of the 2 unreduced parts take about \d MB"),
     ):
         morembs.Unreduced(problem)
+
+
+def test_beams_with_rotations_are_parts(tmp_path: Path) -> None:
+    """Two straight tubes at an angle are the bent one, with a frame beside its end too."""
+    line = np.linspace([0.0, 0, 0], [0.4, 0, 0], 7)
+    model = morembs.tube_model(line, STEEL)
+    ends = [
+        morembs.make_interface(model, name=name, nodes=[row], point=line[row] + shift)
+        for name, row, shift in (("A", 0, [0.0, 0.01, 0.02]), ("B", 6, [0.0, 0, 0]))
+    ]
+    turn = Rotation.from_rotvec([0.3, 0.8, -0.5]).as_matrix()
+    with morembs.Problem(model, ends) as single:
+        reduced = morembs.CraigBampton(modes=4).reduce(single)
+        bodies = read_body(write_body(tmp_path / "tube.h5", [
+            morembs.elastic_body(single, reduced, morembs.make_part(single))
+        ]))  # fmt: skip
+        # The tubes meet at their ends B: the second goes on from there.
+        place = line[6] - turn @ line[6]
+        parts = [
+            morembs.Substructure(name="a", bodies=bodies, problem=single, basis=lambda: reduced.V),
+            morembs.Substructure(
+                name="b", bodies=bodies, problem=single, basis=lambda: reduced.V, position=place, rotation=turn
+            ),
+        ]
+        assembled = morembs.assemble_bodies(parts, [morembs.Couple(between=("a:B", "b:B"))])
+        tips = [morembs.make_interface(assembled, name=n, nodes=assembled.nodes.sets[f"{n}:A"]) for n in "ab"]
+        with morembs.Problem(assembled, tips) as small, morembs.Unreduced(small) as full:
+            ours = full.problem.elastic_modes(count=8).frequencies_hz
+            again = morembs.CraigBampton(modes=10).reduce(small)
+            [known] = morembs.certify(full.problem, [full.expanded(again)], [0.0, float(ours[5])])
+    bent = morembs.tube_model(np.vstack([line, (line @ turn.T + place)[5::-1]]), STEEL)
+    with morembs.Problem(bent, [morembs.make_interface(bent, name="A", nodes=[0])]) as problem:
+        assert ours == pytest.approx(problem.elastic_modes(count=8).frequencies_hz, rel=1e-7)
+    assert known.kind == "proven" and known.mode_mac[:3].min() > 0.99
+    assert (known.mode_deviation[:3] < 1e-2).all()
