@@ -136,12 +136,15 @@ def test_the_error_against_the_unreduced_parts_is_that_of_dense_solutions(
         + "".join(f'{key} = "{value}"\n' for key, value in interfaces.items())
         for k, name in (("", "left"), (2, "right"))
     }
-    job = link(tmp_path, **tables)
     damped = "stiffness" in couple
+    # Damped springs leave some modes undamped, whose responses have no limit.
+    if damped:
+        tables["damping"] = "rayleigh = { beta = 2e-6 }"
+    job = link(tmp_path, **tables)
     floor = 0.0 if damped else 0.03
     more = "" if damped else f"[damping]\nstructural = {floor}\n"
     stored, known = certificate(arm(tmp_path, [job, job], couple=couple, turned=turned, more=more))
-    dense = whole([job, job], joints, turned=turned, **same)
+    dense = whole([job, job], joints, turned=turned, damping=[{"beta": 2e-6 * damped}] * 2, **same)
     assert not any("own errors are not in them" in warning for warning in stored.warnings)
     assert known["bound_kind"] == ("estimate" if damped else "bound")
     hz = known["frequencies_hz"][1:]
@@ -152,7 +155,8 @@ def test_the_error_against_the_unreduced_parts_is_that_of_dense_solutions(
     hz = np.random.default_rng(5).uniform(100.0, BAND[1], 25)
     cell = np.searchsorted(known["cells_hz"][:, 1], hz)
     limit = known["cell_limit"][cell, 2]
-    assert (limit >= true_errors(stored, dense, hz, floor)).all()
+    true = true_errors(stored, dense, hz, floor)
+    assert (limit >= true).all() and np.median(limit / true) < 1.5
     elastic_hz = dense.frequencies_hz[6:]
     count = int((elastic_hz < BAND[1]).sum())
     assert count >= 2 and known["mode_frequencies_hz"] == pytest.approx(elastic_hz[:count], rel=1e-7)
