@@ -1,5 +1,5 @@
 # What ``import morembs`` offers, and where each name lives.
-from .assembly import Couple, Substructure, assemble_bodies
+from .assembly import Couple, Substructure, Unreduced, assemble_bodies
 from .batches.run import batch
 from .body import ElasticBody, elastic_body, make_part
 from .body.file import read_body, write_body
@@ -95,6 +95,7 @@ __all__ = [
     "Substructure",
     "Trajectory",
     "Tube",
+    "Unreduced",
     "assemble",
     "assemble_bodies",
     "available_solvers",

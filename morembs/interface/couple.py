@@ -26,7 +26,8 @@ Ints = NDArray[np.int64]
 class Coupling:
     """All interfaces of a model as matrices.
 
-    ``T`` (N, Nc) FE dofs from coupled dofs (FE dofs without dependent ones, then six per rigid frame);
+    ``T`` (N, Nc) FE dofs from coupled dofs (FE dofs without dependent ones, which are ``kept``, then six per rigid
+    frame);
     ``B`` (Nc, m) inputs, one column per exposed interface degree of freedom, and also outputs as ``B'``;
     ``R`` (Nc, 6) geometric rigid-body modes with rotations about ``pole`` (3,), a point amid the nodes, so
     that a body far from the origin loses no digits; ``columns`` interface name -> its columns of B.
@@ -35,6 +36,7 @@ class Coupling:
     """
 
     T: sp.csr_array
+    kept: Ints
     B: sp.csc_array
     R: Floats
     pole: Floats
@@ -85,7 +87,9 @@ def couple(model: FEModel, interfaces: Sequence[Interface]) -> Coupling:
     framed = [replace(i, components=SIX) for i in interfaces if i.kind.framed]
     whole = [(i.name, block(i, eliminated.get(i.name) or i.kind.attach(model, i))) for i in framed]
     frames, frame_columns = _beside(whole, T.shape[1])
-    return Coupling(T=T, B=B, R=R, pole=pole, columns=columns, frames=frames, frame_columns=frame_columns)
+    return Coupling(
+        T=T, kept=kept, B=B, R=R, pole=pole, columns=columns, frames=frames, frame_columns=frame_columns
+    )  # fmt: skip
 
 
 def _transformation(model: FEModel, eliminated: Sequence[Elimination]) -> tuple[sp.csr_array, Ints]:

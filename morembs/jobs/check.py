@@ -22,16 +22,16 @@ from morembs.jobs.forecast import (
 from morembs.jobs.inputs import (
     budget_of,
     damping_of,
+    equations_of_motion,
     interfaces_of,
     materials_of,
-    matrices_of,
     mesh_of,
     prepare_output,
     solver_of,
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
-from morembs.jobs.model import equations_of_motion
+from morembs.jobs.model import matrices_of
 from morembs.jobs.preflight import model_warnings, preflight, require_room
 from morembs.jobs.run import count_elements
 from morembs.linalg.sparse.solver import LinearSolver

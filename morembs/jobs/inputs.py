@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -9,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body.build import BodyOptions, StressOptions
-from morembs.body.file import StoredBodies, read_body
 from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.floating.preload import Preload
@@ -17,18 +17,18 @@ from morembs.floating.spinning import Rotation
 from morembs.floating.stiffening import Envelope
 from morembs.importers import read_mesh
 from morembs.importers.dependent_dofs import interface_of_coupling
-from morembs.importers.model_file import read_model
 from morembs.importers.to_model import rows_of_labels
 from morembs.interface import Interface, make_interface, matrix_interface
 from morembs.jobs.job import Job
-from morembs.jobs.schema import MaterialTable, SubstructureTable
+from morembs.jobs.schema import MaterialTable
 from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.select import SOLVERS, select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import FEModel, Mesh
+from morembs.model.fe_model import split_unsymmetric
 from morembs.model.material import Material, isotropic, orthotropic
 from morembs.model.selection import select_nodes
-from morembs.model.tubes import Flow
+from morembs.model.tubes import Flow, conveying
 from morembs.problem import Damping
 from morembs.reducers import Facts, Reducer
 from morembs.responses.direct import why_no_response
@@ -238,7 +238,8 @@ def inputs_of(job: Job) -> dict[str, Path]:
     what = "the mesh" if job.tables.model.mesh else "the model file" if job.tables.model.file else "a body"
     files = {what if not number else f"{what} {number + 1}": file for number, file in enumerate(sources_of(job))}
     tables = {f"the path of [[flow]] {t.path}": job.resolve(t.path) for t in job.tables.flow if t.path.endswith(".csv")}
-    return {"the job file": job.path, **files, **moves, **tables}
+    makers = {f"the job of part {t.name}": job.resolve(t.job) for t in job.tables.substructure if t.job}
+    return {"the job file": job.path, **files, **moves, **tables, **makers}
 
 
 def refuse_reductions_that_do_not_fit(job: Job, facts: Facts) -> None:
@@ -281,69 +282,20 @@ def sources_of(job: Job) -> list[Path]:
     return [job.resolve(name) for name in dict.fromkeys(names) if name]
 
 
-def assembly_of(job: Job) -> FEModel:
-    """The bodies of the job as one model, in SI units; a file that serves for several parts is read once.
-
-    Raises:
-        InputError: body files that cannot be read, or bodies that cannot be coupled.
-    """
-    # Not at the top: most jobs have a mesh.
-    from morembs.assembly import Couple, Substructure, assemble_bodies
-
-    units = units_of(job)
-    force = units.stress * units.length**2
-    linear, turning = [force / units.length] * 3, [force * units.length] * 3
-    scale = np.array(linear + turning)
-    files = {table.body: read_body(job.resolve(table.body)) for table in job.tables.substructure}
-    parts = [
-        Substructure(
-            name=table.name, bodies=_at_values(files[table.body], table), reduction=table.reduction,
-            position=units.length * np.array(table.position), rotation=_turned(table),
-        )
-        for table in job.tables.substructure
-    ]  # fmt: skip
-    couples = [
-        Couple(
-            between=(table.between[0], table.between[1]), components=tuple(table.components),
-            stiffness=None if table.stiffness is None else (scale * table.stiffness).tolist(),
-            damping=None if table.damping is None else (units.time * scale * table.damping).tolist(),
-        )
-        for table in job.tables.couple
-    ]  # fmt: skip
-    return assemble_bodies(parts, couples, name=job.path.stem)
+def equations_of_motion(job: Job, model: FEModel) -> FEModel:
+    """The ``model`` of the file with what the job makes of its skew parts, and with the fluid that flows through it."""
+    model = _without_skew_parts(model, job.tables.model.unsymmetric)
+    for path, flow in flows_of(job, model):
+        model = conveying(model, path, flow)
+    return model
 
 
-def _at_values(bodies: StoredBodies, table: SubstructureTable) -> StoredBodies:
-    """The bodies of a file, or the one of them that has parameters at the values of ``table``."""
-    if not table.at:
-        return bodies
-    # Not at the top: most jobs have a mesh.
-    from morembs.exporters.base import choose_body
-
-    try:
-        evaluated: StoredBodies = choose_body(bodies, table.reduction, table.body).parametric.at(**table.at).bodies
-    except InputError as error:
-        raise InputError(f"substructure {table.name!r}: at was given: {error}") from error
-    return evaluated
-
-
-def _turned(table: SubstructureTable) -> NDArray[np.float64]:
-    if table.rotation is None:
-        return np.eye(3)
-    # Not at the top: few jobs turn anything.
-    from scipy.spatial.transform import Rotation
-
-    axis = np.array(table.rotation.axis)
-    if not np.linalg.norm(axis) > 0:
-        raise InputError(f"substructure {table.name!r}: rotation has axis = {axis.tolist()}; expected a direction")
-    turn = Rotation.from_rotvec(np.radians(table.rotation.degrees) * axis / np.linalg.norm(axis))
-    return np.asarray(turn.as_matrix())
-
-
-def matrices_of(job: Job, budget: Budget) -> FEModel:
-    """The model of a job without a mesh, whose matrices are ready: of a model file, or of bodies."""
-    file = job.tables.model.file
-    return assembly_of(job) if file is None else read_model(job.resolve(file), budget=budget)
+def _without_skew_parts(model: FEModel, unsymmetric: str) -> FEModel:
+    """``model`` with the skew parts of its K and D in N and G, or without them where they are to be dropped."""
+    if unsymmetric == "refuse":
+        return model
+    parts = split_unsymmetric(model)
+    return parts if unsymmetric == "split" else replace(parts, G=model.G, N=model.N)
 
 
 def mesh_of(job: Job) -> Mesh:
@@ -352,6 +304,14 @@ def mesh_of(job: Job) -> Mesh:
     return read_mesh(
         sources_of(job)[0], units_of(job), dialect=given.dialect, allow_includes_outside=given.allow_includes_outside
     )
+
+
+def certified_band(job: Job) -> Sequence[float] | None:
+    """The band of [certify], or the widest that a reduction was made for with a tolerance."""
+    if job.tables.certify is not None:
+        return job.tables.certify.band_hz
+    bands = [band for reducer in job.reducers.values() if (band := reducer.certified_band) is not None]
+    return (min(band[0] for band in bands), max(band[1] for band in bands)) if bands else None
 
 
 def wants_modes(job: Job) -> bool:

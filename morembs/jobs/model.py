@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from morembs.budget import Budget
+from morembs.importers.model_file import read_model
 from morembs.jobs.forecast import least_memory, require_room_of_mesh
-from morembs.jobs.inputs import flows_of, matrices_of, mesh_of
+from morembs.jobs.inputs import equations_of_motion, mesh_of
 from morembs.jobs.job import Job
 from morembs.jobs.preflight import require_room
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import FEModel
 from morembs.model.assembly import assemble
-from morembs.model.fe_model import split_unsymmetric
 from morembs.model.material import Material
-from morembs.model.tubes import conveying
 from morembs.progress import Stopwatch
 
 if TYPE_CHECKING:
@@ -47,17 +45,11 @@ def model_of(
         return model, None
 
 
-def equations_of_motion(job: Job, model: FEModel) -> FEModel:
-    """The ``model`` of the file with what the job makes of its skew parts, and with the fluid that flows through it."""
-    model = _without_skew_parts(model, job.tables.model.unsymmetric)
-    for path, flow in flows_of(job, model):
-        model = conveying(model, path, flow)
-    return model
+def matrices_of(job: Job, budget: Budget) -> FEModel:
+    """The model of a job without a mesh, whose matrices are ready: of a model file, or of bodies."""
+    if job.tables.model.file is not None:
+        return read_model(job.resolve(job.tables.model.file), budget=budget)
+    # Not at the top: most jobs have a mesh.
+    from morembs.jobs.assembly import assembly_of
 
-
-def _without_skew_parts(model: FEModel, unsymmetric: str) -> FEModel:
-    """``model`` with the skew parts of K and D in N and G, or without them where they are to be dropped."""
-    if unsymmetric == "refuse":
-        return model
-    parts = split_unsymmetric(model)
-    return parts if unsymmetric == "split" else replace(parts, G=model.G, N=model.N)
+    return assembly_of(job, budget)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,6 +32,7 @@ from morembs.jobs.inputs import (
     MOST_INTERFACE_DOFS,
     body_options,
     budget_of,
+    certified_band,
     damping_of,
     interfaces_of,
     materials_of,
@@ -58,6 +59,7 @@ from morembs.storage.contents import Content, files_read
 from morembs.summary import summarised
 
 if TYPE_CHECKING:
+    from morembs.assembly import Unreduced
     from morembs.certificate.certify import Certificate
     from morembs.interface import Interface
     from morembs.parametric.terms import VariedModel
@@ -161,7 +163,7 @@ def _run(
             problem = _coupled(
                 job, model, varied, interfaces, solver=solver, budget=budget, progress=progress, workers=workers
             )
-    with problem:
+    with problem, _unreduced(job, problem, watch) as parts:
         rotation = rotation_of(job)
         spin = None
         if rotation is not None:
@@ -170,7 +172,7 @@ def _run(
             for warning in spin.warnings:
                 warn(warning)
             warnings += spin.warnings
-        bodies, notes = _reduce(job, problem, body_options(job), spin, watch)
+        bodies, notes = _reduce(job, problem, parts, body_options(job), spin, watch)
         delivered = delivered_warnings(bodies)
         warnings += (*delivered, *notes)
         response = certified_response(problem, bodies)
@@ -178,7 +180,8 @@ def _run(
             response is None and job.picture is not None and interfaces and problem.B.shape[1] <= MOST_INTERFACE_DOFS
         ):
             with watch.stage("response"):
-                response = frequency_response(problem, bodies, _band(job, bodies[0]), progress)
+                against = problem if parts is None else parts.problem
+                response = frequency_response(against, bodies, _band(job, bodies[0]), progress)
         shapes = mode_shapes(problem, _shown(bodies).reduced) if job.picture is not None else None
         factor = problem.statics.factor.stats
         analysis = problem.statics.factor.analysis
@@ -234,10 +237,24 @@ def _coupled(
     return AffineProblem(varied, interfaces, damping=damping, model=model, output=job.output, **options)
 
 
+def _unreduced(job: Job, problem: Problem, watch: Stopwatch) -> AbstractContextManager[Unreduced | None]:
+    """The unreduced parts of an assembly, coupled, where the job names those that made its bodies."""
+    if not any(table.job for table in job.tables.substructure):
+        return nullcontext()
+    # Not at the top: most jobs have a mesh.
+    from morembs.assembly import Unreduced
+
+    with watch.stage("couple"):
+        return Unreduced(problem)
+
+
 def _reduce(
-    job: Job, problem: Problem, wanted: BodyOptions, spin: Spin | None, watch: Stopwatch
+    job: Job, problem: Problem, parts: Unreduced | None, wanted: BodyOptions, spin: Spin | None, watch: Stopwatch
 ) -> tuple[tuple[ElasticBody, ...], tuple[str, ...]]:
-    """One body for each reduction, compared with free-free frequencies of the full model, and notes on that."""
+    """One body for each reduction, compared with free-free frequencies of the full model, and notes on that.
+
+    The full model is ``problem``, or the unreduced parts where they are known.
+    """
     with watch.stage("factorise"):
         if wants_modes(job):
             problem.require_room_for_modes()
@@ -258,7 +275,8 @@ def _reduce(
             full = modes_over_speed(problem, spin, speeds, job.tables.spin.modes, watch.progress)
             reduced, spins = map(list, zip(*(with_spin(problem, body, spin, full) for body in reduced), strict=True))
     certificates: Sequence[Certificate | None] = [None] * len(reduced)
-    band = _certified_band(job)
+    against = problem if parts is None else parts.problem
+    band = certified_band(job)
     if band is not None:
         # Not at the top: many jobs do without, and it takes a part of the memory of small ones.
         from morembs.certificate.certify import certify
@@ -266,11 +284,13 @@ def _reduce(
         with watch.stage("certify"):
             given = job.tables.certify
             options = {} if given is None else given.model_dump(exclude={"band_hz"})
-            certificates = certify(problem, reduced, band, progress=watch.progress, **options)
+            spanned = reduced if parts is None else [parts.expanded(body) for body in reduced]
+            certificates = certify(against, spanned, band, progress=watch.progress, **options)
     check, notes = job.tables.check, tuple[str, ...]()
     with watch.stage("compare") if check.full_modes else nullcontext():
-        notes = know_frequencies(problem, check.full_modes, insist="full_modes" in check.model_fields_set)
-    return _delivered(job, problem, reduced, certificates, spins, wanted, watch), notes
+        notes = know_frequencies(against, check.full_modes, insist="full_modes" in check.model_fields_set)
+    bodies = _delivered(job, problem, reduced, certificates, spins, wanted, watch)
+    return tuple(replace(body, full_frequencies_hz=against.known_frequencies_hz()) for body in bodies), notes
 
 
 def _delivered(
@@ -300,14 +320,6 @@ def _shown(bodies: Sequence[ElasticBody]) -> ElasticBody:
     """The body that is recommended, whose modes are drawn."""
     limits = {body.name: None if body.certificate is None else body.certificate.limit.upper for body in bodies}
     return next(body for body in bodies if body.name == recommended(limits))
-
-
-def _certified_band(job: Job) -> Sequence[float] | None:
-    """The band of [certify], or the widest that a reduction was made for with a tolerance."""
-    if job.tables.certify is not None:
-        return job.tables.certify.band_hz
-    bands = [band for reducer in job.reducers.values() if (band := reducer.certified_band) is not None]
-    return (min(band[0] for band in bands), max(band[1] for band in bands)) if bands else None
 
 
 def count_elements(mesh: Mesh | None) -> int:

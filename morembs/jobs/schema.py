@@ -89,11 +89,20 @@ class SubstructureTable(Table):
     )
     body: str = Field(min_length=1, description='the path of a body file such as "link.h5"')
     reduction: str | None = Field(default=None, description="the body of the file, where it has several")
+    job: str | None = Field(
+        default=None, min_length=1, description='the path of the job file that made the body such as "link.toml"'
+    )
     at: dict[str, float] = Field(
         default_factory=dict, description="values of its parameters in SI units such as { E = 2.0e11 }"
     )
     position: Three = Field(default=[0.0, 0.0, 0.0], description="[x, y, z] of the origin of its model")
     rotation: RotationTable | None = Field(default=None, description="a table { axis = [x, y, z], degrees = ... }")
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if self.job is not None and self.at:
+            raise ValueError("job was given beside at; a certificate against the unreduced part takes nominal values")
+        return self
 
 
 class CoupleTable(Table):

@@ -85,7 +85,7 @@ def _first_order(
     mu, L, X = sl.eig(A, left=True, right=True)
     L = L.conj()
     weight = np.einsum("ij,ij->j", L, X)
-    X = X / np.where(weight == 0, TINY, weight)
+    X = _biorthogonal(L, X / np.where(weight == 0, TINY, weight))
     top, bottom = X[:k] / omega[:, None], L[k:]
     s, t = couplings(A, L, X)
     # What is not known of the modes' stiffness couples the states too.
@@ -97,3 +97,13 @@ def _first_order(
     return Response(
         terms=Terms.first_order(mu, layout.rows(c, b)), rounding=Rounding.of(layout, c, b, s, t, off_c, off_b)
     )
+
+
+def _biorthogonal(L: Complexes, X: Complexes) -> Complexes:
+    """``X`` (n, n) with L'X = I for left vectors ``L`` (n, n) of the same poles, also of those that coincide, as the
+    bending modes of a square section do: an eigensolver gives any basis of their spaces, on each side another."""
+    try:
+        return np.asarray(np.linalg.solve((L.T @ X).T, X.T).T)
+    except np.linalg.LinAlgError:
+        # Critical damping: one vector for two poles.
+        return X
