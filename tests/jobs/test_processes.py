@@ -72,9 +72,7 @@ def written(folder: Path, solver: str, method: str = KRYLOV) -> Path:
 
 
 @pytest.fixture
-def mpi(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_MCA_rmaps_base_oversubscribe"):
-        monkeypatch.setenv(name, "1")
+def mpi() -> None:
     if reason := why_not():
         pytest.skip(reason)
 
@@ -182,6 +180,26 @@ def test_ranks_count_negative_pivots_and_leave_nothing_when_one_is_killed(tmp_pa
             factor.solve(np.ones(factor.n))
         assert not [each for each in ranks if each.is_running() and each.status() != psutil.STATUS_ZOMBIE]
     assert list(tmp_path.iterdir()) == []
+
+
+RANKED = """
+import os, signal
+import psutil
+from morembs.linalg.sparse.mumps_ranks import RankedMumps
+from tests.support.matrices import brick, shifted
+
+with RankedMumps().factorize(shifted(brick(4), 13.7)):
+    print(*(each.pid for each in psutil.Process().children(recursive=True)), flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_ranks_end_with_a_program_that_is_killed(tmp_path, mpi):
+    ended = ran(tmp_path, RANKED)
+    ranks = [psutil.Process(int(pid)) for pid in ended.stdout.split() if psutil.pid_exists(int(pid))]
+    _, alive = psutil.wait_procs(ranks, timeout=20)
+    assert ended.returncode == -signal.SIGKILL and len(ended.stdout.split()) >= 3, ended.stderr
+    assert [each for each in alive if each.is_running() and each.status() != psutil.STATUS_ZOMBIE] == []
 
 
 def test_solvers_that_take_no_ranks_are_refused(tmp_path):
