@@ -82,6 +82,11 @@ class DynamicStiffness(Closing):
             _add(skew, place, scale if kind == np.complex128 else complex(scale).real, values)
         return General(self.lower.indptr, self.lower.indices, data.astype(kind, copy=False), skew)
 
+    def structure_at(self, s: complex) -> str:
+        """Structure of A(s), as ``structure_at`` has it."""
+        powers = {power for power, _ in self._skew}
+        return structure_at(s, D=len(self._added) > 1, G=1 in powers, N=0 in powers)
+
     def shifted(self, sigma: float) -> Lower:
         """Lower triangle of K - sigma M."""
         place, values = self._added[0]
@@ -92,17 +97,14 @@ class DynamicStiffness(Closing):
     def factorize(self, s: complex, structure: str | None = None) -> Factorization:
         """Factor of A(s), which lives until the next one of the same structure; the analysis is shared.
 
-        ``structure`` None: "symmetric", or "complex-symmetric" where A(s) is complex; "unsymmetric" where it has a
-        skew part.
+        ``structure`` None: that of ``structure_at``.
 
         Raises:
             SingularMatrixError: ``s`` is an eigenvalue.
             SolverError: the backend failed or the budget is too small.
         """
         A = self.at(s)
-        if structure is None:
-            structure = "unsymmetric" if isinstance(A, General) else "symmetric"
-            structure = f"complex-{structure}" if A.data.dtype.kind == "c" else structure
+        structure = self.structure_at(s) if structure is None else structure
         what = f"s^2 M + s D + K at s = {s:.6g}"
         if structure not in self._analyses:
             self.budget.release_pages()
@@ -136,6 +138,14 @@ class DynamicStiffness(Closing):
         for analysis in self._analyses.values():
             analysis.close()
         self._analyses.clear()
+
+
+def structure_at(s: complex, *, D: bool, G: bool, N: bool) -> str:
+    """Structure of A(s) where there is a damping, a gyroscopic and a circulatory matrix or not: "symmetric", or
+    "unsymmetric" with a skew part; "complex-" before it where A(s) is complex."""
+    s = complex(s)
+    real = (s * s).imag == 0.0 and (s.imag == 0.0 or not (D or G))
+    return ("" if real else "complex-") + ("unsymmetric" if N or (G and s) else "symmetric")
 
 
 def _add(data: Values, place: Ints, factor: complex, values: Values) -> None:
