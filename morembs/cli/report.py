@@ -46,6 +46,9 @@ LABELS = {
     "factor_entries": "nonzeros of the factor", "factor_flops": "operations of the factorisation",
     "factor_bytes": "memory of the factor", "scratch_bytes": "scratch files", "columns_bytes": "memory of the bases",
     "peak_memory_bytes": "peak memory", "factor_seconds": "factorisation in s", "reduction_seconds": "reductions",
+    "shift_factor_entries": "nonzeros of the largest factor at a shift", "shift_factor_bytes": "memory of that factor",
+    "shift_seconds": "factorisations at shifts in s", "processes": "workers or ranks beside it",
+    "process_bytes": "memory of each of them", "all_processes_bytes": "peak memory of all processes",
 }  # fmt: skip
 # Coordinates that follow responses. A mode of theirs is listed beside one of the full model within this part of it.
 RESPONSES, NEAR = {"krylov", "gramian", "balanced"}, 0.01

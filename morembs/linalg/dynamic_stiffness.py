@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from morembs.budget import UNLIMITED, Budget
 from morembs.closing import Closing
 from morembs.errors import InputError
-from morembs.linalg.sparse.solver import Analysis, Factorization, LinearSolver
+from morembs.linalg.sparse.solver import Analysis, Factorization, Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import General, Lower
 from morembs.moved import renamed
 
@@ -119,14 +119,7 @@ class DynamicStiffness(Closing):
 
     def room_for_factor(self, structure: str) -> int:
         """Bytes that a factor of A(s) in memory takes at most, with the values of A(s), from a symbolic analysis."""
-        lower = self.lower
-        if structure.startswith("complex"):
-            lower = replace(lower, data=lower.data.astype(complex))
-        if structure.endswith("unsymmetric"):
-            lower = General(lower.indptr, lower.indices, lower.data, lower.data)
-        with self.solver.with_memory(None).analyse(lower, structure) as analysis:
-            plan = analysis.forecast
-        return lower.data.nbytes + max(plan.memory, plan.kept)
+        return plan_at_shift(self.lower, structure, self.solver)[1]
 
     @property
     def analysed(self) -> tuple[str, ...]:
@@ -138,6 +131,18 @@ class DynamicStiffness(Closing):
         for analysis in self._analyses.values():
             analysis.close()
         self._analyses.clear()
+
+
+def plan_at_shift(lower: Lower, structure: str, solver: LinearSolver) -> tuple[Forecast, int]:
+    """What a factor of A(s) on the pattern of ``lower`` takes in memory, and all bytes with the values of A(s)."""
+    if structure.startswith("complex"):
+        lower = replace(lower, data=lower.data.astype(complex))
+    values = lower.data.nbytes
+    if structure.endswith("unsymmetric"):
+        lower, values = General(lower.indptr, lower.indices, lower.data, lower.data), 2 * values
+    with solver.with_memory(None).analyse(lower, structure) as analysis:
+        plan = analysis.forecast
+    return plan, values + max(plan.memory, plan.kept)
 
 
 def structure_at(s: complex, *, D: bool, G: bool, N: bool) -> str:

@@ -16,7 +16,7 @@ s = delta + i omega, and the notes say so.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -32,7 +32,7 @@ from morembs.linalg.quadrature import gauss, modal_poles, resonant
 from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import Basis, elastic_basis
-from morembs.reducers.facts import Facts
+from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.families import OfResponses
 from morembs.responses.band import checked_band
 from morembs.responses.direct import state, states_crew, why_no_response
@@ -110,6 +110,13 @@ class Gramian(OfResponses):
         if facts.damping.is_modal and not facts.own_damping:
             return "modal damping is known mode by mode only; take direct = false"
         return why_no_response(facts.damping, facts.own_damping, None)
+
+    def shifted(self, facts: Facts) -> Sequence[Shifted]:
+        if not self.direct:
+            return super().shifted(facts)
+        count = self.points or DIRECT_POINTS
+        # Damped, or beside the imaginary axis.
+        return [Shifted(structure="complex-symmetric", count=count, columns=facts.inputs, at_once=count)]
 
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
         low, high = (2 * np.pi * f for f in self.band_hz)
