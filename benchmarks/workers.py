@@ -75,7 +75,8 @@ class Watch(threading.Thread):
         main = next((pid for pid, (words, *_) in self.seen.items() if _MAIN in words), None)
         helpers = [peak for pid, (words, peak, _) in self.seen.items() if pid != main and _is_helper(words)]
         return {
-            "each_peak_bytes": max(helpers, default=None), "helpers": len(helpers),
+            "process_peak_bytes": self.seen[main][1] if main in self.seen else None,
+            "each_peak_bytes": max(helpers, default=None),
             "all_peak_bytes": sum(peak for _, peak, _ in self.seen.values()),
             "cpu_seconds": sum(used for *_, used in self.seen.values()),
         }  # fmt: skip
@@ -146,7 +147,6 @@ def _measure(words: str, dofs: int, settings: Settings) -> Callable[[], Row]:
         return {
             "dofs": document["dofs"], "seconds": ended.seconds, "threads": threads, **found,
             "reduce_seconds": document["seconds"][f"reduce {method['method']}"],
-            "process_peak_bytes": document["job_peak_memory_bytes"],
         }  # fmt: skip
 
     return measured

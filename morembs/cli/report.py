@@ -50,6 +50,8 @@ LABELS = {
     "shift_seconds": "factorisations at shifts in s", "processes": "workers or ranks beside it",
     "process_bytes": "memory of each of them", "all_processes_bytes": "peak memory of all processes",
 }  # fmt: skip
+# Left out where there is nothing beside the one factorisation and the one process.
+BESIDE = ("shift_factor_entries", "shift_factor_bytes", "shift_seconds", "processes", "process_bytes")
 # Coordinates that follow responses. A mode of theirs is listed beside one of the full model within this part of it.
 RESPONSES, NEAR = {"krylov", "gramian", "balanced"}, 0.01
 
@@ -162,7 +164,7 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
     """A checked job and what it will need."""
     table = plain_table("", "")
     for key, value in forecast.as_json().items():
-        if key in ("warnings", "choice"):
+        if key in ("warnings", "choice") or (not value and key in BESIDE):
             continue
         if key == "interface_nodes":
             value = ", ".join(f"{name} {count:,}" for name, count in value.items()) or "none"

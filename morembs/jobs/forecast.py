@@ -28,7 +28,7 @@ from morembs.linalg.statics import require_room_to_count
 from morembs.model import DofMap, FEModel, Mesh
 from morembs.model.assembly import check_mesh, mass_warnings, stiffness_pattern
 from morembs.model.material import Material
-from morembs.problem.dynamics import worker_bytes
+from morembs.problem.dynamics import PROCESS_BYTES, worker_bytes
 from morembs.reducers.facts import Shifted
 
 # Bytes of a stored entry of K or M, and of the triangle with the places of M in it.
@@ -111,14 +111,15 @@ class Cost:
             "columns_bytes": self.columns, "peak_memory_bytes": self.peak, "factor_seconds": self.seconds,
             "threads": blas_threads(), "shift_factor_entries": shift.entries, "shift_factor_bytes": shift.kept,
             "shift_seconds": shift.seconds, "processes": shift.processes, "process_bytes": shift.each,
-            "all_processes_bytes": self.peak + shift.processes * shift.each,
+            "all_processes_bytes": self.peak + shift.processes * shift.each + shift.beside,
         }  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shift:
     """The largest factor beside that of K, what one takes that is made here, the time of all of them; and how many
-    other processes there are of how many bytes each: those that make them, or ranks."""
+    other processes there are of how many bytes each: those that make them, or ranks. ``beside``: the one that workers
+    are copied from."""
 
     entries: int = 0
     kept: int = 0
@@ -126,6 +127,7 @@ class Shift:
     seconds: float = 0.0
     processes: int = 0
     each: int = 0
+    beside: int = 0
 
 
 def forecast_cost(
@@ -194,7 +196,7 @@ def _at_shifts(
     largest = max((plan for plan, _ in plans.values()), key=lambda plan: plan.kept)
     return Shift(
         entries=largest.factor_entries, kept=largest.kept, here=max(here, default=0), seconds=seconds,
-        processes=running if running > 1 else 0, each=each if running > 1 else 0,
+        **({"processes": running, "each": each, "beside": PROCESS_BYTES} if running > 1 else {}),
     )  # fmt: skip
 
 

@@ -68,7 +68,7 @@ class Gramian(OfResponses):
         order: number of elastic directions; this or ``tolerance``.
         tolerance: part of the responses' energy (its root) that may be left out.
         weight: "position", or "velocity", which stresses the upper end of the band.
-        direct: solve with the full matrices at each point (one factorisation each, on the workers of the problem) in
+        direct: solve with the full matrices at each point (one factorisation each, shared out among workers) in
             place of the reference model; a model with its own damping matrix needs it.
         points: Gauss points over the band; by default so many that each resonance is resolved, or 12 if ``direct``.
         static: keep the response to static interface forces exact: these displacements come first, among the ``order``.
