@@ -32,6 +32,7 @@ from morembs.errors import MorembsError
 from morembs.linalg.dynamic_stiffness import grounded
 from morembs.linalg.sparse.mixed import Mixed
 from morembs.linalg.sparse.mumps import Mumps
+from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.select import SOLVERS, select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
@@ -251,10 +252,37 @@ def write_job(spec: Spec) -> Row:
     """Write mesh and job of a shape, with ``more`` tables."""
     from models import job
 
-    path = job(spec["shape"], spec["dofs"], Path(spec["to"]), memory=spec.get("memory"), scratch=spec.get("scratch"))
+    given = {key: spec[key] for key in ("memory", "scratch", "reduction") if key in spec}
+    path = job(spec["shape"], spec["dofs"], Path(spec["to"]), **given)
     with path.open("a", encoding="utf-8") as file:
         file.write("\n" + spec.get("more", ""))
     return {"job": str(path)}
+
+
+def same(spec: Spec) -> Row:
+    """Largest differences of two bodies, relative to the largest entries of the ``first``."""
+    from morembs import read_body
+
+    first, second = (next(iter(read_body(spec[key]).bodies.values())) for key in ("first", "second"))
+
+    def off(a: Floats, b: Floats) -> float:
+        return float(np.abs(a - b).max() / np.abs(a).max())
+
+    pairs = list(zip(first.matrices[:2], second.matrices[:2], strict=True))
+    return {
+        "frequency_difference": off(first.frequencies_hz, second.frequencies_hz),
+        "matrix_difference": max(float(np.linalg.norm(a - b) / np.linalg.norm(a)) for a, b in pairs),
+    }  # fmt: skip
+
+
+def pivots(spec: Spec) -> Row:
+    """Negative pivots of a held stiffness less a multiple of its diagonal, on ``ranks`` processes."""
+    A, _, _ = load(spec["matrix"])
+    shifted = Lower(A.indptr, A.indices, A.data.copy())
+    first = A.indptr[:-1]
+    shifted.data[first] -= 0.05 * np.median(A.diagonal())
+    solver = Mumps() if spec["ranks"] == 1 else RankedMumps(ranks=spec["ranks"])
+    return {"negative_pivots": solver.negative_eigenvalues(shifted)}
 
 
 def modes(spec: Spec) -> Row:
@@ -336,7 +364,7 @@ TASKS: dict[str, Callable[[Spec], Row]] = {
     "machine": machine, "dgemm": dgemm, "matrix": matrix, "factor": factor, "splu": splu, "modes": modes,
     "products": products, "job": write_job, "interpolation": interpolation, "frames": frames,
     "switching": switching, "certify": certificates, "fmu": fmu, "part": part, "startup": startup,
-    "mechanism": mechanism,
+    "mechanism": mechanism, "same": same, "pivots": pivots,
 }  # fmt: skip
 
 

@@ -53,16 +53,21 @@ def _failed(ended: Finished, settings: Settings) -> Row:
     return {"error": ended.last_error().replace(str(settings.folder), "FOLDER"), "seconds": ended.seconds}
 
 
-def written(shape: str, dofs: int, budget: int | None, settings: Settings, more: str = "") -> Path:
+def written(
+    shape: str, dofs: int, budget: int | None, settings: Settings, more: str = "", reduction: Row | None = None
+) -> Path:
     """Path of a job with a budget, in the folder of its model: one job of a model is there at a time.
 
-    ``more`` are tables at its end.
+    ``more`` are tables at its end, ``reduction`` that of another method.
     """
     to = settings.folder / f"{shape}_{dofs}"
     scratch = settings.folder / "scratch"
     scratch.mkdir(exist_ok=True)
     memory = None if budget is None else f"{budget} B"
-    job = required("job", settings, shape=shape, dofs=dofs, to=str(to), memory=memory, scratch=str(scratch), more=more)
+    job = required(
+        "job", settings, shape=shape, dofs=dofs, to=str(to), memory=memory, scratch=str(scratch), more=more,
+        reduction=reduction,
+    )  # fmt: skip
     return Path(job["job"])
 
 

@@ -460,6 +460,7 @@ def interfaces(shape: str) -> dict[str, str]:
 def job(
     shape: str, dofs: int, folder: Path, *,
     memory: str | None = None, scratch: Path | str | None = None, modes: int = 30,
+    reduction: dict[str, object] | None = None,
 ) -> Path:  # fmt: skip
     """Write the mesh and a job (Craig-Bampton, three rigid interfaces, steel) into ``folder``; the job's path.
 
@@ -467,6 +468,7 @@ def job(
         memory: budget for the factors, such as "4 GiB"; no limit without it.
         scratch: folder for factors on disk.
         modes: fixed-interface modes.
+        reduction: another reduction, with its keys.
 
     Raises:
         ValueError: as ``make``.
@@ -483,7 +485,7 @@ def job(
         ("[[material]]", {"set": "all", "young": 2.1e11, "poisson": 0.3, "density": 7850.0}),
         *frames,
         ("[solver]", {key: value for key, value in solver.items() if value is not None}),
-        ("[[reduce]]", {"method": "craig-bampton", "modes": modes}),
+        ("[[reduce]]", reduction or {"method": "craig-bampton", "modes": modes}),
         ("[output]", {"path": f"{name}.h5", "nodes": "skin"}),
     ]
     # Strings and numbers of JSON are those of TOML.

@@ -29,10 +29,14 @@ MODULES = {
     "startup": ("startup",), "solvers": ("small", "medium", "large", "factor", "modes"), "krylov": ("krylov",),
     "frames": ("frames",), "jobs": ("million", "forecast"), "switching": ("switching",), "budgets": ("budgets",),
     "certify": ("certify",), "fmus": ("fmu",), "mechanisms": ("steps", "gmp"), "products": ("products",),
+    "workers": ("workers",),
 }  # fmt: skip
 CASES = {case: module for module, cases in MODULES.items() for case in cases}
 # These are run only if they are named; what a round of them takes on two cores.
-LONG = {"million": "an hour", "forecast": "an hour", "krylov": "20 minutes", "budgets": "15 minutes"}
+LONG = {
+    "million": "an hour", "forecast": "an hour", "krylov": "20 minutes", "budgets": "15 minutes",
+    "workers": "10 minutes",
+}  # fmt: skip
 ROUNDS = 3
 
 

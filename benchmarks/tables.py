@@ -110,6 +110,22 @@ TABLES: dict[str, Table] = {
          ("error", "response_error", "e")),
         tuple((words, f"{body}: {who}") for words, body, who in _REDUCTIONS),
     ),
+    "workers": Table(
+        "workers", "cube, one body on several processes",
+        (
+            _DOFS, ("threads of each", "threads", "n"), ("reduction, s", "reduce_seconds", "s"),
+            ("processor seconds of all", "cpu_seconds", "s"),
+            ("peak of the job's process, MB", "process_peak_bytes", "MB"),
+            ("of each of the others", "each_peak_bytes", "MB"), ("of all", "all_peak_bytes", "MB"),
+            ("negative pivots", "negative_pivots", "n"), ("difference of frequencies", "frequency_difference", "e"),
+            ("of matrices", "matrix_difference", "e"),
+        ),
+        tuple((words, name) for words, name in (
+            ("Krylov at 8 shifts", "8 shifts, 1 worker"), ("on 2 workers", "8 shifts, 2 workers"),
+            ("on 2 threads", "8 shifts, 1 worker, 2 threads"), ("30 modes, `mumps`", "30 modes, 1 process"),
+            ("2 ranks", "30 modes, 2 ranks"),
+        )),
+    ),
     "sweep": Table(
         "krylov", "200 damped frequencies of the full model", (_DOFS, _SECONDS, ("error", "response_error", "e")),
         (("by the reference model", "crankshaft 26,000: full_response, damped"),

@@ -14,6 +14,9 @@ sys.path.insert(0, str(ROOT))
 # Processes that tests start are like those of a user: their byte code is kept, their output has a buffer.
 for name in ("PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED"):
     os.environ.pop(name, None)
+# Open MPI refuses root, as which a container runs its tests, and more processes than there are processors.
+for name in ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_MCA_rmaps_base_oversubscribe"):
+    os.environ[name] = "1"
 
 
 def pytest_collection_finish() -> None:

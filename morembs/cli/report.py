@@ -46,7 +46,12 @@ LABELS = {
     "factor_entries": "nonzeros of the factor", "factor_flops": "operations of the factorisation",
     "factor_bytes": "memory of the factor", "scratch_bytes": "scratch files", "columns_bytes": "memory of the bases",
     "peak_memory_bytes": "peak memory", "factor_seconds": "factorisation in s", "reduction_seconds": "reductions",
+    "shift_factor_entries": "nonzeros of the largest factor at a shift", "shift_factor_bytes": "memory of that factor",
+    "shift_seconds": "factorisations at shifts in s", "processes": "workers or ranks beside it",
+    "process_bytes": "memory of each of them", "all_processes_bytes": "peak memory of all processes",
 }  # fmt: skip
+# Left out where there is nothing beside the one factorisation and the one process.
+BESIDE = ("shift_factor_entries", "shift_factor_bytes", "shift_seconds", "processes", "process_bytes")
 # Coordinates that follow responses. A mode of theirs is listed beside one of the full model within this part of it.
 RESPONSES, NEAR = {"krylov", "gramian", "balanced"}, 0.01
 
@@ -159,7 +164,7 @@ def print_forecast(console: Console, job: str, forecast: JobForecast) -> None:
     """A checked job and what it will need."""
     table = plain_table("", "")
     for key, value in forecast.as_json().items():
-        if key in ("warnings", "choice"):
+        if key in ("warnings", "choice") or (not value and key in BESIDE):
             continue
         if key == "interface_nodes":
             value = ", ".join(f"{name} {count:,}" for name, count in value.items()) or "none"

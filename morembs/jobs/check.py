@@ -32,10 +32,10 @@ from morembs.jobs.inputs import (
 )  # fmt: skip
 from morembs.jobs.job import Job
 from morembs.jobs.model import matrices_of
-from morembs.jobs.preflight import model_warnings, preflight, require_room
+from morembs.jobs.preflight import model_warnings, preflight, require_room, shifted_of
 from morembs.jobs.run import count_elements
 from morembs.linalg.sparse.solver import LinearSolver
-from morembs.linalg.sparse.threads import blas_threads, limit_threads
+from morembs.linalg.sparse.threads import limit_threads
 from morembs.memory import available_bytes, resident_bytes
 from morembs.model import Mesh, rigid_motion
 from morembs.model.assembly import check_mesh, stiffness_pattern
@@ -97,18 +97,15 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     columns = max(columns, job.tables.check.full_modes)
     with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget:
         cost = forecast_cost(
-            stiffness_pattern(graph, budget), abs(coupling.T), columns, solver, budget, start, wants_modes(job)
+            stiffness_pattern(graph, budget), abs(coupling.T), columns, solver, budget, start, wants_modes(job),
+            list(shifted_of(job, facts).values()), job.tables.solver.workers,
         )
-        threads = blas_threads()
-        seconds = _reduction_seconds(job, facts, cost)
-    plan = cost.plan
+        told, seconds = cost.told(), _reduction_seconds(job, facts, cost)
     x, y, z = np.ptp(mesh.nodes.xyz, axis=0).tolist()
     return JobForecast(
-        solver=plan.backend, choice=cost.choice, nodes=len(mesh.nodes), elements=count_elements(mesh),
-        dofs=size, coupled_dofs=coupled, rigid_modes=rigid, stiffness_nonzeros=9 * graph.nnz,
-        mass_nonzeros=3 * graph.nnz, matrices_bytes=12 * 12 * graph.nnz, factor_entries=plan.factor_entries,
-        factor_flops=plan.flops, factor_bytes=plan.kept, scratch_bytes=plan.disk, columns_bytes=cost.columns,
-        peak_memory_bytes=cost.peak, factor_seconds=cost.seconds, threads=threads, extent=(x, y, z),
+        **told, nodes=len(mesh.nodes), elements=count_elements(mesh), dofs=size, coupled_dofs=coupled,
+        rigid_modes=rigid, stiffness_nonzeros=9 * graph.nnz, mass_nonzeros=3 * graph.nnz,
+        matrices_bytes=12 * 12 * graph.nnz, extent=(x, y, z),
         interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
         reduction_seconds=seconds, warnings=(*warnings, *_warnings(cost, solver.scratch)),
     )  # fmt: skip
@@ -130,17 +127,17 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
         progress.stage("analyse")
         columns = inputs + max(reducer.mode_count for reducer in job.reducers.values())
         columns = max(columns, job.tables.check.full_modes)
-        cost = forecast_cost(model.K, coupling.T, columns, solver, budget, start, wants_modes(job))
-        threads = blas_threads()
-        seconds = _reduction_seconds(job, facts, cost)
-    plan, matrices = cost.plan, [A for name in MATRICES if (A := getattr(model, name)) is not None]
+        cost = forecast_cost(
+            model.K, coupling.T, columns, solver, budget, start, wants_modes(job),
+            list(shifted_of(job, facts).values()), job.tables.solver.workers,
+        )  # fmt: skip
+        told, seconds = cost.told(), _reduction_seconds(job, facts, cost)
+    matrices = [A for name in MATRICES if (A := getattr(model, name)) is not None]
     x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()
     return JobForecast(
-        solver=plan.backend, choice=cost.choice, nodes=len(model.nodes), elements=count_elements(model.mesh),
-        dofs=model.size, coupled_dofs=coupled, rigid_modes=rigid, stiffness_nonzeros=model.K.nnz,
-        mass_nonzeros=model.M.nnz, matrices_bytes=sum(A.data.nbytes + A.indices.nbytes for A in matrices),
-        factor_entries=plan.factor_entries, factor_flops=plan.flops, factor_bytes=plan.kept, scratch_bytes=plan.disk,
-        columns_bytes=cost.columns, peak_memory_bytes=cost.peak, factor_seconds=cost.seconds, threads=threads,
+        **told, nodes=len(model.nodes), elements=count_elements(model.mesh), dofs=model.size, coupled_dofs=coupled,
+        rigid_modes=rigid, stiffness_nonzeros=model.K.nnz, mass_nonzeros=model.M.nnz,
+        matrices_bytes=sum(A.data.nbytes + A.indices.nbytes for A in matrices),
         extent=(x, y, z), interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
         reduction_seconds=seconds, warnings=(*warnings, *_warnings(cost, solver.scratch)),
     )  # fmt: skip
@@ -156,9 +153,10 @@ def _warnings(cost: Cost, scratch: Path | None) -> tuple[str, ...]:
     """What may go wrong on this machine."""
     warnings = []
     available = available_bytes()
-    if cost.peak > available:
+    needed = cost.told()["all_processes_bytes"]
+    if needed > available:
         warnings.append(
-            f"{cost.peak / 1e9:.1f} GB of memory are forecast and {available / 1e9:.1f} GB are free; give [solver] a "
+            f"{needed / 1e9:.1f} GB of memory are forecast and {available / 1e9:.1f} GB are free; give [solver] a "
             "memory budget and a scratch folder"
         )
     if cost.plan.disk > (free := free_bytes(scratch)):

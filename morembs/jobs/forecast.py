@@ -6,8 +6,9 @@ factor and the dense columns of the modes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import scipy.sparse as sp
@@ -19,6 +20,7 @@ from morembs.jobs.inputs import interfaces_of, wants_modes
 from morembs.jobs.job import Job
 from morembs.jobs.preflight import LOADED_BYTES, RESTING_BYTES, require_room, resting_bytes
 from morembs.linalg.congruence import congruence
+from morembs.linalg.dynamic_stiffness import plan_at_shift
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.threads import blas_threads, measured_speed
@@ -26,6 +28,8 @@ from morembs.linalg.statics import require_room_to_count
 from morembs.model import DofMap, FEModel, Mesh
 from morembs.model.assembly import check_mesh, mass_warnings, stiffness_pattern
 from morembs.model.material import Material
+from morembs.problem.dynamics import PROCESS_BYTES, worker_bytes
+from morembs.reducers.facts import Shifted
 
 # Bytes of a stored entry of K or M, and of the triangle with the places of M in it.
 _ENTRY, _TRIANGLE = 12, 12
@@ -36,6 +40,10 @@ _SPACE, _BLOCKS = 3, 160
 _EFFICIENCY = {"cholmod": 0.56, "mumps": 0.48, "mumps-mixed": 1.0, "mumps-embedded": 0.30, "pardiso": 0.48}
 _SLOWEST = 0.1
 _SECONDS_PER_ENTRY = 1e-8
+# Real products in a complex one.
+_COMPLEX = 4
+# Resident memory of a rank of MPI without its part of a factor; measured.
+RANK_BYTES = 80_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +52,9 @@ class JobForecast:
 
     ``choice`` says in one line which solver will be taken and why; ``factor_seconds`` is that of the one
     factorisation with ``threads`` threads at the speed of this machine now, ``reduction_seconds`` that of each
-    reduction beside it as far as it can be told, within a factor of three.
+    reduction beside it as far as it can be told, within a factor of three. ``shift_factor_...`` is of the largest
+    factor beside that of K, 0 where there is none, ``shift_seconds`` the time of all of these. Workers or ranks are
+    ``processes`` beside this one, of up to ``process_bytes`` each; ``all_processes_bytes`` is the peak of all at once.
     """
 
     solver: str
@@ -65,6 +75,12 @@ class JobForecast:
     peak_memory_bytes: int
     factor_seconds: float
     threads: int
+    shift_factor_entries: int
+    shift_factor_bytes: int
+    shift_seconds: float
+    processes: int
+    process_bytes: int
+    all_processes_bytes: int
     extent: tuple[float, float, float]
     interface_nodes: dict[str, int]
     reduction_seconds: dict[str, float] = field(default_factory=dict)
@@ -84,17 +100,47 @@ class Cost:
     columns: int
     peak: int
     seconds: float
+    shift: Shift
+
+    def told(self) -> dict[str, Any]:
+        """The fields of a ``JobForecast`` that this is."""
+        plan, shift = self.plan, self.shift
+        return {
+            "solver": plan.backend, "choice": self.choice, "factor_entries": plan.factor_entries,
+            "factor_flops": plan.flops, "factor_bytes": plan.kept, "scratch_bytes": plan.disk,
+            "columns_bytes": self.columns, "peak_memory_bytes": self.peak, "factor_seconds": self.seconds,
+            "threads": blas_threads(), "shift_factor_entries": shift.entries, "shift_factor_bytes": shift.kept,
+            "shift_seconds": shift.seconds, "processes": shift.processes, "process_bytes": shift.each,
+            "all_processes_bytes": self.peak + shift.processes * shift.each + shift.beside,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shift:
+    """The largest factor beside that of K, what one takes that is made here, the time of all of them; and how many
+    other processes there are of how many bytes each: those that make them, or ranks. ``beside``: the one that workers
+    are copied from."""
+
+    entries: int = 0
+    kept: int = 0
+    here: int = 0
+    seconds: float = 0.0
+    processes: int = 0
+    each: int = 0
+    beside: int = 0
 
 
 def forecast_cost(
-    K: sp.csr_array, T: sp.csr_array, columns: int, solver: LinearSolver, budget: Budget, start: int, modes: bool
-) -> Cost:
+    K: sp.csr_array, T: sp.csr_array, columns: int, solver: LinearSolver, budget: Budget, start: int, modes: bool,
+    shifted: Sequence[Shifted] = (), workers: int = 1,
+) -> Cost:  # fmt: skip
     """Cost of reducing with a stiffness of the pattern of ``K`` (N, N) in coupled dofs of ``T`` (N, Nc).
 
     Args:
         columns: number of columns of the basis.
         start: resident memory of the process before any model was read.
         modes: whether modes are computed, and so counted.
+        shifted: what is factorised beside K, by ``workers`` processes where there are several.
 
     Raises:
         SolverError: no method fits into the budget.
@@ -115,15 +161,43 @@ def forecast_cost(
         # Without a budget its factor is kept, because it finds modes too.
         counting += 8 * count.factor_entries
     dense = 8 * n * (columns + min(_SPACE * columns + _BLOCKS, n))
-    before = start + matrices
+    before, here = start + matrices, plan
+    left = None if budget.memory is None else budget.memory - before - plan.kept
+    shift = _at_shifts(lower, shifted, solver, workers, left)
+    if plan.ranks > 1:
+        # Right-hand sides and solutions are all that is here.
+        largest = max(plan.memory, plan.kept + max(counting, shift.here))
+        shift = replace(shift, here=0, processes=plan.ranks, each=RANK_BYTES + largest // plan.ranks)
+        here, counting = replace(plan, memory=0, kept=0), 0
     peak = max(
-        before + 8 * lower.nnz + plan.memory,
-        before + 16 * lower.nnz + plan.kept + counting + dense,
+        before + 8 * lower.nnz + here.memory,
+        before + 16 * lower.nnz + here.kept + max(counting, shift.here) + dense,
     )
     if budget.memory is not None:
         # Matrices and columns rest in files when the factorisation needs their room.
         peak = min(peak, budget.memory)
-    return Cost(plan=plan, choice=choice, columns=dense, peak=peak, seconds=_seconds(plan))
+    return Cost(plan=plan, choice=choice, columns=dense, peak=peak, seconds=_seconds(plan), shift=shift)
+
+
+def _at_shifts(
+    lower: Lower, shifted: Sequence[Shifted], solver: LinearSolver, workers: int, left: int | None
+) -> Shift:
+    """What ``shifted`` takes on up to ``workers`` processes that have ``left`` bytes together (None: no limit)."""
+    if not shifted:
+        return Shift()
+    plans = {each.structure: plan_at_shift(lower, each.structure, solver) for each in shifted}
+    each = max(worker_bytes(plans[x.structure][1], lower.n, x.columns, x.structure) for x in shifted)
+    running = min(workers, max(x.at_once for x in shifted), workers if left is None else max(1, left // each))
+    here = [plans[x.structure][1] for x in shifted if min(running, x.at_once) == 1]
+    seconds = 0.0
+    for x in shifted:
+        products = _COMPLEX if x.structure.startswith("complex") else 1
+        seconds += products * _seconds(plans[x.structure][0]) * math.ceil(x.count / min(running, x.at_once))
+    largest = max((plan for plan, _ in plans.values()), key=lambda plan: plan.kept)
+    return Shift(
+        entries=largest.factor_entries, kept=largest.kept, here=max(here, default=0), seconds=seconds,
+        **({"processes": running, "each": each, "beside": PROCESS_BYTES} if running > 1 else {}),
+    )  # fmt: skip
 
 
 def least_memory(job: Job, model: FEModel, solver: LinearSolver, start: int, K: sp.csr_array | None = None) -> int:

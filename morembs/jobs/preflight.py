@@ -19,10 +19,12 @@ from morembs.jobs.inputs import (
     preload_of,
     refuse_reductions_that_do_not_fit,
     rotation_of,
+    solver_of,
     units_of,
     wants_modes,
 )  # fmt: skip
 from morembs.jobs.job import Job
+from morembs.linalg.sparse.select import lacks
 from morembs.linalg.statics import COUNT_BYTES, COUNT_COLUMNS
 from morembs.model import FEModel, rigid_motion
 from morembs.model.selection import select_nodes
@@ -30,11 +32,14 @@ from morembs.problem.damping import STRUCTURAL, frequency_domain_only
 from morembs.progress import duration_words
 from morembs.reducers import Facts
 from morembs.reducers.cost import mode_seconds, response_seconds
+from morembs.reducers.facts import Shifted
 
 # Interface degrees of freedom beyond which methods that follow all responses take minutes.
 MANY_INTERFACE_DOFS = 60
 # Part of the dofs, and count, beyond which modes are no reduction any more or take very long.
 MANY_MODES, MOST_MODES = 0.1, 1000
+# Frequencies of a picture where no [response] asks for others.
+BAND_POINTS = 400
 # Models that take seconds whatever is asked of them.
 SMALL = 3000
 # What stays resident of a job when all that can rest does: bytes, and columns as long as there are dofs; measured. Of
@@ -93,9 +98,35 @@ def preflight(job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
     _refuse_preload(job, facts.model, facts.interfaces, rigid)
     _refuse_spin(job, facts, rigid)
     refuse_reductions_that_do_not_fit(job, facts)
+    _refuse_solver(job, facts)
     _refuse_delivery(job, body_options(job), facts.model, facts.coupling, rigid)
     _refuse_state_space(job, facts, rigid)
     return (*_many_motions(job, facts), *_many_modes(job, facts.size))
+
+
+def shifted_of(job: Job, facts: Facts) -> dict[str, Shifted]:
+    """What is factorised beside K, by the words for what asks for it."""
+    tables = job.tables
+    wanted = {f"[[reduce]] {name!r}": reducer.shifted(facts) for name, reducer in job.reducers.items()}
+    for key in ("certify", "response"):
+        if (asked := getattr(tables, key)) is not None:
+            wanted[f"[{key}]"] = facts.at_frequencies(asked.points)
+    if job.picture is not None and tables.certify is None and tables.response is None and facts.inputs:
+        wanted["the picture"] = facts.at_frequencies(BAND_POINTS)
+    return {words: each for words, found in wanted.items() for each in found}
+
+
+def _refuse_solver(job: Job, facts: Facts) -> None:
+    """Refuse a solver that does not take what is factorised beside K."""
+    solver = type(solver_of(job))
+    for words, each in shifted_of(job, facts).items():
+        takes = f"it takes {' or '.join(solver.structures)} ones"
+        reason = lacks(solver, each.structure) if each.structure in solver.structures else takes
+        if reason:
+            raise InputError(
+                f"[solver]: solver = {solver.name!r} was given, and {words} factorises {each.structure} matrices "
+                f'({reason}); take name = "auto" and no ranks'
+            )
 
 
 def _refuse_preload(job: Job, model: FEModel, interfaces: Sequence[Interface], rigid: int) -> None:

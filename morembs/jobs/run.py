@@ -45,7 +45,7 @@ from morembs.jobs.inputs import (
 )  # fmt: skip
 from morembs.jobs.job import Job
 from morembs.jobs.model import model_of
-from morembs.jobs.preflight import model_warnings, preflight
+from morembs.jobs.preflight import BAND_POINTS, model_warnings, preflight
 from morembs.linalg.sparse.solver import FactorStats, LinearSolver
 from morembs.linalg.sparse.threads import limit_threads
 from morembs.memory import PeakMemory, resident_bytes
@@ -67,7 +67,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 # Band of the picture where no [response] asks for one: parts of the lowest and of the highest known mode.
 BAND = (0.2, 1.1)
-BAND_POINTS = 400
 
 
 @summarised

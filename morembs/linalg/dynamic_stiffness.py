@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from morembs.budget import UNLIMITED, Budget
 from morembs.closing import Closing
 from morembs.errors import InputError
-from morembs.linalg.sparse.solver import Analysis, Factorization, LinearSolver
+from morembs.linalg.sparse.solver import Analysis, Factorization, Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import General, Lower
 from morembs.moved import renamed
 
@@ -82,6 +82,11 @@ class DynamicStiffness(Closing):
             _add(skew, place, scale if kind == np.complex128 else complex(scale).real, values)
         return General(self.lower.indptr, self.lower.indices, data.astype(kind, copy=False), skew)
 
+    def structure_at(self, s: complex) -> str:
+        """Structure of A(s), as ``structure_at`` has it."""
+        powers = {power for power, _ in self._skew}
+        return structure_at(s, D=len(self._added) > 1, G=1 in powers, N=0 in powers)
+
     def shifted(self, sigma: float) -> Lower:
         """Lower triangle of K - sigma M."""
         place, values = self._added[0]
@@ -92,17 +97,14 @@ class DynamicStiffness(Closing):
     def factorize(self, s: complex, structure: str | None = None) -> Factorization:
         """Factor of A(s), which lives until the next one of the same structure; the analysis is shared.
 
-        ``structure`` None: "symmetric", or "complex-symmetric" where A(s) is complex; "unsymmetric" where it has a
-        skew part.
+        ``structure`` None: that of ``structure_at``.
 
         Raises:
             SingularMatrixError: ``s`` is an eigenvalue.
             SolverError: the backend failed or the budget is too small.
         """
         A = self.at(s)
-        if structure is None:
-            structure = "unsymmetric" if isinstance(A, General) else "symmetric"
-            structure = f"complex-{structure}" if A.data.dtype.kind == "c" else structure
+        structure = self.structure_at(s) if structure is None else structure
         what = f"s^2 M + s D + K at s = {s:.6g}"
         if structure not in self._analyses:
             self.budget.release_pages()
@@ -117,14 +119,7 @@ class DynamicStiffness(Closing):
 
     def room_for_factor(self, structure: str) -> int:
         """Bytes that a factor of A(s) in memory takes at most, with the values of A(s), from a symbolic analysis."""
-        lower = self.lower
-        if structure.startswith("complex"):
-            lower = replace(lower, data=lower.data.astype(complex))
-        if structure.endswith("unsymmetric"):
-            lower = General(lower.indptr, lower.indices, lower.data, lower.data)
-        with self.solver.with_memory(None).analyse(lower, structure) as analysis:
-            plan = analysis.forecast
-        return lower.data.nbytes + max(plan.memory, plan.kept)
+        return plan_at_shift(self.lower, structure, self.solver)[1]
 
     @property
     def analysed(self) -> tuple[str, ...]:
@@ -136,6 +131,26 @@ class DynamicStiffness(Closing):
         for analysis in self._analyses.values():
             analysis.close()
         self._analyses.clear()
+
+
+def plan_at_shift(lower: Lower, structure: str, solver: LinearSolver) -> tuple[Forecast, int]:
+    """What a factor of A(s) on the pattern of ``lower`` takes in memory, and all bytes with the values of A(s)."""
+    if structure.startswith("complex"):
+        lower = replace(lower, data=lower.data.astype(complex))
+    values = lower.data.nbytes
+    if structure.endswith("unsymmetric"):
+        lower, values = General(lower.indptr, lower.indices, lower.data, lower.data), 2 * values
+    with solver.with_memory(None).analyse(lower, structure) as analysis:
+        plan = analysis.forecast
+    return plan, values + max(plan.memory, plan.kept)
+
+
+def structure_at(s: complex, *, D: bool, G: bool, N: bool) -> str:
+    """Structure of A(s) where there is a damping, a gyroscopic and a circulatory matrix or not: "symmetric", or
+    "unsymmetric" with a skew part; "complex-" before it where A(s) is complex."""
+    s = complex(s)
+    real = (s * s).imag == 0.0 and (s.imag == 0.0 or not (D or G))
+    return ("" if real else "complex-") + ("unsymmetric" if N or (G and s) else "symmetric")
 
 
 def _add(data: Values, place: Ints, factor: complex, values: Values) -> None:

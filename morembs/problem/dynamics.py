@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 # Resident memory of a process that has read nothing yet: Python and the libraries.
-PROCESS_BYTES = 160_000_000
+PROCESS_BYTES = 90_000_000
 # Blocks of loads that exist at once while they are solved for, beside those of the result.
 BLOCKS = 4
 
@@ -40,18 +40,16 @@ class Dynamics:
     budget: Budget
 
 
-def crew_of(problem: Problem, others: Any, *, tasks: int, columns: int, damped: bool) -> Crew:
+def crew_of(problem: Problem, others: Any, *, tasks: int, columns: int, structure: str) -> Crew:
     """Processes for ``tasks`` factorisations of A(s), each with ``columns`` solved for; ``Problem.workers`` at most.
 
-    They share (dynamics, ``others``). As many run as have room within the budget, one process only being this one.
-    ``damped`` says that A(s) is complex.
+    They share (dynamics, ``others``); where there is one process only, this one, the problem stands for the dynamics.
+    As many run as have room within the budget. ``structure`` is that of A(s), the larger one where there are several.
     """
-    budget, workers = problem.budget, min(problem.workers, tasks)
+    budget, workers = problem.budget, max(1, min(problem.workers, tasks))
     share = None
     if budget.memory is not None and workers > 1:
-        structure = "symmetric" if problem.symmetric else "unsymmetric"
-        structure = f"complex-{structure}" if damped else structure
-        needed = worker_bytes(problem.stiffness.room_for_factor(structure), len(problem.rigid), columns, damped)
+        needed = worker_bytes(problem.stiffness.room_for_factor(structure), len(problem.rigid), columns, structure)
         budget.release_pages()
         left = max(0, budget.memory - resident_bytes())
         room = max(1, left // needed)
@@ -73,6 +71,6 @@ def crew_of(problem: Problem, others: Any, *, tasks: int, columns: int, damped: 
     return Crew((dynamics, others), workers, scratch=budget.scratch)
 
 
-def worker_bytes(factor: int, size: int, columns: int, damped: bool) -> int:
+def worker_bytes(factor: int, size: int, columns: int, structure: str) -> int:
     """Memory of a process with a ``factor`` of so many bytes that solves for ``columns`` of length ``size``."""
-    return PROCESS_BYTES + factor + BLOCKS * (16 if damped else 8) * size * columns
+    return PROCESS_BYTES + factor + BLOCKS * (16 if structure.startswith("complex") else 8) * size * columns

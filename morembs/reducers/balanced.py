@@ -8,7 +8,7 @@ and Stykel 2008; "so": Chahlaoui et al. 2006) may lose stability, are checked, a
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -24,7 +24,7 @@ from morembs.linalg.sparse.select import select_solver
 from morembs.problem import Damping, Problem
 from morembs.progress import Progress
 from morembs.reducers.base import Basis, elastic_basis
-from morembs.reducers.facts import Facts
+from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.families import OfResponses
 from morembs.reducers.petrov_galerkin import two_sided_basis
 from morembs.reducers.second_order_balancing import (
@@ -129,6 +129,10 @@ class Balanced(OfResponses):
             own = "band_hz needs proportional damping, and this model has its own damping matrix; leave band_hz away"
             return own if facts.own_damping else ""
         return _why_no_gramian(facts.damping, facts.own_damping)
+
+    def shifted(self, facts: Facts) -> Sequence[Shifted]:
+        # The iteration over all frequencies has a solver of its own where that of the job takes no complex matrices.
+        return super().shifted(facts) if self.band_hz is not None else ()
 
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
         gramian = self._gramian(problem, progress)

@@ -28,7 +28,7 @@ from morembs.moved import with_old_names
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
 from morembs.problem.damping import STRUCTURAL
 from morembs.progress import SILENT, Progress
-from morembs.reducers.facts import Facts
+from morembs.reducers.facts import Facts, Shifted
 from morembs.responses.band import MOST_HZ as MOST_HZ
 from morembs.summary import hertz, kinds_words, summarised
 
@@ -226,6 +226,10 @@ class Reducer(ABC):
         if self.needs_interfaces and not facts.inputs:
             return f'method "{self.method}" needs interfaces; add at least one [[interface]], or take method = "modal"'
         return ""
+
+    def shifted(self, facts: Facts) -> Sequence[Shifted]:
+        """What is factorised beside K."""
+        return ()
 
     def seconds(self, facts: Facts, factor_entries: int = 0) -> float | None:
         """Time in addition to the factorisation, within a factor of about three; None where it cannot be predicted."""

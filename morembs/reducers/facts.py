@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
 from morembs.interface import Coupling, Interface
+from morembs.linalg.dynamic_stiffness import structure_at
+from morembs.linalg.sparse.solver import STRUCTURES
 from morembs.model import FEModel
 from morembs.problem import Damping, Problem
+from morembs.responses.damped_reference import AT_ONCE
+from morembs.responses.direct import DENSE
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shifted:
+    """Factorisations of A(s) beside the one of K: ``count`` of them, each solved with for so many ``columns``, and how
+    many are known ``at_once``, so that workers share them; the largest ``structure`` among them."""
+
+    structure: str
+    count: int
+    columns: int
+    at_once: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,3 +62,22 @@ class Facts:
     def symmetric(self) -> bool:
         """Whether the model has neither a gyroscopic nor a circulatory matrix."""
         return self.model.G is None and self.model.N is None
+
+    def at_shifts(self, s: Iterable[complex], columns: int, at_once: bool = True) -> list[Shifted]:
+        """A(s) at each of ``s`` in 1/s; nothing where K serves for all of them."""
+        model = self.model
+        D, G, N = (A is not None for A in (model.D, model.G, model.N))
+        structures = [structure_at(x, D=D, G=G, N=N) for x in s if x or N]
+        if not structures:
+            return []
+        largest, count = max(structures, key=STRUCTURES.index), len(structures)
+        return [Shifted(structure=largest, count=count, columns=columns, at_once=count if at_once else 1)]
+
+    def at_frequencies(self, count: int) -> list[Shifted]:
+        """What the response of the full model at ``count`` frequencies is made of: a reference model takes few of them,
+        and none without a damping matrix of its own."""
+        if not self.symmetric:
+            return self.at_shifts([1j] * count, self.inputs)
+        if self.model.D is None or self.size <= DENSE:
+            return []
+        return self.at_shifts([1j] * AT_ONCE, self.inputs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,7 +11,7 @@ import numpy as np
 from morembs.errors import InputError
 from morembs.reducers.base import MOST_HZ, Reducer
 from morembs.reducers.cost import mode_seconds, response_seconds
-from morembs.reducers.facts import Facts
+from morembs.reducers.facts import Facts, Shifted
 from morembs.responses.direct import why_no_response
 
 
@@ -80,6 +81,9 @@ class OfResponses(Reducer):
     def why_no_response(self, facts: Facts) -> str:
         """Why the full model has no response to follow."""
         return why_no_response(facts.damping, facts.own_damping, facts.size)
+
+    def shifted(self, facts: Facts) -> Sequence[Shifted]:
+        return facts.at_frequencies(0)
 
     def seconds(self, facts: Facts, factor_entries: int = 0) -> float | None:
         return response_seconds(facts.size, facts.inputs, factor_entries, self.of_reference)

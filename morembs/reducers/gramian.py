@@ -16,7 +16,7 @@ s = delta + i omega, and the notes say so.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -24,6 +24,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.crew import Crew
 from morembs.errors import InputError
 from morembs.linalg.columns import hstack, m_norms, map_columns, orthonormal, project_out
 from morembs.linalg.gramians import StreamedSVD, WeightedSVD, snapshot_factor
@@ -31,10 +32,10 @@ from morembs.linalg.quadrature import gauss, modal_poles, resonant
 from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import Basis, elastic_basis
-from morembs.reducers.facts import Facts
+from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.families import OfResponses
 from morembs.responses.band import checked_band
-from morembs.responses.direct import elastic_states, why_no_response
+from morembs.responses.direct import state, states_crew, why_no_response
 from morembs.responses.loads import elastic_part, load_scale, unit_loads
 from morembs.responses.reference import Reference, reference_model
 
@@ -67,8 +68,8 @@ class Gramian(OfResponses):
         order: number of elastic directions; this or ``tolerance``.
         tolerance: part of the responses' energy (its root) that may be left out.
         weight: "position", or "velocity", which stresses the upper end of the band.
-        direct: solve with the full matrices at each point (one factorisation each) in place of the reference model; a
-            model with its own damping matrix needs it.
+        direct: solve with the full matrices at each point (one factorisation each, shared out among workers) in
+            place of the reference model; a model with its own damping matrix needs it.
         points: Gauss points over the band; by default so many that each resonance is resolved, or 12 if ``direct``.
         static: keep the response to static interface forces exact: these displacements come first, among the ``order``.
         inertia_loads: also follow the inertia loads of a moving frame, each of the static energy of an average
@@ -109,6 +110,13 @@ class Gramian(OfResponses):
         if facts.damping.is_modal and not facts.own_damping:
             return "modal damping is known mode by mode only; take direct = false"
         return why_no_response(facts.damping, facts.own_damping, None)
+
+    def shifted(self, facts: Facts) -> Sequence[Shifted]:
+        if not self.direct:
+            return super().shifted(facts)
+        count = self.points or DIRECT_POINTS
+        # Damped, or beside the imaginary axis.
+        return [Shifted(structure="complex-symmetric", count=count, columns=facts.inputs, at_once=count)]
 
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
         low, high = (2 * np.pi * f for f in self.band_hz)
@@ -165,18 +173,19 @@ class Gramian(OfResponses):
         delta = 0.0 if damped else SHIFT * high
         omega, weights = gauss(low, high, self.points or DIRECT_POINTS)
 
-        def snapshots() -> Iterator[Floats]:
-            # The highest first: it tells whether there are any dynamics.
-            for k in range(len(omega))[::-1]:
-                progress.update(f"responses of the band: {len(omega) - k} of {len(omega)}")
-                s = complex(delta, omega[k])
-                U = elastic_states(problem, s, F)
-                if k == len(omega) - 1:
+        # The highest first: it tells whether there are any dynamics.
+        points, weights = [complex(delta, w) for w in omega[::-1]], weights[::-1]
+
+        def snapshots(crew: Crew) -> Iterator[Floats]:
+            for k, U in enumerate(crew.each(state, points)):
+                progress.update(f"responses of the band: {k + 1} of {len(points)}")
+                if not k:
                     self._refuse_statics(U, G, X)
-                yield self._factor(U[None], np.array([s]), weights[k : k + 1])
+                yield self._factor(U[None], np.array(points[k : k + 1]), weights[k : k + 1])
 
         svd = StreamedSVD(X, 2 * F.shape[1] * len(omega), budget)
-        first, V = self._pod(snapshots(), G, X, svd, notes)
+        with states_crew(problem, points, F) as crew:
+            first, V = self._pod(snapshots(crew), G, X, svd, notes)
         notes |= {"quadrature_points": len(omega), "delta_1_per_s": delta}
         return hstack(first, V, budget=budget)
 

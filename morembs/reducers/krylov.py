@@ -10,7 +10,7 @@ inputs to outputs are matched as often as by two sides, damping stays damping an
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -24,7 +24,7 @@ from morembs.linalg.second_order_arnoldi import PASSES
 from morembs.problem import Problem
 from morembs.progress import Progress
 from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
-from morembs.reducers.facts import Facts
+from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.petrov_galerkin import two_sided_basis
 from morembs.reducers.shifts import (
     RIGID_LOAD,
@@ -132,6 +132,9 @@ class Krylov(Reducer):
                 if name not in columns:
                     return f"{key} name the interface {name!r}, which does not exist; {nearest(name, columns)}"
         return super().why_not(facts)
+
+    def shifted(self, facts: Facts) -> Sequence[Shifted]:
+        return facts.at_shifts((s for s, _ in self._points()), facts.inputs, at_once=self.tangential is None)
 
     def _basis(self, problem: Problem, progress: Progress) -> Basis:
         self._check(problem)

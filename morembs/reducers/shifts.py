@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.columns import complement, map_columns
 from morembs.linalg.second_order_arnoldi import PASSES, SecondOrderArnoldi
+from morembs.linalg.sparse.solver import STRUCTURES
 from morembs.problem import Dynamics, Problem, crew_of
 from morembs.progress import Progress
 
@@ -263,8 +264,8 @@ def grow_at_once(
     loads = {key: each.F for _, want in open_ for key, each in want.items()}
     tasks = [(point.asked, {k: (each.count, each.transposed) for k, each in want.items()}) for point, want in open_]
     columns = sum(F.shape[1] for F in loads.values())
-    damped = problem.velocity_matrix is not None and any(point.asked.imag for point, _ in open_)
-    with crew_of(problem, loads, tasks=len(tasks), columns=columns, damped=damped) as crew:
+    structure = max((problem.stiffness.structure_at(point.asked) for point, _ in open_), key=STRUCTURES.index)
+    with crew_of(problem, loads, tasks=len(tasks), columns=columns, structure=structure) as crew:
         if crew.workers < 2:
             return
         for number, ((point, want), grown) in enumerate(zip(open_, crew.each(_grown, tasks), strict=True)):

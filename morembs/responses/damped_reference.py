@@ -2,12 +2,14 @@
 
 It begins with second-order Krylov blocks at zero, which are real and take one static solve each; where few dofs are
 damped, as by discrete dampers, the forces of the dampers count as loads: the response is then exact in the space of
-both (Woodbury). Direct solutions of the full equations follow, each at the frequency where the last one changed the
-response most. They also tell the true error there: the space is good when two in a row find none. Small models take
-all their modes.
+both (Woodbury). Direct solutions of the full equations follow, two at once, where the last ones changed the response
+most. They also tell the true error there: the space is good when two in a row find none. Small models take all
+their modes.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import scipy.linalg as sl
@@ -19,7 +21,7 @@ from morembs.linalg.columns import complement, dot, hstack, orthonormal, project
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
 from morembs.problem import Problem
 from morembs.progress import Progress
-from morembs.responses.direct import DENSE, elastic_states
+from morembs.responses.direct import DENSE, state, states_crew
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -34,6 +36,8 @@ LOOKED_AT = 100
 EXHAUSTED = 1e-8
 # Nearer to each other than this part of the highest two frequencies count as one.
 NEAR = 5e-3
+# Frequencies solved for before the response is looked at again, on workers where there are any.
+AT_ONCE = 2
 
 
 class DampedSpace:
@@ -66,37 +70,48 @@ class DampedSpace:
         if len(self.F) <= DENSE:
             return (self.V, *self._small(), 0.0)
         grid = omega[omega > 0][:: max(1, len(omega) // LOOKED_AT)]
-        before, good, at, visited = None, 0, float(omega.max()), list[float]()
-        while True:
-            values, Y, D = self._small()
-            F = Y.T @ dot(self.V, self.F, self.problem.budget) * self.scale
-            H = np.array([_response(w, values, D, F) for w in grid])
-            if before is not None:
-                change = np.abs(H - before).max(axis=(1, 2)) / np.abs(H).max(axis=(1, 2))
-                # Where the space was made it is exact, and proves nothing.
-                far = np.abs(grid[:, None] - np.array(visited)).min(axis=1) > NEAR * grid[-1]
-                at = float(grid[np.argmax(np.where(far, change, -1.0))])
-            before = H
-            visited.append(at)
-            U = elastic_states(self.problem, 1j * at, self.F * self.scale)
-            true = (self.F * self.scale).T @ U
-            error = float(np.abs(true - _response(at, values, D, F)).max() / np.abs(true).max())
-            good = good + 1 if error <= tolerance else 0
-            progress.update(f"frequency response: order {len(values)}, error {error:.1e} at {at / (2 * np.pi):.4g} Hz")
-            if good == 2:
-                return self.V, values, Y, D, error
-            fresh = complement(
-                [self.problem.rigid, self.V], np.hstack([U.real, U.imag]), self.problem.M, self.problem.budget
-            )
-            if not fresh.shape[1] or len(values) + fresh.shape[1] > MAX_ORDER:
-                # Where nothing is left to add, the rest is the round-off of the direct solution.
-                if good or (not fresh.shape[1] and error <= EXHAUSTED):
-                    return self.V, values, Y, D, error
-                raise SolverError(
-                    f"the response reached an error of only {error:.1e} with {len(values)} vectors; lower the upper "
-                    "frequency, or raise the tolerance"
-                )
-            self.V = hstack(self.V, fresh, budget=self.problem.budget)
+        loads, good, visited = self.F * self.scale, 0, list[float]()
+        wanted = list(dict.fromkeys([float(omega.max()), float(grid[len(grid) // 2])]))
+        before: Complexes = np.zeros((0, 0, 0), dtype=complex)
+        with states_crew(self.problem, [1j * wanted[0]] * AT_ONCE, loads) as crew:
+            while True:
+                values, Y, D = self._small()
+                F = Y.T @ dot(self.V, loads, self.problem.budget)
+                H = np.array([_response(w, values, D, F) for w in grid])
+                if visited:
+                    change = np.abs(H - before).max(axis=(1, 2)) / np.abs(H).max(axis=(1, 2))
+                    wanted = _most_changed(grid, change, visited)
+                before, visited = H, visited + wanted
+                solved, errors = list[Floats](), list[float]()
+                for w, U in zip(wanted, crew.each(state, [1j * w for w in wanted]), strict=True):
+                    true = loads.T @ U
+                    errors.append(float(np.abs(true - _response(w, values, D, F)).max() / np.abs(true).max()))
+                    good = good + 1 if errors[-1] <= tolerance else 0
+                    progress.update(
+                        f"frequency response: order {len(values)}, error {errors[-1]:.1e} at {w / (2 * np.pi):.4g} Hz"
+                    )
+                    solved += [U.real, U.imag]
+                if good >= AT_ONCE or not self._grow(np.hstack(solved), max(errors), bool(good)):
+                    return self.V, values, Y, D, max(errors)
+
+    def _grow(self, solved: Floats, error: float, good: bool) -> bool:
+        """Take the columns ``solved`` into the space; False where there are no more and it is ``good`` as it is.
+
+        Raises:
+            SolverError: no room for them, or none that are new, and an ``error`` above round-off.
+        """
+        problem, size = self.problem, self.V.shape[1]
+        fresh = complement([problem.rigid, self.V], solved, problem.M, problem.budget)
+        if fresh.shape[1] and size + fresh.shape[1] <= MAX_ORDER:
+            self.V = hstack(self.V, fresh, budget=problem.budget)
+            return True
+        # Where nothing is left to add, the rest is the round-off of the direct solution.
+        if good or (not fresh.shape[1] and error <= EXHAUSTED):
+            return False
+        raise SolverError(
+            f"the response reached an error of only {error:.1e} with {size} vectors; lower the upper "
+            "frequency, or raise the tolerance"
+        )
 
     def _small(self) -> tuple[Floats, Floats, Floats]:
         """Eigenvalues, vectors and damping of the pencil on V."""
@@ -104,6 +119,17 @@ class DampedSpace:
         values, Y = sl.eigh(K, M)
         D = Y.T @ D @ Y
         return values, Y, 0.5 * (D + D.T)
+
+
+def _most_changed(grid: Floats, change: Floats, visited: Sequence[float]) -> list[float]:
+    """The frequencies of ``grid`` (ng,) with the largest ``change`` (ng,), apart from each other and from those
+    ``visited``, where the space is exact and a solution proves nothing; one of them where there are no others."""
+    chosen: list[float] = []
+    for _ in range(AT_ONCE):
+        far = np.abs(grid[:, None] - np.array([*visited, *chosen])).min(axis=1) > NEAR * grid[-1]
+        if far.any() or not chosen:
+            chosen.append(float(grid[np.argmax(np.where(far, change, -1.0))]))
+    return chosen
 
 
 def _response(w: float, values: Floats, D: Floats, F: Floats) -> Complexes:

@@ -1,16 +1,22 @@
-"""Responses of the full model by factorising A(s) itself, frequency by frequency, with one symbolic analysis."""
+"""Responses of the full model by factorising A(s) itself, frequency by frequency, with one symbolic analysis.
+
+Frequencies that are known in advance are shared out among the workers of the problem.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.crew import Crew
 from morembs.errors import InputError, SingularMatrixError
 from morembs.linalg.columns import map_columns
-from morembs.problem import Damping, Problem
+from morembs.linalg.sparse.solver import STRUCTURES
+from morembs.problem import Damping, Dynamics, Problem, crew_of
 from morembs.progress import SILENT, Progress
 
 Values = NDArray[Any]
@@ -49,7 +55,7 @@ def refuse_skew_parts(problem: Problem) -> None:
         )
 
 
-def elastic_states(problem: Problem, s: complex, F: Values, *, transposed: bool = False) -> Values:
+def elastic_states(problem: Problem | Dynamics, s: complex, F: Values, *, transposed: bool = False) -> Values:
     """Elastic part (Nc, p) of A(s)^-1 F, or of A(s)'^-1 F, for loads ``F`` (Nc, p), at complex ``s`` in 1/s, not zero.
 
     Rayleigh and structural damping need no damping matrix: A(s) = c K + g M = c (K + f M), see ``damping``.
@@ -62,13 +68,10 @@ def elastic_states(problem: Problem, s: complex, F: Values, *, transposed: bool 
     damping, M, Z = problem.damping, problem.M, problem.rigid
     if damping.is_modal:
         raise InputError("modal damping is known mode by mode only; a direct solution needs Rayleigh damping or none")
-    reason = why_no_response(damping, problem.D is not None or not problem.symmetric, None)
+    reason = why_no_response(damping, problem.velocity_matrix is not None or problem.N is not None, None)
     if reason:
         raise InputError(reason)
-    c, g = damping.proportional(s)
-    at = s if not (damping.is_rayleigh or damping.structural) else np.sqrt(complex(g / c))
-    if not complex(at).imag:
-        at = complex(at).real
+    c, at = _solved_at(damping, s)
     try:
         factor = problem.stiffness.factorize(at)
     except SingularMatrixError as error:
@@ -89,6 +92,34 @@ def elastic_states(problem: Problem, s: complex, F: Values, *, transposed: bool 
     return np.asarray(U - X @ np.linalg.solve(Z.T @ (M @ X), Z.T @ (M @ U)))
 
 
+def states_crew(problem: Problem, s: Sequence[complex], F: Values) -> Crew:
+    """Processes that make ``elastic_states`` at all of ``s`` (none of it zero) or at other values of their kind.
+
+    Work for them is ``state``, which gives U (Nc, p), and ``seen``, which gives F'U (p, p).
+    """
+    structures = [problem.stiffness.structure_at(_solved_at(problem.damping, x)[1]) for x in s]
+    structure = max(structures, key=STRUCTURES.index, default=STRUCTURES[0])
+    return crew_of(problem, F, tasks=len(s), columns=F.shape[1], structure=structure)
+
+
+def _solved_at(damping: Damping, s: complex) -> tuple[Any, complex]:
+    """c and sqrt(f) of A(s) = c (K + f M): what is solved at sqrt(f) instead, which is ``s`` for c = 1."""
+    c, g = damping.proportional(s)
+    at = s if not (damping.is_rayleigh or damping.structural) else np.sqrt(complex(g / c))
+    return c, at if complex(at).imag else complex(at).real
+
+
+def state(shared: tuple[Problem | Dynamics, Values], s: complex) -> Values:
+    """``elastic_states`` (Nc, p) at ``s`` of the problem and the loads that are ``shared``."""
+    problem, F = shared
+    return elastic_states(problem, s, F)
+
+
+def seen(shared: tuple[Problem | Dynamics, Values], s: complex) -> Complexes:
+    """F'U (p, p) of ``state``."""
+    return np.asarray(shared[1].T @ state(shared, s))
+
+
 def elastic_statics(problem: Problem, F: Values, *, transposed: bool = False) -> Values:
     """Elastic displacements (Nc, p) under loads ``F`` (Nc, p), dense or sparse: of K + N, or of its transpose."""
     if problem.N is None:
@@ -98,7 +129,8 @@ def elastic_statics(problem: Problem, F: Values, *, transposed: bool = False) ->
 
 
 def direct_response(problem: Problem, omega: Floats, progress: Progress = SILENT) -> Complexes:
-    """Elastic part of H (nf, m, m) at ``omega`` (nf,) in rad/s, one factorisation for each frequency.
+    """Elastic part of H (nf, m, m) at ``omega`` (nf,) in rad/s, one factorisation for each frequency, on the workers of
+    the problem.
 
     It owes nothing to any reduction, and is what to check reductions against. ``full_response`` is many times faster.
 
@@ -114,12 +146,13 @@ def direct_response(problem: Problem, omega: Floats, progress: Progress = SILENT
         raise InputError("a frequency response needs interfaces; add at least one [[interface]]")
     m = problem.B.shape[1]
     H = np.empty((len(omega), m, m), dtype=complex)
-    for j, w in enumerate(omega):
-        progress.update(f"direct response: {j + 1} of {len(omega)}")
-        if w == 0.0:
-            # Structural damping acts at the lower end of the frequencies too.
-            H[j] = problem.B.T @ elastic_statics(problem, problem.B)
-            H[j] /= 1 + 1j * problem.damping.structural
-        else:
-            H[j] = problem.B.T @ elastic_states(problem, 1j * w, problem.B)
+    moving, still = np.flatnonzero(omega), np.flatnonzero(np.asarray(omega) == 0.0)
+    if len(still):
+        # Structural damping acts at the lower end of the frequencies too.
+        H[still] = problem.B.T @ elastic_statics(problem, problem.B) / (1 + 1j * problem.damping.structural)
+    s = [1j * float(omega[j]) for j in moving]
+    with states_crew(problem, s, problem.B) as crew:
+        for count, (j, found) in enumerate(zip(moving, crew.each(seen, s), strict=True)):
+            progress.update(f"direct response: {count + 1} of {len(s)}")
+            H[j] = found
     return H

@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import psutil
 import pytest
+import scipy.sparse as sp
 from typer.testing import CliRunner
 
 from morembs.cli import app
 from morembs.crew import Crew
 from morembs.errors import InputError, SolverError
+from morembs.importers.model_file import write_model
 from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.ranks import why_not
-from tests.support.commands import refused
+from morembs.linalg.sparse.select import SOLVERS
+from morembs.model import DofMap
+from tests.support.commands import refused, without_progress
 from tests.support.matrices import brick, shifted
+from tests.support.meshes import box, steel, where
+from tests.support.tubes import BORE, arch
 
 ROOT = Path(__file__).parents[2]
 KRYLOV = 'method = "krylov"\nshifts_hz = [0.0, 1000.0, 4000.0]\nmoments = [1, 2, 1]'
@@ -53,10 +63,44 @@ path = "part.h5"
 """
 
 
+DAMPED = """
+[model]
+file = "../{model}.model.h5"
+{flow}
+[[interface]]
+name = "one"
+nodes = "set:TIP"
+coupling = "direct"
+components = [0, 2]
+[certify]
+band_hz = [20.0, 900.0]
+points = 4
+[solver]
+threads = 1
+scratch = "."
+{solver}
+[[reduce]]
+method = "krylov"
+shifts_hz = [0.0, 500.0, 900.0]
+{gramian}
+[output]
+path = "part.h5"
+[check]
+full_modes = 0
+"""
+GRAMIAN = '[[reduce]]\nmethod = "gramian"\ndirect = true\norder = 4\npoints = 3\nband_hz = [20.0, 900.0]'
+FLOW = f'[[flow]]\npath = "set:TUBE"\nmass_flow = 0.4\ndensity = 1000.0\narea = {BORE}'
+
+
 def reduced(folder: Path, solver: str, method: str = KRYLOV) -> dict[str, np.ndarray]:
     """Datasets of the body, all but what tells of the run."""
     folder.mkdir()
-    job = written(folder, solver, method)
+    return datasets(written(folder, solver, method))
+
+
+def datasets(job: Path) -> dict[str, np.ndarray]:
+    """As ``reduced``, of a job that is written."""
+    folder = job.parent
     result = CliRunner().invoke(app, ["reduce", str(job)])
     assert result.exit_code == 0, result.stderr
     values: dict[str, np.ndarray] = {}
@@ -71,10 +115,22 @@ def written(folder: Path, solver: str, method: str = KRYLOV) -> Path:
     return job
 
 
+def damped(folder: Path, solver: str, keys: dict[str, str]) -> Path:
+    folder.mkdir()
+    job = folder / "job.toml"
+    job.write_text(DAMPED.format(solver=solver, **keys))
+    return job
+
+
+def checked(job: Path) -> dict[str, Any]:
+    result = CliRunner().invoke(app, ["check", str(job), "--json"])
+    assert result.exit_code == 0, result.stderr
+    forecast: dict[str, Any] = json.loads(result.stdout)[0]
+    return forecast
+
+
 @pytest.fixture
-def mpi(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_MCA_rmaps_base_oversubscribe"):
-        monkeypatch.setenv(name, "1")
+def mpi() -> None:
     if reason := why_not():
         pytest.skip(reason)
 
@@ -85,6 +141,103 @@ def test_bodies_have_the_same_bytes_for_any_number_of_workers(tmp_path):
     assert [name for name in alone if not np.array_equal(alone[name], together[name])] == []
     # What the workers shared is gone with them.
     assert sorted(path.name for path in (tmp_path / "w3").iterdir()) == ["job.toml", "part.h5"]
+
+
+@pytest.fixture
+def dampers(tmp_path: Path) -> dict[str, str]:
+    """A beam held at one end with a damping matrix of its own, too large to be taken whole."""
+    model = steel(box("hex8", (10, 3, 3), (1.0, 0.1, 0.12)))
+    free = np.setdiff1d(np.arange(model.size), np.flatnonzero(np.isin(model.dofs.node, where(model, 0, 0.0))))
+    model = replace(
+        model, K=model.K[free][:, free], M=model.M[free][:, free], mesh=None, materials=(),
+        D=sp.csr_array(sp.diags_array(np.where(np.arange(len(free)) < 40, 30.0, 0.0))),
+        dofs=DofMap(node=model.dofs.node[free], component=model.dofs.component[free]),
+        nodes=replace(model.nodes, sets={"TIP": where(model, 0, 1.0)[:1]}),
+    )  # fmt: skip
+    write_model(tmp_path / "beam.model.h5", model)
+    return {"model": "beam", "flow": "", "gramian": GRAMIAN}
+
+
+@pytest.fixture
+def tube(tmp_path: Path) -> dict[str, str]:
+    """A tube with flow, whose equations have gyroscopic and circulatory parts."""
+    model = replace(arch(mass_flow=0.0), N=None)
+    nodes = replace(model.nodes, sets={**model.nodes.sets, "TIP": np.array([13])})
+    write_model(tmp_path / "tube.model.h5", replace(model, nodes=nodes))
+    return {"model": "tube", "flow": FLOW, "gramian": ""}
+
+
+# Two shifts, three Gauss points, two frequencies of a reference at a time and four of direct responses.
+@pytest.mark.parametrize(("model", "crews"), [("dampers", [2, 2, 2, 2, 3, 2]), ("tube", [2, 2, 2, 3])])
+def test_damped_bodies_and_certificates_do_not_depend_on_workers(tmp_path, caplog, request, model, crews):
+    keys, made = request.getfixturevalue(model), []
+    caplog.set_level("INFO", "morembs.crew")
+    for workers in (1, 2, 3):
+        job = damped(tmp_path / f"w{workers}", f"workers = {workers}", keys)
+        made.append(datasets(job))
+        assert sorted(path.name for path in job.parent.iterdir()) == ["job.toml", "part.h5"]
+    for other in made[1:]:
+        assert [name for name in made[0] if not same(made[0][name], other[name])] == []
+    assert [record.args[0] for record in caplog.records if "workers of" in record.msg] == crews
+
+
+@pytest.mark.parametrize("model", ["dampers", "tube"])
+def test_check_forecasts_what_factors_at_shifts_and_workers_take(tmp_path, caplog, request, model):
+    """A factor of a matrix that is not symmetric is stored twice, a complex number takes two real ones."""
+    if reason := SOLVERS["mumps"].unavailable():
+        pytest.skip(reason)
+    keys = request.getfixturevalue(model)
+    caplog.set_level("INFO", "morembs")
+    alone, shared = (damped(tmp_path / f"w{n}", f'name = "mumps"\nworkers = {n}', keys) for n in (1, 2))
+    forecast = checked(alone)
+    caplog.clear()
+    datasets(alone)
+    factors = [record.args for record in caplog.records if "factor entries=" in record.msg]
+    entries, megabytes = max(args[3] for args in factors), max(args[4] for args in factors)
+    # MUMPS counts both triangles of the pivot blocks of symmetric ones before it knows which pivots it takes.
+    most = 1.0 if model == "tube" else 1.25
+    assert 1 <= forecast["shift_factor_entries"] / entries <= most and forecast["processes"] == 0
+    assert 0.999 <= forecast["shift_factor_bytes"] / (1e6 * megabytes) <= 1.001 * most
+    assert forecast["shift_factor_bytes"] > (3 if model == "tube" else 1.8) * forecast["factor_bytes"]
+    both = checked(shared)
+    caplog.clear()
+    datasets(shared)
+    peak = max(record.args[2] for record in caplog.records if "workers of" in record.msg)
+    assert both["processes"] == 2 and 1 <= both["process_bytes"] / (1e6 * peak) < 1.6
+    assert both["all_processes_bytes"] > both["peak_memory_bytes"] + 2 * both["process_bytes"]
+    assert forecast["all_processes_bytes"] == forecast["peak_memory_bytes"]
+    assert both["shift_seconds"] < forecast["shift_seconds"]
+
+
+def test_a_budget_has_room_for_some_workers_only_and_one_line_says_so(tmp_path, dampers):
+    job = damped(tmp_path / "w", 'workers = 3\nmemory = "300 MB"', dampers)
+    command = [sys.executable, "-m", "morembs", "reduce", "--quiet", str(job)]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    lines = [line for line in ended.stderr.splitlines() if "workers run" in line]
+    assert ended.returncode == 0 and (job.parent / "part.h5").exists(), ended.stderr
+    # Points of the Gramian are three.
+    assert any(re.search(r"[12] of 3 workers run: each needs 0\.\d+ GB", line) for line in lines), ended.stderr
+    assert sorted(path.name for path in job.parent.iterdir()) == ["job.toml", "part.h5"]
+
+
+@pytest.mark.parametrize("name", ["cholmod", "amg"])
+def test_check_and_reduce_refuse_solvers_that_cannot_take_a_flow(tmp_path, tube, name):
+    if reason := SOLVERS[name].unavailable():
+        pytest.skip(reason)
+    job = damped(tmp_path / "w", f'name = "{name}"', tube)
+    check, reduce = (CliRunner().invoke(app, [verb, str(job)]) for verb in ("check", "reduce"))
+    assert (check.exit_code, reduce.exit_code) == (2, 2), (check.stdout, reduce.exception)
+    # What reduce warns of comes before its error.
+    assert without_progress(check.stderr).splitlines() == without_progress(reduce.stderr).splitlines()[-1:]
+    assert "factorises complex-unsymmetric matrices (it takes spd ones)" in check.stderr
+    # Statics take a definite matrix only.
+    job.write_text(job.read_text().replace("[0.0, 500.0, 900.0]", "[0.0]").replace(tube["flow"], ""))
+    job.write_text(job.read_text().replace('[certify]\nband_hz = [20.0, 900.0]\npoints = 4\n', ""))
+    assert CliRunner().invoke(app, ["check", str(job)]).exit_code == 0
+
+
+def same(a: Any, b: Any) -> bool:
+    return bool(np.array_equal(a, b, equal_nan=np.asarray(a).dtype.kind in "fc"))
 
 
 def power(shared, task):
@@ -182,6 +335,26 @@ def test_ranks_count_negative_pivots_and_leave_nothing_when_one_is_killed(tmp_pa
             factor.solve(np.ones(factor.n))
         assert not [each for each in ranks if each.is_running() and each.status() != psutil.STATUS_ZOMBIE]
     assert list(tmp_path.iterdir()) == []
+
+
+RANKED = """
+import os, signal
+import psutil
+from morembs.linalg.sparse.mumps_ranks import RankedMumps
+from tests.support.matrices import brick, shifted
+
+with RankedMumps().factorize(shifted(brick(4), 13.7)):
+    print(*(each.pid for each in psutil.Process().children(recursive=True)), flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_ranks_end_with_a_program_that_is_killed(tmp_path, mpi):
+    ended = ran(tmp_path, RANKED)
+    ranks = [psutil.Process(int(pid)) for pid in ended.stdout.split() if psutil.pid_exists(int(pid))]
+    _, alive = psutil.wait_procs(ranks, timeout=20)
+    assert ended.returncode == -signal.SIGKILL and len(ended.stdout.split()) >= 3, ended.stderr
+    assert [each for each in alive if each.is_running() and each.status() != psutil.STATUS_ZOMBIE] == []
 
 
 def test_solvers_that_take_no_ranks_are_refused(tmp_path):

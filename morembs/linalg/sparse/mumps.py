@@ -70,6 +70,10 @@ class _MumpsSolver(LinearSolver):
         """Memory on this machine of which INFOG(number) is the largest of one process."""
         return instance.info(number)
 
+    def local(self, instance: Instance) -> int:
+        """How many processes on this machine hold the factor of ``instance``."""
+        return 1
+
     def __post_init__(self) -> None:
         if self.precision not in PRECISIONS:
             raise InputError(f"precision = {self.precision!r} was given; expected one of {', '.join(PRECISIONS)}")
@@ -205,7 +209,7 @@ class MumpsAnalysis(Analysis):
         return Forecast(
             backend=self.backend, size=self.n, factor_entries=entries, flops=instance.real_info(1),
             memory=needed, kept=0 if disk else size * entries, disk=disk,
-            precision=self.solver.precision,
+            precision=self.solver.precision, ranks=self.solver.local(instance),
         )  # fmt: skip
 
     def _have_room(self, wanted: Forecast) -> Forecast:

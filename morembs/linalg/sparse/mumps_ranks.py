@@ -41,9 +41,11 @@ class RankedMumps(_MumpsSolver):
 
     def megabytes(self, instance: Instance, number: int) -> int:
         # The next one is the sum over all ranks, of which some may be elsewhere.
+        return min(instance.info(number + 1), self.local(instance) * instance.info(number))
+
+    def local(self, instance: Instance) -> int:
         library = instance.library
-        local = library.local if isinstance(library, RanksLibrary) else self.ranks
-        return min(instance.info(number + 1), local * instance.info(number))
+        return library.local if isinstance(library, RanksLibrary) else self.ranks
 
 
 def _described(dtype: str, solver: RankedMumps) -> Library | str:

@@ -47,7 +47,8 @@ class Forecast:
     """What a factorisation will need, from its symbolic analysis. Bytes and operations.
 
     ``memory`` is the peak of the factorisation itself, without the matrix that the caller holds;
-    ``disk`` the size of its scratch files, 0 in core; ``kept`` what stays in memory for the solves.
+    ``disk`` the size of its scratch files, 0 in core; ``kept`` what stays in memory for the solves. Where there are
+    several ``ranks`` on this machine, all of it is theirs, and ``memory`` and ``kept`` are those of all together.
     """
 
     backend: str
@@ -58,6 +59,7 @@ class Forecast:
     kept: int
     disk: int = 0
     precision: str = "double"
+    ranks: int = 1
 
     @property
     def out_of_core(self) -> bool:

@@ -25,9 +25,8 @@ from morembs.linalg.sparse.solver import (
 )  # fmt: skip
 from morembs.linalg.sparse.symmetric import Lower
 
-# A value and a row number of 32 bits for every entry.
-_BYTES = 12
-
+# A row number of 32 bits with the value of every entry.
+_ROW = 4
 
 # Entries of L and U in a compact body of n unknowns: ENTRIES n^(4/3), as measured with METIS.
 _ENTRIES = 48.0
@@ -87,13 +86,15 @@ class _SuperLUAnalysis(Analysis):
     def __init__(self, A: Lower, structure: str) -> None:
         super().__init__(A, structure)
         self._order = metis_ordering(A)
+        self._entry = _ROW + (16 if structure.startswith("complex") else 8)
 
     @property
     def forecast(self) -> Forecast:
         entries = int(_ENTRIES * self.n ** (4 / 3))
+        size = entries * self._entry
         return Forecast(
             backend=SuperLU.name, size=self.n, factor_entries=entries, flops=0.5 * entries**1.5,
-            memory=_BYTES * entries, kept=_BYTES * entries,
+            memory=size, kept=size,
         )  # fmt: skip
 
     def factorize_unchecked(self, A: Lower) -> Factorization:
@@ -107,7 +108,7 @@ class _SuperLUAnalysis(Analysis):
         if not definite and _error(lu, whole) > _UNSTABLE:
             # Pivots off the diagonal cost fill and the inertia, but save the solution.
             lu = self._decomposed(whole, pivots=True)
-        stats = self._stats(start, int(lu.nnz), memory_bytes=_BYTES * int(lu.nnz))
+        stats = self._stats(start, int(lu.nnz), memory_bytes=self._entry * int(lu.nnz))
         return _SuperLUFactor(lu, whole, self._order, self.structure, stats)
 
     def _decomposed(self, whole: sp.csc_array, *, pivots: bool) -> Any:
