@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.integrals import ShapeIntegrals
@@ -217,6 +218,7 @@ def _placed(
     return x, v
 
 
+@checked
 class RigidBody(FloatingBody):
     """A rigid body.
 
@@ -280,6 +282,7 @@ def inertia_of(parts: ShapeIntegrals, terms: Stiffening | None = None) -> Inerti
     )  # fmt: skip
 
 
+@checked
 class FlexibleBody(FloatingBody):
     """An elastic body in the floating frame, with all inertia terms of second order in q.
 

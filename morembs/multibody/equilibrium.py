@@ -17,6 +17,7 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError, SolverError
 from morembs.multibody.bodies import FloatingBody
 from morembs.multibody.forces import Load, PointLoad
@@ -97,6 +98,7 @@ class Equilibrium:
         }  # fmt: skip
 
 
+@checked
 def equilibrium(
     system: System, *, guess: Equilibrium | State | None = None, tolerance: float = 1e-9, load_steps: int = 1,
     time: float = 0.0, spin: SteadySpin | None = None, sensitivities: Sequence[str] | bool = False,

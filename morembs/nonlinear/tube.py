@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.nonlinear.planar_beam import PlanarBeam
 
@@ -21,6 +22,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Tube:
     """About ``centre`` (2,) m: ``radius`` m of its axis, ``clearance`` m of the wire's axis to either side, ``penalty``
@@ -40,6 +42,7 @@ class Tube:
             )
 
 
+@checked
 class BeamInTube:
     """A beam whose axis stays within a tube; a NonlinearComponent, with the coordinates of the beam."""
 

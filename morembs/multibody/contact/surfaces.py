@@ -14,6 +14,7 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.multibody.component import direction, vector
 from morembs.multibody.rotations import cross
@@ -61,6 +62,7 @@ class NodalSurface(Surface):
         """The same surface with its points displaced by (n, 3)."""
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Plane(Surface):
     """All that is below ``point`` (3,) m against ``normal`` (3,), which points outside.
@@ -86,6 +88,7 @@ class Plane(Surface):
         )
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Sphere(Surface):
     """A ball of ``radius`` m about ``center`` (3,) m, or where ``hollow`` all that is outside.
@@ -166,6 +169,7 @@ def overhauser(count: int, u: float, closed: bool = False) -> tuple[Ints, Floats
     return near, value, slope
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Path:
     """Overhauser curve (1968) through ``points`` (n, 3) m, ``closed`` to a loop or not.
@@ -241,6 +245,7 @@ def _descend(
     return u
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class GridSurface(NodalSurface):
     """Surface through a grid of ``points`` (n, m, 3), Overhauser curves in both directions; its normal is continuous.

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.multibody.result import Result, Segment
 from morembs.multibody.sliding.body import SwitchingBody
@@ -29,6 +30,7 @@ class LocalResponse:
     loads: Floats
 
 
+@checked
 def local_response(
     result: Result, body: SwitchingBody, position: Callable[[float], float] | Slider, *, stress: bool = False
 ) -> LocalResponse:
