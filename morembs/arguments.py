@@ -32,7 +32,7 @@ def checked(target: Target) -> Target:
     Raises:
         InputError: (when called) an argument of another type.
     """
-    call = target.__init__ if isinstance(target, type) else target
+    call: Callable[..., Any] = vars(target)["__init__"] if isinstance(target, type) else target
     signature = inspect.signature(call)
 
     @functools.wraps(call)
@@ -59,7 +59,7 @@ def checked(target: Target) -> Target:
 @functools.cache
 def _hints(call: Callable[..., Any]) -> dict[str, Any]:
     several = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-    known = {}
+    known: dict[str, Any] = {}
     for name, parameter in inspect.signature(call).parameters.items():
         if parameter.kind not in several and parameter.annotation is not parameter.empty:
             one = types.SimpleNamespace(__annotations__={name: parameter.annotation})
@@ -134,7 +134,7 @@ def _is_array(value: Any, parts: tuple[Any, ...]) -> bool:
         array = np.asarray(value)
     except (TypeError, ValueError, OverflowError):
         return False
-    whole = parts and np.issubdtype(*get_args(parts[1]), np.integer)
+    whole = parts and np.issubdtype(get_args(parts[1])[0], np.integer)
     return (array.dtype.kind in ("biu" if whole else "biuf") or not array.size) and array.ndim >= bool(parts)
 
 

@@ -116,7 +116,7 @@ def _decays(problem: Problem, modes: Modes) -> NDArray[np.float64]:
     omega, P = modes.frequencies_hz, modes.vectors.T @ np.asarray(problem.D @ modes.vectors)
     # Modes of one frequency are any of their span: those that D does not couple have damping of their own.
     together = np.split(np.arange(len(omega)), 1 + np.flatnonzero(np.diff(omega) > SAME * omega[1:]))
-    return 0.5 * (damping + np.concatenate([np.linalg.eigvalsh(P[np.ix_(k, k)]) for k in together]))
+    return np.asarray(0.5 * (damping + np.concatenate([np.linalg.eigvalsh(P[np.ix_(k, k)]) for k in together])))
 
 
 def _over_speed(problem: Problem, spin: Spin, full: Mapping[float, ComplexModes]) -> ModeTable:
