@@ -32,7 +32,7 @@ def checked(target: Target) -> Target:
     Raises:
         InputError: (when called) an argument of another type.
     """
-    call: Callable[..., Any] = vars(target)["__init__"] if isinstance(target, type) else target
+    call: Callable[..., Any] = target.__init__ if isinstance(target, type) else target  # type: ignore[misc]
     signature = inspect.signature(call)
 
     @functools.wraps(call)
