@@ -17,7 +17,7 @@ from morembs.errors import BudgetError
 from morembs.interface import couple
 from morembs.jobs.inputs import interfaces_of, wants_modes
 from morembs.jobs.job import Job
-from morembs.jobs.preflight import LOADED_BYTES, RESTING_BYTES, require_room, resting_bytes
+from morembs.jobs.preflight import LEAST_COUNT, LOADED_BYTES, RESTING_BYTES, require_room, resting_bytes
 from morembs.linalg.congruence import congruence
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
@@ -115,10 +115,11 @@ def forecast_cost(
         # Without a budget its factor is kept, because it finds modes too.
         counting += 8 * count.factor_entries
     dense = 8 * n * (columns + min(_SPACE * columns + _BLOCKS, n))
-    before = start + matrices
+    # What the libraries of the reduction take, which are not loaded yet.
+    before = start + LOADED_BYTES + matrices
     peak = max(
         before + 8 * lower.nnz + plan.memory,
-        before + 16 * lower.nnz + plan.kept + counting + dense,
+        before + 16 * lower.nnz + plan.kept + counting + dense + (LEAST_COUNT if modes else 0),
     )
     if budget.memory is not None:
         # Matrices and columns rest in files when the factorisation needs their room.
