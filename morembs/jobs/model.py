@@ -6,7 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from morembs.budget import Budget
+from morembs.errors import InputError
 from morembs.jobs.forecast import least_memory, require_room_of_mesh
 from morembs.jobs.inputs import flows_of, matrices_of, mesh_of
 from morembs.jobs.job import Job
@@ -17,7 +21,11 @@ from morembs.model.assembly import assemble
 from morembs.model.fe_model import split_unsymmetric
 from morembs.model.material import Material
 from morembs.model.tubes import conveying
+from morembs.problem import Problem
 from morembs.progress import Stopwatch
+
+# Part of a rigid motion by which neighbours move apart as a tube turns; round-off of translations is far below.
+TURNED = 1e-9
 
 if TYPE_CHECKING:
     from morembs.parametric.terms import VariedModel
@@ -50,9 +58,34 @@ def model_of(
 def equations_of_motion(job: Job, model: FEModel) -> FEModel:
     """The ``model`` of the file with what the job makes of its skew parts, and with the fluid that flows through it."""
     model = _without_skew_parts(model, job.tables.model.unsymmetric)
-    for path, flow in flows_of(job, model):
+    flows = flows_of(job, model)
+    still = model
+    for path, flow in flows:
         model = conveying(model, path, flow)
+    # Paths are checked by then.
+    _refuse_loose_tubes(still, [path for path, flow in flows if flow.mass_flow])
     return model
+
+
+def _refuse_loose_tubes(model: FEModel, paths: Sequence[NDArray[np.int64]]) -> None:
+    """Refuse tubes that nothing keeps from turning in ``model``, which is without the flow.
+
+    Raises:
+        InputError: as said.
+    """
+    if not paths:
+        return
+    with Problem(model) as problem:
+        rigid = np.vstack([problem.rigid, np.zeros((1, problem.rigid.shape[1]))])
+    # Dofs that are not there are at rest, the last row.
+    places = rigid[model.dofs.table(len(model.nodes))[:, :3]]
+    for path in paths:
+        turned = np.abs(np.diff(places[path], axis=0)).max(initial=0.0)
+        if turned > TURNED * np.abs(places).max(initial=0.0):
+            raise InputError(
+                "[[flow]]: nothing keeps the tube from turning as a whole, and the pull of the fluid, which keeps its "
+                "direction, would turn it; hold it in the model at one end or more"
+            )
 
 
 def _without_skew_parts(model: FEModel, unsymmetric: str) -> FEModel:
