@@ -15,10 +15,10 @@ from morembs.nonlinear.statics import equilibrium
 from morembs.nonlinear.tube import BeamInTube, CurvedTube
 
 _OLD_NAMES = {
-    "Tube": "CurvedTube",
     "Moment": "MemberState",
     "Motion": "MechanismMotion",
     "Settled": "EquilibriumPath",
+    "Tube": "CurvedTube",
     "settle": "follow_equilibrium",
 }
 
