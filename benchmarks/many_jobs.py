@@ -1,14 +1,19 @@
 """What a batch of very many jobs costs beside their work: processor time and memory of the coordinator, and its report.
 
 usage: python -m benchmarks.many_jobs [--jobs 10000] [--workers 40] [--rows 10000]
+       python -m benchmarks.many_jobs --dofs 30000 30000 30000 30000 30000 30000 30000 30000
 
 The work of each job is a stub: a file that is there at once. The report has so many rows of one small part, and
 Chromium, where it is installed, says how long a click on a head takes.
+
+With --dofs real jobs of so many degrees of freedom, one BLAS thread each, are run by local:1 and by local:2: how long
+each takes, whether the bodies are equal bit by bit, and the largest part of its memory that a job took.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import re
 import shutil
@@ -17,7 +22,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from benchmarks.attack.scenarios import ROOT
@@ -29,6 +34,7 @@ from morembs.batches.workers import Finished, Heard, Task, Worker
 from morembs.jobs.job import load_job
 from morembs.memory import peak_memory_bytes
 from morembs.storage.attempts import attempt_at
+from morembs.storage.checksums import whole_sum
 
 sys.path.insert(0, str(ROOT))
 
@@ -67,9 +73,7 @@ class Stubs:
         if task.arguments[0] == "reduce":
             attempt_at(load_job(paths[0]).output, task.arguments[-1]).write_bytes(b"a body")
             documents = [{"bodies": {}, "inputs": {}, "mass": 1.0}]
-        self._news.append(
-            Finished(number=task.number, code=0, printed=json.dumps(documents), message="", seconds=1.0)
-        )
+        self._news.append(Finished(number=task.number, code=0, printed=json.dumps(documents), message="", seconds=1.0))
 
     def next(self) -> Heard | Finished | None:
         """The oldest."""
@@ -129,13 +133,54 @@ def sort(folder: Path, rows: int) -> None:
     print(f"report of {rows} rows, {page.stat().st_size / 1e6:.0f} MB: {title[1] if title else 'not shown'}")
 
 
+def compare(folder: Path, sizes: Sequence[int]) -> None:
+    """Run solid beams with so many dofs by one worker and by two."""
+    taken, sums = {}, {}
+    for place in ("local:1", "local:2"):
+        for number, dofs in enumerate(sizes):
+            cells = itertools.product(range(max(1, round(dofs / 363 - 1))), range(10), range(10))
+            (own := folder / place[-1] / f"p{number}").mkdir(parents=True)
+            decks.folder(own, {"solver": "threads = 1"}, decks.deck(list(cells))).rename(own / f"p{number}.toml")
+        begun = time.perf_counter()
+        subprocess.run(
+            [sys.executable, "-m", "morembs", "batch", str(folder / place[-1]), "--cluster", place, "-q"], check=True,
+            stdin=subprocess.DEVNULL,
+        )  # fmt: skip
+        taken[place] = time.perf_counter() - begun
+        sums[place] = [whole_sum(folder / place[-1] / f"p{number}" / "part.h5") for number in range(len(sizes))]
+        parts = _peaks((folder / place[-1] / "batch.manifest").read_text().splitlines())
+        print(
+            f"{place}: {len(sizes)} jobs in {taken[place]:.1f} s; {sum(part <= 1 for part in parts)} of "
+            f"{len(parts)} took no more memory than was asked for, the largest {max(parts):.2f} times as much",
+            flush=True,
+        )  # fmt: skip
+    equal = "equal" if sums["local:1"] == sums["local:2"] else "NOT equal"
+    print(f"local:2 takes {taken['local:2'] / taken['local:1']:.2f} of the time of local:1; the bodies are {equal}")
+
+
+def _peaks(lines: Iterable[str]) -> list[float]:
+    """Peak memory of each job of a manifest as part of what was asked for it."""
+    asked, parts = {}, []
+    for event in map(json.loads, lines):
+        if event["event"] == "started":
+            asked[event["output"]] = 1e6 * event["MB"]
+        elif event["event"] == "ended":
+            parts.append(max(event["facts"]["peak_memory_bytes"].values()) / asked[event["output"]])
+    return parts
+
+
 def main() -> None:
     """Both."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--jobs", type=int, default=10000)
     parser.add_argument("--workers", type=int, default=40)
     parser.add_argument("--rows", type=int, default=10000)
+    parser.add_argument("--dofs", type=int, nargs="+", default=[])
     given = parser.parse_args()
+    if given.dofs:
+        with tempfile.TemporaryDirectory() as name:
+            compare(Path(name), given.dofs)
+        return
     with tempfile.TemporaryDirectory() as name:
         (Path(name) / "jobs").mkdir()
         coordinate(Path(name) / "jobs", given.jobs, given.workers)

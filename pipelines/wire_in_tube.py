@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
 
-from morembs.nonlinear import BeamInTube, PlanarBeam, Section, Tube, equilibrium
+from morembs.nonlinear import BeamInTube, CurvedTube, PlanarBeam, Section, equilibrium
 
 RADIUS, LENGTH, DIAMETER = 0.2, 0.2, 5e-4  # m
 SECTION = Section.of(E=2e11, A=np.pi / 4 * DIAMETER**2, I=np.pi / 64 * DIAMETER**4, density=7850.0)
@@ -29,7 +29,7 @@ def settle(play: float, elements: int) -> tuple[BeamInTube, Floats]:
     turn = np.linspace(-LENGTH / 2, LENGTH / 2, elements + 1) / inner
     x = np.column_stack((inner * np.sin(turn), inner * np.cos(turn), -turn)).ravel()
     for penalty in np.geomspace(SOFT, HARD, STAGES):
-        wire = BeamInTube(beam, Tube(radius=RADIUS, clearance=play / 2, penalty=float(penalty)))
+        wire = BeamInTube(beam, CurvedTube(radius=RADIUS, clearance=play / 2, penalty=float(penalty)))
         x = equilibrium(wire, held=np.array([3 * (elements // 2)]), x=x, steps=1)
     return wire, x
 

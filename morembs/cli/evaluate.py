@@ -14,7 +14,7 @@ import typer
 
 from morembs.cli.bodies import BodyFile, BodyName, values_of
 from morembs.cli.families import parametric_of, read_values
-from morembs.cli.messages import print_json, printing
+from morembs.cli.messages import print_json, printing, warn
 from morembs.cli.terminal import EPILOG, AsJson, messages
 from morembs.errors import InputError
 
@@ -102,6 +102,8 @@ def _evaluate_one(
     from morembs.cli.messages import without_nan
 
     hz = at.frequencies_hz[:count]
+    if len(hz) < count:
+        warn(f"{count} frequencies were asked for; the body has {len(hz)}")
     bounds = at.bound(np.array(at_hz)) if at_hz else np.zeros(0)
     written = [str(at.write(out))] if out is not None else []
     slopes: dict[str, Any] = {}

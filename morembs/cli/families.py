@@ -79,15 +79,16 @@ def export_family(
         raise InputError(f"the export writes {index} and would overwrite the table; give the table another name")
     parametric = parametric_of(file, body)
     values = read_values(table, parametric)
-    _refuse_other_family(index, first.stem)
+    digits, stem, ending = len(str(len(values))), first.name.removesuffix(first.suffix), first.suffix or suffix
+    places = [first.with_name(f"{stem}_{number:0{digits}d}{ending}") for number in range(1, len(values) + 1)]
+    _refuse_other_family(index, first.stem, {path.name for path in places})
     # Files that are replaced have no list until all of them are there: the old one tells of other values.
     try:
         index.resolve().unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"{index} cannot be replaced ({error}); give another folder with -o") from error
-    digits, taken, rows = len(str(len(values))), list[Path](), list[list[str]]()
-    for number, p in enumerate(values, 1):
-        path = first.with_name(f"{first.name.removesuffix(first.suffix)}_{number:0{digits}d}{first.suffix or suffix}")
+    taken, rows = list[Path](), list[list[str]]()
+    for path, p in zip(places, values, strict=True):
         at = dict(zip(parametric.names, p.tolist(), strict=True))
         done = export_body(
             file, to, path=path, body=parametric.stored.name, options=options, frame=frame, at=at, taken=taken
@@ -106,8 +107,9 @@ def export_family(
             typer.echo(f"written: {len(values)} bodies as {first.stem}_N{first.suffix or suffix}, and {index}")
 
 
-def _refuse_other_family(index: Path, stem: str) -> None:
-    """Refuse to replace the ``index`` of another family, whose files have no other list; the same one is made anew.
+def _refuse_other_family(index: Path, stem: str, new: set[str]) -> None:
+    """Refuse to replace the ``index`` of another family, whose files have no other list; the same one is made anew,
+    but not where files of its own would stay that are not among the ``new`` ones, and tell of other values.
 
     Raises:
         InputError: as said.
@@ -123,3 +125,10 @@ def _refuse_other_family(index: Path, stem: str) -> None:
     if other is not None or not names:
         what = f"tells the values of {other}, of another family" if other else "is no list of files"
         raise InputError(f"{index} {what}; give this one a folder of its own with -o FOLDER/{stem}")
+    old = [name for name in names if name not in new and index.with_name(name).exists()]
+    if old:
+        shown = ", ".join(old[:3]) + (f" and {len(old) - 3} more" if len(old) > 3 else "")
+        raise InputError(
+            f"{shown} of the family that {index} lists would stay beside the {len(new)} new files and tell of other "
+            "values; delete them, or give another folder with -o"
+        )

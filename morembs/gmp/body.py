@@ -16,6 +16,7 @@ from dataclasses import KW_ONLY, dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError, SolverError, nearest
 from morembs.gmp.member import ReducedMember
 from morembs.multibody.component import Marker, MarkerState, VectorComponent, checked_rotation, direction, vector
@@ -25,6 +26,7 @@ from morembs.nonlinear.member import MemberState
 Floats = NDArray[np.float64]
 
 
+@checked
 class ParameterisedBody(VectorComponent):
     """A member that moves in the plane of the first two of its axes; markers ``start`` and ``end``.
 
@@ -127,6 +129,7 @@ class EndMarker(Marker):
         return MarkerState(position=self.component.origin + axes[:, :2] @ x[k : k + 2], axes=turned, jacobian=jacobian)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class PlaneJoint(Constraint):
     """Two markers of plane motion share a point; their directions, too, where it is ``fixed``.

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.gmp.data import Formulation
 from morembs.gmp.member import ReducedMember
@@ -101,6 +102,7 @@ def _seen(angle: Angle, value: float) -> Angle:
     return Angle(value, angle.number, lambda t: offset + (0.0 if motion is None else motion(t)))
 
 
+@checked
 def divided_member(
     beam: PlanarBeam, pieces: int, *, formulation: Formulation | Literal["auto"] = "auto", **options: Any
 ) -> DividedMember:
@@ -182,6 +184,7 @@ def _cuts(beam: PlanarBeam, pieces: int) -> list[int]:
     return cuts
 
 
+@checked
 def divide_until_within(
     build: Callable[[int], Mechanism], *, end: float, step: float, pieces: int = 1, most: int = 64, **options: Any
 ) -> tuple[MechanismMotion, int]:

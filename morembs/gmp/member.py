@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.gmp.data import Formulation, Parameterised
 from morembs.gmp.plan import TOLERANCE, AngleRange, Plan, Report
 from morembs.gmp.shapes import shapes
@@ -23,6 +24,7 @@ from morembs.progress import SILENT, Progress
 Floats = NDArray[np.float64]
 
 
+@checked
 class ReducedMember:
     """A member of 6 + ``modes`` coordinates made of a nonlinear component with frames ``start`` and ``end``.
 

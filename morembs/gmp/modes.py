@@ -10,6 +10,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.linalg.columns import fix_signs
 from morembs.nonlinear.component import NonlinearComponent
@@ -30,6 +31,7 @@ class BendingModes:
     excluded: Floats
 
 
+@checked
 def bending_modes(component: NonlinearComponent, count: int, stretch: Floats | None = None) -> BendingModes:
     """The lowest ``count`` modes of bending; modes of stretching are left out.
 
@@ -50,7 +52,7 @@ def bending_modes(component: NonlinearComponent, count: int, stretch: Floats | N
     tried = count + max(4, count // 2)
     while True:
         if tried + 1 >= len(free) or len(free) <= _DENSE:
-            omega_squared, shapes = sl.eigh(K.toarray() - np.outer(g, g), M.toarray())
+            omega_squared, shapes = _all_modes(K.toarray() - np.outer(g, g), M.toarray())
         else:
             start = np.random.default_rng(7).standard_normal(len(free))
             omega_squared, shapes = spl.eigsh(K.tocsc(), tried, M.tocsc(), sigma=0.0, v0=start, OPinv=_inverse(K, g))
@@ -75,6 +77,17 @@ def bending_modes(component: NonlinearComponent, count: int, stretch: Floats | N
     last = omega_squared[kept[-1]] if count else 0.0
     excluded = omega_squared[(share >= _ALONG) & (omega_squared < last)]
     return BendingModes(Psi=Psi, squares=omega_squared[kept], excluded=excluded)
+
+
+def _all_modes(K: Floats, M: Floats) -> tuple[Floats, Floats]:
+    """Squares of the frequencies (n,), ascending, and shapes (n, n)."""
+    try:
+        values, shapes = sl.eigh(K, M)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            "the mass matrix of the component is not positive definite; give its section a rotary inertia"
+        ) from None
+    return values, shapes
 
 
 def _inverse(K: sp.spmatrix, g: Floats) -> spl.LinearOperator:

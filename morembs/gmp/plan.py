@@ -6,12 +6,14 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.moved import renamed
 
 TOLERANCE = 2e-3
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class AngleRange:
     """What a member must bear; the range of its tables follows from it. One of three is given.
@@ -43,6 +45,7 @@ class AngleRange:
             raise InputError(f"an envelope with the angle {self.angle} rad was given; expected less than pi")
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Plan:
     """Settings of the offline stage.

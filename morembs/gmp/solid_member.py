@@ -17,6 +17,7 @@ import scipy.sparse as sp
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.gmp.chebyshev import ChebyshevTable, points
 from morembs.gmp.data import Parameterised
@@ -58,6 +59,7 @@ class _Sample:
     H: Floats
 
 
+@checked
 def solid_member(
     solid: NonlinearSolid, *, modes: int, reach: float | AngleRange = 0.8, points_per_angle: int | None = None,
     tolerance: float = TOLERANCE, workers: int = 1, checkpoint: str | Path | None = None, symmetric: bool = True,

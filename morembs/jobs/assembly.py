@@ -14,10 +14,10 @@ from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.exporters.base import choose_body
 from morembs.importers.model_file import read_model
+from morembs.jobs.equations import equations_of_motion
 from morembs.jobs.inputs import (
     certified_band,
     damping_of,
-    equations_of_motion,
     inputs_of,
     interfaces_of,
     materials_of,

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from morembs.errors import InputError
 from morembs.interface import Interface, couple
+from morembs.jobs.equations import equations_of_motion
 from morembs.jobs.forecast import (
     Cost,
     JobForecast,
@@ -22,7 +23,6 @@ from morembs.jobs.forecast import (
 from morembs.jobs.inputs import (
     budget_of,
     damping_of,
-    equations_of_motion,
     interfaces_of,
     materials_of,
     mesh_of,

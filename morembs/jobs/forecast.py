@@ -18,7 +18,7 @@ from morembs.errors import BudgetError
 from morembs.interface import couple
 from morembs.jobs.inputs import interfaces_of, wants_modes
 from morembs.jobs.job import Job
-from morembs.jobs.preflight import LOADED_BYTES, RESTING_BYTES, require_room, resting_bytes
+from morembs.jobs.preflight import LEAST_COUNT, LOADED_BYTES, RESTING_BYTES, require_room, resting_bytes
 from morembs.linalg.congruence import congruence
 from morembs.linalg.dynamic_stiffness import plan_at_shift
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
@@ -161,7 +161,8 @@ def forecast_cost(
         # Without a budget its factor is kept, because it finds modes too.
         counting += 8 * count.factor_entries
     dense = 8 * n * (columns + min(_SPACE * columns + _BLOCKS, n))
-    before, here = start + matrices, plan
+    # What the libraries of the reduction take, which are not loaded yet.
+    before, here = start + LOADED_BYTES + matrices, plan
     left = None if budget.memory is None else budget.memory - before - plan.kept
     shift = _at_shifts(lower, shifted, solver, workers, left)
     if plan.ranks > 1:
@@ -171,7 +172,7 @@ def forecast_cost(
         here, counting = replace(plan, memory=0, kept=0), 0
     peak = max(
         before + 8 * lower.nnz + here.memory,
-        before + 16 * lower.nnz + here.kept + max(counting, shift.here) + dense,
+        before + 16 * lower.nnz + here.kept + max(counting, shift.here) + dense + (LEAST_COUNT if modes else 0),
     )
     if budget.memory is not None:
         # Matrices and columns rest in files when the factorisation needs their room.

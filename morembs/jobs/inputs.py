@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.body.build import BodyOptions, StressOptions
 from morembs.budget import Budget
@@ -17,7 +16,6 @@ from morembs.floating.spinning import Rotation
 from morembs.floating.stiffening import Envelope
 from morembs.importers import read_mesh
 from morembs.importers.dependent_dofs import interface_of_coupling
-from morembs.importers.to_model import rows_of_labels
 from morembs.interface import Interface, make_interface, matrix_interface
 from morembs.jobs.job import Job
 from morembs.jobs.schema import MaterialTable
@@ -25,10 +23,8 @@ from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.select import SOLVERS, select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import FEModel, Mesh
-from morembs.model.fe_model import split_unsymmetric
 from morembs.model.material import Material, isotropic, orthotropic
 from morembs.model.selection import select_nodes
-from morembs.model.tubes import Flow, conveying
 from morembs.problem import Damping
 from morembs.reducers import Facts, Reducer
 from morembs.responses.direct import why_no_response
@@ -169,34 +165,6 @@ def rotation_of(job: Job) -> tuple[Rotation, list[float]] | None:
     return rotation, [speed / units.time for speed in given.speed]
 
 
-def flows_of(job: Job, model: FEModel) -> list[tuple[NDArray[np.int64], Flow]]:
-    """Rows of the nodes along each tube, in the order of its flow, and the flow in SI units."""
-    units = units_of(job)
-    return [
-        (_path_of(job, model, table.path), Flow(
-            mass_flow=table.mass_flow * units.mass / units.time, density=table.density * units.density,
-            area=table.area * units.length**2, outlet=table.outlet,
-        ))
-        for table in job.tables.flow
-    ]  # fmt: skip
-
-
-def _path_of(job: Job, model: FEModel, text: str) -> NDArray[np.int64]:
-    labels = text.removeprefix("ids:").split(",")
-    if text.endswith(".csv"):
-        try:
-            labels = job.resolve(text).read_text(encoding="utf-8-sig").replace(",", " ").split()
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"[[flow]]: path = {text!r} cannot be read; expected a text of labels of nodes") from error
-    elif not text.startswith("ids:"):
-        return select_nodes(model, text, length=units_of(job).length)
-    try:
-        numbers = np.array([int(label) for label in labels], dtype=np.int64)
-    except (ValueError, OverflowError) as error:
-        raise InputError(f"[[flow]]: path = {text!r} holds something else than labels of nodes ({error})") from error
-    return rows_of_labels(model.nodes, numbers, f"[[flow]] path = {text!r}")
-
-
 def solver_of(job: Job) -> LinearSolver:
     """The solver with its budget and scratch folder."""
     given = job.tables.solver
@@ -280,22 +248,6 @@ def sources_of(job: Job) -> list[Path]:
     given = job.tables.model
     names = [given.file or given.mesh] if given.file or given.mesh else [t.body for t in job.tables.substructure]
     return [job.resolve(name) for name in dict.fromkeys(names) if name]
-
-
-def equations_of_motion(job: Job, model: FEModel) -> FEModel:
-    """The ``model`` of the file with what the job makes of its skew parts, and with the fluid that flows through it."""
-    model = _without_skew_parts(model, job.tables.model.unsymmetric)
-    for path, flow in flows_of(job, model):
-        model = conveying(model, path, flow)
-    return model
-
-
-def _without_skew_parts(model: FEModel, unsymmetric: str) -> FEModel:
-    """``model`` with the skew parts of its K and D in N and G, or without them where they are to be dropped."""
-    if unsymmetric == "refuse":
-        return model
-    parts = split_unsymmetric(model)
-    return parts if unsymmetric == "split" else replace(parts, G=model.G, N=model.N)
 
 
 def mesh_of(job: Job) -> Mesh:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 from morembs.budget import Budget
 from morembs.importers.model_file import read_model
+from morembs.jobs.equations import equations_of_motion
 from morembs.jobs.forecast import least_memory, require_room_of_mesh
-from morembs.jobs.inputs import equations_of_motion, mesh_of
+from morembs.jobs.inputs import mesh_of
 from morembs.jobs.job import Job
 from morembs.jobs.preflight import require_room
 from morembs.linalg.sparse.solver import LinearSolver

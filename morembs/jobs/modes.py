@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.floating.preload import preloaded
@@ -23,6 +24,7 @@ from morembs.jobs.job import Job
 from morembs.jobs.model import model_of
 from morembs.jobs.picture import BODY_COLORS, save
 from morembs.linalg.complex_modes import ComplexModes
+from morembs.linalg.eigen import Modes
 from morembs.linalg.sparse.threads import limit_threads
 from morembs.memory import PeakMemory, resident_bytes
 from morembs.problem import Problem
@@ -30,6 +32,8 @@ from morembs.progress import SILENT, Progress, Stopwatch
 from morembs.storage.safefile import replacing
 
 COLORS = dict(zip(("forward", "backward", "mixed"), BODY_COLORS, strict=False))
+# Frequencies that differ by less than this part are one.
+SAME = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,15 +91,32 @@ def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress = SILE
 
 def _real(problem: Problem, count: int) -> ModeTable:
     modes = problem.elastic_modes(count=count)
+    omega, decay = 2 * np.pi * modes.frequencies_hz, _decays(problem, modes)
+    # The roots of s^2 + 2 d s + w^2, of an overdamped mode that which decays least.
+    s = np.sqrt(decay**2 - omega**2 + 0j) - decay
+    hz, ratios, real = (s.imag / (2 * np.pi)).tolist(), (decay / omega).tolist(), s.real.tolist()
     rows = tuple(
-        ModeRow(speed=0.0, number=k + 1, damped_hz=float(hz), ratio=0.0, real=0.0)
-        for k, hz in enumerate(modes.frequencies_hz)
+        ModeRow(speed=0.0, number=k + 1, damped_hz=hz[k], ratio=ratios[k], real=real[k]) for k in range(len(omega))
     )
-    below = math.sqrt(modes.verified_below) / (2 * math.pi)
-    left_out = "modes of M and the symmetric K alone; --complex has the gyroscopic and circulatory matrix too"
-    return ModeTable(
-        rows=rows, complete={0.0: f"complete below {below:.6g} Hz"}, warnings=() if problem.symmetric else (left_out,)
-    )
+    complete = f"complete below {math.sqrt(modes.verified_below) / (2 * math.pi):.6g} Hz"
+    complete += " without damping" if decay.any() else ""
+    warnings = []
+    if not problem.symmetric:
+        warnings.append("modes of M and the symmetric K alone; --complex has the gyroscopic and circulatory matrix too")
+    if problem.D is not None:
+        warnings.append("damping ratios are those of each real mode by itself; --complex has what D couples of them")
+    return ModeTable(rows=rows, complete={0.0: complete}, warnings=tuple(warnings))
+
+
+def _decays(problem: Problem, modes: Modes) -> NDArray[np.float64]:
+    """Half of the damping in 1/s of each real mode (m,) by itself."""
+    damping = problem.damping.at_resonance(modes.eigenvalues)
+    if problem.D is None:
+        return 0.5 * damping
+    omega, P = modes.frequencies_hz, modes.vectors.T @ np.asarray(problem.D @ modes.vectors)
+    # Modes of one frequency are any of their span: those that D does not couple have damping of their own.
+    together = np.split(np.arange(len(omega)), 1 + np.flatnonzero(np.diff(omega) > SAME * omega[1:]))
+    return np.asarray(0.5 * (damping + np.concatenate([np.linalg.eigvalsh(P[np.ix_(k, k)]) for k in together])))
 
 
 def _over_speed(problem: Problem, spin: Spin, full: Mapping[float, ComplexModes]) -> ModeTable:
@@ -139,9 +160,7 @@ def write_csv(path: Path, rows: Sequence[ModeRow]) -> None:
     """
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(
-        ["speed_rad_s", "mode", "damped_hz", "ratio", "real_1_s", "whirl", "inertial_hz", "residual"]
-    )
+    table.writerow(["speed_rad_s", "mode", "damped_hz", "ratio", "real_1_s", "whirl", "inertial_hz", "residual"])
     for row in rows:
         numbers = (row.damped_hz, row.ratio, row.real, row.inertial_hz, row.residual)
         hz, ratio, real, inertial, residual = ("" if math.isnan(x) else repr(x) for x in numbers)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.model.arrays import frozen
 
@@ -20,6 +21,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RigidElement:
     """Nodes that follow ``master`` as a rigid body (RBE2, kinematic coupling, *RIGID BODY).
@@ -36,6 +38,7 @@ class RigidElement:
         object.__setattr__(self, "slaves", frozen(np.asarray(self.slaves, dtype=np.int64)))
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AverageElement:
     """A ``reference`` node that follows the mean motion of ``nodes`` (k,) with ``weights`` (k,) (RBE3, distributing
@@ -52,6 +55,7 @@ class AverageElement:
         object.__setattr__(self, "weights", frozen(np.asarray(self.weights, dtype=np.float64)))
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Equations:
     """Dofs that are sums of others: u[node_i, component_i] = sum over the terms of i of coefficient * u[term].

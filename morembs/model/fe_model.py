@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.model.arrays import frozen
 from morembs.model.constraints import AverageElement, DependentDofs, Equations, RigidElement
@@ -33,6 +34,7 @@ MATRICES = ("K", "M", "D", "G", "N")
 SCALAR = 6
 
 
+@checked
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Nodes:
@@ -63,6 +65,7 @@ class Nodes:
         return {"count": len(self), "sets": list(self.sets)}
 
 
+@checked
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ElementBlock:
@@ -87,6 +90,7 @@ class ElementBlock:
         object.__setattr__(self, "ids", frozen(np.asarray(self.ids, dtype=np.int64)))
 
 
+@checked
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
@@ -124,6 +128,7 @@ class Mesh:
         }  # fmt: skip
 
 
+@checked
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DofMap:
@@ -201,6 +206,7 @@ class DofMap:
         return table[rows]
 
 
+@checked
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FEModel:
@@ -327,7 +333,10 @@ def _sparse(A: Any, name: str) -> sp.csr_array:
 
     if not sp.issparse(A):
         given = type(A).__name__
-        A = np.asarray(A)
+        try:
+            A = np.asarray(A)
+        except ValueError:
+            A = np.empty(0)  # Rows of different lengths: no array of numbers.
         if A.ndim != 2 or A.dtype.kind not in "biufc":
             raise InputError(f"{name} was given as {given}; expected a sparse matrix or a square array of numbers")
     if A.dtype.kind not in "biufc":

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.summary import summarised
 
@@ -14,6 +16,7 @@ Floats = NDArray[np.float64]
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (2, 0), (0, 1))
 
 
+@checked
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Material:
@@ -28,9 +31,14 @@ class Material:
     density: float
 
     def __post_init__(self) -> None:
-        if not self.density > 0:
+        if not 0 < self.density < math.inf:
             raise InputError(
                 f"material of set {self.set!r}: density = {self.density:g} kg/m3 was given; expected a positive number"
+            )
+        if np.shape(self.stiffness) != (6, 6) or not np.isfinite(self.stiffness).all():
+            raise InputError(
+                f"material of set {self.set!r}: a stiffness of the shape {np.shape(self.stiffness)} was given; "
+                "expected (6, 6) finite numbers"
             )
         if np.linalg.eigvalsh(self.stiffness)[0] <= 0:
             raise InputError(
@@ -39,6 +47,7 @@ class Material:
             )
 
 
+@checked
 def isotropic(*, set: str, young: float, poisson: float, density: float) -> Material:
     """Isotropic material from Young's modulus (Pa), Poisson's ratio and density (kg/m3).
 
@@ -48,7 +57,7 @@ def isotropic(*, set: str, young: float, poisson: float, density: float) -> Mate
     >>> isotropic(set="all", young=70e9, poisson=0.33, density=2700.0).density
     2700.0
     """
-    if not young > 0:
+    if not 0 < young < math.inf:
         raise InputError(f"material of set {set!r}: young = {young:g} Pa was given; expected a positive number")
     if not -1 < poisson < 0.5:
         raise InputError(
@@ -62,6 +71,7 @@ def isotropic(*, set: str, young: float, poisson: float, density: float) -> Mate
     return Material(set=set, stiffness=C, density=density)
 
 
+@checked
 def orthotropic(
     *,
     set: str,
@@ -90,7 +100,7 @@ def orthotropic(
     E1, E2, E3 = young
     nu12, nu13, nu23 = poisson
     G12, G13, G23 = shear
-    if min(*young, *shear) <= 0:
+    if not all(0 < modulus < math.inf for modulus in (*young, *shear)):
         raise InputError(f"material of set {set!r}: young and shear moduli must be positive; got {young}, {shear}")
     S = np.zeros((6, 6))
     S[:3, :3] = [

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.model.arrays import frozen
 from morembs.summary import summarised
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     import scipy.sparse as sp
 
 
+@checked
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NamedColumns:

@@ -18,6 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.model.fe_model import DofMap, FEModel, Nodes
 
@@ -28,6 +29,7 @@ OUTLETS = ("held", "free")
 POINTS, WEIGHTS = (0.5 * (np.polynomial.legendre.leggauss(4)[0] + 1), 0.5 * np.polynomial.legendre.leggauss(4)[1])
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Tube:
     """A round tube: ``outer`` and ``inner`` diameter in m, ``young`` in Pa, ``poisson``, ``density`` in kg/m3.
@@ -52,6 +54,7 @@ class Tube:
             raise InputError("a tube needs young and density above zero, and poisson between -1 and 0.5")
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Flow:
     """Steady flow: ``mass_flow`` in kg/s along the path, ``density`` in kg/m3, ``area`` of the bore in m2.
@@ -84,6 +87,7 @@ class Flow:
         return self.mass_flow / (self.density * self.area)
 
 
+@checked
 def tube_model(points: Floats, tube: Tube, held: tuple[int, ...] = ()) -> FEModel:
     """Tube of two-node Bernoulli elements through ``points`` (n, 3) in m, six dofs per node but for those ``held``.
 
@@ -117,6 +121,7 @@ def tube_model(points: Floats, tube: Tube, held: tuple[int, ...] = ()) -> FEMode
     return FEModel(K=K, M=M, nodes=nodes, dofs=DofMap(node=free // 6, component=free % 6), source="tube")
 
 
+@checked
 def conveying(model: FEModel, path: Ints, flow: Flow) -> FEModel:
     """``model`` with ``flow`` through the tube along the nodes ``path`` (rows of ``model.nodes``, in order).
 

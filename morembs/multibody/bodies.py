@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.integrals import ShapeIntegrals
@@ -29,6 +30,7 @@ def _placed(
     return x, v
 
 
+@checked
 class RigidBody(FloatingBody):
     """A rigid body.
 
@@ -92,6 +94,7 @@ def inertia_of(parts: ShapeIntegrals, terms: Stiffening | None = None) -> Inerti
     )  # fmt: skip
 
 
+@checked
 class FlexibleBody(FloatingBody):
     """An elastic body in the floating frame, with all inertia terms of second order in q.
 

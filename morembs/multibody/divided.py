@@ -18,6 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from morembs.arguments import checked
 from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame, floating_frame
 from morembs.interface import make_interface
@@ -93,6 +94,7 @@ def largest_turn(result: Result, bodies: Sequence[FlexibleBody]) -> float:
     return worst
 
 
+@checked
 def divided_body(models: Sequence[FEModel], *, modes: int) -> DividedBody:
     """Pieces reduced by Craig-Bampton between rigid interfaces at their node sets START and END, in mean axes.
 
@@ -180,6 +182,7 @@ def _equal(a: sp.csr_array, b: sp.csr_array) -> bool:
     return bool(abs(a - b).max() <= SAME * abs(b).max())
 
 
+@checked
 def divided_mesh(
     mesh: Mesh, materials: Sequence[Material], line: ArrayLike, pieces: int, *, start: str, end: str
 ) -> list[FEModel]:

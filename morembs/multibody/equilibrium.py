@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.multibody.equilibrium_search import EquilibriumSearch
 from morembs.multibody.forces import Load, PointLoad
@@ -80,6 +81,7 @@ class Equilibrium:
         }  # fmt: skip
 
 
+@checked
 def equilibrium(
     system: System, *, guess: Equilibrium | State | None = None, tolerance: float = 1e-9, load_steps: int = 1,
     time: float = 0.0, spin: SteadySpin | None = None, sensitivities: Sequence[str] | bool = False,

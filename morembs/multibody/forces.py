@@ -9,6 +9,7 @@ from dataclasses import KW_ONLY, dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.multibody.component import Marker, MarkerState, direction, vector
 from morembs.multibody.joints import bend_turn, frame_about, turn_angle
@@ -62,6 +63,7 @@ def _load(what: str, value: Load) -> Callable[[float], Floats]:
     return lambda t: constant
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class PointLoad(Force):
     """Force (3,) N and moment (3,) Nm at a marker, constant or functions of time.
@@ -112,6 +114,7 @@ def _not_negative(what: str, **values: float) -> None:
             raise InputError(f"{what}: {key} = {value} was given; expected a number that is not negative")
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class SpringDamper(Force):
     """Spring and damper between two points.
@@ -178,6 +181,7 @@ class SpringDamper(Force):
         return -self.damping * float(rate @ rate)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class TorsionSpring(Force):
     """Rotational spring and damper about an axis of the first marker, for turns within half a turn.

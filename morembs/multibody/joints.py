@@ -14,6 +14,7 @@ from dataclasses import KW_ONLY, dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.multibody.component import Marker, MarkerState, direction
 from morembs.multibody.rotations import cross, hat
@@ -22,6 +23,7 @@ Floats = NDArray[np.float64]
 Rows = tuple[Floats, Floats, Floats]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Motion:
     """A prescribed motion: ``value`` (rad or m), its ``rate`` and ``acceleration`` as functions of time (s)."""
@@ -31,11 +33,13 @@ class Motion:
     acceleration: Callable[[float], float]
 
     @classmethod
+    @checked
     def steady(cls, rate: float, start: float = 0.0) -> Motion:
         """Constant ``rate`` (rad/s or m/s) from the value ``start`` at time zero."""
         return cls(lambda t: start + rate * t, lambda t: rate, lambda t: 0.0)
 
     @classmethod
+    @checked
     def smooth(cls, change: float, duration: float, begin: float = 0.0, start: float = 0.0) -> Motion:
         """From ``start`` by ``change`` within ``duration`` along a polynomial of degree five, at rest outside.
 
@@ -177,6 +181,7 @@ def bend_turn(a: MarkerState, b: MarkerState, on_a: Floats, on_b: Floats) -> Flo
     return _bend(by_first / square, by_second / square)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class SphericalJoint(Constraint):
     """The markers keep one point; all rotations are free."""
@@ -194,6 +199,7 @@ class SphericalJoint(Constraint):
         return np.zeros((12, 12))
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class _Aligned(Constraint):
     """A joint with an axis: ``on_a`` (3, 3) has it as third column; ``on_b`` is the same frame at the start."""
@@ -213,6 +219,7 @@ class _Aligned(Constraint):
         object.__setattr__(self, "on_b", b.axes.T @ a.axes @ frame)
 
 
+@checked
 class RevoluteJoint(_Aligned):
     """The markers keep one point and the ``axis`` (3,) along the axes of the first: one rotation is free.
 
@@ -229,6 +236,7 @@ class RevoluteJoint(_Aligned):
         return _bend_perpendicular(a, b, self.on_a[:, :2], self.on_b[:, [2, 2]], multipliers[3:])
 
 
+@checked
 class PrismaticJoint(_Aligned):
     """The second marker slides along the ``axis`` (3,) of the first without turning: one translation is free."""
 
@@ -242,6 +250,7 @@ class PrismaticJoint(_Aligned):
         return _bend_along(a, b, self.on_a[:, :2], multipliers[:2]) + turning
 
 
+@checked
 class FixedJoint(_Aligned):
     """The markers keep point and axes; ``axis`` does not matter."""
 
@@ -254,6 +263,7 @@ class FixedJoint(_Aligned):
         return _bend_perpendicular(a, b, self.on_a, self.on_b[:, [1, 2, 0]], multipliers[3:])
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class DrivenAngle(_Aligned):
     """The angle of the second marker about the ``axis`` (3,) of the first, zero as it is at the start, follows
@@ -276,6 +286,7 @@ class DrivenAngle(_Aligned):
         return float(multipliers[0]) * bend_turn(a, b, self.on_a, self.on_b)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class DrivenPosition(_Aligned):
     """The distance of the second marker from the first along the ``axis`` (3,) of the first follows ``motion`` (m)."""

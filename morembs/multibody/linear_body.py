@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.multibody.component import Marker, VectorComponent, numbers, vector
 
 Floats = NDArray[np.float64]
 
 
+@checked
 class LinearBody(VectorComponent):
     """M q'' + D q' + K q = loads, in the inertial frame: a body that is held, or whose motion is small.
 
@@ -25,7 +27,7 @@ class LinearBody(VectorComponent):
         self, M: ArrayLike, K: ArrayLike, D: ArrayLike | None = None, *, weight: ArrayLike | None = None,
         start: ArrayLike | None = None, rate: ArrayLike | None = None, name: str = "body",
     ) -> None:  # fmt: skip
-        label, n = f"body {name!r}", len(np.asarray(K))
+        label, n = f"body {name!r}", len(np.atleast_1d(K))
         self.name, self.size, self.configuration_size = name, n, n
         self.M, self.K = numbers(f"{label}: M", M, (n, n)), numbers(f"{label}: K", K, (n, n))
         self.D = np.zeros((n, n)) if D is None else numbers(f"{label}: D", D, (n, n))

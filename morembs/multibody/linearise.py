@@ -14,6 +14,7 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.exporters.ports import UNITS
 from morembs.exporters.state_space import StateSpace
@@ -146,6 +147,7 @@ class Linearised:
         return np.asarray(assembly.place(marker, self.state.x).jacobian @ self.motions[assembly.in_v[i]])
 
 
+@checked
 def linearised(state: State, spin: SteadySpin | None = None) -> Linearised:
     """The small motion about a ``state`` of rest, or of steady ``spin`` in the frame that turns with it.
 

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -51,6 +52,7 @@ def exponential(p: Floats) -> Floats:
     return np.asarray(np.eye(3) + a * P + b * (P @ P))
 
 
+@checked
 def rotation(axis: tuple[float, float, float] | Floats, angle: float) -> Floats:
     """Rotation matrix (3, 3) of ``angle`` (rad) about ``axis`` (3,) of any length but zero.
 

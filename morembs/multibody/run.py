@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError, SolverError
 from morembs.multibody.equilibrium import Equilibrium
 from morembs.multibody.integrate import Scheme, Stepper
@@ -107,6 +108,7 @@ class EventHandler(Events, ABC):
         return assembly, x, Reactions(assembly).project(state.time, x, v, 0.0)
 
 
+@checked
 def simulate(
     system: System, *, end: float, step: float, rho: float = 0.9, begin: float = 0.0, tolerance: float = 1e-9,
     events: EventHandler | None = None, corrected_start: bool = True, max_deflection: float | None = 1.0,

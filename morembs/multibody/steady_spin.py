@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.multibody.component import direction, vector
 from morembs.multibody.floating_body import FloatingBody
@@ -26,6 +27,7 @@ _STEP = 1e-5
 _NONE = 1e-8
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SteadySpin:
     """Rotation of a whole system with ``speed`` rad/s about ``axis`` (3,) through ``point`` (3,) m.

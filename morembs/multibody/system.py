@@ -12,6 +12,7 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError, nearest
 from morembs.multibody.component import Component, Marker, MarkerState, vector
 from morembs.multibody.forces import Force
@@ -22,6 +23,7 @@ Part = TypeVar("Part", bound=Component | Constraint | Force)
 _RANK = 1e-9
 
 
+@checked
 class System:
     """Components, joints and forces under ``gravity`` (3,) m/s2.
 

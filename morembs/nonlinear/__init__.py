@@ -12,12 +12,13 @@ from morembs.nonlinear.planar_beam import PlanarBeam, Section
 from morembs.nonlinear.solid import NonlinearSolid
 from morembs.nonlinear.spatial_beam import SpatialBeam, SpatialSection
 from morembs.nonlinear.statics import equilibrium
-from morembs.nonlinear.tube import BeamInTube, Tube
+from morembs.nonlinear.tube import BeamInTube, CurvedTube
 
 _OLD_NAMES = {
     "Moment": "MemberState",
     "Motion": "MechanismMotion",
     "Settled": "EquilibriumPath",
+    "Tube": "CurvedTube",
     "settle": "follow_equilibrium",
 }
 
@@ -26,6 +27,7 @@ __all__ = [
     "BeamBody",
     "BeamInTube",
     "Chain",
+    "CurvedTube",
     "EquilibriumPath",
     "FullMember",
     "LeftTablesError",
@@ -41,7 +43,6 @@ __all__ = [
     "Section",
     "SpatialBeam",
     "SpatialSection",
-    "Tube",
     "beam_pieces",
     "equilibrium",
     "follow_equilibrium",

@@ -20,6 +20,7 @@ import scipy.linalg as sl
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from morembs.arguments import checked
 from morembs.errors import InputError, nearest
 from morembs.model import DofMap, FEModel, Nodes
 from morembs.multibody.component import Component, Marker, MarkerState, checked_rotation, vector
@@ -32,6 +33,7 @@ Floats = NDArray[np.float64]
 _STEP = 1e-6
 
 
+@checked
 class BeamBody(Component):
     """A beam in space; markers ``start``, ``end`` and those of ``marker_at``.
 
@@ -180,6 +182,7 @@ class SectionMarker(Marker):
         return MarkerState(position=own[:3], axes=R, jacobian=jacobian)
 
 
+@checked
 def beam_pieces(beam: SpatialBeam, pieces: int) -> list[FEModel]:
     """Linear models of a beam without load, cut into ``pieces`` of nearly equal numbers of elements.
 

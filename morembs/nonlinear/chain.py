@@ -17,6 +17,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.nonlinear.member import MemberState
 from morembs.nonlinear.planar_beam import Section
@@ -24,6 +25,7 @@ from morembs.nonlinear.planar_beam import Section
 Floats = NDArray[np.float64]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Link:
     """A link of equal elements, ``length`` in m, with a point mass ``tip`` in kg at its end."""
@@ -42,6 +44,7 @@ class Link:
             )
 
 
+@checked
 class Chain:
     """Links in a row from the origin, joined by angles; a Member for ``Mechanism.chain``.
 

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.select import select_solver
@@ -104,6 +105,7 @@ class EquilibriumPath:
     factorisations: int
 
 
+@checked
 def follow_equilibrium(
     component: Conservative,
     *,

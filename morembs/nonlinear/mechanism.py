@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.nonlinear.chain import Chain
 from morembs.nonlinear.member import Member
@@ -39,6 +40,7 @@ class Point:
         return self.position if self.motion is None else self.position + np.asarray(self.motion(t), dtype=float)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Angle:
     """The direction of one or more ends of members; ``number`` is negative where it is held.
@@ -51,6 +53,7 @@ class Angle:
     motion: Callable[[float], float] | None = None
 
 
+@checked
 class Mechanism:
     """Members between points, under ``gravity`` (2,) m/s2. It starts at rest and without strain.
 

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.nonlinear.component import NonlinearComponent, StrainStiffness
 
@@ -71,6 +72,7 @@ class Member(Protocol):
         """Static answer, per length, of the first modes left out to ``load`` (N,), the force less inertia."""
 
 
+@checked
 class FullMember:
     """A nonlinear component with all its coordinates; its frames are named ``start`` and ``end``.
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dgetrf as getrf
 from scipy.linalg.lapack import dgetrs as getrs
 
+from morembs.arguments import checked
 from morembs.errors import InputError, SolverError
 from morembs.multibody.integrate import Scheme
 from morembs.nonlinear.mechanism import Mechanism
@@ -196,6 +197,7 @@ class _Run:
         return (*self.warnings.values(), *modes)
 
 
+@checked
 def simulate(
     mechanism: Mechanism,
     *,

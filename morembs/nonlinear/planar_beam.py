@@ -22,6 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -32,6 +33,7 @@ _T = np.array(
 )  # fmt: skip
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Section:
     """Stiffness EA (N), GA (N, of shear), EI (N m2) and mass per length (kg/m), rotary inertia per length (kg m)."""
@@ -51,11 +53,13 @@ class Section:
             raise InputError(f"section: rotary = {self.rotary} was given; expected zero or more")
 
     @classmethod
+    @checked
     def of(cls, *, E: float, A: float, I: float, density: float, nu: float = 0.3, shear: float = 6 / 7) -> Section:  # noqa: E741
         """From Young's modulus E (Pa), area A (m2), second moment I (m4), density (kg/m3) and shear factor."""
         return cls(EA=E * A, GA=shear * E * A / (2 * (1 + nu)), EI=E * I, mass=density * A, rotary=density * I)
 
 
+@checked
 class PlanarBeam:
     """A chain of geometrically exact elements; a NonlinearComponent.
 
@@ -106,6 +110,7 @@ class PlanarBeam:
         self._rows, self._columns = np.repeat(dofs, 6, axis=1).ravel(), np.tile(dofs, (1, 6)).ravel()
 
     @classmethod
+    @checked
     def straight(cls, length: float, elements: int, section: Section, *, corrected: bool = True) -> PlanarBeam:
         """A straight beam along x from the origin, ``length`` in m."""
         if not (math.isfinite(length) and length > 0) or elements < 1:
@@ -115,6 +120,7 @@ class PlanarBeam:
         return cls(nodes, section, corrected=corrected)
 
     @classmethod
+    @checked
     def along(cls, line: ArrayLike, section: Section, *, corrected: bool = True) -> PlanarBeam:
         """A beam along a curved or bent line that can be a member: its chord on x from the origin, rotations zero.
 

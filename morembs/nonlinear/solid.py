@@ -18,6 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, nearest
 from morembs.interface import COUPLINGS, Interface
@@ -45,6 +46,7 @@ class _Rigid:
         return np.asarray((3 * self.nodes[:, None] + np.arange(3)).ravel())
 
 
+@checked
 class NonlinearSolid:
     """A St. Venant-Kirchhoff solid of N coordinates; see morembs.nonlinear.continuation for its equilibria.
 

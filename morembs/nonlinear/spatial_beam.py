@@ -22,6 +22,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.nonlinear.helix import Helix
 from morembs.nonlinear.rotation_vectors import curvature, shortened, tangents
@@ -30,6 +31,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class SpatialSection:
     """Stiffness EA, shears GA2, GA3 (N), torsion GJ, bendings EI2, EI3 (N m2) about the axes 2 and 3 of the section.
@@ -55,6 +57,7 @@ class SpatialSection:
             raise InputError(f"section: rotary = {self.rotary} was given; expected three numbers, zero or more")
 
     @classmethod
+    @checked
     def rectangle(
         cls, width: float, height: float, *, E: float, nu: float, density: float, shear: float = 5 / 6
     ) -> SpatialSection:
@@ -75,6 +78,7 @@ class SpatialSection:
         )  # fmt: skip
 
 
+@checked
 class SpatialBeam:
     """A chain of geometrically exact elements in space.
 
@@ -126,6 +130,7 @@ class SpatialBeam:
         self._rows, self._columns = np.repeat(dofs, 12, axis=1).ravel(), np.tile(dofs, (1, 12)).ravel()
 
     @classmethod
+    @checked
     def straight(cls, length: float, elements: int, section: SpatialSection, *, corrected: bool = True) -> SpatialBeam:
         """A straight beam along x from the origin, its axes 2 and 3 along y and z; ``length`` in m."""
         if not (math.isfinite(length) and length > 0) or elements < 1:
@@ -135,6 +140,7 @@ class SpatialBeam:
         return cls(nodes, np.tile(np.eye(3), (elements + 1, 1, 1)), section, corrected=corrected)
 
     @classmethod
+    @checked
     def arc(
         cls, radius: float, angle: float, elements: int, section: SpatialSection, *, corrected: bool = True
     ) -> SpatialBeam:

@@ -9,6 +9,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError, SolverError
 from morembs.nonlinear.component import NonlinearComponent
 
@@ -65,6 +66,7 @@ def newton(
     raise SolverError(f"Newton's method does not converge (last step {size:.2g} in m and rad)")
 
 
+@checked
 def equilibrium(
     component: NonlinearComponent,
     *,

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.nonlinear.planar_beam import PlanarBeam
 
@@ -21,8 +22,9 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
-class Tube:
+class CurvedTube:
     """About ``centre`` (2,) m: ``radius`` m of its axis, ``clearance`` m of the wire's axis to either side, ``penalty``
     N/m2."""
 
@@ -40,10 +42,11 @@ class Tube:
             )
 
 
+@checked
 class BeamInTube:
     """A beam whose axis stays within a tube; a NonlinearComponent, with the coordinates of the beam."""
 
-    def __init__(self, beam: PlanarBeam, tube: Tube) -> None:
+    def __init__(self, beam: PlanarBeam, tube: CurvedTube) -> None:
         self.beam, self.tube = beam, tube
         lengths, count = beam.lengths, len(beam.lengths)
         # Points in order along the beam: node, middle, node, ...

@@ -21,6 +21,7 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError, nearest
 
 Floats = NDArray[np.float64]
@@ -32,6 +33,7 @@ NAMED: Mapping[str, Steps] = {"adams": ADAMS}
 STRUCTURAL = "structural_damping"
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Damping:
     """Rayleigh damping ``alpha`` (1/s) M + ``beta`` (s) K, or modal damping; a ``structural`` loss factor with either.

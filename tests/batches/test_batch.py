@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import re
@@ -167,6 +168,23 @@ def test_a_job_is_due_when_its_inputs_or_results_change(
         assert {part.name for part in parts_of([folder]) if unchanged(part, manifest) is None} == due
         changed = parts_of([folder], ["reduce.modes=3"])
         assert not any(unchanged(part, manifest) for part in changed)
+
+
+def test_jobs_take_no_more_memory_than_they_ask_for(tmp_path: Path) -> None:
+    """Small ones too, of which most is what the program itself takes."""
+    for name, length in (("small", 6), ("larger", 10)):
+        (tmp_path / name).mkdir()
+        text = decks.deck(list(itertools.product(range(length), range(10), range(10))))
+        decks.folder(tmp_path / name, {"solver": "threads = 1"}, text)
+    assert set(states(batch([tmp_path], workers=1)).values()) == {"done"}
+    asked, took = {}, {}
+    for event in map(json.loads, (tmp_path / "batch.manifest").read_text().splitlines()):
+        if event["event"] == "started":
+            asked[event["output"]] = 1e6 * event["MB"]
+        elif event["event"] == "ended":
+            took[event["output"]] = max(event["facts"]["peak_memory_bytes"].values())
+    # Most of the margin on top of the forecast is left for what differs between runs.
+    assert len(took) == 2 and max(took[name] / asked[name] for name in took) < 0.92
 
 
 def test_one_job_alone_is_remembered_with_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

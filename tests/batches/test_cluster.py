@@ -153,11 +153,15 @@ def test_killed_workers_and_children_cost_one_start_each(alone: Cluster, tmp_pat
     until(lambda: not children_of_jobs(folder))
 
 
+@pytest.mark.parametrize("here", [False, True])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_a_batch_that_ends_leaves_no_process(shared: Cluster, tmp_path: Path, number: signal.Signals) -> None:
+def test_a_batch_that_ends_leaves_no_process(
+    shared: Cluster, tmp_path: Path, number: signal.Signals, here: bool
+) -> None:
     """Ended by a signal that can be heeded, or not: the workers see it; the next run does what is left."""
     folder = jobs(tmp_path, 3)
-    process = begin(folder, "--cluster", shared.address)
+    place = "local:2" if here else shared.address
+    process = begin(folder, "--cluster", place)
     until(lambda: len(events(folder, "started")) >= 2 and children_of_jobs(folder))
     process.send_signal(number)
     process.communicate(timeout=PATIENCE)
@@ -165,7 +169,7 @@ def test_a_batch_that_ends_leaves_no_process(shared: Cluster, tmp_path: Path, nu
         assert process.returncode == 143 and not children_of_jobs(folder) and strays(folder) == []
     until(lambda: not children_of_jobs(folder))
     before = {event["output"] for event in events(folder, "ended")}
-    done = CliRunner().invoke(app, ["batch", str(folder), "--cluster", shared.address])
+    done = CliRunner().invoke(app, ["batch", str(folder), "--cluster", place])
     assert done.exit_code == 0 and len(sums(folder)) == 3 and strays(folder) == []
     started = [event["output"] for event in events(folder, "started")]
     assert all(started.count(output) == 1 for output in before)

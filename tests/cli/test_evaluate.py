@@ -128,6 +128,32 @@ def test_an_index_never_tells_of_values_that_its_files_no_longer_have(path, tabl
     assert (tmp_path / "arm_1.SID_FEM").read_bytes() != before and not (tmp_path / "index.csv").exists()
 
 
+def test_a_smaller_family_does_not_leave_files_of_the_one_before(path, table, tmp_path):
+    out = tmp_path / "arm.SID_FEM"
+    run("export", path, "--table", table, "--to", "sid", "-o", out)
+    index, first = (tmp_path / "index.csv").read_bytes(), (tmp_path / "arm_1.SID_FEM").read_bytes()
+    table.write_text("E_arm,t\n2.6e11,-1\n")
+    error = run("export", path, "--table", table, "--to", "sid", "-o", out, code=2).replace("\n", " ")
+    assert "arm_2.SID_FEM, arm_3.SID_FEM of the family" in error and "delete them, or give another folder" in error
+    assert (tmp_path / "index.csv").read_bytes() == index and (tmp_path / "arm_1.SID_FEM").read_bytes() == first
+    for name in ("arm_2.SID_FEM", "arm_3.SID_FEM"):
+        (tmp_path / name).unlink()
+    run("export", path, "--table", table, "--to", "sid", "-o", out)
+    assert [row["file"] for row in csv.DictReader((tmp_path / "index.csv").read_text().splitlines())] == [
+        "arm_1.SID_FEM"
+    ]
+
+
+def test_frequencies_that_a_body_does_not_have_are_told(path):
+    result = CliRunner().invoke(app, ["evaluate", str(path), "--at", "t=1.0", "--frequencies", "500", "--json"])
+    (document,) = json.loads(result.stdout)
+    has = len(document["frequencies_hz"])
+    assert has < 500 and f"500 frequencies were asked for; the body has {has}" in result.stderr
+    assert run("evaluate", path, "--at", "t=1.0", "--frequencies", str(has))
+    error = run("evaluate", path, "--at", "E_arm=3e11", "--frequencies", "500", code=2)
+    assert "were asked for" not in error
+
+
 def test_a_family_does_not_replace_the_index_of_another(path, table, tmp_path):
     run("export", path, "--table", table, "--to", "sid", "-o", tmp_path / "arm.SID_FEM")
     index = (tmp_path / "index.csv").read_bytes()

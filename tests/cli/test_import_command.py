@@ -214,7 +214,7 @@ def job_on(folder: Path, model: str, output: str, material: str, extra: str = ""
 
 def test_a_job_on_the_model_file_gives_the_body_of_the_job_on_the_mesh(tmp_path: Path) -> None:
     write_nodes(tmp_path / "part.inp", block(), 1000.0)
-    steel_mm = '[[material]]\nyoung = 210e3\npoisson = 0.3\ndensity = 7.85e-9'
+    steel_mm = "[[material]]\nyoung = 210e3\npoisson = 0.3\ndensity = 7.85e-9"
     run(
         tmp_path / "part.inp", "--format", "mesh", "--units", "mm-t-s", "-o", tmp_path / "part.model.h5",
         "--material", "young=210e3,poisson=0.3,density=7.85e-9",

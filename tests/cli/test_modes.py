@@ -3,18 +3,24 @@
 import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import meshio
 import numpy as np
 import pytest
+import scipy.linalg as sl
+import scipy.sparse as sp
 from typer.testing import CliRunner
 
 from morembs.body.file import read_body
 from morembs.cli import app
 from morembs.floating.spin import campbell
+from morembs.importers.model_file import write_model
+from morembs.model.tubes import tube_model
 from tests.support.commands import refused
 from tests.support.meshes import box
+from tests.support.tubes import PIPE
 
 JOB = """
 [model]
@@ -38,6 +44,25 @@ path = "part.h5"
 full_modes = 0
 """
 SPIN = '[spin]\nspeed = [0, 20, 42, 60]\naxis = [0, 0, 1]\nheld = ["root"]\nmodes = 4'
+
+
+# A tube along x, held at one end.
+TUBE = """
+[model]
+file = "tube.model.h5"
+[[interface]]
+name = "tip"
+nodes = "ids:13"
+[damping]
+rayleigh = { beta = 2e-5 }
+[[reduce]]
+method = "modal"
+modes = 4
+[modes]
+count = 4
+[output]
+path = "tube.h5"
+"""
 
 
 def job(folder, tables=SPIN):
@@ -125,13 +150,47 @@ def test_real_modes_are_those_of_the_free_body(tmp_path):
     assert shown["modes"][0]["damped_hz"] == pytest.approx(exact, rel=5e-3)
 
 
+def test_real_modes_have_the_damping_of_the_model_and_of_the_job(tmp_path):
+    tube = tube_model(np.linspace([0, 0, 0], [1.0, 0, 0], 13), PIPE, held=(0,))
+    write_model(tmp_path / "tube.model.h5", replace(tube, D=3.0 * tube.M + 1e-5 * tube.K))
+    path = tmp_path / "job.toml"
+    path.write_text(TUBE)
+    real, full = (json.loads(run("modes", path, "--json", *more))[0] for more in ((), ("--complex",)))
+    assert real["complete"]["0"].endswith("Hz without damping")
+    for a, b in zip(real["modes"], full["modes"], strict=True):
+        omega = 2 * np.pi * a["damped_hz"] / np.sqrt(1 - a["ratio"] ** 2)
+        assert a["ratio"] == pytest.approx((3.0 / omega + 3e-5 * omega) / 2, rel=1e-6)
+        assert [a["damped_hz"], a["ratio"], a["real"]] == pytest.approx(
+            [b["damped_hz"], b["ratio"], b["real"]], rel=1e-6
+        )
+
+
+def test_real_modes_of_a_coupling_damper_say_what_they_leave_out(tmp_path):
+    tube = tube_model(np.linspace([0, 0, 0], [1.0, 0, 0], 13), PIPE, held=(0,))
+    tip = np.flatnonzero((tube.dofs.node == 12) & (tube.dofs.component == 1))[0]
+    D = sp.csr_array(([300.0], ([tip], [tip])), shape=tube.K.shape)
+    write_model(tmp_path / "tube.model.h5", replace(tube, D=D))
+    path = tmp_path / "job.toml"
+    path.write_text(TUBE.replace("rayleigh = { beta = 2e-5 }", ""))
+    result = CliRunner().invoke(app, ["modes", str(path), "--json"])
+    values, Y = sl.eigh(tube.K.toarray(), tube.M.toarray(), subset_by_index=[0, 3])
+    # Two planes bend alike: across the damper and along it.
+    across = [300.0 * (Y[tip, k : k + 2] ** 2).sum() / (2 * np.sqrt(values[k])) for k in (0, 2)]
+    rows = json.loads(result.stdout)[0]["modes"]
+    assert [row["ratio"] for row in rows] == pytest.approx([0.0, across[0], 0.0, across[1]], rel=1e-5, abs=1e-9)
+    assert [row["damped_hz"] == 0 for row in rows] == [False, True, False, True]
+    assert "--complex has what D couples of them" in result.stderr
+
+
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
         (SPIN.replace("[0, 0, 1]", "[0, 0, 0]"), "axis = [0, 0, 0] was given; expected a direction"),
         (SPIN + '\n[frame]\nkind = "mean-axes"', "[frame] was given beside [spin]"),
-        (SPIN + '\n[state_space]\npath = "a.npz"\ninputs = ["root:force"]\noutputs = ["root:displacement"]',
-         "[state_space] was given beside [spin]"),
+        (
+            SPIN + '\n[state_space]\npath = "a.npz"\ninputs = ["root:force"]\noutputs = ["root:displacement"]',
+            "[state_space] was given beside [spin]",
+        ),
         (SPIN.replace("root", "rot"), "held names the interface 'rot'; did you mean 'root'?"),
         (SPIN + "\n[damping]\nmodal = 0.02", "complex modes take rayleigh damping"),
         (SPIN + "\n[damping]\nrayleigh = { alpha = 2.0 }", "alpha = 2 damps the elastic motion of a free body"),

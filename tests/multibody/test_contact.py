@@ -1,12 +1,13 @@
 """Contact: surfaces, gaps, impacts, friction, compliance, events, bad input."""
 
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from morembs.errors import InputError
+from morembs.floating.frame import FloatingFrame
+from morembs.floating.integrals import ShapeIntegrals
 from morembs.interface import make_interface
 from morembs.model.assembly import assemble
 from morembs.model.material import isotropic
@@ -178,11 +179,14 @@ def test_flat_triangles_are_a_plane_and_beyond_their_border_the_gap_is_the_dista
 def elastic(rng, name, n=3, **options):
     """An elastic body with made-up integrals."""
     zero = np.zeros
-    parts = SimpleNamespace(
-        mass=1.0, first=zero(3), inertia=np.eye(3), Ct=zero((n, 3)), Cr=zero((n, 3)), Me=np.eye(n),
+    parts = ShapeIntegrals(
+        mass=1.0, first=zero(3), inertia=np.eye(3), second=zero((3, 3)), Ct=zero((n, 3)), Cr=zero((n, 3)), Me=np.eye(n),
         x_phi=zero((3, 3, n)), phi_phi=zero((3, 3, n, n)),
     )  # fmt: skip
-    frame = SimpleNamespace(integrals=parts, Ke=np.eye(n), De=zero((n, n)), markers={})
+    frame = FloatingFrame(
+        kind="mean-axes", origin=zero(3), elastic=np.eye(n), rigid=zero((n, 6)), integrals=parts, Ke=np.eye(n),
+        De=zero((n, n)), markers={},
+    )  # fmt: skip
     return FlexibleBody(frame, name=name, **options)
 
 

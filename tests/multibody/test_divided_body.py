@@ -138,7 +138,7 @@ def test_divisions_that_cannot_be_are_refused():
         divided_mesh(mesh, RUBBER, [[0, 0, 0]], 2, start="ROOT", end="TIP")
     with pytest.raises(InputError, match="pieces 1 and 3 touch"):
         divided_mesh(mesh, RUBBER, [[0.1, 0, 0], [0.3, 0, 0], [0, 0, 0]], 3, start="ROOT", end="TIP")
-    with pytest.raises(InputError, match=r"2\.5 pieces"):
+    with pytest.raises(InputError, match=r"pieces = 2\.5 was given"):
         divided_mesh(mesh, RUBBER, LINE, 2.5, start="ROOT", end="TIP")
     with pytest.raises(InputError, match=r"0 of the 8 nodes of set 'TIP' are in the first of 3 pieces.*from start to"):
         divided_mesh(mesh, RUBBER, LINE, 3, start="TIP", end="ROOT")

@@ -1,6 +1,5 @@
 """The simulator with rigid bodies: joints, loads, springs, energy, switches, own components, bad input."""
 
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +7,8 @@ from scipy.integrate import solve_ivp
 
 from morembs import multibody, nonlinear
 from morembs.errors import InputError, SolverError
+from morembs.floating.frame import FloatingFrame
+from morembs.floating.integrals import ShapeIntegrals
 from morembs.multibody import (
     Assembly,
     DrivenAngle,
@@ -67,11 +68,15 @@ def test_a_rotation_needs_an_axis(axis):
 def flexible():
     """An elastic body with made-up integrals: three shapes without coupling to rigid motion."""
     zero = np.zeros
-    parts = SimpleNamespace(
-        mass=1.0, first=zero(3), inertia=np.eye(3), Ct=zero((3, 3)), Cr=zero((3, 3)), Me=np.eye(3),
+    parts = ShapeIntegrals(
+        mass=1.0, first=zero(3), inertia=np.eye(3), second=zero((3, 3)), Ct=zero((3, 3)), Cr=zero((3, 3)), Me=np.eye(3),
         x_phi=zero((3, 3, 3)), phi_phi=zero((3, 3, 3, 3)),
     )  # fmt: skip
-    return FlexibleBody(SimpleNamespace(integrals=parts, Ke=np.eye(3), De=zero((3, 3)), markers={}), name="elastic")
+    frame = FloatingFrame(
+        kind="mean-axes", origin=zero(3), elastic=np.eye(3), rigid=zero((3, 6)), integrals=parts, Ke=np.eye(3),
+        De=zero((3, 3)), markers={},
+    )  # fmt: skip
+    return FlexibleBody(frame, name="elastic")
 
 
 JOINTS = (SphericalJoint, RevoluteJoint, PrismaticJoint, FixedJoint, DrivenAngle, DrivenPosition)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from morembs.errors import InputError
-from morembs.nonlinear import BeamInTube, PlanarBeam, Section, Tube
+from morembs.nonlinear import BeamInTube, CurvedTube, PlanarBeam, Section
 
 SECTION = Section.of(E=2e11, A=2e-7, I=3e-15, density=7850.0)
 RADIUS, CLEARANCE = 0.2, 5e-5
@@ -14,7 +14,7 @@ RADIUS, CLEARANCE = 0.2, 5e-5
 
 def wire(elements=20, penalty=1e6):
     beam = PlanarBeam.straight(0.1, elements, SECTION)
-    return BeamInTube(beam, Tube(radius=RADIUS, clearance=CLEARANCE, penalty=penalty, centre=(0.1, -0.05)))
+    return BeamInTube(beam, CurvedTube(radius=RADIUS, clearance=CLEARANCE, penalty=penalty, centre=(0.1, -0.05)))
 
 
 def along(radius, elements=20):
@@ -44,7 +44,7 @@ def test_a_wire_of_a_curved_line_lies_on_its_curve():
     """``PlanarBeam.along`` counts rotations from the line without load, ``PlanarBeam`` from x: the walls are one."""
     turn = np.linspace(-0.5, 0.5, 11)
     line = np.column_stack((RADIUS * np.sin(turn), RADIUS * np.cos(turn), -turn))
-    tube = Tube(radius=RADIUS, clearance=CLEARANCE, penalty=1e6)
+    tube = CurvedTube(radius=RADIUS, clearance=CLEARANCE, penalty=1e6)
     moved = replace(tube, centre=tuple(-line[0, :2]))
     parts = BeamInTube(PlanarBeam(line, SECTION), tube), BeamInTube(PlanarBeam.along(line, SECTION), moved)
     rng, pushed = np.random.default_rng(3), []
@@ -60,4 +60,4 @@ def test_a_wire_of_a_curved_line_lies_on_its_curve():
 def test_bad_tubes_are_named():
     for change in ({"clearance": 0.3}, {"penalty": 0.0}, {"radius": np.inf}):
         with pytest.raises(InputError, match=f"{next(iter(change))} = "):
-            Tube(**{"radius": 0.2, "clearance": 1e-3, "penalty": 1.0, **change})
+            CurvedTube(**{"radius": 0.2, "clearance": 1e-3, "penalty": 1.0, **change})

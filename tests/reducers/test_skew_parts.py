@@ -1,5 +1,6 @@
 """Models with gyroscopic and circulatory matrices: reduced, measured, kept in files, exported or refused."""
 
+import contextlib
 import re
 from dataclasses import replace
 
@@ -287,6 +288,18 @@ def test_a_job_with_flow_gives_the_body_of_the_same_model(tmp_path, capsys):
     hz = eigenvalues(whole)[:4].imag / (2 * np.pi)
     np.testing.assert_allclose([row.damped_hz for row in table.rows], hz, rtol=1e-6)
     assert table.complete[0.0] == "no count of modes: a circulatory matrix"
+
+
+@pytest.mark.parametrize("held", [(), (0,)])
+def test_a_tube_that_nothing_keeps_from_turning_is_refused_by_check_and_reduce(tmp_path, held):
+    """However little flows: a small pull hides in the stiffness, but not in rigid motion."""
+    model = arch(mass_flow=0.0)
+    write_model(tmp_path / "tube.model.h5", tube_model(model.nodes.xyz, STEEL, held=held))
+    (tmp_path / "tube.toml").write_text(re.sub("mass_flow = .*", "mass_flow = 1e-4", JOB.format(area=BORE)))
+    job = load_job(tmp_path / "tube.toml")
+    for work in (check_job, run_job):
+        with contextlib.nullcontext() if held else pytest.raises(InputError, match="nothing keeps the tube from turn"):
+            work(job)
 
 
 def _structure(model):

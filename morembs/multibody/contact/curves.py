@@ -12,6 +12,7 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.multibody.component import vector
 
@@ -69,6 +70,7 @@ def overhauser(count: int, u: float, closed: bool = False) -> tuple[Ints, Floats
     return near, value, slope
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Path:
     """Overhauser curve (1968) through ``points`` (n, 3) m, ``closed`` to a loop or not.

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError, nearest
 from morembs.multibody.component import Marker, MarkerState, direction
 from morembs.multibody.forces import Force
@@ -40,6 +41,7 @@ class ContactStiffness(Protocol):
         """Raise SolverError where ``force`` does not hold any more."""
 
 
+@checked
 @dataclass(frozen=True)
 class PowerLaw:
     """F = stiffness d^exponent: Hertz (1882) with exponent 1.5 between bodies without edges.
@@ -68,6 +70,7 @@ class PowerLaw:
         """Holds at any penetration."""
 
 
+@checked
 def damping_factor(law: str, restitution: float) -> float:
     """chi v0 of F = f(d) (1 + chi d'): what the rate of penetration weighs, over the speed of the approach.
 
@@ -89,6 +92,7 @@ def damping_factor(law: str, restitution: float) -> float:
     return float(_FACTORS[law](restitution))
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class ContactElement(Force):
     """A point of one body that pushes itself off another, without friction.

@@ -15,6 +15,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.multibody.component import Component, Marker, MarkerState, direction, numbers
 from morembs.multibody.contact.surfaces import NodalSurface, Surface
@@ -35,6 +36,7 @@ class Compliant(Protocol):
         along the axes of the markers, x, y, z of the first point first. Motion of the coordinates is left out."""
 
 
+@checked
 class Contact:
     """Points of one body against a surface that another carries.
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.multibody.contact.curves import checked_points
 from morembs.multibody.contact.surfaces import ClosestPoint, NodalSurface, foot_at
@@ -114,6 +115,7 @@ def _patch(points: Floats, normals: Floats) -> _Patch:
     return _Patch(np.array(border), inner)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class TriangleSurface(NodalSurface):
     """Surface of ``triangles`` (t, 3) on ``vertices`` (n, 3), counterclockwise seen from outside.

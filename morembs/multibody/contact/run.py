@@ -15,6 +15,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError, SolverError
 from morembs.multibody.contact.impact import first_touch, project_positions, resolve_impact, sliding_ends
 from morembs.multibody.contact.kinematics import Contact, Contacts, ContactState
@@ -31,6 +32,7 @@ _TOUCH, _PENETRATION = 1e-11, 1e-9
 _SEARCH = 8
 
 
+@checked
 def simulate_contact(
     system: System, contacts: Sequence[Contact], *, end: float, step: float, rho: float = 0.8, begin: float = 0.0,
     tolerance: float = 1e-9, corrected_start: bool = True, max_deflection: float | None = 1.0,

@@ -8,6 +8,7 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.multibody.component import direction, vector
 from morembs.multibody.contact.curves import checked_points, descend, overhauser
@@ -54,6 +55,7 @@ class NodalSurface(Surface):
         """The same surface with its points displaced by (n, 3)."""
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Plane(Surface):
     """All that is below ``point`` (3,) m against ``normal`` (3,), which points outside.
@@ -79,6 +81,7 @@ class Plane(Surface):
         )
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Sphere(Surface):
     """A ball of ``radius`` m about ``center`` (3,) m, or where ``hollow`` all that is outside.
@@ -111,6 +114,7 @@ class Sphere(Surface):
         )  # fmt: skip
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class GridSurface(NodalSurface):
     """Surface through a grid of ``points`` (n, m, 3), Overhauser curves in both directions; its normal is continuous.

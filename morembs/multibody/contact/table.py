@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import nnls
 
+from morembs.arguments import checked
 from morembs.errors import InputError, SolverError
 from morembs.model.elements import FACES
 from morembs.model.selection import select_nodes
@@ -40,6 +41,7 @@ _REACH = 1.5
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
+@checked
 @dataclass(frozen=True)
 class Cylinder:
     """A roller of ``radius`` m about an ``axis`` (3,) through ``center`` (3,) m, with profile radius ``crown`` m.
@@ -63,6 +65,7 @@ class Cylinder:
                 raise InputError(f"{key} = {value} m of {self.name!r} was given; expected a positive length")
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class ContactTable:
     """Force by penetration, monotone and smooth: a cubic without overshoot in d^1.5 (Fritsch and Carlson 1980).
@@ -87,9 +90,12 @@ class ContactTable:
                 f"penetration {depth.tolist()} and forces {force.tolist()} were given; expected as many of both, each "
                 "above zero and growing"
             )
+        area = None if self.area is None else np.asarray(self.area, dtype=float)
+        if area is not None and not (area.shape == depth.shape and np.isfinite(area).all()):
+            raise InputError(f"area {area.tolist()} was given; expected {len(depth)} finite numbers, as of the forces")
         object.__setattr__(self, "penetration", depth)
         object.__setattr__(self, "forces", force)
-        object.__setattr__(self, "area", None if self.area is None else np.asarray(self.area, dtype=float))
+        object.__setattr__(self, "area", area)
         object.__setattr__(self, "_force", PchipInterpolator(np.append(0.0, depth**1.5), np.append(0.0, force)))
         ends = np.sqrt(np.append(0.0, depth))
         pieces = [self._work(a, b) for a, b in pairwise(ends.tolist())]
@@ -143,6 +149,7 @@ class ContactTable:
         return float(0.5 * (b - a) * _WEIGHTS @ (2 * x * force))
 
 
+@checked
 def contact_table(
     problem: Problem, body: Sphere | Cylinder, *, surface: str, penetration: Sequence[float], push: ArrayLike
 ) -> ContactTable:

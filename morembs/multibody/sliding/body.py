@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.model import frozen
 from morembs.multibody.bodies import FlexibleBody
@@ -51,6 +52,7 @@ class Active:
     R: tuple[Floats, ...]
 
 
+@checked
 class SwitchingBody(Component):
     """``inner`` (the constant basis) with the static modes of ``switching``.
 

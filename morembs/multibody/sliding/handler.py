@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError, MorembsError
 from morembs.multibody.result import Result
 from morembs.multibody.run import EventHandler, RestartState, Run
@@ -200,6 +201,7 @@ class UnfinishedRunError(InputError):
         self.result = result
 
 
+@checked
 def simulate_sliding(
     system: System, switch: SlidingSwitch, *, end: float, step: float, rho: float = 0.9, begin: float = 0.0,
     tolerance: float = 1e-9, max_deflection: float | None = 1.0,

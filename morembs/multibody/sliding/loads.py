@@ -10,6 +10,7 @@ from dataclasses import KW_ONLY, dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.multibody.component import Marker, MarkerState, direction
 from morembs.multibody.forces import Force, Load, _load
@@ -39,6 +40,7 @@ def _path(place: MarkerState) -> PathState:
     return place
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class MovingLoad(Force, Slider):
     """Force (3,) N along the inertial axes, constant or of time (s), at ``position(t)`` m along a path; it must be zero
@@ -98,6 +100,7 @@ def _checked_up(label: str, path: PathMarker, up: ArrayLike, rider: Marker) -> F
     return e
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class PointOnPath(Constraint, Slider):
     """``second`` stays on the path of ``first`` and slides along it freely: two rows, at the place where it is.
@@ -143,6 +146,7 @@ def _nearest(state: State, path: PathMarker, rider: Marker) -> float:
     return _path(a).nearest(b.position)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class PathSupport(Force, Slider):
     """``second`` rides on the path of ``first`` on the compliance R(s) of the static modes and slides freely.

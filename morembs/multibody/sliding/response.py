@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import checked
 from morembs.errors import InputError
 from morembs.multibody.result import Result
 from morembs.multibody.segment import Segment
@@ -30,6 +31,7 @@ class LocalResponse:
     loads: Floats
 
 
+@checked
 def local_response(
     result: Result, body: SwitchingBody, position: Callable[[float], float] | Slider, *, stress: bool = False
 ) -> LocalResponse:

@@ -1,0 +1,73 @@
+"""Arguments of wrong types: one message in place of what Python would say in the depth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import morembs
+from morembs import gmp, multibody, nonlinear
+from morembs.arguments import checked
+
+SECTION = nonlinear.Section(EA=1e6, GA=1e6, EI=1.0, mass=1.0)
+LINE = np.linspace([0.0, 0, 0], [1.0, 0, 0], 9)
+TUBE = {"outer": 0.02, "inner": 0.016, "young": 2e11, "density": 7800.0}
+BODY = multibody.RigidBody(1.0, (1, 1, 1), markers={"top": (0, 0, 1)})
+ENDS = multibody.ground.marker_at((0, 0, 1)), BODY.marker("top")
+WRONG = [
+    (morembs.Tube, {**TUBE, "outer": "a"}, r"Tube: outer = 'a' was given; expected a number"),
+    (morembs.Tube, {**TUBE, "young": float("nan")}, "young = nan was given"),
+    (morembs.Flow, {"mass_flow": [1], "density": 1.0, "area": 1.0}, "mass_flow = .1. was given"),
+    (morembs.tube_model, {"points": LINE, "tube": 3}, "tube = 3 was given; expected Tube"),
+    (morembs.tube_model, {"points": "LINE", "tube": morembs.Tube(**TUBE)}, "expected an array of numbers"),
+    (morembs.tube_model, {"points": LINE, "tube": morembs.Tube(**TUBE), "held": "a"}, "held = 'a' was given"),
+    (morembs.Nodes, {"ids": np.array([1.5]), "xyz": LINE[:1]}, "ids = array.* was given; expected an array of numbers"),
+    (morembs.Damping, {"alpha": "a"}, "alpha = 'a' was given"),
+    (morembs.isotropic, {"set": "all", "young": None, "poisson": 0.3, "density": 1.0}, "young = None was given"),
+    (morembs.isotropic, {"set": "all", "young": float("inf"), "poisson": 0.3, "density": 1.0}, "a positive number"),
+    (morembs.Material, {"set": "all", "stiffness": np.eye(3), "density": 1.0}, r"\(6, 6\) finite numbers"),
+    (multibody.FlexibleBody, {"frame": None}, "frame = None was given; expected FloatingFrame"),
+    (multibody.RigidBody, {"mass": 1.0, "inertia": (1, 1, 1), "markers": [1]}, r"markers = \[1\] was given; expected"),
+    (multibody.LinearBody, {"M": np.eye(1), "K": 1.0}, r"shape \(1, 1\)"),
+    (multibody.SphericalJoint, {"first": "a", "second": ENDS[1]}, "first = 'a' was given; expected Marker"),
+    (multibody.DrivenAngle, {"first": ENDS[0], "second": ENDS[1], "motion": 3.0}, "expected Motion"),
+    (multibody.Motion.smooth, {"change": "a", "duration": 1.0}, "change = 'a' was given"),
+    (multibody.PowerLaw, {"stiffness": "a"}, "stiffness = 'a' was given"),
+    (multibody.ContactTable, {"penetration": [1.0, 2.0], "forces": [1.0, 2.0], "area": [1.0]}, "expected 2 finite"),
+    (multibody.simulate, {"system": None, "end": 1.0, "step": 0.1}, "system = None was given; expected System"),
+    (multibody.simulate, {"system": multibody.System(), "end": "1 s", "step": 0.1}, "end = '1 s' was given"),
+    (nonlinear.PlanarBeam, {"nodes": LINE, "section": 3}, "section = 3 was given; expected Section"),
+    (nonlinear.PlanarBeam.straight, {"length": 1.0, "elements": 1.5, "section": SECTION}, "expected an integer"),
+    (nonlinear.Chain, {"links": [1]}, r"links = \[1\] was given; expected a sequence \(each Link\)"),
+    (nonlinear.follow_equilibrium, {"component": LINE, "held": np.arange(3)}, "expected Conservative"),
+    (gmp.Plan, {"workers": "two"}, "workers = 'two' was given"),
+    (gmp.bending_modes, {"component": nonlinear.PlanarBeam(LINE, SECTION), "count": 2}, "give its section a rotary"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "given", "message"), WRONG)
+def test_wrong_arguments_are_refused_in_one_message(call, given, message):
+    with pytest.raises(morembs.InputError, match=message):
+        call(**given)
+
+
+def test_derivatives_of_a_flexible_body_are_frames_by_name():
+    mesh = morembs.read_mesh("data/small_meshes/bracket.msh", "mm-t-s")
+    steel = morembs.isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)
+    with morembs.Problem(morembs.assemble(mesh, [steel])) as problem:
+        reduced = morembs.Modal(modes=2).reduce(problem)
+        frame = morembs.floating_frame(problem, reduced)
+    for wrong in ([frame], {"young": 3}, "young"):
+        with pytest.raises(morembs.InputError, match=r"derivatives = .* was given; expected a mapping"):
+            multibody.FlexibleBody(frame, derivatives=wrong)
+
+
+def test_what_fits_is_handed_on_as_it_is():
+    @checked
+    def call(a: float, b: tuple[int, ...] = (), c: str | None = None, **more: int) -> object:
+        return a, b, c, more
+
+    numbers = np.arange(3)
+    assert call(np.float32(2), numbers, c=None, d="x") == (2, numbers, None, {"d": "x"})
+    with pytest.raises(TypeError, match="missing"):
+        call()
