@@ -73,7 +73,7 @@ class Watch(threading.Thread):
         self._ended.set()
         self.join()
         main = next((pid for pid, (words, *_) in self.seen.items() if _MAIN in words), None)
-        helpers = [peak for pid, (words, peak, _) in self.seen.items() if pid != main and _is_helper(words)]
+        helpers = [peak for words, peak, _ in self.seen.values() if _is_helper(words)]
         return {
             "process_peak_bytes": self.seen[main][1] if main in self.seen else None,
             "each_peak_bytes": max(helpers, default=None),
@@ -96,11 +96,11 @@ def workers(settings: Settings) -> None:
     bodies = {words: str(_body(words, settings)) for words in RUNS}
     for first, second in ((ALONE, BOTH), (ONE, TWO)):
         if "error" not in rounds[second][-1]:
-            rounds[second][-1] |= required("same", settings, first=bodies[first], second=bodies[second])
+            _add(rounds[second][-1], required("same", settings, first=bodies[first], second=bodies[second]))
     matrix = str(settings.folder / f"cube_{dofs}.npz")
     required("matrix", settings, shape="cube", dofs=dofs, file=matrix)
     for words, ranks in ((ONE, 1), (TWO, 2)):
-        rounds[words][-1] |= child("pivots", settings, matrix=matrix, ranks=ranks)
+        _add(rounds[words][-1], child("pivots", settings, matrix=matrix, ranks=ranks))
     report = Report("workers", settings)
     report.add(rounds)
     report.table("workers: one body on several processes", (
@@ -121,6 +121,11 @@ def workers(settings: Settings) -> None:
     ):
         report.compare(words, ratios(rounds, (first, key), (second, "process_peak_bytes")))
     report.write()
+
+
+def _add(row: Row, found: Row) -> None:
+    """What was found of the results of a job; the memory that finding it took is none of the job's."""
+    row |= {key: value for key, value in found.items() if key != "process_peak_bytes"}
 
 
 def _body(words: str, settings: Settings) -> Path:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 # Resident memory of a process that has read nothing yet: Python and the libraries.
-PROCESS_BYTES = 90_000_000
+PROCESS_BYTES = 96_000_000
 # Blocks of loads that exist at once while they are solved for, beside those of the result.
 BLOCKS = 4
 
