@@ -359,7 +359,7 @@ def test_three_models_of_a_stiff_slider_crank_agree():
 
 
 def test_bad_input_is_named():
-    with pytest.raises(InputError, match="'cubic' was given; expected one of linear"):
+    with pytest.raises(InputError, match="'cubic' was given; expected 'linear'"):
         ReducedMember(rod(), modes=1, formulation="cubic")
     with pytest.raises(InputError, match="-1 modes"):
         ReducedMember(rod(), modes=-1)
