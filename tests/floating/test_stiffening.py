@@ -290,7 +290,8 @@ def test_another_origin_follows_from_the_terms_and_is_what_a_new_calculation_giv
         again = geometric_stiffening(problem, reduced, frame.about(d))
     for name in ("acceleration", "angular_acceleration", "rotation"):
         wanted = getattr(again, name)
-        assert getattr(moved, name) == pytest.approx(wanted, rel=1e-7, abs=1e-9 * np.abs(wanted).max())
+        # Moments about the old origin cancel in most entries, whose round-off is that of the largest.
+        assert np.abs(getattr(moved, name) - wanted).max() < 1e-8 * np.abs(wanted).max()
 
 
 def test_a_frame_takes_its_stiffening_to_another_origin():
@@ -305,7 +306,8 @@ def test_a_frame_takes_its_stiffening_to_another_origin():
         still = geometric_stiffening(problem, reduced, frame)
     for name in ("angular_acceleration", "rotation"):
         wanted = getattr(again, name)
-        assert getattr(moved, name) == pytest.approx(wanted, rel=1e-7, abs=1e-9 * np.abs(wanted).max())
+        # Moments about the old origin cancel in most entries, whose round-off is that of the largest.
+        assert np.abs(getattr(moved, name) - wanted).max() < 1e-8 * np.abs(wanted).max()
         assert np.abs(getattr(still, name) - wanted).max() > 1e-3 * np.abs(wanted).max()
 
 

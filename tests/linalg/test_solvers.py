@@ -406,8 +406,9 @@ def test_a_closed_factor_gives_its_memory_back(name: str) -> None:
     """While its analysis lives, which then makes another factor; processes that hold a part of it count."""
     if reason := SOLVERS[name].unavailable():
         pytest.skip(reason)
-    # Arrays of some megabytes may stay with the C library, so numbers of half the size take a larger model.
-    A = shifted(brick(20 if "mixed" in name else 16), -1.0)
+    # Arrays of some megabytes may stay with the C library of each process, so numbers of half the size, and several
+    # processes, take a larger model.
+    A = shifted(brick(20 if "mixed" in name or "ranks" in name else 16), -1.0)
     b = random(A.shape[0])
     budget = Budget(memory=10**12)
 
