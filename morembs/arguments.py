@@ -37,12 +37,10 @@ def checked(target: Target) -> Target:
 
     @functools.wraps(call)
     def checking(*args: Any, **kwargs: Any) -> Any:
-        try:
+        hints, given = _hints(call), {}
+        # Python says in its own words what is missing.
+        with contextlib.suppress(TypeError):
             given = signature.bind(*args, **kwargs).arguments
-        except TypeError:
-            # Python says in its own words what is missing.
-            return call(*args, **kwargs)
-        hints = _hints(call)
         for name, value in given.items():
             # A default is right whatever its hint.
             hint = Any if value is signature.parameters[name].default else hints.get(name, Any)

@@ -13,6 +13,7 @@ import psutil
 import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
+import scipy.sparse.linalg as spl
 
 from morembs.budget import Budget
 from morembs.errors import InputError, SingularMatrixError, SolverError
@@ -294,6 +295,18 @@ def test_inertia_counts_the_eigenvalues_of_a_pencil_below_a_shift(solver: Linear
         assert solver.negative_eigenvalues(A) == gap
         with solver.factorize(A) as factor:
             assert factor.negative_pivots() == gap
+
+
+def test_inertia_of_large_fronts(solver: LinearSolver) -> None:
+    """The last front of 8,232 unknowns is large enough for processes to share it. ARPACK says how many are below."""
+    if "symmetric" not in solver.structures:
+        pytest.skip("it factorises positive definite matrices only")
+    K = brick(14)
+    below = spl.eigsh(K, 40, sigma=0.0, return_eigenvectors=False)
+    try:
+        assert solver.negative_eigenvalues(shifted(K, 3.0)) == (below < 3.0).sum() == 27
+    except SolverError as error:
+        pytest.skip(str(error))
 
 
 def test_two_factors_live_side_by_side(solver: LinearSolver) -> None:

@@ -145,6 +145,8 @@ class MumpsAnalysis(Analysis):
         # Neither of these may depend on the values: one analysis serves many shifts.
         instance.control(6, 0)
         instance.control(12, 1)
+        # Processes that share the root of the tree (ScaLAPACK) would not count its negative pivots.
+        instance.control(13, 1)
         if order is None:
             # Its own METIS; a build without one takes the next best.
             instance.control(7, 5)
