@@ -62,6 +62,7 @@ TABLES: dict[str, Table] = {
         (
             _DOFS, ("budget, GiB", "budget_bytes", "GiB"), ("seconds", "seconds", "n"),
             ("factorisation alone, s", lambda row: row["factor"]["seconds"], "n"),
+            ("passes over it", "passes", "n"), ("columns", "columns", "n"),
             ("peak of the process, GiB", "process_peak_bytes", "GiB"),
         ),
         (
