@@ -270,6 +270,7 @@ def test_jobs_that_did_not_make_the_bodies_are_refused(tmp_path: Path) -> None:
     changed("[output]", "[preload]\nspeed = 1.0\naxis = [1, 0, 0]\n\n[output]", "it has a table 'preload'")
     damped = "[damping]\nrayleigh = { beta = 1e-6 }\n\n[output]"
     changed("[output]", damped, "its damping is not V' A V of the model, and it has none")
+    changed("[output]", f"{STRUCTURAL}\n[output]", "has structural damping of 0.02; reduce the parts without it")
     changed("young", "youngs", "unknown key 'youngs'")
     # A node has moved since, and one more cube is there.
     (job.parent / "part.inp").write_text(mesh.replace("20.0, 10.0, 10.0", "20.0, 10.5, 10.0"))

@@ -55,12 +55,18 @@ def basis_of(part: Substructure, body: StoredBody, problem: Problem) -> Floats:
 
 
 def refuse_other_part(part: Substructure, problem: Problem) -> None:
-    """Refuse a body of another part than that of ``problem``: other interfaces, mass or nodes.
+    """Refuse a body of another part than that of ``problem``: other interfaces, mass or nodes, or a loss factor.
 
     Raises:
         InputError: as said, with both.
     """
     source, what = part.bodies, f"part {part.name!r}: its body was not reduced from its model"
+    if problem.damping.structural:
+        # No matrix of a body would show it, and it acts on the part alone.
+        raise InputError(
+            f"part {part.name!r}: the model of its body has structural damping of {problem.damping.structural:g}; "
+            "reduce the parts without it and give [damping] structural to the assembly"
+        )
     theirs = {each.name: each for each in problem.interfaces}
     if list(theirs) != list(source.interfaces):
         raise InputError(f"{what}: the interfaces are {_listed(source.interfaces)} and {_listed(theirs)}; {MEND}")

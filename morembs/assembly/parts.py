@@ -163,5 +163,3 @@ def _turn(T: Floats, rows: Ints, component: Sequence[int], turn: Floats, name: s
             T[:, own] = T[:, own] @ turn.T
         elif own and not np.array_equal(turn, np.eye(3)):
             raise InputError(f"part {name!r} is turned, and has an interface of one or two components; give three")
-
-
