@@ -132,8 +132,15 @@ def _is_array(value: Any, parts: tuple[Any, ...]) -> bool:
         array = np.asarray(value)
     except (TypeError, ValueError, OverflowError):
         return False
+    if array.dtype.kind == "O":
+        # Numbers of other kinds, such as fractions.
+        try:
+            array = array.astype(float)
+        except (TypeError, ValueError):
+            return False
     whole = parts and np.issubdtype(get_args(parts[1])[0], np.integer)
-    return (array.dtype.kind in ("biu" if whole else "biuf") or not array.size) and array.ndim >= bool(parts)
+    numbers = array.dtype.kind in "biu" or (array.dtype.kind == "f" and not (whole and (array % 1 != 0).any()))
+    return (numbers or not array.size) and array.ndim >= bool(parts)
 
 
 def _is_sequence(value: Any) -> bool:

@@ -192,7 +192,10 @@ def test_parts_that_do_not_fit_are_refused(make_piece: Make, piece: StoredBodies
     joint = Couple(between=("a:R", "b:L"))
     with pytest.raises(InputError, match=r"a:R and b:L are 1e-05 m apart"):
         assemble_bodies([a, b], [joint])
+    rounded = assemble_bodies([a, replace(b, position=(LENGTH, 0, 1e-9))], [joint])
+    assert any("a:R and b:L are 1.0e-09 m apart and coupled as one" in warning for warning in rounded.warnings)
     near = replace(b, position=(LENGTH, 0, 0))
+    assert not any("apart" in warning for warning in assemble_bodies([a, near], [joint]).warnings)
     with pytest.raises(InputError, match="coupled already"):
         assemble_bodies([a, near], [joint, Couple(between=("b:L", "a:R"))])
     with pytest.raises(InputError, match="a name of its own"):

@@ -67,7 +67,7 @@ def assemble_bodies(
     model = joined(placed, couples, name)
     told = dict.fromkeys(f"{part.name}: {warning}" for part in parts for warning in part.bodies.warnings)
     own = {item.name: getattr(model, item.name) for item in fields(FEModel)} | {
-        "warnings": (*told, *([REDUCED] if without else []), TURNING),
+        "warnings": (*model.warnings, *told, *([REDUCED] if without else []), TURNING),
         "notes": (f"{len(parts)} bodies, {len(couples)} couplings",),
     }  # fmt: skip
     return AssembledModel(**own, parts=tuple(parts), couples=tuple(couples))
@@ -96,7 +96,8 @@ def joined(placed: Sequence[Placed], couples: Sequence[Couple], name: str) -> FE
     K, M, D = (sp.block_diag([part.matrices[key] for part in placed], "csr") for key in ("K", "M", "D"))
     K, D = K + joints.springs("stiffness"), D + joints.springs("damping")
     model = FEModel(
-        K=K, M=M, D=D if D.nnz else None, nodes=nodes, dofs=dofs, source=name, equations=tuple(joints.equations())
+        K=K, M=M, D=D if D.nnz else None, nodes=nodes, dofs=dofs, source=name, equations=tuple(joints.equations()),
+        warnings=tuple(joints.warnings),
     )
     return replace(model, dependent=_dependent(model, placed))
 

@@ -15,8 +15,8 @@ from morembs.model import DofMap, Nodes
 from morembs.model.constraints import Equations
 
 Ints = NDArray[np.int64]
-# Distance of two interfaces that are coupled, as part of the size of the assembly.
-APART = 1e-6
+# Distance of two interfaces that are coupled, and that which is round-off, as parts of the size of the assembly.
+APART, TOGETHER = 1e-6, 1e-13
 ALL = (0, 1, 2, 3, 4, 5)
 
 
@@ -41,7 +41,8 @@ class Joints:
     def __init__(self, nodes: Nodes, dofs: DofMap, couples: Sequence[Couple]) -> None:
         self.nodes, self.size = nodes, len(dofs)
         self.dofs, self.table = dofs, dofs.table(len(nodes))
-        self.reach = APART * float(np.ptp(nodes.xyz, axis=0).max(initial=0.0))
+        self.extent = float(np.ptp(nodes.xyz, axis=0).max(initial=0.0))
+        self.warnings: list[str] = []
         self.pairs = [(couple, *self._ends(couple)) for couple in couples]
 
     def _ends(self, couple: Couple) -> tuple[Ints, Ints]:
@@ -58,10 +59,15 @@ class Joints:
         if len(sides[0]) != len(sides[1]):
             raise InputError(f"{what} have {len(sides[0])} and {len(sides[1])} nodes; couple interfaces that match")
         distance, match = cKDTree(xyz[1]).query(xyz[0])
-        if distance.max() > self.reach or len(set(match.tolist())) < len(match):
+        if distance.max() > APART * self.extent or len(set(match.tolist())) < len(match):
             raise InputError(
-                f"{what} are {distance.max():.3g} m apart; expected at most {self.reach:.1g} m, by their position and "
-                "rotation"
+                f"{what} are {distance.max():.3g} m apart; expected at most {APART * self.extent:.1g} m, by their "
+                "position and rotation"
+            )
+        if distance.max() > TOGETHER * self.extent:
+            self.warnings.append(
+                f"{what} are {distance.max():.1e} m apart and coupled as one, which strains the assembly as it "
+                "turns; give positions and rotations with all their digits"
             )
         components = list(couple.components)
         if not components or not all(isinstance(c, int) and c in ALL for c in components):

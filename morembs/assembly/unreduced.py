@@ -86,6 +86,11 @@ class Unreduced(Closing):
             workers=given.workers,
         )  # fmt: skip
 
+    @property
+    def note(self) -> str:
+        """What certificates of ``problem`` are against."""
+        return f"against the unreduced parts {', '.join(part.placed.name for part in self._parts)}"
+
     def expanded(self, reduced: ReducedModel) -> ReducedModel:
         """``reduced`` of the assembled bodies with its coordinates expanded in the coupled dofs of ``problem``."""
         coupling, kept = self._given.coupling, self.problem.coupling.kept
@@ -118,7 +123,7 @@ class _Full:
         problem = part.problem
         if problem is None:
             raise InputError(f"part {part.name!r} has no problem")
-        V = problem.shared(("basis", id(part.bodies), body.body.name), lambda: _checked(part, body.body, problem))
+        V = problem.shared(("basis", part.bodies, body.body.name), lambda: _checked(part, body.body, problem))
         raw, coupling = problem.model.dofs, problem.coupling
         node, component = _labels(problem)
         Q = _turned(part.name, problem, body.turn, node, component)

@@ -105,9 +105,9 @@ class _Maker:
         else:
             rule = own.tables.model.mass_integration
             model = assemble(mesh_of(own), materials_of(own), mass_integration=rule, budget=budget)
-        return Problem(
-            model, interfaces_of(own, model), damping=damping_of(own), solver=solver_of(job), budget=budget
-        )  # fmt: skip
+        # That of the part: another one may turn modes of one frequency.
+        solver = solver_of(own).with_memory(solver_of(job).memory)
+        return Problem(model, interfaces_of(own, model), damping=damping_of(own), solver=solver, budget=budget)
 
     def basis(self, bodies: StoredBodies, table: SubstructureTable) -> Callable[[], Floats]:
         """What reduces the problem again, for bodies whose file does not keep all displacements."""

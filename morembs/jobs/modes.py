@@ -90,8 +90,9 @@ def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress = SILE
 
 
 def _real(problem: Problem, count: int) -> ModeTable:
-    modes = problem.elastic_modes(count=count)
-    omega, decay = 2 * np.pi * modes.frequencies_hz, _decays(problem, modes)
+    whole = problem.elastic_modes(count=count) if problem.D is None else _whole(problem, count)
+    modes, decay = whole.first(count), _decays(problem, whole)[:count]
+    omega = 2 * np.pi * modes.frequencies_hz
     # The roots of s^2 + 2 d s + w^2, of an overdamped mode that which decays least.
     s = np.sqrt(decay**2 - omega**2 + 0j) - decay
     hz, ratios, real = (s.imag / (2 * np.pi)).tolist(), (decay / omega).tolist(), s.real.tolist()
@@ -106,6 +107,18 @@ def _real(problem: Problem, count: int) -> ModeTable:
     if problem.D is not None:
         warnings.append("damping ratios are those of each real mode by itself; --complex has what D couples of them")
     return ModeTable(rows=rows, complete={0.0: complete}, warnings=tuple(warnings))
+
+
+def _whole(problem: Problem, count: int) -> Modes:
+    """The lowest ``count`` modes and as many more as share the frequency of the last, where there are so many."""
+    most = max(count, problem.K.shape[0] - problem.rigid.shape[1])
+    while count < most:
+        modes = problem.elastic_modes(count=count + 1)
+        last, beyond = modes.frequencies_hz[-2:]
+        if beyond - last > SAME * beyond:
+            return modes
+        count += 1
+    return problem.elastic_modes(count=count)
 
 
 def _decays(problem: Problem, modes: Modes) -> NDArray[np.float64]:

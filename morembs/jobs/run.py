@@ -285,6 +285,8 @@ def _reduce(
             options = {} if given is None else given.model_dump(exclude={"band_hz"})
             spanned = reduced if parts is None else [parts.expanded(body) for body in reduced]
             certificates = certify(against, spanned, band, progress=watch.progress, **options)
+            if parts is not None:
+                certificates = [replace(each, notes=(parts.note, *each.notes)) for each in certificates]
     check, notes = job.tables.check, tuple[str, ...]()
     with watch.stage("compare") if check.full_modes else nullcontext():
         notes = know_frequencies(against, check.full_modes, insist="full_modes" in check.model_fields_set)

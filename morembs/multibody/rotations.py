@@ -11,7 +11,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.arguments import checked
 from morembs.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -52,7 +51,6 @@ def exponential(p: Floats) -> Floats:
     return np.asarray(np.eye(3) + a * P + b * (P @ P))
 
 
-@checked
 def rotation(axis: tuple[float, float, float] | Floats, angle: float) -> Floats:
     """Rotation matrix (3, 3) of ``angle`` (rad) about ``axis`` (3,) of any length but zero.
 

@@ -3,7 +3,7 @@
 It begins with second-order Krylov blocks at zero, which are real and take one static solve each; where few dofs are
 damped, as by discrete dampers, the forces of the dampers count as loads: the response is then exact in the space of
 both (Woodbury). Direct solutions of the full equations follow, two at once, where the last ones changed the response
-most. They also tell the true error there: the space is good when two in a row find none. Small models take all
+most. They also tell the true error there: the space is good when two pairs in a row find none. Small models take all
 their modes.
 """
 
@@ -86,12 +86,13 @@ class DampedSpace:
                 for w, U in zip(wanted, crew.each(state, [1j * w for w in wanted]), strict=True):
                     true = loads.T @ U
                     errors.append(float(np.abs(true - _response(w, values, D, F)).max() / np.abs(true).max()))
-                    good = good + 1 if errors[-1] <= tolerance else 0
                     progress.update(
                         f"frequency response: order {len(values)}, error {errors[-1]:.1e} at {w / (2 * np.pi):.4g} Hz"
                     )
                     solved += [U.real, U.imag]
-                if good >= AT_ONCE or not self._grow(np.hstack(solved), max(errors), bool(good)):
+                # Both judge one space: the next one, which has them in it, has to be good as well.
+                good = good + 1 if max(errors) <= tolerance else 0
+                if good == 2 or not self._grow(np.hstack(solved), max(errors), min(errors) <= tolerance):
                     return self.V, values, Y, D, max(errors)
 
     def _grow(self, solved: Floats, error: float, good: bool) -> bool:

@@ -31,8 +31,10 @@ def read_table(
     where = f"{what} {path}"
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file, skipinitialspace=True) if row and not row[0].startswith("#")]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+            # Before they are split: a quotation mark in a comment would take the rows below it along.
+            lines = [line for line in file if not line.lstrip().startswith("#")]
+        rows = [row for row in csv.reader(lines, skipinitialspace=True, strict=True) if row]
+    except (OSError, ValueError, csv.Error) as error:
         raise InputError(f"{where} cannot be read ({error}); check the path") from error
     header = [name.strip() for name in rows.pop(0)] if rows else []
     known = header if optional is None else [*needed, *optional]

@@ -180,6 +180,12 @@ def test_real_modes_of_a_coupling_damper_say_what_they_leave_out(tmp_path):
     assert [row["ratio"] for row in rows] == pytest.approx([0.0, across[0], 0.0, across[1]], rel=1e-5, abs=1e-9)
     assert [row["damped_hz"] == 0 for row in rows] == [False, True, False, True]
     assert "--complex has what D couples of them" in result.stderr
+    # Where the count cuts a pair, the first of it is none of its mixtures.
+    for count in (1, 3):
+        cut = json.loads(run("modes", path, "--count", count, "--json"))[0]
+        ratios = [[row["ratio"] for row in some] for some in (cut["modes"], rows[:count])]
+        assert ratios[0] == pytest.approx(ratios[1], rel=1e-6, abs=1e-9)
+        assert float(cut["complete"]["0"].split()[2]) <= np.sqrt(values[count]) / (2 * np.pi) * (1 + 1e-5)
 
 
 @pytest.mark.parametrize(

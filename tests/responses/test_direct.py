@@ -4,15 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.certificate.certify import certify
 from morembs.certificate.response import full_response, reduced_response
 from morembs.errors import InputError, SingularMatrixError
+from morembs.interface import make_interface
+from morembs.model import DofMap, FEModel, Nodes
 from morembs.problem import Damping, Problem
 from morembs.reducers import AutoReducer, FreeInterface
 from morembs.responses.band import band_frequencies
 from morembs.responses.direct import direct_response, elastic_states
+from morembs.responses.reference import reference_model
 from tests.support.meshes import beam, ends, where
 
 OMEGA = 2 * np.pi * np.array([40.0, 500.0, 1090.0, 2500.0])
@@ -85,6 +89,40 @@ def test_bodies_of_a_model_with_dampers_are_certified_by_an_estimate():
             assert np.abs(certificate.error - reached).max() < 1e-6
             assert reached.max() <= certificate.limits["pointwise"].upper
         assert certificate.limit.upper <= 1e-3
+
+
+def membrane(n, seed):
+    """Masses (n^2) that move along z between springs of two decades, one side to the ground, and four dampers."""
+    rng, point = np.random.default_rng(seed), np.arange(n * n).reshape(n, n)
+    pairs = np.vstack([
+        np.stack([point[:-1].ravel(), point[1:].ravel()], 1), np.stack([point[:, :-1].ravel(), point[:, 1:].ravel()], 1)
+    ])  # fmt: skip
+    each = np.arange(len(pairs))
+    A = sp.csr_array((np.repeat([1.0, -1.0], len(pairs)), (np.tile(each, 2), pairs.T.ravel())))
+    K = A.T @ sp.diags_array(1e4 * 10 ** rng.uniform(-1, 1, len(pairs))) @ A
+    K = sp.csr_array(K + sp.diags_array(np.where(np.arange(n * n) < n, 1e4, 0.0)))
+    M = sp.csr_array(sp.diags_array(10 ** rng.uniform(-0.5, 0.5, n * n)))
+    D = np.zeros(K.shape)
+    for i, j in rng.integers(0, n * n, (4, 2)):
+        v = np.zeros(n * n)
+        v[i], v[j] = 1.0, -1.0
+        D += 10 ** rng.uniform(0, 4) * np.outer(v, v)
+    nodes = Nodes(ids=np.arange(1, n * n + 1), xyz=np.outer(np.arange(float(n * n)), [0.0, 0.0, 1.0]))
+    dofs = DofMap(node=np.arange(n * n), component=np.full(n * n, 2))
+    return FEModel(K=K, M=M, D=sp.csr_array(D), nodes=nodes, dofs=dofs)
+
+
+@pytest.mark.parametrize(("seed", "at"), [(1, (30, 400)), (5, (150, 151)), (13, (30, 400))])
+def test_references_are_known_where_nothing_was_solved(seed, at):
+    model = membrane(22, seed)
+    faces = [make_interface(model, name=f"f{i}", nodes=[i], coupling="direct", components=[2]) for i in at]
+    with Problem(model, faces) as problem:
+        (last,) = sl.eigh(model.K.toarray(), model.M.toarray(), subset_by_index=[60, 60], eigvals_only=True)
+        omega = np.linspace(0.0, np.sqrt(last), 100)
+        reference = reference_model(problem, omega, tolerance=1e-6)
+        H, true = reference.response(omega[1::3]), dense_response(problem, omega[1::3], model.D.toarray())
+        error = np.abs(H - true).max(axis=(1, 2)) / np.abs(true).max(axis=(1, 2))
+    assert reference.error <= 1e-6 and error.max() <= 1e-6
 
 
 def test_an_undamped_resonance_is_named():

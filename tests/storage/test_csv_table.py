@@ -21,6 +21,7 @@ def test_columns_come_in_the_order_that_was_asked_for(read):
     found = read(text, ("a", "b"), ("c", "d"), encoding="utf-8-sig")
     assert list(found.items()) == [("a", [2, 5]), ("b", [1, 4]), ("c", [3, 6])]
     assert read("y,x\n1,2\n", optional=None) == {"y": [1], "x": [2]}
+    assert read('a,b\n1,2\n# a tube of 2", say\n3,4\n\t# once "more\n5,6\n', ("a", "b"))["a"] == [1, 3, 5]
 
 
 @pytest.mark.parametrize(
