@@ -73,14 +73,16 @@ class Children(Closing):
         apart: dict[str, Any] = {"start_new_session": True}
         if sys.platform == "win32":
             apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
-        process = subprocess.Popen(
-            [*self._program, *task.arguments, "--json", "--attached"], text=True, encoding="utf-8",
-            errors="replace", stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            env={**os.environ, **dict.fromkeys(_THREADS, str(task.threads))}, **apart,
-        )  # fmt: skip
-        child = _Child(task, process, time.monotonic())
-        self._children.append(child)
-        Thread(target=self._listen, args=(child,), daemon=True).start()
+        # A signal that came between would leave a process that nobody ends.
+        with stopping.whole_step():
+            process = subprocess.Popen(
+                [*self._program, *task.arguments, "--json", "--attached"], text=True, encoding="utf-8",
+                errors="replace", stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                env={**os.environ, **dict.fromkeys(_THREADS, str(task.threads))}, **apart,
+            )  # fmt: skip
+            child = _Child(task, process, time.monotonic())
+            self._children.append(child)
+            Thread(target=self._listen, args=(child,), daemon=True).start()
 
     def next(self) -> Heard | Finished | None:
         """What is heard next of any of them; None where nobody says anything for a while."""

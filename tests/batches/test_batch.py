@@ -7,6 +7,7 @@ import itertools
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from morembs import stopping
 from morembs.batches.children import Children
 from morembs.batches.manifest import Ended, Manifest
 from morembs.batches.plan import parts_of, unchanged
@@ -348,6 +350,25 @@ def test_children_end_with_their_batch(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", text], cwd=root, env={**os.environ, "PYTHONPATH": str(root)})
     while not (tmp_path / "left").exists():
         time.sleep(0.01)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a process of Windows cannot send itself such a signal")
+def test_a_child_that_starts_as_a_signal_comes_ends_with_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[subprocess.Popen[str]] = []
+
+    class Interrupted(subprocess.Popen):
+        def __init__(self, *words: object, **options: object) -> None:
+            super().__init__(*words, **options)
+            begun.append(self)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr(subprocess, "Popen", Interrupted)
+    with stopping.heeded(), pytest.raises(SystemExit), children() as running:
+        running.start(task("wait", tmp_path / "never"))
+    (process,) = begun
+    assert process.returncode is not None and not (tmp_path / "never").exists()
 
 
 def test_a_command_leaves_with_its_input(tmp_path: Path) -> None:
