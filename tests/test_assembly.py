@@ -15,7 +15,7 @@ from morembs.assembly import Couple, Substructure, assemble_bodies
 from morembs.body.file import StoredBodies, read_body, write_body
 from morembs.cli.commands import app
 from morembs.errors import InputError
-from morembs.model import FEModel
+from morembs.model import FEModel, rigid_motion
 from tests.support.meshes import box, steel, where
 
 LENGTH, SECTION = 0.3, (0.05, 0.04)
@@ -192,10 +192,7 @@ def test_parts_that_do_not_fit_are_refused(make_piece: Make, piece: StoredBodies
     joint = Couple(between=("a:R", "b:L"))
     with pytest.raises(InputError, match=r"a:R and b:L are 1e-05 m apart"):
         assemble_bodies([a, b], [joint])
-    rounded = assemble_bodies([a, replace(b, position=(LENGTH, 0, 1e-9))], [joint])
-    assert any("a:R and b:L are 1.0e-09 m apart and coupled as one" in warning for warning in rounded.warnings)
     near = replace(b, position=(LENGTH, 0, 0))
-    assert not any("apart" in warning for warning in assemble_bodies([a, near], [joint]).warnings)
     with pytest.raises(InputError, match="coupled already"):
         assemble_bodies([a, near], [joint, Couple(between=("b:L", "a:R"))])
     with pytest.raises(InputError, match="a name of its own"):
@@ -235,6 +232,67 @@ def test_a_part_with_one_interface_hangs_at_another(make_piece: Make, piece: Sto
         assert lowest(joined, count=8, cut="a:R")[0] == pytest.approx(
             lowest(joined, count=8, cut="b:L")[0], rel=1e-12
         )
+
+
+@pytest.mark.parametrize(
+    "joint",
+    [
+        [{}], [{"stiffness": (1e9,) * 3 + (1e5,) * 3}],
+        [{"components": (0, 1, 2)}, {"components": (3, 4, 5), "stiffness": (1e5,) * 6}],
+    ],
+)  # fmt: skip
+def test_places_of_few_digits_strain_nothing_as_the_assembly_turns(piece: StoredBodies, joint: list[dict]) -> None:
+    """Frames up to 1e-7 m apart: a chain whose middle part follows by way of another, and the same in its place."""
+    rng = np.random.default_rng(11)
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    places = [turn @ [LENGTH * k, 0, 0] for k in range(3)]
+    pairs = ("p0:R", "p1:L"), ("p2:L", "p1:R")
+    couples = [Couple(between=pair, **options) for pair in pairs for options in joint]
+
+    def model(digits: int) -> FEModel:
+        return assemble_bodies([
+            Substructure(name=f"p{k}", bodies=piece, position=np.round(place, digits), rotation=turn)
+            for k, place in enumerate(places)
+        ], couples)  # fmt: skip
+
+    exact, rounded = model(16), model(7)
+    assert np.linalg.norm(rounded.nodes.xyz - exact.nodes.xyz, axis=1).max() > 3e-8
+    assert not any("apart" in warning for warning in rounded.warnings)
+    (expected, _), (found, problem) = lowest(exact), lowest(rounded)
+    assert problem.rigid.shape[1] == 6
+    assert found == pytest.approx(expected, rel=1e-5, abs=1e-5 * expected[-1])
+
+
+def test_places_of_few_digits_of_parts_that_follow_another_together(piece: StoredBodies) -> None:
+    """Three parts at one frame, in both orders: the offsets along the chain add up."""
+    turns = [np.eye(3), np.eye(3), np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])]
+    right, left = (piece.interfaces[name].point for name in "RL")
+    places = [np.zeros(3), right - left + [0, 4e-8, -3e-8], right - turns[2] @ left + [0, -2e-8, 1e-8]]
+    parts = [
+        Substructure(name=f"p{k}", bodies=piece, position=place, rotation=turn)
+        for k, (place, turn) in enumerate(zip(places, turns, strict=True))
+    ]
+    for pairs in ((("p0:R", "p1:L"), ("p1:L", "p2:L")), (("p2:L", "p1:L"), ("p2:L", "p0:R"))):
+        model = assemble_bodies(parts, [Couple(between=pair) for pair in pairs])
+        S, R = model.dependent.S, rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
+        assert np.abs(S @ R - R).max() < 1e-15 and lowest(model)[1].rigid.shape[1] == 6
+
+
+def test_nodes_without_rotations_that_are_apart_are_told(make_piece: Make) -> None:
+    model = bar(1)
+    faces = [
+        morembs.make_interface(model, name=name, nodes=where(model, 0, x)[:4], coupling="direct")
+        for name, x in (("L", 0.0), ("R", LENGTH))
+    ]
+    with morembs.Problem(model, faces) as problem:
+        body = morembs.elastic_body(problem, morembs.CraigBampton(modes=4).reduce(problem), morembs.make_part(problem))
+        stored = read_body(write_body(make_piece("x").parent / "direct.h5", [body]))
+    a, b = (Substructure(name=name, bodies=stored, position=(x, 0, 0)) for name, x in (("a", 0.0), ("b", LENGTH)))
+    joint = Couple(between=("a:R", "b:L"))
+    assert not any("apart" in warning for warning in assemble_bodies([a, b], [joint]).warnings)
+    away = assemble_bodies([a, replace(b, position=(LENGTH, 0, 1e-9))], [joint])
+    assert any("a:R and b:L are 1.0e-09 m apart and coupled as one" in warning for warning in away.warnings)
 
 
 def test_couplings_that_say_nothing_or_too_much_are_refused(piece: StoredBodies) -> None:

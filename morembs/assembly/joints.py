@@ -1,4 +1,8 @@
-"""Couplings between the interfaces of placed parts: equations between degrees of freedom, and springs."""
+"""Couplings between the interfaces of placed parts: equations between degrees of freedom, and springs.
+
+Two frames that positions of few digits leave apart by d = x_a - x_b are joined at the first one, u_b + theta_b x d = u_a,
+so that the assembly turns without strain.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +15,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from morembs.errors import InputError, nearest
-from morembs.model import DofMap, Nodes
+from morembs.model import DofMap, Nodes, rigid_motion
 from morembs.model.constraints import Equations
 
+Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 # Distance of two interfaces that are coupled, and that which is round-off, as parts of the size of the assembly.
 APART, TOGETHER = 1e-6, 1e-13
@@ -64,10 +69,10 @@ class Joints:
                 f"{what} are {distance.max():.3g} m apart; expected at most {APART * self.extent:.1g} m, by their "
                 "position and rotation"
             )
-        if distance.max() > TOGETHER * self.extent:
+        if distance.max() > TOGETHER * self.extent and (self.table[sides[1], 3:6] < 0).any():
             self.warnings.append(
-                f"{what} are {distance.max():.1e} m apart and coupled as one, which strains the assembly as it "
-                "turns; give positions and rotations with all their digits"
+                f"{what} are {distance.max():.1e} m apart and coupled as one, without rotations that would tell the "
+                "difference, which strains the assembly as it turns; give positions and rotations with all their digits"
             )
         components = list(couple.components)
         if not components or not all(isinstance(c, int) and c in ALL for c in components):
@@ -100,32 +105,49 @@ class Joints:
                         leaders[last(b)] = last(a)
         return np.array([last(row) for row in rows.tolist()], dtype=np.int64)
 
-    def equations(self) -> list[Equations]:
-        """One for each rigid coupling: a dof of one side is that of the other."""
-        follows: dict[int, int] = {}
+    def _turning(self, first: Ints, second: Ints) -> tuple[Ints, Floats]:
+        """Dofs (k, 3) and coefficients (k, 3): how rotations of the nodes of ``second`` (k,) move these dofs where the
+        nodes of ``first`` (k,) are, in m. Stiff springs feel the last digit of a place."""
+        xyz, node = self.nodes.xyz, self.dofs.node[second]
+        apart = xyz[self.dofs.node[first]] - xyz[node]
+        rotations, component = self.table[node, 3:6], self.dofs.component[second]
+        moved = rigid_motion(apart, component)[:, 3:]
+        moved[(component > 2) | (rotations < 0).any(axis=1)] = 0.0
+        return rotations, moved
 
-        def leader(dof: int) -> int:
+    def equations(self) -> list[Equations]:
+        """One for each rigid coupling: a dof of one side is that of the other, moved there by rotations."""
+        follows: dict[int, tuple[int, dict[int, float]]] = {}
+
+        def leader(dof: int) -> tuple[int, dict[int, float]]:
+            """What ``dof`` follows in the end, and the coefficients of rotations beside that."""
+            beside: dict[int, float] = {}
             while dof in follows:
-                dof = follows[dof]
-            return dof
+                dof, more = follows[dof]
+                beside = _plus(beside, more)
+            return dof, beside
 
         equations = []
         for couple, first, second in self.pairs:
             if couple.stiffness is not None:
                 continue
-            begin = len(follows)
-            for a, b in zip(first.tolist(), second.tolist(), strict=True):
-                a, b = leader(a), leader(b)
-                if a == b:
+            led: dict[int, dict[int, float]] = {}
+            for a, b, turns, by in zip(first.tolist(), second.tolist(), *self._turning(first, second), strict=True):
+                (one, of_one), (other, of_other) = leader(a), leader(b)
+                if one == other:
                     raise InputError(f"{' and '.join(couple.between)} are coupled already, perhaps by way of others")
-                follows[b] = a
-            led = list(follows.items())[begin:]
-            own, other = np.array(led, dtype=np.int64).T
+                own = {dof: value for dof, value in zip(turns.tolist(), by.tolist(), strict=True) if value}
+                beside = _plus(of_one, _plus(own, of_other), -1.0)
+                follows[other] = one, beside
+                led[other] = {one: 1.0} | beside
+            dofs = np.array(list(led), dtype=np.int64)
+            terms = np.array([term for row in led.values() for term in row], dtype=np.int64)
             equations.append(
                 Equations(
-                    name=" - ".join(couple.between), nodes=self.dofs.node[own], components=self.dofs.component[own],
-                    offsets=np.arange(len(own) + 1), term_nodes=self.dofs.node[other],
-                    term_components=self.dofs.component[other], coefficients=np.ones(len(own)),
+                    name=" - ".join(couple.between), nodes=self.dofs.node[dofs], components=self.dofs.component[dofs],
+                    offsets=np.cumsum([0, *(len(row) for row in led.values())]), term_nodes=self.dofs.node[terms],
+                    term_components=self.dofs.component[terms],
+                    coefficients=np.array([value for row in led.values() for value in row.values()]),
                 )
             )  # fmt: skip
         return equations
@@ -143,7 +165,15 @@ class Joints:
                     "or more, and damping beside stiffness"
                 )
             k = np.asarray(values, dtype=float)[self.dofs.component[first]]
-            rows, columns = [first, second, first, second], [first, second, second, first]
-            entries = np.concatenate([k, k, -k, -k]), (np.concatenate(rows), np.concatenate(columns))
-            total = total + sp.csr_array(entries, shape=total.shape)
-        return total
+            turns, by = self._turning(first, second)
+            ones, rows = np.ones((len(first), 1)), np.repeat(np.arange(len(first)), 5)
+            data, columns = np.hstack([ones, -ones, -by]), np.column_stack([first, second, turns])
+            G = sp.csr_array((data.ravel(), (rows, columns.ravel() % self.size)), shape=(len(first), self.size))
+            G.eliminate_zeros()
+            total = total + G.T @ sp.diags_array(k) @ G
+        return sp.csr_array(total)
+
+
+def _plus(one: dict[int, float], other: dict[int, float], factor: float = 1.0) -> dict[int, float]:
+    """The sum of ``one`` and ``factor`` times ``other``, coefficients of dofs."""
+    return {dof: one.get(dof, 0.0) + factor * other.get(dof, 0.0) for dof in {**one, **other}}

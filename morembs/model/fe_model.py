@@ -220,8 +220,9 @@ class FEModel:
     ``rigid`` and ``average`` elements and ``equations`` make dofs ``dependent`` on others, or hold them; the matrices
     cover these too, until the model is coupled to its interfaces. Masters and references are nodes with dofs of their
     own. ``inputs`` are columns of B and ``outputs`` rows of C of M u'' + D u' + K u = B q, y = C u, as columns (N, .),
-    which interfaces can take. ``notes`` say what the import found, ``warnings`` in what the model differs from its
-    source; they go with it into every body.
+    which interfaces can take. ``strained`` is what round-off of whatever made K leaves of the terms of its rows in rigid
+    motions, beyond that of its entries. ``notes`` say what the import found, ``warnings`` in what the model differs from
+    its source; they go with it into every body.
 
     Raises:
         InputError: matrices of another shape or of something else than numbers, G that is not skew-symmetric, or
@@ -253,6 +254,7 @@ class FEModel:
     dependent: DependentDofs | None = None
     inputs: NamedColumns | None = None
     outputs: NamedColumns | None = None
+    strained: float = 0.0
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 

@@ -292,7 +292,7 @@ class Problem(Closing):
         Phi = R if good.all() else (R / scale) @ U[:, good]
         Phi = Phi / np.linalg.norm(Phi * np.where(moves, 1.0, radius or 1.0)[:, None], axis=0)
         # One matrix at a time has its pages in memory.
-        size, last = self._magnitudes(self.model.K, Phi), written(self.model.K.data)
+        size, last = self._magnitudes(self.model.K, Phi), max(written(self.model.K.data), self.model.strained)
         self.budget.release_pages()
         free, held = strain_free(self.K, Phi, size, self._nodes_of_rows(), last)
         self.budget.release_pages()

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError, SolverError
 from morembs.linalg.columns import dot, subtract
+from morembs.linalg.congruence import scaled_row_sums
 from morembs.linalg.eigen import GAP
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
@@ -250,10 +251,14 @@ class _Build:
         model = reference_model(
             problem, omega, tolerance=DAMPED, inertia_loads=self.inertia, progress=self.progress
         )  # fmt: skip
-        below = model.values < self.cut
+        below, modes = model.values < self.cut, self.modes
+        # Round-off in D moves the poles as that in K does.
+        damped = np.einsum("i,ij,ij->j", scaled_row_sums(problem.D), modes.vectors, modes.vectors)
+        lost = problem.uncertainty(modes) + EPS * np.sqrt(modes.eigenvalues) * damped
+        lost = np.concatenate([lost, np.zeros(len(below))])[: len(below)]
         return CertifiedReference(
             model=replace(model, damping=self.damping), band_hz=self.band_hz, floor=self.floor,
-            unsure=np.concatenate([problem.uncertainty(self.modes), model.values[below.sum() :] * EPS])[: len(below)],
+            unsure=np.maximum(lost, 4 * EPS * (model.values + self.band[1] ** 2)),
             b_off=np.zeros((len(model.values), problem.B.shape[1])),
             vectors=self.modes.vectors, sigma=np.zeros(len(self.modes.eigenvalues)), cut=self.cut,
             edges=np.array(self.band), off=np.array([max(model.error, DAMPED)]), proven=False,

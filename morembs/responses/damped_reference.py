@@ -9,7 +9,8 @@ their modes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 import scipy.linalg as sl
@@ -17,7 +18,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.errors import SolverError
-from morembs.linalg.columns import complement, dot, hstack, orthonormal, projected
+from morembs.linalg.columns import complement, dot, hstack, multiply, orthonormal, projected, symmetric
+from morembs.linalg.eigen import graded_modes
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
 from morembs.problem import Problem
 from morembs.progress import Progress
@@ -68,7 +70,7 @@ class DampedSpace:
             SolverError: it is not with ``MAX_ORDER`` columns.
         """
         if len(self.F) <= DENSE:
-            return (self.V, *self._small(), 0.0)
+            return (self.V, *self._sharpened(), 0.0)
         grid = omega[omega > 0][:: max(1, len(omega) // LOOKED_AT)]
         loads, good, visited = self.F * self.scale, 0, list[float]()
         wanted = list(dict.fromkeys([float(omega.max()), float(grid[len(grid) // 2])]))
@@ -93,7 +95,7 @@ class DampedSpace:
                 # Both judge one space: the next one, which has them in it, has to be good as well.
                 good = good + 1 if max(errors) <= tolerance else 0
                 if good == 2 or not self._grow(np.hstack(solved), max(errors), min(errors) <= tolerance):
-                    return self.V, values, Y, D, max(errors)
+                    return (self.V, *self._sharpened(), max(errors))
 
     def _grow(self, solved: Floats, error: float, good: bool) -> bool:
         """Take the columns ``solved`` into the space; False where there are no more and it is ``good`` as it is.
@@ -114,12 +116,28 @@ class DampedSpace:
             "frequency, or raise the tolerance"
         )
 
-    def _small(self) -> tuple[Floats, Floats, Floats]:
+    def _small(
+        self, modes: Callable[[Floats, Floats], tuple[Floats, Floats]] = sl.eigh
+    ) -> tuple[Floats, Floats, Floats]:
         """Eigenvalues, vectors and damping of the pencil on V."""
         K, M, D = (projected(self.V, A, self.problem.budget) for A in (self.problem.K, self.problem.M, self.D))
-        values, Y = sl.eigh(K, M)
-        D = Y.T @ D @ Y
-        return values, Y, 0.5 * (D + D.T)
+        values, Y = modes(K, M)
+        return values, Y, symmetric(Y.T @ D @ Y)
+
+    def _sharpened(self) -> tuple[Floats, Floats, Floats]:
+        """``_small`` with every eigenvalue known to the round-off of its own energy, not to that of the highest."""
+        problem, budget = self.problem, self.problem.budget
+
+        def stiffness(Y: Floats) -> Floats:
+            return projected(multiply(self.V, Y, budget), problem.K, budget)
+
+        values, Y, D = self._small(partial(graded_modes, projected=stiffness))
+        width = budget.columns(len(self.V))
+        for at in range(0, len(values), width):
+            some = slice(at, at + width)
+            X = multiply(self.V, Y[:, some], budget)
+            values[some] = np.einsum("ij,ij->j", X, problem.K @ X) / np.einsum("ij,ij->j", X, problem.M @ X)
+        return values, Y, D
 
 
 def _most_changed(grid: Floats, change: Floats, visited: Sequence[float]) -> list[float]:

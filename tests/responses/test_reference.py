@@ -1,9 +1,11 @@
 """References that cannot become good enough, samples on resonances, and models with hundreds of inputs."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.linalg as sl
 import scipy.sparse as sp
 
 from benchmarks import certificates as campaign
@@ -98,3 +100,42 @@ def test_a_search_that_ends_at_few_cells_gives_limits_all_the_same():
     for name, limit in short.limits.items():
         # Both hold, so neither lower limit is above the other upper one.
         assert limit.lower <= sharp.limits[name].upper <= limit.upper * 1.05 and sharp.limits[name].lower <= limit.upper
+
+
+@pytest.mark.parametrize("seed", [11, 12, 16, 23, 29, 30])
+def test_what_is_unsure_of_a_damped_model_with_stiff_links(seed):
+    """Against solutions refined with more digits: round-off of links a billion times stiffer moves soft resonances."""
+    rng = np.random.default_rng(seed)
+    model = campaign.truss(rng, int(rng.integers(14, 40)), held=True, twins=False)
+    xyz, size = model.nodes.xyz, model.size
+
+    def links(k, far):
+        total = np.zeros((size, size))
+        for first in rng.integers(1, len(xyz) - far, 2):
+            v, along = np.zeros((len(xyz), 3)), xyz[first + far] - xyz[first]
+            v[first], v[first + far] = -along, along
+            total += k * np.outer(v, v) / (along @ along)
+        return sp.csr_array(0.5 * (total + total.T))
+
+    K, D = model.K + links(10 ** rng.uniform(3, 13), 1), links(10 ** rng.uniform(-3, 2), 2)
+    model = replace(model, K=K, D=D)
+    nodes = rng.choice(len(xyz), 2, replace=False)
+    faces = [make_interface(model, name=str(n), nodes=np.array([n]), coupling="direct") for n in nodes]
+    with Problem(model, faces) as problem:
+        hz = problem.elastic_modes(count=8).frequencies_hz
+        reference = certified_reference(problem, [0.0, float(hz[-1])])
+        omega = 2 * np.pi * np.concatenate([hz, np.linspace(0.01 * hz[0], hz[-1], 40)])
+        K, M, D = (A.toarray().astype(np.longdouble) for A in (problem.K, problem.M, problem.D))
+        B = problem.B.toarray() * problem.motion_scale
+        true = np.array([B.T @ refined(K - w * w * M + 1j * w * D, B) for w in omega.astype(np.longdouble)])
+        off = np.linalg.norm(reference.H(omega) - true.astype(complex), axis=(1, 2))
+        assert (off <= reference.uncertainty(omega)).all() and not reference.proven
+
+
+def refined(A, B):
+    """A^-1 B by iterative refinement in the precision of ``A``."""
+    factor = sl.lu_factor(A.astype(complex))
+    X = np.zeros(B.shape, dtype=A.dtype)
+    for _ in range(8):
+        X = X + sl.lu_solve(factor, (B - A @ X).astype(complex))
+    return X
