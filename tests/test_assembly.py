@@ -237,16 +237,16 @@ def test_a_part_with_one_interface_hangs_at_another(make_piece: Make, piece: Sto
 @pytest.mark.parametrize(
     "joint",
     [
-        [{}], [{"stiffness": (1e9,) * 3 + (1e5,) * 3}],
+        [{}], [{"stiffness": (1e9,) * 3 + (1e5,) * 3}], [{"stiffness": (5e11,) * 3 + (5e9,) * 3}],
         [{"components": (0, 1, 2)}, {"components": (3, 4, 5), "stiffness": (1e5,) * 6}],
     ],
 )  # fmt: skip
 def test_places_of_few_digits_strain_nothing_as_the_assembly_turns(piece: StoredBodies, joint: list[dict]) -> None:
-    """Frames up to 1e-7 m apart: a chain whose middle part follows by way of another, and the same in its place."""
+    """Frames up to 1e-7 m apart, far from the origin: a chain whose middle part follows by way of another."""
     rng = np.random.default_rng(11)
     turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     turn *= np.linalg.det(turn)
-    places = [turn @ [LENGTH * k, 0, 0] for k in range(3)]
+    places = [turn @ [LENGTH * k, 0, 0] + [9.0, -20.0, 4.0] for k in range(3)]
     pairs = ("p0:R", "p1:L"), ("p2:L", "p1:R")
     couples = [Couple(between=pair, **options) for pair in pairs for options in joint]
 

@@ -15,7 +15,7 @@ from morembs.assembly.parts import Placed, PlacedBody, Substructure
 from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.linalg.congruence import cancelling
-from morembs.linalg.rigid import CLEAR
+from morembs.linalg.rigid import CLEAR, EPS
 from morembs.model import DofMap, FEModel, Nodes, rigid_motion
 from morembs.model.constraints import DependentDofs
 from morembs.model.fe_model import SCALAR
@@ -98,22 +98,24 @@ def joined(placed: Sequence[Placed], couples: Sequence[Couple], name: str) -> FE
     # Interfaces that follow others altogether are these.
     nodes = replace(nodes, sets={key: joints.leading(rows) for key, rows in sets.items()})
     K, M, D = (sp.block_diag([part.matrices[key] for part in placed], "csr") for key in ("K", "M", "D"))
-    strained = _strained(K, nodes.xyz[dofs.node], dofs.component)
     K, D = K + joints.springs("stiffness"), D + joints.springs("damping")
     model = FEModel(
         K=K, M=M, D=D if D.nnz else None, nodes=nodes, dofs=dofs, source=name, equations=tuple(joints.equations()),
-        strained=strained, warnings=tuple(joints.warnings),
+        strained=_strained(K, nodes.xyz[dofs.node], dofs.component), warnings=tuple(joints.warnings),
     )  # fmt: skip
     return replace(model, dependent=_dependent(model, placed))
 
 
 def _strained(K: sp.csr_array, xyz: NDArray[np.float64], component: NDArray[np.int64]) -> float:
-    """What rigid motions leave of the terms that cancel in the rows of ``K``: the parts are free, so it is round-off of
-    their reduction and their turns."""
+    """What rigid motions leave of the terms that cancel in the rows of ``K``: parts are free and nothing holds them, so
+    it is round-off of their reductions, turns and places."""
     R = rigid_motion(xyz - xyz.mean(axis=0), component)
     size = cancelling(K, np.abs(R), component == SCALAR).max(axis=1)
     force = np.abs(K @ R).max(axis=1)
-    return CLEAR * float(np.divide(force, size, out=np.zeros_like(force), where=size > 0).max(initial=0.0))
+    left = float(np.divide(force, size, out=np.zeros_like(force), where=size > 0).max(initial=0.0))
+    # Stiff springs feel the last digit of a place, which is larger far from the origin.
+    extent = float(np.ptp(xyz, axis=0).max(initial=0.0))
+    return CLEAR * (left + (EPS * float(np.abs(xyz).max()) / extent if extent else 0.0))
 
 
 def _dependent(model: FEModel, placed: Sequence[Placed]) -> DependentDofs | None:

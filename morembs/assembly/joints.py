@@ -1,7 +1,7 @@
 """Couplings between the interfaces of placed parts: equations between degrees of freedom, and springs.
 
-Two frames that positions of few digits leave apart by d = x_a - x_b are joined at the first one, u_b + theta_b x d = u_a,
-so that the assembly turns without strain.
+Two frames that positions of few digits leave apart by d = x_a - x_b are joined at the first one, u_b + theta_b x d =
+u_a, so that the assembly turns without strain.
 """
 
 from __future__ import annotations

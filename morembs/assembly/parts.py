@@ -9,9 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from morembs.body.stored import StoredBodies, StoredBody
+from morembs.body.stored import StoredBodies, StoredBody, choose_body
 from morembs.errors import InputError
-from morembs.exporters.base import choose_body
 from morembs.exporters.ports import ports_of_file
 from morembs.exporters.reduced import to_interfaces
 from morembs.linalg.columns import symmetric

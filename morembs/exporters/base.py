@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body.stored import StoredBodies, StoredBody
-from morembs.body.stored import choose_body as choose_body
 from morembs.errors import InputError
 from morembs.model.fe_model import SCALAR
 from morembs.problem.damping import frequency_domain_only

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from morembs.assembly import AssembledModel, Couple, Substructure, assemble_bodies
 from morembs.body.file import StoredBodies, read_body
+from morembs.body.stored import choose_body
 from morembs.budget import Budget
 from morembs.errors import InputError
-from morembs.exporters.base import choose_body
 from morembs.importers.model_file import read_model
 from morembs.jobs.equations import equations_of_motion
 from morembs.jobs.inputs import (

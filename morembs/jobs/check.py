@@ -9,6 +9,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.interface import Interface, couple
 from morembs.jobs.equations import equations_of_motion
@@ -82,7 +83,6 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     warnings = model_warnings(job, model)
     interfaces = interfaces_of(job, model)
     coupling = couple(model, interfaces)
-    coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]
     facts = Facts(model=model, interfaces=interfaces, coupling=coupling, damping=damping_of(job))
     warnings += preflight(job, facts, 6)
     progress.stage("check connections")
@@ -93,17 +93,12 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
             "touch in a node or an edge only; merge coincident nodes, or reduce the parts one by one"
         )
     progress.stage("analyse")
-    columns = inputs + max(reducer.mode_count for reducer in job.reducers.values())
-    columns = max(columns, job.tables.check.full_modes)
     with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget:
-        cost = forecast_cost(
-            stiffness_pattern(graph, budget), abs(coupling.T), columns, solver, budget, start, wants_modes(job),
-            list(shifted_of(job, facts).values()), job.tables.solver.workers,
-        )
+        cost = _cost(job, facts, stiffness_pattern(graph, budget), abs(coupling.T), solver, budget, start)
         told, seconds = cost.told(), _reduction_seconds(job, facts, cost)
     x, y, z = np.ptp(mesh.nodes.xyz, axis=0).tolist()
     return JobForecast(
-        **told, nodes=len(mesh.nodes), elements=count_elements(mesh), dofs=size, coupled_dofs=coupled,
+        **told, nodes=len(mesh.nodes), elements=count_elements(mesh), dofs=size, coupled_dofs=coupling.T.shape[1],
         rigid_modes=rigid, stiffness_nonzeros=9 * graph.nnz, mass_nonzeros=3 * graph.nnz,
         matrices_bytes=12 * 12 * graph.nnz, extent=(x, y, z),
         interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
@@ -122,24 +117,29 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
         interfaces = interfaces_of(job, model)
         with Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget) as problem:
             facts, coupling, rigid = Facts.of(problem), problem.coupling, problem.rigid.shape[1]
-        coupled, inputs = coupling.T.shape[1], coupling.B.shape[1]
         warnings += preflight(job, facts, rigid)
         progress.stage("analyse")
-        columns = inputs + max(reducer.mode_count for reducer in job.reducers.values())
-        columns = max(columns, job.tables.check.full_modes)
-        cost = forecast_cost(
-            model.K, coupling.T, columns, solver, budget, start, wants_modes(job),
-            list(shifted_of(job, facts).values()), job.tables.solver.workers,
-        )  # fmt: skip
+        cost = _cost(job, facts, model.K, coupling.T, solver, budget, start)
         told, seconds = cost.told(), _reduction_seconds(job, facts, cost)
     matrices = [A for name in MATRICES if (A := getattr(model, name)) is not None]
     x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()
     return JobForecast(
-        **told, nodes=len(model.nodes), elements=count_elements(model.mesh), dofs=model.size, coupled_dofs=coupled,
-        rigid_modes=rigid, stiffness_nonzeros=model.K.nnz, mass_nonzeros=model.M.nnz,
+        **told, nodes=len(model.nodes), elements=count_elements(model.mesh), dofs=model.size,
+        coupled_dofs=coupling.T.shape[1], rigid_modes=rigid, stiffness_nonzeros=model.K.nnz, mass_nonzeros=model.M.nnz,
         matrices_bytes=sum(A.data.nbytes + A.indices.nbytes for A in matrices),
         extent=(x, y, z), interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
         reduction_seconds=seconds, warnings=(*warnings, *_warnings(cost, solver.scratch)),
+    )  # fmt: skip
+
+
+def _cost(
+    job: Job, facts: Facts, K: sp.csr_array, T: sp.csr_array, solver: LinearSolver, budget: Budget, start: int
+) -> Cost:
+    """Cost of the factors of ``job``, for the stiffness of its model, or its pattern, and the coupling."""
+    columns = facts.coupling.B.shape[1] + max(reducer.mode_count for reducer in job.reducers.values())
+    return forecast_cost(
+        K, T, max(columns, job.tables.check.full_modes), solver, budget, start, wants_modes(job),
+        list(shifted_of(job, facts).values()), job.tables.solver.workers,
     )  # fmt: skip
 
 

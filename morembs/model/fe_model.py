@@ -220,9 +220,9 @@ class FEModel:
     ``rigid`` and ``average`` elements and ``equations`` make dofs ``dependent`` on others, or hold them; the matrices
     cover these too, until the model is coupled to its interfaces. Masters and references are nodes with dofs of their
     own. ``inputs`` are columns of B and ``outputs`` rows of C of M u'' + D u' + K u = B q, y = C u, as columns (N, .),
-    which interfaces can take. ``strained`` is what round-off of whatever made K leaves of the terms of its rows in rigid
-    motions, beyond that of its entries. ``notes`` say what the import found, ``warnings`` in what the model differs from
-    its source; they go with it into every body.
+    which interfaces can take. ``strained`` is the part of the terms of a row of K that round-off of what made K leaves
+    in rigid motions, beyond that of the entries. ``notes`` say what the import found, ``warnings`` in what the model
+    differs from its source; they go with it into every body.
 
     Raises:
         InputError: matrices of another shape or of something else than numbers, G that is not skew-symmetric, or
