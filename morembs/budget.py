@@ -34,6 +34,8 @@ _BLOCK_SHARE = 0.25
 # The same where every block costs as much as a pass over a file, so that blocks are to be wide.
 _WIDE_SHARE = 0.6
 _WIDEST = 256
+# Part of the whole budget that columns of an array in a file may take which a product reads at once, and most of them.
+_READ_SHARE, _MOST_READ = 0.03, 64
 # Less than this part of the budget left is tight.
 _TIGHT = 0.3
 
@@ -97,6 +99,10 @@ class Budget(Closing):
             return widest
         width = int((_WIDE_SHARE if wide else _BLOCK_SHARE) * max(left, 0) / (8 * n * copies))
         return max(4, min(widest, width if wide else 1 << max(width, 1).bit_length() - 1))
+
+    def read_at_once(self, n: int) -> int:
+        """How many columns of length ``n`` a product reads at once, whatever is in memory by then."""
+        return _MOST_READ if self.memory is None else max(4, min(_MOST_READ, int(_READ_SHARE * self.memory / (8 * n))))
 
     def empty(self, shape: int | tuple[int, ...], dtype: DTypeLike = np.float64, order: str = "C") -> Values:
         """An array of zeros or of nothing in particular, in memory or in a scratch file.

@@ -155,6 +155,26 @@ def test_columns_are_a_power_of_two_that_fits(monkeypatch: pytest.MonkeyPatch) -
             assert columns == 256 or 16 * n * copies * columns > share
 
 
+def test_products_read_few_columns_of_long_arrays_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As many for the same budget whatever is in memory, so that results do not depend on that."""
+    monkeypatch.setattr("morembs.budget.resident_bytes", lambda: 4_000_000_000)
+    assert Budget().read_at_once(10_000_000) == 64 == Budget(memory=8_000_000_000).read_at_once(10_000)
+    assert Budget(memory=6_000_000_000).read_at_once(2_000_000) == 11
+    assert Budget(memory=100_000_000).read_at_once(2_000_000) == 4
+    widths: list[int] = []
+
+    class Seen(np.ndarray):
+        def __getitem__(self, key: Any) -> Any:
+            part = np.asarray(self)[key]
+            widths.append(part.shape[1])
+            return part
+
+    rng = np.random.default_rng(4)
+    V, W = rng.standard_normal((5000, 30)), rng.standard_normal((5000, 3))
+    budget = Budget(memory=10_000_000, scratch=tmp_path)
+    assert dot(V.view(Seen), W, budget) == pytest.approx(V.T @ W, rel=1e-12) and widths == [7, 7, 7, 7, 2]
+
+
 def test_a_full_disk_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def full(*arguments: object) -> None:
         raise OSError(28, "No space left on device")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from morembs.linalg.columns import dot
+from morembs.linalg.columns import dot, map_columns
 from morembs.reducers.base import ReducedModel
 from morembs.responses.certified import CertifiedReference
 from morembs.responses.pencils import modes_of
@@ -62,8 +62,10 @@ def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
     inside = int((reference.values[: len(reference.sigma)] <= highest**2).sum())
     omega, b = np.sqrt(reference.values[:inside]), reference.b
     energy = (b**2).sum(axis=1) / reference.values
-    shapes = problem.shared(("M times modes", reference.band_hz, reference.floor),
-                            lambda: problem.M @ reference.vectors[:, :inside])  # fmt: skip
+    shapes = problem.shared(
+        ("M times modes", reference.band_hz, reference.floor),
+        lambda: map_columns(lambda X: problem.M @ X, reference.vectors[:, :inside], problem.budget),
+    )
     seen = dot(shapes, reduced.V, problem.budget)
     partner, deviation, cross = _partners(reduced, seen, omega)
     mac, residue = np.zeros(inside), np.full(inside, np.nan)

@@ -22,8 +22,7 @@ Values = NDArray[Any]
 DEPENDENT = 1e-10
 # Eigenvalues of a Gram matrix of unit columns below this are round-off.
 NOISE = 1e-14
-# Arrays that may lie in files are read in pieces: of columns, or of rows across all columns.
-_COLUMNS = 64
+# Rows of an array that may lie in a file which are read at once, across all columns.
 _ROWS = 1 << 13
 
 
@@ -35,7 +34,8 @@ def m_norms(W: Values, MW: Values) -> Floats:
 def dot(V: Values, W: Values, budget: Budget = UNLIMITED) -> Values:
     """V^H W, a block of columns of ``V`` at a time."""
     parts = []
-    for block in _blocks(V):
+    budget.release_if_tight()
+    for block in _blocks(V, budget):
         parts.append(V[:, block].conj().T @ W)
         budget.release_if_tight()
     return np.vstack(parts) if parts else np.zeros((0, W.shape[1]))
@@ -44,7 +44,7 @@ def dot(V: Values, W: Values, budget: Budget = UNLIMITED) -> Values:
 def subtract(V: Values, C: Values, W: Values, budget: Budget = UNLIMITED) -> None:
     """W -= V C in place, a block of columns of ``V`` at a time."""
     real = V.dtype == W.dtype == C.dtype == np.float64 and W.size > 0 and V.flags.f_contiguous
-    for block in _blocks(V):
+    for block in _blocks(V, budget):
         # Without an array for the product, where the BLAS can take it from W itself.
         if real and W.flags.f_contiguous:
             sl.blas.dgemm(-1.0, V[:, block], C[block], beta=1.0, c=W, overwrite_c=1)
@@ -57,6 +57,7 @@ def subtract(V: Values, C: Values, W: Values, budget: Budget = UNLIMITED) -> Non
 
 def multiply_into(V: Floats, Y: Floats, out: Floats, budget: Budget = UNLIMITED) -> Floats:
     """V Y into ``out`` (N, k), which may be the first columns of ``V``: a block of rows at a time."""
+    budget.release_if_tight()
     for first in range(0, len(V), _ROWS):
         rows = slice(first, first + _ROWS)
         out[rows] = V[rows] @ Y
@@ -232,8 +233,9 @@ def _weighted(W: Values, M: sp.sparray | None) -> Values:
     return W if M is None else np.asarray(M @ W)
 
 
-def _blocks(V: Values) -> list[slice]:
-    return [slice(first, first + _COLUMNS) for first in range(0, V.shape[1], _COLUMNS)]
+def _blocks(V: Values, budget: Budget) -> list[slice]:
+    width = budget.read_at_once(len(V))
+    return [slice(first, first + width) for first in range(0, V.shape[1], width)]
 
 
 __getattr__ = renamed(

@@ -288,6 +288,7 @@ class ReferenceSpace:
     def _border(self) -> None:
         """V' K V with the newest block of V."""
         lanczos, known = self.lanczos, self.stiffness
+        self.problem.budget.release_if_tight()
         new = lanczos.V[:, lanczos.last]
         columns = dot(lanczos.V[:, : lanczos.size], self.problem.K @ new, self.problem.budget)
         self.stiffness = np.zeros((lanczos.size, lanczos.size))
