@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from morembs.assembly.belonging import refuse_other_part
 from morembs.assembly.joints import Couple, Joints
@@ -101,21 +100,26 @@ def joined(placed: Sequence[Placed], couples: Sequence[Couple], name: str) -> FE
     K, D = K + joints.springs("stiffness"), D + joints.springs("damping")
     model = FEModel(
         K=K, M=M, D=D if D.nnz else None, nodes=nodes, dofs=dofs, source=name, equations=tuple(joints.equations()),
-        strained=_strained(K, nodes.xyz[dofs.node], dofs.component), warnings=tuple(joints.warnings),
-    )  # fmt: skip
-    return replace(model, dependent=_dependent(model, placed))
+        warnings=tuple(joints.warnings),
+    )
+    model = replace(model, dependent=_dependent(model, placed))
+    return replace(model, strained=_strained(model))
 
 
-def _strained(K: sp.csr_array, xyz: NDArray[np.float64], component: NDArray[np.int64]) -> float:
-    """What rigid motions leave of the terms that cancel in the rows of ``K``: parts are free and nothing holds them, so
-    it is round-off of their reductions, turns and places."""
-    R = rigid_motion(xyz - xyz.mean(axis=0), component)
-    size = cancelling(K, np.abs(R), component == SCALAR).max(axis=1)
-    force = np.abs(K @ R).max(axis=1)
+def _strained(model: FEModel) -> float:
+    """What rigid motions leave of the terms that cancel in the rows of K: parts are free and nothing holds them, so
+    that it is round-off of their reductions, turns and places."""
+    K, xyz, component = model.K, model.nodes.xyz[model.dofs.node], model.dofs.component
+    S = sp.eye_array(model.size, format="csr") if model.dependent is None else model.dependent.S
+    xyz = xyz - xyz.mean(axis=0)
+    # Rotations per radius, so that all motions move nodes as far.
+    radius = float(np.sqrt((xyz**2).sum(axis=1).mean())) or 1.0
+    R = rigid_motion(xyz, component) / np.repeat([1.0, radius], 3)
+    size = (abs(S).T @ cancelling(K, abs(S) @ np.abs(R), component == SCALAR)).max(axis=1)
+    force = np.abs(S.T @ (K @ (S @ R))).max(axis=1)
     left = float(np.divide(force, size, out=np.zeros_like(force), where=size > 0).max(initial=0.0))
     # Stiff springs feel the last digit of a place, which is larger far from the origin.
-    extent = float(np.ptp(xyz, axis=0).max(initial=0.0))
-    return CLEAR * (left + (EPS * float(np.abs(xyz).max()) / extent if extent else 0.0))
+    return CLEAR * (left + EPS * float(np.abs(model.nodes.xyz).max()) / radius)
 
 
 def _dependent(model: FEModel, placed: Sequence[Placed]) -> DependentDofs | None:

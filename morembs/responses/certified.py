@@ -251,18 +251,23 @@ class _Build:
         model = reference_model(
             problem, omega, tolerance=DAMPED, inertia_loads=self.inertia, progress=self.progress
         )  # fmt: skip
-        below, modes = model.values < self.cut, self.modes
-        # Round-off in D moves the poles as that in K does.
-        damped = np.einsum("i,ij,ij->j", scaled_row_sums(problem.D), modes.vectors, modes.vectors)
-        lost = problem.uncertainty(modes) + EPS * np.sqrt(modes.eigenvalues) * damped
-        lost = np.concatenate([lost, np.zeros(len(below))])[: len(below)]
         return CertifiedReference(
             model=replace(model, damping=self.damping), band_hz=self.band_hz, floor=self.floor,
-            unsure=np.maximum(lost, 4 * EPS * (model.values + self.band[1] ** 2)),
+            unsure=np.maximum(self._rounding(model), 4 * EPS * (model.values + self.band[1] ** 2)),
             b_off=np.zeros((len(model.values), problem.B.shape[1])),
             vectors=self.modes.vectors, sigma=np.zeros(len(self.modes.eigenvalues)), cut=self.cut,
             edges=np.array(self.band), off=np.array([max(model.error, DAMPED)]), proven=False,
         )  # fmt: skip
+
+    def _rounding(self, model: Reference) -> Floats:
+        """What round-off in K and D, that of stiff links and dampers too, makes of the energies (n,) of all modes."""
+        problem, n = self.problem, len(model.values)
+        weights, width = scaled_row_sums(problem.D), problem.budget.columns(len(model.V))
+        parts = [np.zeros(0)]
+        for at in range(0, n, width):
+            X = model.vectors(np.eye(n, min(width, n - at), -at))
+            parts.append(problem.rounding(X) + EPS * self.band[1] * np.einsum("i,ij,ij->j", weights, X, X))
+        return np.concatenate(parts)
 
     def grown(self) -> CertifiedReference:
         """The space, grown until the error is below the tolerance."""

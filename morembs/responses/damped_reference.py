@@ -21,7 +21,7 @@ from morembs.errors import SolverError
 from morembs.linalg.columns import complement, dot, hstack, multiply, orthonormal, projected, symmetric
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
-from morembs.problem import Problem
+from morembs.problem import SOFTER, Problem
 from morembs.progress import Progress
 from morembs.responses.direct import DENSE, state, states_crew
 
@@ -119,9 +119,19 @@ class DampedSpace:
     def _small(
         self, modes: Callable[[Floats, Floats], tuple[Floats, Floats]] = sl.eigh
     ) -> tuple[Floats, Floats, Floats]:
-        """Eigenvalues, vectors and damping of the pencil on V."""
+        """Eigenvalues, vectors and damping of the pencil on V.
+
+        Raises:
+            SolverError: the columns of V are not independent.
+        """
         K, M, D = (projected(self.V, A, self.problem.budget) for A in (self.problem.K, self.problem.M, self.D))
-        values, Y = modes(K, M)
+        try:
+            values, Y = modes(K, M)
+        except np.linalg.LinAlgError as error:
+            raise SolverError(
+                f"round-off makes the {len(K)} vectors of the frequency response depend on each other; lower the upper "
+                f"frequency, or {SOFTER}"
+            ) from error
         return values, Y, symmetric(Y.T @ D @ Y)
 
     def _sharpened(self) -> tuple[Floats, Floats, Floats]:
