@@ -157,7 +157,7 @@ def test_columns_are_a_power_of_two_that_fits(monkeypatch: pytest.MonkeyPatch) -
 
 def test_products_read_few_columns_of_long_arrays_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As many for the same budget whatever is in memory, so that results do not depend on that."""
-    monkeypatch.setattr("morembs.budget.resident_bytes", lambda: 4_000_000_000)
+    has_memory(monkeypatch, resident=4000 * MB)
     assert Budget().read_at_once(10_000_000) == 64 == Budget(memory=8_000_000_000).read_at_once(10_000)
     assert Budget(memory=6_000_000_000).read_at_once(2_000_000) == 11
     assert Budget(memory=100_000_000).read_at_once(2_000_000) == 4
