@@ -91,10 +91,7 @@ def lowest_modes(
                     "lower the limit"
                 )
     if count is not None and count > size:
-        raise InputError(
-            f"{count} {what} were asked for, but the body has only {size} degrees of freedom left for them; "
-            "ask for fewer"
-        )
+        raise InputError(_too_many(what, count, size))
     if by_lapack is None:
         by_lapack = M.shape[0] <= DENSE or (M.shape[0] <= DENSE_PART and count is not None and 4 * count > size)
     if by_lapack:
@@ -226,7 +223,11 @@ def _counted(
     for _ in range(ATTEMPTS):
         theta, Y = largest(lanczos, wanted, progress=progress, what=what)
         values = 1.0 / theta
+        if len(values) < count:
+            raise InputError(_too_many(what, count, len(values)))
         cut = below if below is not None else _gap_after(values, count)
+        if cut is None and len(values) < wanted:
+            cut = 2 * values[-1]  # no motion beyond these has mass
         if cut is None:
             wanted = min(wanted + lanczos.block, M.shape[0] - body.count)
             continue
@@ -245,6 +246,10 @@ def _counted(
         if cut is not None
         else f"the first {wanted} {what} lie in one cluster; ask for more of them"
     )
+
+
+def _too_many(what: str, count: int, size: int) -> str:
+    return f"{count} {what} were asked for, but only {size} degrees of freedom with mass are left; ask for fewer"
 
 
 def _block(body: ConstrainedStatics, count: int) -> int:

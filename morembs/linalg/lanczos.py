@@ -168,6 +168,8 @@ def largest(
 ) -> tuple[Floats, Floats]:
     """The ``count`` largest eigenvalues theta and their vectors, M-orthonormal, to ``TOLERANCE``.
 
+    They are fewer where no more motions have mass.
+
     Raises:
         SolverError: no convergence.
     """
@@ -178,14 +180,14 @@ def largest(
             looked = 0
         lanczos.expand()
         # The small eigenvalue problem of a large space costs more than its growth.
-        due = lanczos.size >= max(count, LOOK * looked) or lanczos.full() or not lanczos.pending.shape[1]
-        if lanczos.size < count or not due:
+        ended = not lanczos.pending.shape[1]
+        if not ended and (lanczos.size < count or not (lanczos.size >= LOOK * looked or lanczos.full())):
             continue
         looked = lanczos.size
         theta, Y, residual = lanczos.ritz()
         good = residual[:count] <= TOLERANCE * np.abs(theta[:count])
         progress.update(f"{int(good.sum())} of {count} {what} converged")
-        if good.all() or not lanczos.pending.shape[1]:
+        if good.all() or ended:
             return theta[:count], lanczos.vectors(Y[:, :count])
     raise SolverError(
         f"{count} {what} did not converge in {MAX_STEPS} steps; ask for fewer, or check the model for a mechanism"

@@ -91,13 +91,15 @@ def modes_below(
                 lanczos.enlarge(2 * lanczos.capacity)
             lanczos.expand()
             theta, Y, residual = lanczos.ritz()
-            found = theta < 0
-            theta, Y, residual = theta[found], Y[:, found], residual[found]
             values = shifted.sigma + 1.0 / theta
             # The more, the nearer to zero a mode is.
-            good = residual <= PART * TOLERANCE * np.abs(theta) * np.minimum(1.0, np.abs(values * theta))
+            bound = PART * TOLERANCE * np.abs(theta) * np.minimum(1.0, np.abs(values * theta))
+            # Orthonormal vectors with small residuals belong to as many modes, so that the count says when all are
+            # there. Other negative values are round-off: rigid motions, whose flexibility is zero, never converge.
+            good = (theta < 0) & (residual <= bound)
             progress.update(f"{locked + int(good.sum())} of {wanted} {what} converged")
-            done = bool(locked + len(theta) >= wanted and good.all()) or not lanczos.pending.shape[1]
+            done = locked + int(good.sum()) >= wanted or not lanczos.pending.shape[1]
+        values, Y = values[good], Y[:, good]
         Y = np.hstack([np.eye(lanczos.size, locked), Y])
         values = np.concatenate([first, values])
     else:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from morembs.closing import Closing
 from morembs.errors import SingularMatrixError, SolverError
-from morembs.linalg.columns import dense, map_columns, project_out
+from morembs.linalg.columns import dense, dot, map_columns, project_out
 from morembs.linalg.dynamic_stiffness import constrained
 from morembs.linalg.lanczos import MAX_STEPS, TOLERANCE, BlockLanczos
 from morembs.linalg.statics import NUDGES, ConstrainedStatics, room_for_factor, unit_rows
@@ -25,6 +25,7 @@ from morembs.progress import SILENT, Progress
 
 log = logging.getLogger(__name__)
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 # Modes per slice, and columns of a Krylov block.
 SLICE, BLOCK = 120, 12
 # Part of the modes of a slice that lie below its shift.
@@ -89,17 +90,19 @@ def sliced_modes(
     """
     budget = body.statics.budget
     locked = budget.empty((M.shape[0], count), order="F")
-    size = min(len(values), count)
+    size, empty = min(len(values), count), 0.0
     locked[:, :size], lam = vectors[:, :size], np.array(values[:size])
     while size < count:
         recent = np.sort(lam)[-per_slice:]
         gap = (recent[-1] - recent[0]) / max(len(recent) - 1, 1)
-        sigma = min(recent[-1] + _LEFT * per_slice * gap, below)
+        # Behind an empty slice the spectrum has a gap of unknown width.
+        step = 2 * (empty - recent[-1]) if empty > recent[-1] else _LEFT * per_slice * gap
+        sigma = min(recent[-1] + step, below)
         with _shifted(body, M, sigma) as shifted:
             missing = shifted.below - int((lam < shifted.sigma).sum())
             near = np.sort(np.argsort(np.abs(lam - shifted.sigma))[: 3 * per_slice])
             limit = min(below, 2 * shifted.sigma - recent[-1])
-            new, V = _slice(shifted, locked[:, near], missing, limit, 2 * per_slice, progress)
+            new, V = _slice(shifted, locked[:, :size], near, missing, limit, 2 * per_slice, progress)
         if int((new < shifted.sigma).sum()) != missing or size + len(new) > count:
             raise SolverError(
                 f"{missing} more modes lie below {_hz(shifted.sigma)}, the eigensolver found "
@@ -107,6 +110,7 @@ def sliced_modes(
             )
         if not len(new) and sigma >= below:
             raise SolverError(f"{count} modes lie below {_hz(below)}, {size} were found; move the limit by a percent")
+        empty = empty if len(new) else shifted.sigma
         locked[:, size : size + len(new)] = V
         lam, size = np.append(lam, new), size + len(new)
         log.info("slice at %s: %d of %d modes", _hz(shifted.sigma), size, count)
@@ -119,10 +123,14 @@ def sliced_modes(
 
 
 def _slice(
-    shifted: Shifted, locked: Floats, missing: int, limit: float, capacity: int, progress: Progress
+    shifted: Shifted, known: Floats, near: Ints, missing: int, limit: float, capacity: int, progress: Progress
 ) -> tuple[Floats, Floats]:
-    """Converged modes up to ``limit``, at least the ``missing`` ones below the shift, without the ``locked`` ones."""
+    """Converged modes up to ``limit``, at least the ``missing`` ones below the shift, without the ``known`` ones.
+
+    Those ``near`` the shift are taken out of the space; others seldom converge in it, and are left out then.
+    """
     M, budget = shifted.M, shifted.body.statics.budget
+    locked = known[:, near]
 
     def flexibility(F: Floats) -> Floats:
         U = shifted.apply(F)
@@ -148,7 +156,10 @@ def _slice(
             right = good & (theta > 0) & (values <= limit)
             right &= np.abs(theta) > np.abs(theta[~good]).max(initial=0.0)
             chosen = (good & (theta < 0)) | right
-            return values[chosen], lanczos.vectors(Y[:, chosen])
+            new, V = values[chosen], lanczos.vectors(Y[:, chosen])
+            fresh = (dot(known, M @ V, budget) ** 2).sum(axis=0) < 0.5
+            if int((new[fresh] < shifted.sigma).sum()) >= missing or not lanczos.pending.shape[1]:
+                return new[fresh], V[:, fresh]
     raise SolverError(f"the slice at {_hz(shifted.sigma)} did not converge in {MAX_STEPS} steps")
 
 
@@ -156,7 +167,9 @@ def _make_room(lanczos: BlockLanczos, missing: int, room: int) -> None:
     """Restart with all that is needed below the shift, however many lie nearer above it; enlarge if that is most."""
     theta, _, _ = lanczos.ritz()
     below = np.flatnonzero(theta < 0)
-    needed = int(below[missing - 1]) + 1 if 0 < missing <= len(below) else lanczos.size // 2
+    # A space that has fewer values below the shift than modes are missing cannot hold them.
+    few = len(below) < missing
+    needed = lanczos.size if few else int(below[missing - 1]) + 1 if missing else lanczos.size // 2
     keep = needed + lanczos.block
     if keep > 0.7 * lanczos.capacity and lanczos.capacity < room:
         lanczos.enlarge(min(2 * lanczos.capacity, room))

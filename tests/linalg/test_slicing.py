@@ -7,10 +7,12 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.errors import SolverError
+from morembs.budget import Budget
+from morembs.errors import InputError, SolverError
 from morembs.interface import make_interface
 from morembs.linalg.eigen import lowest_modes
 from morembs.linalg.slicing import sliced_modes
+from morembs.model import DofMap, FEModel, Nodes
 from morembs.model.assembly import assemble
 from morembs.model.material import isotropic
 from morembs.problem import Problem
@@ -96,3 +98,45 @@ def test_wide_bands_are_sliced() -> None:
         modes = lowest_modes(problem.internal, problem.M, below=below, by_lapack=False, per_slice=24, progress=heard)
         assert any(text.startswith("slice at") for text in heard.news)
         np.testing.assert_allclose(modes.eigenvalues, exact[:k], rtol=1e-8)
+
+
+def oscillators(stiffness: np.ndarray, mass: np.ndarray) -> FEModel:
+    """Masses (n,) on springs to the ground (n,), three at a node; weak springs join the nodes."""
+    weak = sp.diags_array([2.0, -1.0, -1.0], offsets=[0, 3, -3], shape=(len(mass), len(mass)))
+    nodes = np.arange(len(mass) // 3)
+    return FEModel(
+        K=sp.csr_array(sp.diags_array(stiffness) + weak), M=sp.csr_array(sp.diags_array(mass)),
+        nodes=Nodes(ids=nodes + 1, xyz=np.random.default_rng(1).uniform(0, 1, (len(nodes), 3))),
+        dofs=DofMap(node=np.repeat(nodes, 3), component=np.tile(np.arange(3), len(nodes))),
+    )  # fmt: skip
+
+
+def test_slices_cross_a_wide_gap() -> None:
+    """130 modes, then none over six decades, then more than a slice has room for on both sides of the shift."""
+    low, high = 1e6 * (1 + 1e-3 * np.arange(130)), 1e12 * (1 + 1e-3 * np.arange(320))
+    model = oscillators(np.concatenate([low, high]), np.ones(450))
+    exact = np.linalg.eigvalsh(model.K.toarray())
+    with Problem(model) as problem:
+        modes = lowest_modes(
+            problem.elastic, problem.M, below=0.5 * (exact[259] + exact[260]), by_lapack=False, per_slice=24,
+            progress=Heard(most=2000),
+        )  # fmt: skip
+    np.testing.assert_allclose(modes.eigenvalues, exact[:260], rtol=1e-8)
+
+
+@pytest.mark.parametrize("memory", [None, 2**32])
+def test_no_more_modes_than_masses(memory: int | None) -> None:
+    """18 masses among 600 dofs: all 18 modes are found, a nineteenth is refused."""
+    stiffness, mass = 1e6 * np.linspace(2.0, 3.0, 600), np.zeros(600)
+    mass[:180:10] = 1.0
+    model = oscillators(stiffness, mass)
+    inner = mass > 0
+    K = model.K.toarray()
+    left = K[np.ix_(inner, inner)] - K[np.ix_(inner, ~inner)] @ np.linalg.solve(
+        K[np.ix_(~inner, ~inner)], K[np.ix_(~inner, inner)]
+    )
+    with Problem(model, budget=Budget(memory=memory)) as problem:
+        modes = lowest_modes(problem.elastic, problem.M, count=18, by_lapack=False)
+        np.testing.assert_allclose(modes.eigenvalues, np.linalg.eigvalsh(left), rtol=1e-9)
+        with pytest.raises(InputError, match="only 18 degrees of freedom with mass"):
+            lowest_modes(problem.elastic, problem.M, count=19, by_lapack=False)
