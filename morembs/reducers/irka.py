@@ -2,14 +2,16 @@
 
 V = [Re, Im] of A(sigma_i)^-1 B b_i, sigma_i the mirror images of poles and b_i the directions of their residues:
 a second-order model of order n has 2 n poles, of which the first-order iteration on that small model keeps n. A
-fixed point is no proven optimum of the second-order problem, so errors are measured and the best model is kept.
+fixed point is no proven optimum of the second-order problem, so errors are measured and the best model is kept. With
+little damping the two columns of a pair are nearly parallel, and n of them follow n / 2 resonances: the n strongest
+modes (Varga 1995) are one more candidate.
 
 Everything happens in the modal coordinates of a reference model: no shift costs a factorisation.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -46,13 +48,14 @@ PEAK = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 class Irka(OfResponses):
     """Elastic coordinates with a small H2 error of the responses in a band.
 
-    Each pair of shifts takes two coordinates, so with little damping n of them follow n / 2 resonances closely; where
-    the band has more, Krylov or Gramian bases of that order follow all of them better.
+    Each pair of shifts takes two coordinates, so with little damping n of them follow n / 2 resonances closely. Where
+    the band has more, the n strongest modes are mostly better, and are kept then (``kept`` = "modes"). For the largest
+    error rather than the H2 error take ``Balanced``: half or less with the same order where damping is little.
 
     The recipe says whether the shifts came to rest (``converged``), the relative H2 error in the band of the first and
     of the kept model, and the shifts of the kept one (real and imaginary parts in 1/s; of each conjugate pair the upper
-    one). Without damping poles have no mirror images off the imaginary axis: H(s + delta) is approximated instead,
-    delta in the recipe.
+    one; of modes the mirrored poles). Without damping poles have no mirror images off the imaginary axis: H(s + delta)
+    is approximated instead, delta in the recipe.
 
     Args:
         order: number of elastic coordinates.
@@ -98,9 +101,13 @@ class Irka(OfResponses):
             )
         band = _Band(reference, low, high)
         runs = [self._run(band, shifts, progress) for shifts in _starts(band, self.order, low, high)]
-        best = min(runs, key=lambda run: run.error)
+        met = min(runs, key=lambda run: run.error)
+        modes = _of_modes(band, met, self.order)
+        progress.update(f"{self.method}: the strongest modes, H2 error {modes.error:.2e}, no shifts")
+        best = min(met, modes, key=lambda run: run.error)
         s = best.shifts.s + band.delta
         notes: dict[str, object] = {
+            "kept": "shifts" if best is met else "modes",
             "converged": best.change <= self.tolerance, "steps": best.steps, "kept_step": best.kept,
             "first_h2_error": best.first, "h2_error": best.error,
             "shifts": [[float(x.real), float(x.imag)] for x in s],
@@ -251,11 +258,24 @@ def _starts(band: _Band, order: int, low: float, high: float) -> list[_Shifts]:
     spread = low + (high - low) * (np.arange(pairs) + 0.5) / max(pairs, 1)
     omega = np.sqrt(reference.values)
     inside = np.flatnonzero((omega >= low) & (omega <= high))
-    strength = np.linalg.norm(band.B, axis=1) ** 2 / (omega * np.sqrt(band.decay))
-    strongest = omega[inside[np.argsort(-strength[inside], kind="stable")[:pairs]]]
+    strongest = omega[inside[np.argsort(-_strength(band)[inside], kind="stable")[:pairs]]]
     # Where the band has fewer modes than pairs, the others are spread.
     chosen = [spread, np.append(strongest, spread[: pairs - len(strongest)])]
     return [_first_shifts(band, np.sort(w), 0.5 * (low + high) if order % 2 else None) for w in chosen]
+
+
+def _strength(band: _Band) -> Floats:
+    """H2 norm (k,) of the response of each mode alone, up to a factor."""
+    return np.linalg.norm(band.B, axis=1) ** 2 / (np.sqrt(band.reference.values) * np.sqrt(band.decay))
+
+
+def _of_modes(band: _Band, met: _Run, order: int) -> _Run:
+    """The model of the ``order`` strongest modes in place of the best one ``met``; its shifts are mirrored poles."""
+    first = np.sort(np.argsort(-_strength(band), kind="stable")[:order])
+    X, values, decay = np.eye(len(band.B))[:, first], band.reference.values[first], band.decay[first]
+    turned = np.sqrt(values - np.minimum((decay - band.delta) ** 2, values))
+    shifts = _Shifts(s=decay + 1j * turned, b=band.B[first] + 0j)
+    return replace(met, C=X, shifts=shifts, error=band.error(X))
 
 
 def _first_shifts(band: _Band, omega: Floats, real: float | None) -> _Shifts:

@@ -1,10 +1,13 @@
 """Shifts that look for a small H2 error, against dense responses of the full model."""
 
+import importlib.util
 import re
 
 import numpy as np
 import pytest
+import scipy.linalg as sl
 
+from benchmarks.certificates import truss
 from morembs.certificate.response import full_response, reduced_response
 from morembs.errors import InputError
 from morembs.interface import make_interface
@@ -48,7 +51,7 @@ def test_error_in_the_band_is_measured_and_no_larger_than_at_the_start(damping, 
 
 # Bands where the best model is one of the last: its shifts have come to rest, and mirror poles this well.
 @pytest.mark.parametrize(
-    ("components", "order", "band", "mirrored"), [((1,), 2, [1000.0, 3000.0], 0.005), ((2,), 6, [0.0, 3000.0], 0.03)]
+    ("components", "order", "band", "mirrored"), [((5,), 2, [1000.0, 3000.0], 0.02), ((2,), 6, [0.0, 3000.0], 0.03)]
 )
 def test_converged_shifts_are_mirrored_poles_where_the_transfer_function_is_tangent(components, order, band, mirrored):
     """One load, proportional damping: H and dH/ds of the dense model at the shifts, which mirror poles of the model."""
@@ -58,7 +61,8 @@ def test_converged_shifts_are_mirrored_poles_where_the_transfer_function_is_tang
         r = Irka(order=order, band_hz=band, tolerance=1e-7).reduce(problem)
         K, M, Z = problem.K.toarray(), problem.M.toarray(), problem.rigid
         B = problem.B.toarray() - M @ Z @ (Z.T @ problem.B.toarray())
-    assert r.recipe["converged"] and r.recipe["kept_step"] > 0 and len(r.recipe["shifts"]) == order // 2
+    assert r.recipe["kept"] == "shifts" and r.recipe["converged"] and r.recipe["kept_step"] > 0
+    assert len(r.recipe["shifts"]) == order // 2
     D = damping.alpha * (M - M @ Z @ Z.T @ M) + damping.beta * K
     m, d, k, b = r.M[6:, 6:], r.D[6:, 6:], r.K[6:, 6:], r.B[6:]
     poles = np.linalg.eigvals(np.block([[np.zeros_like(k), np.eye(order)], [-k, -d]]))
@@ -105,9 +109,9 @@ def test_the_best_model_is_kept_when_the_shifts_do_not_rest():
         r = Irka(order=5, band_hz=BAND, max_steps=7, tolerance=1e-14).reduce(problem, progress=heard)
     assert not r.recipe["converged"] and r.recipe["steps"] == 7
     assert "best model met was kept" in r.recipe["not_converged"]
-    # Eight models from each of two starts; their errors are told with three digits.
+    # Eight models from each of two starts, and that of the strongest modes; errors are told with three digits.
     errors = [float(error) for text in heard.news for error in re.findall(r"H2 error ([^,]+),", text)]
-    assert len(errors) == 16
+    assert len(errors) == 17
     assert r.recipe["h2_error"] == pytest.approx(min(errors), rel=5e-3) and min(errors) < 0.9 * max(errors)
 
 
@@ -129,3 +133,40 @@ def test_options_that_make_no_sense_are_refused():
         Irka(order=100, band_hz=BAND).reduce(problem)
     with Problem(model) as problem, pytest.raises(InputError, match="interface"):
         Irka(order=2, band_hz=BAND).reduce(problem)
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("pymor"), reason="pyMOR is not installed")
+@pytest.mark.parametrize(("damping", "order"), [(0.005, 4), (0.005, 8), (0.1, 4)])
+def test_h2_error_is_no_larger_than_that_of_pymor_or_of_modes(damping, order):
+    """60 modes within the band: with little damping pairs of shifts are worse than single modes."""
+    from pymor.core.logger import set_log_levels
+    from pymor.models.iosys import SecondOrderModel
+    from pymor.reductors.sor_irka import SORIRKAReductor
+
+    set_log_levels({"pymor": "ERROR"})
+    rng = np.random.default_rng(1)
+    model = truss(rng, 20, held=True, twins=False)
+    faces = [make_interface(model, name=f"i{n}", nodes=np.array([n]), coupling="direct", components=(n % 3,))
+             for n in (5, 10, 18)]  # fmt: skip
+    values, modes = sl.eigh(model.K.toarray(), model.M.toarray())
+    omega = np.sqrt(values)
+    grid = np.unique(np.concatenate([np.linspace(0, 1.2 * omega[-1], 1000), *np.outer(
+        1 + damping * np.linspace(-10, 10, 21), omega)]))  # fmt: skip
+    with Problem(model, faces, damping=Damping(modal=damping)) as problem:
+        ours = h2_error(problem, Irka(order=order, band_hz=[0.0, 1.2 * omega[-1] / (2 * np.pi)]).reduce(problem), grid)
+        B = modes.T @ problem.B.toarray()
+    theirs = SORIRKAReductor(
+        SecondOrderModel.from_matrices(np.eye(len(B)), np.diag(2 * damping * omega), np.diag(values), B, B.T)
+    ).reduce(order, maxit=10, irka_options={"maxit": 10})
+    H = np.einsum("ki,wk,kj->wij", B, 1 / (values - grid[:, None] ** 2 + 2j * damping * grid[:, None] * omega), B)
+    m, d, k, b, c, *_ = theirs.to_matrices()
+    w = grid[:, None, None]
+    h = c @ np.linalg.solve(k + 1j * w * d - w**2 * m, np.broadcast_to(b + 0j, (len(grid), *b.shape)))
+    strongest = np.argsort(-(B**2).sum(axis=1) / omega**1.5)[:order]
+    truncated = np.einsum(
+        "ki,wk,kj->wij", B[strongest],
+        1 / (values - grid[:, None] ** 2 + 2j * damping * grid[:, None] * omega)[:, strongest], B[strongest],
+    )  # fmt: skip
+    sizes = [np.trapezoid(np.linalg.norm(x, axis=(1, 2)) ** 2, grid) for x in (h - H, truncated - H, H)]
+    assert ours < np.sqrt(sizes[0] / sizes[2])
+    assert ours < 1.001 * np.sqrt(sizes[1] / sizes[2])
