@@ -22,7 +22,7 @@ from morembs.budget import UNLIMITED, Budget
 from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
 from morembs.linalg.columns import map_columns
-from morembs.linalg.dynamic_stiffness import DynamicStiffness, constrained, grounded
+from morembs.linalg.dynamic_stiffness import DynamicStiffness, constrained, grounded, spring_stiffness
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
@@ -82,7 +82,7 @@ class Statics(Closing):
         """K_c U (N, k): forces with the supports on springs."""
         lower = self.pencil.lower
         F = np.asarray(lower @ U)
-        F[self.supports] += lower.diagonal()[self.supports, None] * U[self.supports]
+        F[self.supports] += spring_stiffness(lower, self.supports)[:, None] * U[self.supports]
         return F
 
     def close(self) -> None:
