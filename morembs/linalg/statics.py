@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from morembs.budget import UNLIMITED, Budget
 from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
-from morembs.linalg.columns import map_columns
+from morembs.linalg.columns import DEPENDENT, m_norms, map_columns
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, constrained, grounded, spring_stiffness
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
@@ -143,6 +143,14 @@ class ConstrainedStatics:
     def flexibility(self, F: Floats) -> Floats:
         """Displacements (N, k) under the loads F with C' u = 0."""
         return self.solve(F)[0]
+
+    def deformation(self, F: Floats, M: sp.csr_array) -> Floats:
+        """As ``flexibility``; columns of which constraints leave round-off alone, in the norm of ``M``, are zero."""
+        U = self.statics.apply(F)
+        loose = m_norms(U, M @ U)
+        U = self.constrain(U, F)[0]
+        U[:, m_norms(U, M @ U) <= DEPENDENT * loose] = 0.0
+        return U
 
     def impose(self) -> tuple[Floats, Floats]:
         """U (N, c) with C' U = I and no other load, and the condensed stiffness U' K U (c, c).

@@ -134,6 +134,11 @@ def _refuse_free_parts(
     sizes = np.sort(np.bincount(part))[::-1]
     loose = model.nodes.ids[nodes_of_rows(model, coupling)[order[ends[int(np.argmax(found))] - 1]]]
     expected = "one free body has 6" if free == Phi.shape[1] == 6 else f"the whole model has {free}"
+    if len(sizes) == 1:
+        raise InputError(
+            f"the model has a mechanism: {int(found.sum())} rigid-body modes where {expected}: dofs at node {loose} move "
+            "against the rest; look for parts that touch in a node or an edge only, or nodes that should be merged"
+        )
     raise InputError(
         f"the model has {len(sizes)} unconnected parts (of {', '.join(map(str, sizes[:5].tolist()))} dofs) and "
         f"{int(found.sum())} rigid-body modes where {expected}: nothing holds the part at node {loose} to the rest; "

@@ -107,7 +107,7 @@ class CraigBampton(OfModes):
         )
         if not self.inertia_modes:
             return basis
-        deformation = problem.internal.flexibility(problem.M @ constraint)
+        deformation = problem.internal.deformation(problem.M @ constraint, problem.M)
         return add_residual_modes(problem, basis, deformation, fixed.vectors)
 
     def _on_few(self, problem: Problem, progress: Progress) -> Basis:

@@ -11,7 +11,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.diagnostics.warnings import examined
-from morembs.errors import InputError, MorembsError
+from morembs.errors import InputError, SingularMatrixError
 from morembs.importers.from_matrices import from_matrices
 from morembs.interface import Interface, make_interface, matrix_interface
 from morembs.linalg.null_space import DENSE, null_space
@@ -19,17 +19,8 @@ from morembs.linalg.sparse.select import select_solver
 from morembs.model import FEModel
 from morembs.problem import Damping, Problem
 from morembs.problem.rigid_motions import need_factor
-from morembs.reducers import (
-    Balanced,
-    CraigBampton,
-    FreeInterface,
-    Guyan,
-    Krylov,
-    Modal,
-    Reducer,
-)  # fmt: skip
+from morembs.reducers import CraigBampton, FreeInterface, Guyan, Krylov, Modal
 from tests.support.frames import beams, chain, clamped_beam, eigenvalues, line, model_on, plate, springs, without
-from tests.support.meshes import box, steel
 
 RNG = np.random.default_rng
 
@@ -59,7 +50,7 @@ def truss(held: tuple[int, ...]) -> FEModel:
 
 def two_beams(held: tuple[int, ...]) -> FEModel:
     """Two beams that nothing joins, of which the first nodes of ``held`` ones are held."""
-    xyz = np.concatenate([line(4), line(4) + [0.0, 1.0, 0.0]])
+    xyz = np.concatenate([line(4), line(4) + np.array([0.0, 1.0, 0.0])])
     K, M = beams(xyz, [*chain(4), *((a + 4, b + 4) for a, b in chain(4))])
     return model_on(K, M, xyz, range(6), without(48, [24 * which + c for which in held for c in range(6)]))
 
@@ -102,7 +93,7 @@ SOUND: dict[str, tuple[Callable[[], FEModel], int]] = {
     "modal coordinates": (modal, 0),
     "free modal coordinates": (lambda: modal(2), 2),
     "turned modal coordinates": (turned, 2),
-    "springs and masses alone": (lambda: model_on(np.diag(np.geomspace(1e3, 1e6, 12)), np.eye(12), line(4), range(3)), 0),
+    "diagonal K and M": (lambda: model_on(np.diag(np.geomspace(1e3, 1e6, 12)), np.eye(12), line(4), range(3)), 0),
 }  # fmt: skip
 
 
@@ -114,8 +105,10 @@ def ball_joint() -> FEModel:
 def interface_of(model: FEModel) -> Interface:
     if model.inputs is not None:
         return matrix_interface(model, name="tip", matrix="B")
-    last = np.array([int(model.dofs.node.max())])
-    return make_interface(model, name="tip", nodes=last, coupling="direct")
+    last = int(model.dofs.node.max())
+    own = np.flatnonzero(model.dofs.node == last)
+    heavy = tuple(model.dofs.component[own[model.M.diagonal()[own] > 0]].tolist())
+    return make_interface(model, name="tip", nodes=np.array([last]), coupling="direct", components=heavy)
 
 
 @pytest.mark.parametrize("name", SOUND)
@@ -132,18 +125,18 @@ def test_what_the_spectrum_allows_is_reduced_and_right(name: str) -> None:
         finite = int((theta > 1e-14 * theta[-1]).sum()) - free
         exact = np.sort(sl.eigvals(K, M).real)[: free + finite][free:]
         for reducer in (
-            Modal(modes=min(4, finite)), FreeInterface(modes=min(2, finite)), Guyan(), Krylov(shifts_hz=[10.0], moments=1),
-            CraigBampton(modes=2), CraigBampton(modes=max(2, B.shape[1]), inertia_modes=True),
+            Modal(modes=min(4, finite)), FreeInterface(modes=min(2, finite)), Guyan(), CraigBampton(modes=2),
+            Krylov(shifts_hz=[10.0], moments=1), CraigBampton(modes=max(2, B.shape[1]), inertia_modes=True),
         ):  # fmt: skip
             held = reducer.method in ("craig-bampton", "guyan")
             try:
                 body = reducer.reduce(problem)
             except InputError as error:
                 # The interface does not hold a free body, or leaves no coordinates: true.
-                assert held and ("leave" in str(error) and free or size - B.shape[1] < 2), str(error)
+                assert held and (("leave" in str(error) and free) or size - B.shape[1] < 2), str(error)
                 continue
             values = body.modes()[0]
-            assert np.abs(values[:free]).max(initial=0.0) <= 1e-9 * values[-1]
+            assert np.abs(values[:free]).max(initial=0.0) <= 1e-9 * exact[-1]
             # From above (Rayleigh and Ritz), the lowest ones of modal reductions to the digits of LAPACK.
             lowest = exact[: len(values) - free]
             assert (values[free:] >= lowest * (1 - 1e-6)).all()
@@ -155,3 +148,63 @@ def test_what_the_spectrum_allows_is_reduced_and_right(name: str) -> None:
                 H = B.T @ np.linalg.solve(s * s * M + s * D + K, B)
                 own = body.C @ np.linalg.solve(s * s * body.M + s * body.D + body.K, body.B)
                 assert np.abs(own - H).max() <= 1e-5 * np.abs(H).max()
+
+
+def test_free_parts_are_refused_by_what_their_matrices_say() -> None:
+    for held, count, rest in (((), 12, "one free body has 6"), ((0,), 6, "the whole model has 0")):
+        model = two_beams(held)
+        zero = np.count_nonzero(np.abs(eigenvalues(model)) < 1e-3)
+        assert zero == count
+        with pytest.raises(InputError, match=rf"2 unconnected parts.* and {count} rigid-body modes where {rest}"):
+            Problem(model)
+
+
+@pytest.mark.parametrize(("lean", "error"), [(0.3, SingularMatrixError), (0.0, InputError)])
+def test_a_hinge_in_a_held_body_is_counted(lean: float, error: type[Exception]) -> None:
+    """A square of bars without a diagonal on one that is held; K couples its motion to others where it leans."""
+    xyz = np.array([[x + lean * (y == 2.0), y, 0.0] for y in (0.0, 1.0, 2.0) for x in (0.0, 1.0)])
+    K, M = springs(xyz, [(0, 2), (1, 3), (2, 3), (0, 3), (2, 4), (3, 5), (4, 5)])
+    rows = np.array([3 * node + c for node in range(2, 6) for c in (0, 1)])
+    model = model_on(K, M, xyz, range(3), rows)
+    assert np.count_nonzero(np.abs(eigenvalues(model)) < 1e-3) == 1
+    with pytest.raises(error, match="mechanism: 1 rigid-body modes"), Problem(model) as problem:
+        Modal(modes=2).reduce(problem)
+
+
+def test_interfaces_on_rotations_without_mass_are_refused() -> None:
+    model = lumped_rotations(clamped_beam(6))
+    tip = make_interface(model, name="tip", nodes=np.array([5]), coupling="direct")
+    with Problem(model, [tip]) as problem, pytest.raises(InputError, match=r"motions that have no mass"):
+        CraigBampton(modes=4).reduce(problem)
+
+
+def test_inertia_modes_that_the_model_has_no_room_for_are_dropped() -> None:
+    for nodes, ends in ((3, (0, -1)), (3, (0,)), (4, (0,))):
+        model = clamped_beam(nodes, ends)
+        tip = interface_of(model)
+        exact = eigenvalues(model)
+        for reducer in (CraigBampton(modes=6, inertia_modes=True), CraigBampton(up_to_hz=1e5, inertia_modes=True)):
+            with Problem(model, [tip]) as problem:
+                body = reducer.reduce(problem)
+            assert body.order <= model.size
+            whole = body.order == model.size
+            assert body.modes()[0][:2] == pytest.approx(exact[:2], rel=1e-8 if whole else 1e-6)
+
+
+def test_the_null_space_of_groups_small_and_large() -> None:
+    small, large = 5, DENSE + 200
+    blocks = [np.array([[0.0]]), np.array([[3.0]])]
+    free = [sp.diags_array([2.0] * n) - sp.eye_array(n, k=1) - sp.eye_array(n, k=-1) for n in (small, large, small)]
+    for chain_ in free[:2]:
+        chain_ = chain_.tolil()
+        chain_[0, 0] = chain_[-1, -1] = 1.0
+        blocks.append(chain_)
+    K = sp.csr_array(sp.block_diag([*blocks, free[2]]))
+    assert need_factor(from_matrices(K, sp.eye_array(K.shape[0])), K)
+    Z = null_space(K, select_solver())
+    assert Z.shape[1] == 3 and np.abs(K @ Z).max() <= 1e-12 * np.abs(Z).max()
+    model = from_matrices(K, sp.eye_array(K.shape[0]), B=np.eye(K.shape[0], 1, k=-4))
+    with Problem(model, [matrix_interface(model, name="q", matrix="B")]) as problem:
+        body = Modal(modes=3).reduce(problem)
+    exact = 2 - 2 * np.cos(np.arange(1, 4) * np.pi / large)
+    assert body.modes()[0][3:] == pytest.approx(exact, rel=1e-6)

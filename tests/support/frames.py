@@ -99,3 +99,41 @@ def clamped_beam(count: int, ends: Sequence[int] = (0,), axis: Sequence[float] =
 def eigenvalues(model: FEModel) -> np.ndarray:
     """All eigenvalues of (K, M) by LAPACK."""
     return np.asarray(sl.eigh(model.K.toarray(), model.M.toarray(), eigvals_only=True))
+
+
+def plate(nx: int, ny: int, held: bool, thickness: float = 0.01) -> FEModel:
+    """A plate of nx x ny rectangles with 12 dofs (Adini and Clough 1961): deflection along z and two rotations a node;
+    ``held`` takes out the dofs of an edge."""
+    a, b, E, nu = 0.3, 0.2, 2.1e11, 0.3
+    powers = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3), (3, 1), (1, 3)]
+
+    def row(x: float, y: float, dx: int, dy: int) -> np.ndarray:
+        def term(p: int, d: int, at: float) -> float:
+            return 0.0 if d > p else float(np.prod(np.arange(p - d + 1, p + 1))) * at ** (p - d)
+
+        return np.array([term(p, dx, x) * term(q, dy, y) for p, q in powers])
+
+    corners = [(0.0, 0.0), (a, 0.0), (a, b), (0.0, b)]
+    dofs = ((0, 0, 1), (0, 1, 1), (1, 0, -1))
+    values = np.array([sign * row(x, y, dx, dy) for x, y in corners for dx, dy, sign in dofs])
+    C = np.linalg.inv(values)
+    rigidity = E * thickness**3 / (12 * (1 - nu**2)) * np.array([[1, nu, 0], [nu, 1, 0], [0, 0, (1 - nu) / 2]])
+    points, weights = np.polynomial.legendre.leggauss(5)
+    Ke, Me = np.zeros((12, 12)), np.zeros((12, 12))
+    for s, ws in zip(points, weights, strict=True):
+        for t, wt in zip(points, weights, strict=True):
+            x, y, w = a * (1 + s) / 2, b * (1 + t) / 2, ws * wt * a * b / 4
+            curved = np.array([row(x, y, 2, 0), row(x, y, 0, 2), 2 * row(x, y, 1, 1)]) @ C
+            deflection = row(x, y, 0, 0) @ C
+            Ke += w * curved.T @ rigidity @ curved
+            Me += w * 7850.0 * thickness * np.outer(deflection, deflection)
+    xyz = np.array([[a * i, b * j, 0.0] for j in range(ny + 1) for i in range(nx + 1)])
+    K, M = np.zeros((3 * len(xyz),) * 2), np.zeros((3 * len(xyz),) * 2)
+    for j in range(ny):
+        for i in range(nx):
+            first = j * (nx + 1) + i
+            at = np.concatenate([3 * n + np.arange(3) for n in (first, first + 1, first + nx + 2, first + nx + 1)])
+            K[np.ix_(at, at)] += Ke
+            M[np.ix_(at, at)] += Me
+    edge = [3 * n + c for n in np.flatnonzero(xyz[:, 0] == 0) for c in range(3)] if held else []
+    return model_on(0.5 * (K + K.T), 0.5 * (M + M.T), xyz, (2, 3, 4), without(len(K), edge))
