@@ -136,8 +136,8 @@ def _refuse_free_parts(
     expected = "one free body has 6" if free == Phi.shape[1] == 6 else f"the whole model has {free}"
     if len(sizes) == 1:
         raise InputError(
-            f"the model has a mechanism: {int(found.sum())} rigid-body modes where {expected}: dofs at node {loose} move "
-            "against the rest; look for parts that touch in a node or an edge only, or nodes that should be merged"
+            f"the model has a mechanism: {int(found.sum())} rigid-body modes where {expected}: dofs at node {loose} "
+            "move against the rest; look for parts that touch in a node or an edge only, or nodes that should be merged"
         )
     raise InputError(
         f"the model has {len(sizes)} unconnected parts (of {', '.join(map(str, sizes[:5].tolist()))} dofs) and "
