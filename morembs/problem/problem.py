@@ -401,7 +401,8 @@ class Problem(Closing):
             return "the stiffness matrix is singular to working precision; check the units and the material"
         return (
             f"the model has a mechanism: {count} rigid-body modes were found where {self.rigid.shape[1]} are expected; "
-            "look for parts that touch in a node or an edge only, or nodes that should be merged"
+            "look for parts that touch in a node or an edge only, nodes that should be merged, or coordinates that are "
+            "not those of the matrices"
         )
 
 

@@ -54,12 +54,16 @@ def rigid_motions(
             strain, or motions without stiffness and mass.
         SolverError: a large model without places, of which K cannot be factorised.
     """
-    Phi = _independent_motions(coupling.R, M)
+    Phi, massless = _independent_motions(coupling.R, M)
     budget.release_pages()
     # One matrix at a time has its pages in memory.
     size, last = terms_in_rows(model, coupling, model.K, Phi), max(written(model.K.data), model.strained)
     budget.release_pages()
-    free, held = strain_free(K, Phi, size, nodes_of_rows(model, coupling), last)
+    rows = nodes_of_rows(model, coupling)
+    free, held = strain_free(K, Phi, size, rows, last)
+    if massless.shape[1]:
+        loose = strain_free(K, massless, terms_in_rows(model, coupling, model.K, massless), rows, last)[0].shape[1]
+        _refuse_massless(loose)
     budget.release_pages()
     if has_places(model):
         _refuse_free_parts(model, coupling, K, Phi, free.shape[1], last)
@@ -90,8 +94,8 @@ def nodes_of_rows(model: FEModel, coupling: Coupling) -> Ints:
     return np.minimum.reduceat(of_entry, T.indptr[:-1])
 
 
-def _independent_motions(R: Floats, M: sp.csr_array) -> Floats:
-    """Independent combinations (Nc, k) of the rigid motions ``R`` (Nc, 6) that have mass, all of one size."""
+def _independent_motions(R: Floats, M: sp.csr_array) -> tuple[Floats, Floats]:
+    """Independent combinations of the rigid motions ``R`` (Nc, 6), of one size: (Nc, k) with mass, (Nc, l) without."""
     moves = R[:, :3].any(axis=1)
     # Rotations per radius, so that all motions move nodes as far.
     radius = float(np.sqrt((R[moves, 3:] ** 2).sum(axis=1).mean())) if moves.any() else 0.0
@@ -101,8 +105,20 @@ def _independent_motions(R: Floats, M: sp.csr_array) -> Floats:
     scale = np.sqrt(np.abs(np.diag(G)).clip(np.finfo(float).tiny))
     values, U = sl.eigh(G / np.outer(scale, scale))
     good = values > DEPENDENT
+    far = np.where(moves, 1.0, radius or 1.0)[:, None]
     Phi = R if good.all() else (R / scale) @ U[:, good]
-    return np.asarray(Phi / np.linalg.norm(Phi * np.where(moves, 1.0, radius or 1.0)[:, None], axis=0))
+    others = R @ np.linalg.qr(U[:, ~good] / scale[:, None])[0]
+    size = np.linalg.norm(others * far, axis=0)
+    moving = size > STILL * np.linalg.norm(R * far, axis=0).max(initial=0.0)
+    return np.asarray(Phi / np.linalg.norm(Phi * far, axis=0)), np.asarray(others[:, moving] / size[moving])
+
+
+def _refuse_massless(count: int) -> None:
+    if count:
+        raise InputError(
+            f"{count} rigid-body motions of the model have neither stiffness nor mass (such as turning about the "
+            "line of all nodes beside lumped masses); hold them, leave their dofs out, or give them mass"
+        )
 
 
 def _refuse_free_parts(
@@ -162,8 +178,6 @@ def _orthonormal(Z: Floats, M: sp.csr_array) -> Floats:
     mass = Z.T @ (M @ Z)
     try:
         return np.asarray(Z @ np.linalg.inv(np.linalg.cholesky(mass)).T)
-    except np.linalg.LinAlgError as error:
-        loose = int((np.linalg.eigvalsh(mass) <= DEPENDENT * np.abs(mass).max(initial=0.0)).sum())
-        raise InputError(
-            f"{loose} motions of the model have neither stiffness nor mass; leave their dofs out, or give them mass"
-        ) from error
+    except np.linalg.LinAlgError:
+        _refuse_massless(max(int((np.linalg.eigvalsh(mass) <= DEPENDENT * np.abs(mass).max(initial=0.0)).sum()), 1))
+        raise
