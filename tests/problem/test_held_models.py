@@ -208,3 +208,68 @@ def test_the_null_space_of_groups_small_and_large() -> None:
         body = Modal(modes=3).reduce(problem)
     exact = 2 - 2 * np.cos(np.arange(1, 4) * np.pi / large)
     assert body.modes()[0][3:] == pytest.approx(exact, rel=1e-6)
+
+
+def spring_grid() -> FEModel:
+    """Masses on a grid whose springs act along x, y and z alike: free in translations alone."""
+    xyz = np.array([[x, y, 0.0] for x in range(3) for y in range(2)])
+    K = np.zeros((18, 18))
+    for a, b in ((0, 1), (2, 3), (4, 5), (0, 2), (2, 4), (1, 3), (3, 5)):
+        for c in range(3):
+            v = np.zeros(18)
+            v[[3 * a + c, 3 * b + c]] = 1.0, -1.0
+            K += 10.0 ** (4 + c) * np.outer(v, v)
+    return model_on(K, np.eye(18), xyz, range(3))
+
+
+def planar_truss() -> FEModel:
+    """A truss in space whose displacements along x are taken out."""
+    whole = truss(())
+    rows = np.flatnonzero(whole.dofs.component > 0)
+    return replace(
+        whole, K=sp.csr_array(whole.K[rows][:, rows]), M=sp.csr_array(whole.M[rows][:, rows]),
+        dofs=replace(whole.dofs, node=whole.dofs.node[rows], component=whole.dofs.component[rows]),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("make", [spring_grid, planar_truss])
+def test_models_that_look_like_wrong_coordinates_are_warned_of_and_reduced(make: Callable[[], FEModel]) -> None:
+    model = make()
+    examined(model)
+    exact = eigenvalues(model)
+    with Problem(model) as problem:
+        assert problem.rigid.shape[1] == 3
+        body = Modal(modes=3).reduce(problem)
+    assert body.modes()[0][3:] == pytest.approx(exact[3:6], rel=1e-9)
+
+
+def test_a_rigid_motion_without_mass_is_named() -> None:
+    model = clamped_beam(4, ())
+    lumped = replace(model, M=sp.csr_array(np.diag(model.M.diagonal() * (model.dofs.component < 3))))
+    with pytest.raises(InputError, match=r"1 rigid-body motions of the model have neither stiffness nor mass"):
+        Problem(lumped)
+
+
+def test_interfaces_that_rigid_motion_does_not_reach_are_said_to_leave_it_free() -> None:
+    """The free motion is that of one beam; round-off of it at the interface on the other was taken for motion."""
+    xyz = line(4)
+    K, M = beams(xyz, chain(4))
+    # Turning about the beam is free, all else is held at the first node.
+    model = model_on(K, M, xyz, range(6), without(24, [0, 1, 2, 4, 5]))
+    tip = make_interface(model, name="tip", nodes=np.array([3]), coupling="direct", components=(0, 1, 2, 4, 5))
+    with Problem(model, [tip]) as problem:
+        assert problem.rigid.shape[1] == 1
+        with pytest.raises(InputError, match="the interfaces leave 1 rigid-body motions of the body free"):
+            Guyan().reduce(problem)
+
+
+@pytest.mark.filterwarnings("error")
+def test_rotations_alone_have_no_mass_and_are_reduced() -> None:
+    whole = truss(())
+    xyz = whole.nodes.xyz[:3]
+    K, M = beams(xyz, chain(3))
+    model = model_on(K, M, xyz, range(6), np.array([6 * node + c for node in range(3) for c in (4, 5)]))
+    with Problem(model) as problem:
+        assert problem.mass_properties[0] == 0.0 and problem.rigid.shape[1] == 0
+        body = Modal(modes=2).reduce(problem)
+    assert body.modes()[0] == pytest.approx(eigenvalues(model)[:2], rel=1e-9)
