@@ -33,6 +33,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from morembs.closing import Closing
 from morembs.errors import InputError, MorembsError, OutputError, SolverError
 from morembs.memory import peak_memory_bytes
+from morembs.python_warnings import speak_plainly
 from morembs.scratch import ScratchFolder, remove_abandoned
 
 log = logging.getLogger(__name__)
@@ -330,6 +331,7 @@ def _work(channel: Connection, folder: Path, threads: int) -> None:
     # Ctrl-C goes to the whole group; the process that started this one answers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Thread(target=_follow, daemon=True).start()
+    speak_plainly()
     # Libraries that are loaded later read these.
     os.environ.update(dict.fromkeys(_THREADS, str(threads)))
     # A reference keeps the limit.

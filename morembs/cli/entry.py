@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
 from morembs import stopping
 from morembs.cli.messages import BAD_INPUT, FAULT, echo, failure, print_json, printing, tell
 from morembs.linalg.sparse.interruptible import calls_running
+from morembs.python_warnings import speak_plainly
 from morembs.version import VERSION
 
 
@@ -48,7 +50,8 @@ def _print_the_rest() -> None:
 
 def _run(*, ends: bool) -> int:
     """Run the command; its exit code."""
-    with stopping.heeded(ends=ends):
+    with stopping.heeded(ends=ends), warnings.catch_warnings():
+        speak_plainly()
         code = _exit_code()
         number = stopping.asked()
         if number is not None:

@@ -234,20 +234,23 @@ def lowest(A: sp.csr_array, budget: Budget = UNLIMITED) -> tuple[float, Floats]:
 
 
 def empty_and_massless(K: sp.csr_array, M: sp.csr_array, names: Names) -> list[Finding]:
-    """Dofs without stiffness, without mass, or without both."""
+    """Dofs without stiffness, without mass, or without both; coordinates without places may be rigid motions."""
     stiff, heavy = (_row_has_values(A) for A in (K, M))
     findings = []
     groups = (
-        ("empty-dofs", ~stiff & ~heavy, "neither stiffness nor mass"),
-        ("no-stiffness", ~stiff & heavy, "mass but no stiffness, so nothing holds it"),
-    )
-    for code, where, words in groups:
+        ("empty-dofs", "error", ~stiff & ~heavy, "neither stiffness nor mass"),
+        (
+            "no-stiffness", "warning" if names.dofs is None else "error", ~stiff & heavy,
+            "mass but no stiffness, so nothing holds it",
+        ),
+    )  # fmt: skip
+    for code, severity, where, words in groups:
         rows = np.flatnonzero(where)
         if len(rows):
             labels, places = names.places(rows)
             sentence = f"{len(rows)} dofs have {words}: {places}"
             cure = "leave these dofs out, or join their nodes to the structure"
-            findings.append(Finding(code=code, severity="error", sentence=sentence, cure=cure, where=labels))
+            findings.append(Finding(code=code, severity=severity, sentence=sentence, cure=cure, where=labels))
     return findings + _massless(np.flatnonzero(stiff & ~heavy), names)
 
 

@@ -64,13 +64,14 @@ def _grounded(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap, 
     hold = residuals.R[:, :3].T @ residuals.force[:, :3]
     if share > MOST and not held:
         sentence = (
-            f"the stiffness matrix K does not fit the geometry: {share:.0%} of the dofs carry force under rigid motion"
+            f"rigid motion gives force at {share:.0%} of the dofs: a small body that is held, or coordinates that do "
+            "not fit the stiffness matrix K"
         )
         cure = (
-            "check that coordinates and dof map belong to these matrices, that displacements are along the axes of "
-            "the model (no local systems), and that the body is free"
+            "check that coordinates and dof map belong to these matrices, and that displacements are along the axes of "
+            "the model (no local systems)"
         )
-        return Finding(code="not-this-geometry", severity="error", sentence=sentence, cure=cure, where=labels)
+        return Finding(code="not-this-geometry", severity="warning", sentence=sentence, cure=cure, where=labels)
     stiff = ", ".join(f"{value:.3g}" for value in np.diag(hold))
     free = free_motions(residuals, held)
     sentence = (
@@ -108,7 +109,8 @@ def _misplaced(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap,
             "check that the coordinates belong to these matrices; a preload would do the same, and flow through a "
             "straight tube with free ends: hold an end in the model"
         )
-        return Finding(code="node-mapping", severity="error", sentence=sentence, cure=cure, where=labels)
+        # A body whose rotations alone are held looks the same.
+        return Finding(code="node-mapping", severity="warning", sentence=sentence, cure=cure, where=labels)
     given, span = nodes.xyz[culprits], np.linalg.norm(places - nodes.xyz[culprits], axis=1)
     distance = np.linalg.norm(places[:, None] - given[None], axis=2)
     labels = names.node_labels(culprits)

@@ -20,6 +20,10 @@ from morembs.model import DofMap, FEModel
 from morembs.model.fe_model import refuse_complex, refuse_unsymmetric
 from morembs.units import Units
 
+# Errors of other models look the same as these: interfaces may join parts, and springs along the axes or displacements
+# that were taken out hold a body as other coordinates would. The factorisation of the coupled model decides.
+_SUSPECTED = ("parts", "node-mapping")
+
 
 def diagnosis_of(
     model: FEModel, *, deep: bool = False, declared: Units | None = None, budget: Budget = UNLIMITED
@@ -62,10 +66,10 @@ def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = 
     """
     refuse_complex(model)
     diagnosis = diagnosis_of(model, declared=declared, budget=budget)
-    # Interfaces may join parts; the coupled model is looked at later.
-    Diagnosis(findings=tuple(finding for finding in diagnosis.errors if finding.code != "parts")).refuse_errors()
+    Diagnosis(findings=tuple(finding for finding in diagnosis.errors if finding.code not in _SUSPECTED)).refuse_errors()
     refuse_unsymmetric(model)
-    return sentences(diagnosis.warnings)
+    mapped = tuple(finding for finding in diagnosis.errors if finding.code == "node-mapping")
+    return sentences((*mapped, *diagnosis.warnings))
 
 
 def examined_mesh(model: FEModel, declared: Units | None = None) -> tuple[str, ...]:

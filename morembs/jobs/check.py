@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from morembs.budget import Budget
-from morembs.errors import InputError
 from morembs.interface import Interface, couple
 from morembs.jobs.equations import equations_of_motion
 from morembs.jobs.forecast import (
@@ -43,6 +42,7 @@ from morembs.model.assembly import check_mesh, stiffness_pattern
 from morembs.model.elements import TYPES
 from morembs.model.fe_model import MATRICES
 from morembs.problem import Problem
+from morembs.problem.rigid_motions import need_factor
 from morembs.progress import SILENT, Progress
 from morembs.reducers import Facts
 from morembs.scratch import free_bytes
@@ -88,9 +88,11 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     progress.stage("check connections")
     rigid = rigid_modes(mesh, [i for i in interfaces if i.kind.carries])
     if rigid > 6:
-        raise InputError(
-            f"the model has {rigid} rigid-body modes where one free body has 6: unconnected parts, or parts that "
-            "touch in a node or an edge only; merge coincident nodes, or reduce the parts one by one"
+        # The matrices decide, which are not there.
+        warnings += (
+            f"the mesh has {rigid} rigid-body modes where one free body has 6: unconnected parts, or parts that touch "
+            "in a node or an edge only; a reduction is refused unless each is held; merge coincident nodes, or reduce "
+            "the parts one by one",
         )
     progress.stage("analyse")
     with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget:
@@ -116,7 +118,9 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
         warnings = model_warnings(job, model, budget)
         interfaces = interfaces_of(job, model)
         with Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget) as problem:
-            facts, coupling, rigid = Facts.of(problem), problem.coupling, problem.rigid.shape[1]
+            facts, coupling = Facts.of(problem), problem.coupling
+            # Nothing is factorised here.
+            rigid = 0 if need_factor(model, problem.K) else problem.rigid.shape[1]
         warnings += preflight(job, facts, rigid)
         progress.stage("analyse")
         cost = _cost(job, facts, model.K, coupling.T, solver, budget, start)

@@ -26,7 +26,8 @@ class DynamicStiffness(Closing):
     """The pencil of ``K``, ``M`` and optionally ``D`` (N, N), symmetric, ``G`` and ``N``, skew. A context manager.
 
     ``lower`` is the lower triangle of K on the union of the patterns. Peak memory: that triangle, one more of
-    it for each A(s), two where there is a skew part, and 4 bytes for each entry of the other matrices.
+    it for each A(s), two where there is a skew part, and 4 bytes for each entry of the other matrices. ``regular``
+    False lets K have rows of nothing but zero.
 
     Raises:
         InputError: matrices that are not symmetric, not finite, or of different sizes.
@@ -34,10 +35,10 @@ class DynamicStiffness(Closing):
 
     def __init__(
         self, K: sp.csr_array, M: sp.csr_array, D: sp.csr_array | None = None, *, G: sp.csr_array | None = None,
-        N: sp.csr_array | None = None, solver: LinearSolver, budget: Budget = UNLIMITED,
+        N: sp.csr_array | None = None, solver: LinearSolver, budget: Budget = UNLIMITED, regular: bool = True,
     ) -> None:  # fmt: skip
         self.solver, self.budget = solver, budget
-        stiffness = Lower.of(K, "the stiffness matrix", budget)
+        stiffness = Lower.of(K, "the stiffness matrix", budget, regular=regular)
         parts = [
             Lower.of(A, what, budget, regular=False)
             for A, what in ((M, "the mass matrix"), (D, "the damping matrix"))
@@ -179,15 +180,22 @@ def constrained(A: Lower, rows: NDArray[np.int64]) -> Lower:
     return replace(A, data=data)
 
 
+def spring_stiffness(A: Lower, rows: NDArray[np.int64]) -> Values:
+    """Stiffness (k,) of springs to the ground at ``rows``: that of their diagonal, the largest of all where it is zero.
+    """
+    diagonal = A.diagonal()
+    return np.where(diagonal[rows] != 0, diagonal[rows], np.abs(diagonal).max(initial=0.0) or 1.0)
+
+
 def grounded(A: Lower, rows: NDArray[np.int64], budget: Budget = UNLIMITED) -> Lower:
-    """``A`` with a spring to the ground at ``rows``, each as stiff as its diagonal."""
+    """``A`` with springs of ``spring_stiffness`` to the ground at ``rows``."""
     data = budget.empty(A.nnz, A.data.dtype)
     data[:] = A.data
-    # The first entry of a column is its diagonal, as a stiffness has one in every row.
+    # The first entry of a column is its diagonal, as a stiffness has one in every row, or the mass.
     first = A.indptr[rows]
     if (first == A.indptr[rows + 1]).any() or not np.array_equal(A.indices[first], rows):
         raise InputError("the stiffness matrix has rows without a diagonal entry; remove these dofs")
-    data[first] *= 2.0
+    data[first] += spring_stiffness(A, rows)
     return replace(A, data=data)
 
 

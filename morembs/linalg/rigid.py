@@ -97,6 +97,26 @@ def strain_free(
     return Phi @ Vt[free].T, Phi @ Vt[~free].T
 
 
+def free_in_groups(
+    K: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float, group: Ints, rank: Ints
+) -> Ints:  # fmt: skip
+    """How many motions (groups,) of each group of rows that ``K`` does not couple are free of strain.
+
+    ``group`` (N,) is that of each row, the first ``rank`` (groups,) columns of ``Phi`` in its rows are its motions;
+    other arguments as those of ``strain_free``. What is unclear counts as held.
+    """
+    ratio, level = _forces(K, Phi, size, node, last)
+    strained = np.abs(ratio).max(axis=1, initial=0.0) > level
+    order, ends = np.argsort(group, kind="stable"), np.cumsum(np.bincount(group))
+    free = rank.copy()
+    for number in np.unique(group[strained]):
+        rows = order[ends[number - 1] if number else 0 : ends[number]]
+        forces = ratio[rows[strained[rows]], : rank[number]]
+        _, _, Vt = np.linalg.svd(forces, full_matrices=True)
+        free[number] = int((np.abs(forces @ Vt.T).max(axis=0, initial=0.0) <= level).sum())
+    return free
+
+
 def resists(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float = 0.0) -> bool:
     """Whether ``A`` (N, N) has forces beyond round-off under the motions ``Phi`` (N, k); arguments as above."""
     ratio, level = _forces(A, Phi, size, node, last)

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from morembs.budget import UNLIMITED, Budget
 from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
-from morembs.linalg.columns import map_columns
-from morembs.linalg.dynamic_stiffness import DynamicStiffness, constrained, grounded
+from morembs.linalg.columns import DEPENDENT, m_norms, map_columns
+from morembs.linalg.dynamic_stiffness import DynamicStiffness, constrained, grounded, spring_stiffness
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
@@ -35,6 +35,10 @@ Ints = NDArray[np.int64]
 IMPOSED, FIRST, EXACT, REFINED = 1e-6, 1e-5, 1e-9, 4
 # Part of the energy of a soft motion that the condensed stiffness may miss, and that is not refined even once.
 ENERGY, SURE = 1e-5, 1e-8
+# Energy of an interface motion, against the usual one for its flexibility, that is round-off of a rigid motion.
+ROUND_OFF = 1e-12
+# Part of a rigid motion that is round-off at the interfaces.
+UNSEEN = 1e-13
 # In addition to a Sturm count: columns of length n, and bytes for buffers of the libraries.
 COUNT_COLUMNS, COUNT_BYTES = 50, 60_000_000
 NUDGES = (0.0, 1e-8, 1e-7, 1e-6)
@@ -82,7 +86,7 @@ class Statics(Closing):
         """K_c U (N, k): forces with the supports on springs."""
         lower = self.pencil.lower
         F = np.asarray(lower @ U)
-        F[self.supports] += lower.diagonal()[self.supports, None] * U[self.supports]
+        F[self.supports] += spring_stiffness(lower, self.supports)[:, None] * U[self.supports]
         return F
 
     def close(self) -> None:
@@ -106,6 +110,8 @@ class ConstrainedStatics:
         self.X = map_columns(statics.apply, C, statics.budget, width=statics.columns())
         E = C.T @ self.X
         H = C.T @ Z
+        # Motions that the constraints do not see at all, but for the round-off of others.
+        H[:, np.abs(H).max(axis=0, initial=0.0) <= UNSEEN * np.abs(Z).max(axis=0, initial=0.0)] = 0.0
         c, r = H.shape
         self.count = c
         border = np.block([[0.5 * (E + E.T), -H], [-H.T, np.zeros((r, r))]])
@@ -143,6 +149,14 @@ class ConstrainedStatics:
     def flexibility(self, F: Floats) -> Floats:
         """Displacements (N, k) under the loads F with C' u = 0."""
         return self.solve(F)[0]
+
+    def deformation(self, F: Floats, M: sp.csr_array) -> Floats:
+        """As ``flexibility``; columns of which constraints leave round-off alone, in the norm of ``M``, are zero."""
+        U = self.statics.apply(F)
+        loose = m_norms(U, M @ U)
+        U = self.constrain(U, F)[0]
+        U[:, m_norms(U, M @ U) <= DEPENDENT * loose] = 0.0
+        return U
 
     def impose(self) -> tuple[Floats, Floats]:
         """U (N, c) with C' U = I and no other load, and the condensed stiffness U' K U (c, c).
@@ -208,7 +222,7 @@ class ConstrainedStatics:
 
     def _lost(self, condensed: Floats, lam: Floats) -> float:
         """Largest relative difference of the energies of unit interface displacements, by fields and by loads."""
-        s = _sizes(condensed)
+        s = _sizes(condensed, self.scale[: self.count])
         H = s[:, None] * (self.C.T @ self.statics.Z)
         Q = sl.qr(H)[0][:, H.shape[1] :] if H.shape[1] else np.eye(self.count)
         A, B = (Q.T @ (0.5 * (E + E.T) / np.outer(s, s)) @ Q for E in (condensed, -lam))
@@ -334,10 +348,10 @@ def _scales(flexibility: Floats, H: Floats) -> Floats:
     return np.concatenate([top, 1.0 / np.where(coupled > 0, coupled, 1.0)])
 
 
-def _sizes(A: Floats) -> Floats:
-    """Roots (c,) of the diagonal of ``A`` (c, c), one where it is not positive."""
+def _sizes(A: Floats, usual: Floats) -> Floats:
+    """Roots (c,) of the diagonal of ``A`` (c, c), those ``usual`` for their flexibility where it is round-off."""
     diagonal = np.diag(A)
-    return np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    return np.asarray(np.sqrt(np.where(diagonal > ROUND_OFF * usual**2, diagonal, usual**2)))
 
 
 __getattr__ = renamed(__name__, {"solved": "map_columns", "Restricted": "ConstrainedStatics"})

@@ -21,7 +21,7 @@ def mass_properties(M: sp.csr_array, R: Floats, pole: Floats) -> tuple[float, Fl
     G = R.T @ (M @ R)
     mass = float(np.trace(G[:3, :3]) / 3)
     coupling = G[:3, 3:]  # -m c~
-    arm = np.array([coupling[1, 2], coupling[2, 0], coupling[0, 1]]) / mass
+    arm = np.array([coupling[1, 2], coupling[2, 0], coupling[0, 1]]) / (mass or 1.0)
     shift = mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     inertia = G[3:, 3:] - shift
     return mass, pole + arm, 0.5 * (inertia + inertia.T)

@@ -8,7 +8,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.errors import InputError
 from morembs.linalg.congruence import cancelling
 from morembs.model.fe_model import SCALAR, DofMap, Nodes, rigid_motion, skew
 
@@ -84,19 +83,13 @@ def mounted(residuals: Residual, nodes: Nodes, dofs: DofMap) -> bool:
     return bool(len(rows) and (left > LEFT * np.abs(force).max(axis=1)).mean() <= FEW)
 
 
-def refuse_other_geometry(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> None:
-    """Refuse a stiffness matrix that most rigid motion strains at most dofs far more than any preload does.
+def share_of_other_geometry(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> float:
+    """Part of the dofs at which rigid motion strains ``K`` far more than a preload does; 0 where supports explain it.
 
-    Supports are few, a bedding is ``mounted``, and a preload gives as much force as it strains the material.
-
-    Raises:
-        InputError: coordinates or dofs that are not those of ``K``.
+    Supports are few, a bedding is ``mounted``, and a preload gives as much force as it strains the material. Small
+    models that are held have as large a share: only motions without energy that are not those of the geometry prove
+    coordinates or dofs that are not those of ``K``.
     """
     residuals = residual(K, nodes, dofs)
     share = float((residuals.worst > BEYOND_PRELOAD).mean())
-    if share > MOST and not mounted(residuals, nodes, dofs):
-        raise InputError(
-            f"the stiffness matrix K does not fit the geometry: rigid motion strains it at {share:.0%} of the dofs; "
-            "check that coordinates and dof map belong to these matrices, in this order; "
-            "morembs.diagnostics.examine_model(model) says more"
-        )
+    return share if share > MOST and not mounted(residuals, nodes, dofs) else 0.0

@@ -7,29 +7,26 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
-import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from morembs.budget import Budget
 from morembs.closing import Closing
 from morembs.errors import InputError, MorembsError, SingularMatrixError, SolverError
 from morembs.interface import Coupling, Interface, couple
 from morembs.linalg.columns import dense, map_columns
-from morembs.linalg.congruence import cancelling, congruence, scaled_row_sums
+from morembs.linalg.congruence import congruence, scaled_row_sums
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
-from morembs.linalg.rigid import resists, strain_free, written
-from morembs.linalg.sparse.ordering import node_graph
+from morembs.linalg.rigid import resists, written
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_count, room_for_factor
 from morembs.model import FEModel
-from morembs.model.fe_model import SCALAR
 from morembs.model.mass import mass_properties
-from morembs.model.rigid_residual import refuse_other_geometry
+from morembs.model.rigid_residual import share_of_other_geometry
 from morembs.problem.damping import Damping as Damping
+from morembs.problem.rigid_motions import has_places, need_factor, nodes_of_rows, rigid_motions, terms_in_rows
 from morembs.progress import SILENT, Progress
 from morembs.summary import summarised
 
@@ -37,8 +34,6 @@ Floats = NDArray[np.float64]
 Shared = TypeVar("Shared")
 # Round-off adds up at random: part of its bound that is seen as a rule.
 AS_A_RULE = 0.1
-# Number of terms up to which round-off of their sum is that of a row of an assembled matrix.
-FEW_TERMS = 100
 # Key of the constraint modes among the solutions that reducers share.
 CONSTRAINT = "constraint modes"
 # Limits of modes that differ by less than this part are one limit.
@@ -60,7 +55,7 @@ class Problem(Closing):
     ``budget`` bounds the resident memory of the process; by default it is that of ``solver``. Up to ``workers``
     processes factorise A(s) at different s at once, as far as the budget has room for all of their factors.
     ``K``, ``M`` (Nc, Nc) in coupled dofs, ``B`` (Nc, m); ``rigid`` (Nc, r) M-orthonormal rigid-body modes,
-    analytic, never from an eigensolver.
+    analytic; those of coordinates without places are the null space of K.
 
     Raises:
         InputError: interfaces that do not fit together, unconnected parts, coordinates or dofs that are not those of
@@ -98,24 +93,43 @@ class Problem(Closing):
         self.B = self.coupling.B
         self.budget.release_pages()
         self.stiffness = DynamicStiffness(
-            self.K, self.M, self.D, G=self.G, N=self.N, solver=self.solver, budget=self.budget
-        )
+            self.K, self.M, self.D, G=self.G, N=self.N, solver=self.solver, budget=self.budget,
+            regular=has_places(model),
+        )  # fmt: skip
         self.budget.release_pages()
-        self._refuse_unconnected()
-        self.rigid, self._held = self._rigid_motions()
-        if self.N is not None and self.rigid.shape[1]:
-            raise InputError(
-                f"the model has a circulatory matrix and {self.rigid.shape[1]} rigid-body motions; models with one are "
-                "reduced held only: hold it in the model"
-            )
+        if not need_factor(model, self.K):
+            self._refuse_free_flutter()
         self._elastic: Modes | None = None
         self._fixed: Modes | None = None
         self._shared: dict[object, Any] = {}
 
+    @cached_property
+    def _motions(self) -> tuple[Floats, Floats]:
+        return rigid_motions(self.model, self.coupling, self.K, self.M, self.solver, self.budget)
+
+    @property
+    def rigid(self) -> Floats:
+        """M-orthonormal rigid-body modes (Nc, r), which K leaves free of strain."""
+        return self._motions[0]
+
+    @property
+    def _held(self) -> Floats:
+        """M-orthonormal rigid motions (Nc, h) that K holds, perhaps softly."""
+        return self._motions[1]
+
+    def _refuse_free_flutter(self) -> None:
+        count = self.rigid.shape[1]
+        if self.N is not None and count:
+            raise InputError(
+                f"the model has a circulatory matrix and {count} rigid-body motions; models with one are "
+                "reduced held only: hold it in the model"
+            )
+
     def _facts(self) -> dict[str, object]:
         return {
             "model": f"{self.model.size:,} dofs", "interfaces": [each.name for each in self.interfaces],
-            "coupled dofs": self.K.shape[0], "inputs": self.B.shape[1], "rigid-body modes": self.rigid.shape[1],
+            "coupled dofs": self.K.shape[0], "inputs": self.B.shape[1],
+            "rigid-body modes": self.rigid.shape[1] if "_motions" in self.__dict__ else "not known yet",
             "solver": self.solver_name,
         }  # fmt: skip
 
@@ -175,12 +189,15 @@ class Problem(Closing):
         if own is None or given is None or not own.nnz or not self.rigid.shape[1]:
             return False
         return resists(
-            own, self.rigid, self._magnitudes(given, self.rigid), self._nodes_of_rows(), written(given.data)
-        )
+            own, self.rigid, terms_in_rows(self.model, self.coupling, given, self.rigid),
+            nodes_of_rows(self.model, self.coupling), written(given.data),
+        )  # fmt: skip
 
     @cached_property
     def statics(self) -> Statics:
         """The one factorisation: supported stiffness, shared by all reducers."""
+        self._refuse_free_flutter()
+        self._refuse_other_geometry()
         try:
             statics = Statics(self.stiffness, self.rigid, self._held)
         except SingularMatrixError as error:
@@ -272,52 +289,6 @@ class Problem(Closing):
         for name in ("statics", "elastic", "internal"):
             self.__dict__.pop(name, None)
 
-    def _rigid_motions(self) -> tuple[Floats, Floats]:
-        """M-orthonormal bases of the geometric motions (Nc, r) that K leaves free of strain and (Nc, h) that it holds.
-
-        Raises:
-            InputError: a support so soft that it cannot be told from round-off, or coordinates that are not those of K.
-        """
-        M, R = self.M, self.coupling.R
-        moves = R[:, :3].any(axis=1)
-        # Rotations per radius, so that all motions move nodes as far.
-        radius = float(np.sqrt((R[moves, 3:] ** 2).sum(axis=1).mean())) if moves.any() else 0.0
-        R = R / np.repeat([1.0, radius or 1.0], 3)
-        G = R.T @ (M @ R)
-        self.budget.release_pages()
-        # Eigenvectors of the inertia are independent motions also where some vanish (all nodes on a line).
-        scale = np.sqrt(np.abs(np.diag(G)).clip(np.finfo(float).tiny))
-        values, U = sl.eigh(G / np.outer(scale, scale))
-        good = values > 1e-12
-        Phi = R if good.all() else (R / scale) @ U[:, good]
-        Phi = Phi / np.linalg.norm(Phi * np.where(moves, 1.0, radius or 1.0)[:, None], axis=0)
-        # One matrix at a time has its pages in memory.
-        size, last = self._magnitudes(self.model.K, Phi), max(written(self.model.K.data), self.model.strained)
-        self.budget.release_pages()
-        free, held = strain_free(self.K, Phi, size, self._nodes_of_rows(), last)
-        self.budget.release_pages()
-        if held.shape[1] and self.model.dependent is None:
-            refuse_other_geometry(self.model.K, self.model.nodes, self.model.dofs)
-        return _orthonormal(free, M), _orthonormal(held, M)
-
-    def _magnitudes(self, A: sp.csr_array, Phi: Floats) -> Floats:
-        """Sums (Nc, k) of all terms that cancel in A Phi for a matrix ``A`` of the model.
-
-        Frames sum up the forces of their nodes, most of which cancel there: their round-off grows with the root of the
-        number of terms, and so do these sums.
-        """
-        T = sp.csc_array(abs(self.coupling.T))
-        size = T.T @ cancelling(A, T @ np.abs(Phi), self.model.dofs.component == SCALAR)
-        terms = T.astype(bool).T @ np.diff(A.indptr).astype(float)
-        growth = np.where(np.diff(T.indptr) > 1, np.sqrt(np.maximum(terms / FEW_TERMS, 1.0)), 1.0)
-        return np.asarray(size * growth[:, None])
-
-    def _nodes_of_rows(self) -> NDArray[np.int64]:
-        """Node (Nc,) that each coupled dof moves, the first of those that a frame moves."""
-        T = sp.csc_array(self.coupling.T)
-        of_entry = np.asarray(self.model.dofs.node, dtype=np.int64)[T.indices]
-        return np.minimum.reduceat(of_entry, T.indptr[:-1])
-
     def _at_least(
         self, known: Modes | None, body: ConstrainedStatics, count: int | None, below: float | None, what: str
     ) -> Modes:
@@ -370,41 +341,47 @@ class Problem(Closing):
                 f"(needed {LOST:.0e}): round-off of the stiff parts hides its digits; {SOFTER}"
             )
 
-    def _refuse_unconnected(self) -> None:
-        graph, starts = node_graph(self.stiffness.lower)
-        parts, label = connected_components(graph, directed=False)
-        if parts > 1:
-            # Dofs of one node belong together, whether K couples them or not (a straight beam along an axis).
-            nodes = self._nodes_of_groups(starts)
-            parts, label = connected_components(sp.block_array([[graph, nodes], [nodes.T, None]]), directed=False)
-            label = label[: len(starts)]
-        if parts > 1:
-            rows = np.diff(np.append(starts, self.K.shape[0]))
-            sizes = np.sort(np.bincount(label, weights=rows).astype(int))[::-1]
+    def _refuse_other_geometry(self) -> None:
+        """Refuse coordinates or dofs that are not those of K: they strain it, and it has other motions without energy.
+
+        Raises:
+            InputError: as said.
+        """
+        model = self.model
+        if not self._held.shape[1] or model.dependent is not None or not has_places(model):
+            return
+        share = share_of_other_geometry(model.K, model.nodes, model.dofs)
+        if not share:
+            return
+        # Frames of interfaces may hold what they do not fit.
+        lower = sp.csr_array(model.K - self._round_off_shift(model.K, self.rigid[:, :0]) * model.M)
+        try:
+            count = self.solver.with_memory(self.budget.left()).negative_eigenvalues(lower, "K - sigma M")
+        except SingularMatrixError:
+            return
+        if count > self.rigid.shape[1]:
             raise InputError(
-                f"the model has {parts} unconnected parts (of {', '.join(map(str, sizes[:5]))} dofs), so it has "
-                f"{6 * parts} rigid-body modes where one free body has 6; "
-                "join the parts (merge coincident nodes), or reduce them one by one"
+                f"the stiffness matrix K does not fit the geometry: rigid motion strains it at {share:.0%} of the dofs "
+                f"and {count} other motions have no energy; check that coordinates and dof map belong to these "
+                "matrices, in this order; morembs.diagnostics.examine_model(model) says more"
             )
 
-    def _nodes_of_groups(self, starts: NDArray[np.int64]) -> sp.csr_array:
-        """Pattern (groups, nodes): which nodes of the model the groups of coupled dofs move."""
-        dofs, size = self.model.dofs, self.K.shape[0]
-        shape = len(dofs), len(self.model.nodes)
-        of_node = sp.csr_array((np.ones(len(dofs)), (np.arange(len(dofs)), dofs.node)), shape=shape)
-        group = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, size)))
-        gather = sp.csr_array((np.ones(size), (group, np.arange(size))), shape=(len(starts), size))
-        return sp.csr_array(gather @ (abs(self.coupling.T).T @ of_node))
+    def _round_off_shift(self, K: sp.csr_array, Z: Floats) -> float:
+        """A shift far above the round-off of ``K`` in motions ``Z``, so far below every elastic mode of a sound part.
 
-    def _mechanism(self) -> str:
-        """Message for a stiffness with more zero-energy motions than the rigid ones."""
-        # A shift far above the round-off of rigid motion, and so far below every elastic mode of a sound part.
-        Z, weights = self.rigid, scaled_row_sums(self.K)
+        Without any such motion: the round-off in a translation of all rows.
+        """
+        weights = scaled_row_sums(K)
         if Z.shape[1]:
             lost = float(np.einsum("i,ij,ij->j", weights, Z, Z).max())
         else:
-            lost = float(weights.sum() / self.mass_properties[0])
-        sigma = MECHANISM * float(np.finfo(float).eps) * lost
+            mass = self.mass_properties[0]
+            lost = float(weights.sum() / (mass if mass > 0 else self.M.diagonal().max(initial=0.0) or 1.0))
+        return MECHANISM * float(np.finfo(float).eps) * lost
+
+    def _mechanism(self) -> str:
+        """Message for a stiffness with more zero-energy motions than the rigid ones."""
+        sigma = self._round_off_shift(self.K, self.rigid)
         try:
             solver = self.solver.with_memory(self.budget.left())
             negative = solver.negative_eigenvalues(self.stiffness.shifted(-sigma), "K + sigma M")
@@ -424,7 +401,8 @@ class Problem(Closing):
             return "the stiffness matrix is singular to working precision; check the units and the material"
         return (
             f"the model has a mechanism: {count} rigid-body modes were found where {self.rigid.shape[1]} are expected; "
-            "look for parts that touch in a node or an edge only, or nodes that should be merged"
+            "look for parts that touch in a node or an edge only, nodes that should be merged, or coordinates that are "
+            "not those of the matrices"
         )
 
 
@@ -433,6 +411,3 @@ def _cut(modes: Modes, count: int | None, below: float | None) -> Modes:
         count = int((modes.eigenvalues <= below * (1 + GAP)).sum()) if below is not None else len(modes.eigenvalues)
     return modes.first(count)
 
-
-def _orthonormal(Z: Floats, M: sp.csr_array) -> Floats:
-    return np.asarray(Z @ np.linalg.inv(np.linalg.cholesky(Z.T @ (M @ Z))).T) if Z.shape[1] else Z

@@ -284,6 +284,7 @@ class Reducer(ABC):
         outputs = _interface_motions(basis, problem)
         if basis.W is None:
             M = projected(V, problem.M, budget)
+            _refuse_singular_mass(self.method, M, basis.kinds)
             K = without_rigid_motion(0.5 * (basis.K + basis.K.T), M, basis.rigid)
             B = outputs.T
         else:
@@ -311,6 +312,27 @@ class Reducer(ABC):
         )  # fmt: skip
 
 
+def _refuse_singular_mass(method: str, M: Floats, kinds: Sequence[str]) -> None:
+    """Refuse motions of the basis that have no mass, such as rotations of interfaces beside lumped masses.
+
+    Raises:
+        InputError: as said.
+    """
+    try:
+        np.linalg.cholesky(M)
+    except np.linalg.LinAlgError as error:
+        d = np.sqrt(np.abs(np.diag(M)))
+        values, Y = np.linalg.eigh(M / np.outer(d, d) if (d > 0).all() else M)
+        worst = int(np.argmax(np.abs(Y[:, 0])))
+        what = f"{kinds[worst]} coordinate {1 + kinds[:worst].count(kinds[worst])}"
+        raise InputError(
+            f'method "{method}" gives a body with motions that have no mass ({values[0]:.1e} of the others, most of it '
+            f"in its {what}), which no simulation takes: interfaces move dofs without mass (rotations beside lumped "
+            "masses); give these dofs mass, leave them out of the interface (components = [...]), or take "
+            'method = "modal"'
+        ) from error
+
+
 def _skew_projected(V: Floats, A: sp.csr_array, budget: Budget) -> Floats:
     """V' A V (n, n) of a skew-symmetric ``A``, skew to the last bit."""
     P = projected(V, A, budget, V)
@@ -328,11 +350,14 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
     """
     V, W, K = basis.V, basis.V if basis.W is None else basis.W, basis.K
     n, r, eps = len(K), basis.rigid.shape[1], float(np.finfo(float).eps)
+    if n == r:
+        # Nothing but rigid motion, whose stiffness is zero and has no size.
+        return
     coupled = basis.W is None and np.count_nonzero(K) > np.count_nonzero(np.diag(K))
     values, Y = graded_modes(K, M) if coupled else (np.abs(np.diag(K)), np.eye(n))
     # Round-off in K V y, at most: the norms of columns add up.
     noise = (np.sqrt(problem.rounding(V)) @ np.abs(Y)) ** 2 / STIFFNESS_ERROR
-    lowest = values[r] if n > r else 0.0
+    lowest = values[r]
     scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.maximum(values, lowest), noise), np.finfo(float).tiny))
     # Signs that no structure of a basis has.
     x = Y @ (scale * np.where(np.arange(1, n + 1) ** 2 * 0.6180339887 % 1 < 0.5, -1.0, 1.0))
@@ -345,7 +370,7 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
             f"method {method!r} gave a reduced stiffness that is not W' K V of its basis: {off / np.sqrt(n):.1e} of "
             "it is missing or too much; take another method, and report this with the model"
         )
-    if not coupled or n == r:
+    if not coupled:
         return
     lost = AS_A_RULE * eps * np.einsum("ij,ij->j", np.abs(Y), np.abs(K) @ np.abs(Y))
     # Rigid motion has no stiffness: what is there is lost.
@@ -398,9 +423,12 @@ def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to:
 
     They are M-orthonormal, free of span(orthogonal_to) (M-orthonormal too), and ordered by their own
     stiffness. In exact arithmetic they are K-orthogonal to the basis; columns that are nearly dependent
-    are not, so their coupling is projected, not assumed to be zero.
+    are not, so their coupling is projected, not assumed to be zero. There are no more than the basis leaves room for.
     """
     W = complement(orthogonal_to, W, problem.M, problem.budget)
+    W = W[:, : max(len(W) - basis.V.shape[1], 0)]
+    if not W.shape[1]:
+        return basis
     if basis.holds_interfaces:
         # Scaling up nearly dependent columns scaled up the round-off of their interface displacements too.
         constraint = basis.V[:, : basis.kinds.count("constraint")]

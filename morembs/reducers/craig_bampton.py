@@ -105,9 +105,10 @@ class CraigBampton(OfModes):
             rigid=np.vstack([problem.B.T @ problem.rigid, np.zeros((fixed.vectors.shape[1], problem.rigid.shape[1]))]),
             holds_interfaces=True,
         )
-        if not self.inertia_modes:
+        # All that moves inside is there already where no mode is left out.
+        if not self.inertia_modes or np.isinf(fixed.verified_below):
             return basis
-        deformation = problem.internal.flexibility(problem.M @ constraint)
+        deformation = problem.internal.deformation(problem.M @ constraint, problem.M)
         return add_residual_modes(problem, basis, deformation, fixed.vectors)
 
     def _on_few(self, problem: Problem, progress: Progress) -> Basis:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -302,6 +304,18 @@ ONE = {".dof": "1.1\n1.2\n1.3\n", ".sti": "1 1 1.\n2 2 1.\n3 3 1.\n", ".mas": "1
 def test_what_an_engine_may_do_wrong_is_one_message(tmp_path, body, message):
     with pytest.raises(InputError, match=message):
         imported(tmp_path, TIED, executable=program(tmp_path, body), timeout=0.5 if "sleep" in body else 30.0)
+
+
+def test_hard_limits_of_a_queue_are_kept(tmp_path):
+    """More memory or larger files than a hard limit has cannot be asked for (ulimit -v on a cluster)."""
+    code = (
+        "import resource, sys; from pathlib import Path; from morembs.importers.engines.run import run\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (8 << 30,) * 2)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20,) * 2)\n"
+        "print(run(['sh', '-c', 'ulimit -v; ulimit -f; ulimit -c'], Path(), seconds=60, memory=1 << 40, late='late'))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.split()[0] == str(8 << 20) and done.stdout.split()[2] == "0"
 
 
 @pytest.mark.parametrize(("line", "message"), [

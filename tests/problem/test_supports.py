@@ -298,8 +298,15 @@ def test_coordinates_of_another_order_are_refused_a_bedding_and_a_preload_are_no
     model = steel(box("hex8", (6, 3, 3), (0.5, 0.07, 0.03)))
     mesh, n = model.mesh, len(model.nodes)
     mixed = replace(model.nodes, xyz=model.nodes.xyz[np.random.default_rng(0).permutation(n)])
-    with pytest.raises(InputError, match=r"does not fit the geometry: rigid motion strains it at \d+% of the dofs"):
-        Problem(replace(model, nodes=mixed))
+    wrong = replace(model, nodes=mixed)
+    side = make_interface(wrong, name="side", nodes=where(model, 0, 0.0), coupling="rigid")
+    # A rigid side that K does not fit holds the body: the matrices without it say that it is free.
+    for interfaces in ([], [side]):
+        with (
+            Problem(wrong, interfaces) as problem,
+            pytest.raises(InputError, match=r"does not fit the geometry: rigid motion strains it at \d+% of the dofs"),
+        ):
+            Modal(modes=2).reduce(problem)
     pull = np.zeros(3 * n)
     pull[::3] = 0.005 * model.nodes.xyz[:, 0]
     stress = geometric_stiffness(mesh, model.materials, pull)

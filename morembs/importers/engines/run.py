@@ -59,7 +59,7 @@ def run(
 
     Args:
         seconds: time after which it and its children are ended.
-        memory: bytes of address space that it may have; None for no limit.
+        memory: bytes of address space that it may have, within the limits of this process; None for no limit.
         environment: variables beside those of this process.
         late: the message when the time is over.
         stop: another thread sets it to end the program, None for none.
@@ -74,10 +74,13 @@ def run(
         # Only what exists on this system, and without anything that could wait for another thread.
         import resource
 
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        resource.setrlimit(resource.RLIMIT_FSIZE, (disk, disk))
-        if memory is not None:
-            resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+        wanted = {resource.RLIMIT_CORE: 0, resource.RLIMIT_FSIZE: disk, resource.RLIMIT_AS: memory}
+        for kind, most in wanted.items():
+            if most is not None:
+                # Nobody may go beyond a hard limit, such as that of a queue.
+                hard = resource.getrlimit(kind)[1]
+                most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+                resource.setrlimit(kind, (most, most))
 
     with log.open("wb") as out:
         try:

@@ -1,0 +1,183 @@
+"""The one place where it is decided which rigid motions a coupled model has, from its matrices and never by its graph.
+
+Evidence are the forces K R of geometric rigid motions against their round-off, for the whole model and for each group
+of dofs that K does not couple. Coordinates without places have no rigid motions of geometry: the null space of K is
+all that they have. Motions without energy beyond these (hinges) show when K is factorised.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from morembs.budget import Budget
+from morembs.errors import InputError
+from morembs.interface import Coupling
+from morembs.linalg.congruence import cancelling
+from morembs.linalg.null_space import DENSE, groups_of, null_space
+from morembs.linalg.rigid import free_in_groups, strain_free, written
+from morembs.linalg.sparse.solver import LinearSolver
+from morembs.model import FEModel
+from morembs.model.fe_model import SCALAR
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+# Number of terms up to which round-off of their sum is that of a row of an assembled matrix.
+FEW_TERMS = 100
+# Part of the inertia of a motion below which it depends on the others.
+DEPENDENT = 1e-12
+# Part of the largest motion of a group below which it does not move.
+STILL = 1e-9
+
+
+def has_places(model: FEModel) -> bool:
+    """Whether dofs are motions of nodes at different places; all others are abstract coordinates."""
+    xyz = model.nodes.xyz[model.dofs.node[model.dofs.component < SCALAR]]
+    return bool(len(xyz) and np.ptp(xyz, axis=0).any())
+
+
+def need_factor(model: FEModel, K: sp.csr_array) -> bool:
+    """Whether the motions of ``K`` show in a factorisation only: many coordinates without places that are coupled."""
+    return not has_places(model) and K.shape[0] > DENSE and int(np.bincount(groups_of(K)[1]).max()) > DENSE
+
+
+def rigid_motions(
+    model: FEModel, coupling: Coupling, K: sp.csr_array, M: sp.csr_array, solver: LinearSolver, budget: Budget
+) -> tuple[Floats, Floats]:
+    """M-orthonormal bases of the rigid motions (Nc, r) that K leaves free of strain and (Nc, h) that it holds.
+
+    Raises:
+        InputError: a support so soft that it cannot be told from round-off, parts that move against each other without
+            strain, or motions without stiffness and mass.
+        SolverError: a large model without places, of which K cannot be factorised.
+    """
+    Phi, massless = _independent_motions(coupling.R, M)
+    budget.release_pages()
+    # One matrix at a time has its pages in memory.
+    size, last = terms_in_rows(model, coupling, model.K, Phi), max(written(model.K.data), model.strained)
+    budget.release_pages()
+    rows = nodes_of_rows(model, coupling)
+    free, held = strain_free(K, Phi, size, rows, last)
+    if massless.shape[1]:
+        loose = strain_free(K, massless, terms_in_rows(model, coupling, model.K, massless), rows, last)[0].shape[1]
+        _refuse_massless(loose)
+    budget.release_pages()
+    if has_places(model):
+        _refuse_free_parts(model, coupling, K, Phi, free.shape[1], last)
+    else:
+        Z = null_space(K, solver.with_memory(budget.left()), last)
+        if Z.shape[1] > free.shape[1]:
+            free, held = Z, Phi[:, :0]
+    return _orthonormal(free, M), _orthonormal(held, M)
+
+
+def terms_in_rows(model: FEModel, coupling: Coupling, A: sp.csr_array, Phi: Floats) -> Floats:
+    """Sums (Nc, k) of all terms that cancel in A Phi for a matrix ``A`` of the model.
+
+    Frames sum up the forces of their nodes, most of which cancel there: their round-off grows with the root of the
+    number of terms, and so do these sums.
+    """
+    T = sp.csc_array(abs(coupling.T))
+    size = T.T @ cancelling(A, T @ np.abs(Phi), model.dofs.component == SCALAR)
+    terms = T.astype(bool).T @ np.diff(A.indptr).astype(float)
+    growth = np.where(np.diff(T.indptr) > 1, np.sqrt(np.maximum(terms / FEW_TERMS, 1.0)), 1.0)
+    return np.asarray(size * growth[:, None])
+
+
+def nodes_of_rows(model: FEModel, coupling: Coupling) -> Ints:
+    """Node (Nc,) that each coupled dof moves, the first of those that a frame moves."""
+    T = sp.csc_array(coupling.T)
+    of_entry = np.asarray(model.dofs.node, dtype=np.int64)[T.indices]
+    return np.minimum.reduceat(of_entry, T.indptr[:-1])
+
+
+def _independent_motions(R: Floats, M: sp.csr_array) -> tuple[Floats, Floats]:
+    """Independent combinations of the rigid motions ``R`` (Nc, 6), of one size: (Nc, k) with mass, (Nc, l) without."""
+    moves = R[:, :3].any(axis=1)
+    # Rotations per radius, so that all motions move nodes as far.
+    radius = float(np.sqrt((R[moves, 3:] ** 2).sum(axis=1).mean())) if moves.any() else 0.0
+    R = R / np.repeat([1.0, radius or 1.0], 3)
+    G = R.T @ (M @ R)
+    # Eigenvectors of the inertia are independent motions also where some vanish (all nodes on a line).
+    scale = np.sqrt(np.abs(np.diag(G)).clip(np.finfo(float).tiny))
+    values, U = sl.eigh(G / np.outer(scale, scale))
+    good = values > DEPENDENT
+    far = np.where(moves, 1.0, radius or 1.0)[:, None]
+    Phi = R if good.all() else (R / scale) @ U[:, good]
+    others = R @ np.linalg.qr(U[:, ~good] / scale[:, None])[0]
+    size = np.linalg.norm(others * far, axis=0)
+    moving = size > STILL * np.linalg.norm(R * far, axis=0).max(initial=0.0)
+    return np.asarray(Phi / np.linalg.norm(Phi * far, axis=0)), np.asarray(others[:, moving] / size[moving])
+
+
+def _refuse_massless(count: int) -> None:
+    if count:
+        raise InputError(
+            f"{count} rigid-body motions of the model have neither stiffness nor mass (such as turning about the "
+            "line of all nodes beside lumped masses); hold them, leave their dofs out, or give them mass"
+        )
+
+
+def _refuse_free_parts(
+    model: FEModel, coupling: Coupling, K: sp.csr_array, Phi: Floats, free: int, last: float
+) -> None:  # fmt: skip
+    """Refuse groups of dofs that K does not couple and that have more motions free of strain than the ``free`` of all.
+
+    Raises:
+        InputError: as said.
+    """
+    count, group = groups_of(K)
+    if count == 1:
+        return
+    size = np.bincount(group)
+    order, ends = np.argsort(group, kind="stable"), np.cumsum(size)
+    # The motions of all groups in the same columns: K couples none of them.
+    own = np.zeros_like(Phi)
+    rank = np.zeros(count, dtype=np.int64)
+    for number in np.flatnonzero(size > 1):
+        rows = order[ends[number] - size[number] : ends[number]]
+        U, s, _ = np.linalg.svd(Phi[rows], full_matrices=False)
+        rank[number] = int((s > STILL * s.max(initial=0.0)).sum())
+        own[rows, : rank[number]] = U[:, : rank[number]]
+    terms = terms_in_rows(model, coupling, model.K, own)
+    found = free_in_groups(K, own, terms, nodes_of_rows(model, coupling), last, group, rank)
+    if int(found.sum()) <= free:
+        return
+    part = _parts(model, coupling, group)[group]
+    sizes = np.sort(np.bincount(part))[::-1]
+    loose = model.nodes.ids[nodes_of_rows(model, coupling)[order[ends[int(np.argmax(found))] - 1]]]
+    expected = "one free body has 6" if free == Phi.shape[1] == 6 else f"the whole model has {free}"
+    if len(sizes) == 1:
+        raise InputError(
+            f"the model has a mechanism: {int(found.sum())} rigid-body modes where {expected}: dofs at node {loose} "
+            "move against the rest; look for parts that touch in a node or an edge only, or nodes that should be merged"
+        )
+    raise InputError(
+        f"the model has {len(sizes)} unconnected parts (of {', '.join(map(str, sizes[:5].tolist()))} dofs) and "
+        f"{int(found.sum())} rigid-body modes where {expected}: nothing holds the part at node {loose} to the rest; "
+        "join the parts (merge coincident nodes), hold each of them, or reduce them one by one"
+    )
+
+
+def _parts(model: FEModel, coupling: Coupling, group: Ints) -> Ints:
+    """The part (groups,) of each group of coupled dofs; those that move one node belong together."""
+    T, count = sp.coo_array(coupling.T), int(group.max()) + 1
+    ends = count + model.dofs.node[T.coords[0]]
+    links = sp.csr_array(
+        (np.ones(T.nnz, dtype=np.int8), (group[T.coords[1]], ends)), shape=(count + len(model.nodes),) * 2
+    )
+    return np.unique(connected_components(links, directed=False)[1][:count], return_inverse=True)[1].astype(np.int64)
+
+
+def _orthonormal(Z: Floats, M: sp.csr_array) -> Floats:
+    if not Z.shape[1]:
+        return Z
+    mass = Z.T @ (M @ Z)
+    try:
+        return np.asarray(Z @ np.linalg.inv(np.linalg.cholesky(mass)).T)
+    except np.linalg.LinAlgError:
+        _refuse_massless(max(int((np.linalg.eigvalsh(mass) <= DEPENDENT * np.abs(mass).max(initial=0.0)).sum()), 1))
+        raise

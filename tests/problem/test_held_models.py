@@ -1,0 +1,275 @@
+"""Held and free models of every kind against dense solutions: refused where the spectrum says so, and only there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg as sl
+import scipy.sparse as sp
+
+from morembs.diagnostics.warnings import examined
+from morembs.errors import InputError, SingularMatrixError
+from morembs.importers.from_matrices import from_matrices
+from morembs.interface import Interface, make_interface, matrix_interface
+from morembs.linalg.null_space import DENSE, null_space
+from morembs.linalg.sparse.select import select_solver
+from morembs.model import FEModel
+from morembs.problem import Damping, Problem
+from morembs.problem.rigid_motions import need_factor
+from morembs.reducers import CraigBampton, FreeInterface, Guyan, Krylov, Modal
+from tests.support.frames import beams, chain, clamped_beam, eigenvalues, line, model_on, plate, springs, without
+
+RNG = np.random.default_rng
+
+
+def planar_beam(components: tuple[int, ...]) -> FEModel:
+    """A clamped beam in the plane: the dofs of the other directions are taken out."""
+    whole = clamped_beam(7)
+    rows = np.flatnonzero(np.isin(whole.dofs.component, components))
+    node, component = whole.dofs.node[rows], whole.dofs.component[rows]
+    return replace(
+        whole, K=sp.csr_array(whole.K[rows][:, rows]), M=sp.csr_array(whole.M[rows][:, rows]),
+        dofs=replace(whole.dofs, node=node, component=component),
+    )  # fmt: skip
+
+
+def grounded_chain(stiffness: float = 1e6) -> FEModel:
+    """Masses on a line that move along it alone."""
+    K = stiffness * (2 * np.eye(6) - np.eye(6, k=1) - np.eye(6, k=-1))
+    return model_on(K, np.eye(6), line(6), (0,))
+
+
+def truss(held: tuple[int, ...]) -> FEModel:
+    xyz = np.array([[x, y, z] for x in (0.0, 1.0, 2.0) for y in (0.0, 1.0) for z in (0.0, 1.1)])
+    pairs = [(a, b) for b in range(len(xyz)) for a in range(b) if np.linalg.norm(xyz[a] - xyz[b]) < 1.9]
+    return model_on(*springs(xyz, pairs), xyz, range(3), without(3 * len(xyz), held))
+
+
+def two_beams(held: tuple[int, ...]) -> FEModel:
+    """Two beams that nothing joins, of which the first nodes of ``held`` ones are held."""
+    xyz = np.concatenate([line(4), line(4) + np.array([0.0, 1.0, 0.0])])
+    K, M = beams(xyz, [*chain(4), *((a + 4, b + 4) for a, b in chain(4))])
+    return model_on(K, M, xyz, range(6), without(48, [24 * which + c for which in held for c in range(6)]))
+
+
+def modal(free: int = 0) -> FEModel:
+    """Modal coordinates, ``free`` of them rigid."""
+    values = np.r_[np.zeros(free), (2 * np.pi * np.geomspace(0.5, 500.0, 12)) ** 2]
+    return from_matrices(np.diag(values), np.eye(len(values)), B=RNG(1).standard_normal((len(values), 2)))
+
+
+def turned() -> FEModel:
+    """Modal coordinates turned by a random rotation: full matrices without nodes."""
+    Q = np.linalg.qr(RNG(2).standard_normal((14, 14)))[0]
+    values = np.r_[0.0, 0.0, np.geomspace(1e2, 1e6, 12)]
+    K = (Q * values) @ Q.T
+    return from_matrices(0.5 * (K + K.T), np.eye(14), B=RNG(1).standard_normal((14, 2)))
+
+
+def lumped_rotations(model: FEModel) -> FEModel:
+    """``model`` without mass in its rotations."""
+    M = np.diag(model.M.toarray().sum(axis=1) * (model.dofs.component < 3))
+    return replace(model, M=sp.csr_array(np.abs(M)))
+
+
+SOUND: dict[str, tuple[Callable[[], FEModel], int]] = {
+    "straight cantilever": (lambda: clamped_beam(6), 0),
+    "oblique cantilever": (lambda: clamped_beam(6, axis=(0.6, 0.8, 0.0)), 0),
+    **{f"{n} nodes clamped at both ends": ((lambda n=n: clamped_beam(n, (0, -1))), 0) for n in (3, 4, 5)},
+    "free straight beam": (lambda: clamped_beam(5, ()), 6),
+    "beam on a ball joint": (lambda: ball_joint(), 3),
+    "planar beam, three dofs a node": (lambda: planar_beam((0, 1, 5)), 0),
+    "planar beam, two dofs a node": (lambda: planar_beam((1, 5)), 0),
+    "grounded chain": (grounded_chain, 0),
+    "held truss": (lambda: truss(tuple(range(12))), 0),
+    "free truss": (lambda: truss(()), 6),
+    "two held beams": (lambda: two_beams((0, 1)), 0),
+    "held plate": (lambda: plate(3, 2, held=True), 0),
+    "free plate": (lambda: plate(3, 2, held=False), 3),
+    "lumped cantilever": (lambda: lumped_rotations(clamped_beam(6)), 0),
+    "modal coordinates": (modal, 0),
+    "free modal coordinates": (lambda: modal(2), 2),
+    "turned modal coordinates": (turned, 2),
+    "diagonal K and M": (lambda: model_on(np.diag(np.geomspace(1e3, 1e6, 12)), np.eye(12), line(4), range(3)), 0),
+}  # fmt: skip
+
+
+def ball_joint() -> FEModel:
+    xyz = line(6)
+    return model_on(*beams(xyz, chain(6)), xyz, range(6), without(36, range(3)))
+
+
+def interface_of(model: FEModel) -> Interface:
+    if model.inputs is not None:
+        return matrix_interface(model, name="tip", matrix="B")
+    last = int(model.dofs.node.max())
+    own = np.flatnonzero(model.dofs.node == last)
+    heavy = tuple(model.dofs.component[own[model.M.diagonal()[own] > 0]].tolist())
+    return make_interface(model, name="tip", nodes=np.array([last]), coupling="direct", components=heavy)
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_what_the_spectrum_allows_is_reduced_and_right(name: str) -> None:
+    make, free = SOUND[name]
+    model = make()
+    examined(model)
+    tip = interface_of(model)
+    size = model.size - free
+    with Problem(model, [tip], damping=Damping(beta=1e-5)) as problem:
+        assert problem.rigid.shape[1] == free
+        K, M, B = problem.K.toarray(), problem.M.toarray(), problem.B.toarray()
+        theta = sl.eigh(M, K + 1e3 * np.trace(K) / np.trace(M) * M, eigvals_only=True)
+        finite = int((theta > 1e-14 * theta[-1]).sum()) - free
+        exact = np.sort(sl.eigvals(K, M).real)[: free + finite][free:]
+        for reducer in (
+            Modal(modes=min(4, finite)), FreeInterface(modes=min(2, finite)), Guyan(), CraigBampton(modes=2),
+            Krylov(shifts_hz=[10.0], moments=1), CraigBampton(modes=max(2, B.shape[1]), inertia_modes=True),
+        ):  # fmt: skip
+            held = reducer.method in ("craig-bampton", "guyan")
+            try:
+                body = reducer.reduce(problem)
+            except InputError as error:
+                # The interface does not hold a free body, or leaves no coordinates: true.
+                assert held and (("leave" in str(error) and free) or size - B.shape[1] < 2), str(error)
+                continue
+            values = body.modes()[0]
+            assert np.abs(values[:free]).max(initial=0.0) <= 1e-9 * exact[-1]
+            # From above (Rayleigh and Ritz), the lowest ones of modal reductions to the digits of LAPACK.
+            lowest = exact[: len(values) - free]
+            assert (values[free:] >= lowest * (1 - 1e-6)).all()
+            if reducer.method == "modal":
+                assert values[free : free + 2] == pytest.approx(exact[:2], rel=1e-6)
+            if reducer.method == "krylov":
+                s = 2j * np.pi * 10.0
+                D = 1e-5 * K
+                H = B.T @ np.linalg.solve(s * s * M + s * D + K, B)
+                own = body.C @ np.linalg.solve(s * s * body.M + s * body.D + body.K, body.B)
+                assert np.abs(own - H).max() <= 1e-5 * np.abs(H).max()
+
+
+def test_free_parts_are_refused_by_what_their_matrices_say() -> None:
+    for held, count, rest in (((), 12, "one free body has 6"), ((0,), 6, "the whole model has 0")):
+        model = two_beams(held)
+        zero = np.count_nonzero(np.abs(eigenvalues(model)) < 1e-3)
+        assert zero == count
+        with pytest.raises(InputError, match=rf"2 unconnected parts.* and {count} rigid-body modes where {rest}"):
+            Problem(model)
+
+
+@pytest.mark.parametrize(("lean", "error"), [(0.3, SingularMatrixError), (0.0, InputError)])
+def test_a_hinge_in_a_held_body_is_counted(lean: float, error: type[Exception]) -> None:
+    """A square of bars without a diagonal on one that is held; K couples its motion to others where it leans."""
+    xyz = np.array([[x + lean * (y == 2.0), y, 0.0] for y in (0.0, 1.0, 2.0) for x in (0.0, 1.0)])
+    K, M = springs(xyz, [(0, 2), (1, 3), (2, 3), (0, 3), (2, 4), (3, 5), (4, 5)])
+    rows = np.array([3 * node + c for node in range(2, 6) for c in (0, 1)])
+    model = model_on(K, M, xyz, range(3), rows)
+    assert np.count_nonzero(np.abs(eigenvalues(model)) < 1e-3) == 1
+    with pytest.raises(error, match="mechanism: 1 rigid-body modes"), Problem(model) as problem:
+        Modal(modes=2).reduce(problem)
+
+
+def test_interfaces_on_rotations_without_mass_are_refused() -> None:
+    model = lumped_rotations(clamped_beam(6))
+    tip = make_interface(model, name="tip", nodes=np.array([5]), coupling="direct")
+    with Problem(model, [tip]) as problem, pytest.raises(InputError, match=r"motions that have no mass"):
+        CraigBampton(modes=4).reduce(problem)
+
+
+def test_inertia_modes_that_the_model_has_no_room_for_are_dropped() -> None:
+    for nodes, ends in ((3, (0, -1)), (3, (0,)), (4, (0,))):
+        model = clamped_beam(nodes, ends)
+        tip = interface_of(model)
+        exact = eigenvalues(model)
+        for reducer in (CraigBampton(modes=6, inertia_modes=True), CraigBampton(up_to_hz=1e5, inertia_modes=True)):
+            with Problem(model, [tip]) as problem:
+                body = reducer.reduce(problem)
+            assert body.order <= model.size
+            whole = body.order == model.size
+            assert body.modes()[0][:2] == pytest.approx(exact[:2], rel=1e-8 if whole else 1e-6)
+
+
+def test_the_null_space_of_groups_small_and_large() -> None:
+    small, large = 5, DENSE + 200
+    blocks = [np.array([[0.0]]), np.array([[3.0]])]
+    free = [sp.diags_array([2.0] * n) - sp.eye_array(n, k=1) - sp.eye_array(n, k=-1) for n in (small, large, small)]
+    for chain_ in free[:2]:
+        chain_ = chain_.tolil()
+        chain_[0, 0] = chain_[-1, -1] = 1.0
+        blocks.append(chain_)
+    K = sp.csr_array(sp.block_diag([*blocks, free[2]]))
+    assert need_factor(from_matrices(K, sp.eye_array(K.shape[0])), K)
+    Z = null_space(K, select_solver())
+    assert Z.shape[1] == 3 and np.abs(K @ Z).max() <= 1e-12 * np.abs(Z).max()
+    model = from_matrices(K, sp.eye_array(K.shape[0]), B=np.eye(K.shape[0], 1, k=-4))
+    with Problem(model, [matrix_interface(model, name="q", matrix="B")]) as problem:
+        body = Modal(modes=3).reduce(problem)
+    exact = 2 - 2 * np.cos(np.arange(1, 4) * np.pi / large)
+    assert body.modes()[0][3:] == pytest.approx(exact, rel=1e-6)
+
+
+def spring_grid() -> FEModel:
+    """Masses on a grid whose springs act along x, y and z alike: free in translations alone."""
+    xyz = np.array([[x, y, 0.0] for x in range(3) for y in range(2)])
+    K = np.zeros((18, 18))
+    for a, b in ((0, 1), (2, 3), (4, 5), (0, 2), (2, 4), (1, 3), (3, 5)):
+        for c in range(3):
+            v = np.zeros(18)
+            v[[3 * a + c, 3 * b + c]] = 1.0, -1.0
+            K += 10.0 ** (4 + c) * np.outer(v, v)
+    return model_on(K, np.eye(18), xyz, range(3))
+
+
+def planar_truss() -> FEModel:
+    """A truss in space whose displacements along x are taken out."""
+    whole = truss(())
+    rows = np.flatnonzero(whole.dofs.component > 0)
+    return replace(
+        whole, K=sp.csr_array(whole.K[rows][:, rows]), M=sp.csr_array(whole.M[rows][:, rows]),
+        dofs=replace(whole.dofs, node=whole.dofs.node[rows], component=whole.dofs.component[rows]),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("make", [spring_grid, planar_truss])
+def test_models_that_look_like_wrong_coordinates_are_warned_of_and_reduced(make: Callable[[], FEModel]) -> None:
+    model = make()
+    examined(model)
+    exact = eigenvalues(model)
+    with Problem(model) as problem:
+        assert problem.rigid.shape[1] == 3
+        body = Modal(modes=3).reduce(problem)
+    assert body.modes()[0][3:] == pytest.approx(exact[3:6], rel=1e-9)
+
+
+def test_a_rigid_motion_without_mass_is_named() -> None:
+    model = clamped_beam(4, ())
+    lumped = replace(model, M=sp.csr_array(np.diag(model.M.diagonal() * (model.dofs.component < 3))))
+    with pytest.raises(InputError, match=r"1 rigid-body motions of the model have neither stiffness nor mass"):
+        Problem(lumped)
+
+
+def test_interfaces_that_rigid_motion_does_not_reach_are_said_to_leave_it_free() -> None:
+    """The free motion is that of one beam; round-off of it at the interface on the other was taken for motion."""
+    xyz = line(4)
+    K, M = beams(xyz, chain(4))
+    # Turning about the beam is free, all else is held at the first node.
+    model = model_on(K, M, xyz, range(6), without(24, [0, 1, 2, 4, 5]))
+    tip = make_interface(model, name="tip", nodes=np.array([3]), coupling="direct", components=(0, 1, 2, 4, 5))
+    with Problem(model, [tip]) as problem:
+        assert problem.rigid.shape[1] == 1
+        with pytest.raises(InputError, match="the interfaces leave 1 rigid-body motions of the body free"):
+            Guyan().reduce(problem)
+
+
+@pytest.mark.filterwarnings("error")
+def test_rotations_alone_have_no_mass_and_are_reduced() -> None:
+    whole = truss(())
+    xyz = whole.nodes.xyz[:3]
+    K, M = beams(xyz, chain(3))
+    model = model_on(K, M, xyz, range(6), np.array([6 * node + c for node in range(3) for c in (4, 5)]))
+    with Problem(model) as problem:
+        assert problem.mass_properties[0] == 0.0 and problem.rigid.shape[1] == 0
+        body = Modal(modes=2).reduce(problem)
+    assert body.modes()[0] == pytest.approx(eigenvalues(model)[:2], rel=1e-9)
