@@ -82,7 +82,7 @@ class Constraints:
                     with self.problems.collected(card, (f"--skip {card.keyword}",)):
                         self._read_card(placed, card, rows, kind, [row for row in kind_rows if row])
         if self.deck.dialect == "calculix":
-            terms = ((name[1:], node) for name, sums in self._sums.items() for _, sum_ in sums for node, *_ in sum_)
+            terms = ((name[1:], term[0], False) for name, sums in self._sums.items() for _, own in sums for term in own)
             self.refuse_references(terms, cure="--dialect abaqus (of its elements too)")
         for name, sums in self._sums.items():
             if sums:
@@ -95,12 +95,11 @@ class Constraints:
         self.ties.warnings += glue.warnings
         return self.ties
 
-    def refuse_references(self, named: Iterable[tuple[str, int]], *, cure: str, arms: bool = True) -> None:
-        """Equations (keyword, node of a term) on references of distributing couplings become problems of the deck."""
+    def refuse_references(self, named: Iterable[tuple[str, int, bool]], *, cure: str) -> None:
+        """What acts on references of distributing couplings becomes a problem of the deck, as of the function below."""
         self.problems.entries += problems_of_references(
-            self.deck.name, named, self.ties.average, self.references, self.assembly.ids, self.assembly.xyz, cure=cure,
-            arms=arms,
-        )  # fmt: skip
+            self.deck.name, named, self.ties.average, self.references, self.assembly.ids, self.assembly.xyz, cure=cure
+        )
 
     def _with_rotations(self, given: tuple[str, list[Term]]) -> tuple[str, list[Term]]:
         """A sum with rotations of rigid bodies at their references, where it has displacements of rotation nodes."""

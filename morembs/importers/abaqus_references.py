@@ -25,24 +25,23 @@ _NO_ARM = 1e-9
 
 
 def problems_of_references(
-    deck: str, named: Iterable[tuple[str, int]], average: Sequence[AverageElement], kinds: dict[int, str],
-    ids: NDArray[np.int64], xyz: NDArray[np.float64], *, cure: str, arms: bool = True,
+    deck: str, named: Iterable[tuple[str, int, bool]], average: Sequence[AverageElement], kinds: dict[int, str],
+    ids: NDArray[np.int64], xyz: NDArray[np.float64], *, cure: str,
 ) -> list[Problem]:  # fmt: skip
     """What is wrong with equations and supports that name references of distributing couplings.
 
     Args:
-        named: keyword and node of the terms of equations, or of supports.
+        named: keyword and node of the terms of equations, or of supports, and whether the node is refused also as the
+            reference of a *DISTRIBUTING COUPLING at the mean place of its nodes, where both programs agree.
         average: the couplings; ``kinds`` are their keywords by reference.
         ids, xyz: labels (n,) and places (n, 3) of all nodes.
         cure: how to get the meaning of Abaqus.
-        arms: False also refuses a *DISTRIBUTING COUPLING whose reference is at the mean place of its nodes, where both
-            programs agree.
     """
     by_reference = {element.reference: element for element in average}
     found: list[Problem] = []
-    for keyword, node in dict.fromkeys(named):
+    for keyword, node, always in sorted(set(named)):
         element = by_reference.get(node)
-        if element is None or (arms and kinds[node] == "DISTRIBUTING COUPLING" and not _has_arm(element, xyz)):
+        if element is None or (not always and kinds[node] == "DISTRIBUTING COUPLING" and not _has_arm(element, xyz)):
             continue
         what = (
             f"{deck}: *{keyword} names node {ids[node]}, the reference of the distributing coupling {element.name!r}, "

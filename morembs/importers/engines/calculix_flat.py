@@ -58,10 +58,10 @@ def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
             writer.take(placed, card, rows)
     writer.ties.couplings(writer.places)
     own = "own assembly with --dialect abaqus (of its elements too)"
-    constraints.refuse_references(flat.deck.equated, cure=own, arms=False)
+    constraints.refuse_references(flat.deck.equated, cure=own)
     writer.steps()
-    held = (("BOUNDARY", int(node)) for node in np.flatnonzero(flat.deck.held.any(axis=1)))
-    constraints.refuse_references(held, cure="[[interface]] with nodes = 'coupling:NAME'", arms=False)
+    held = (("BOUNDARY", int(node), True) for node in np.flatnonzero(flat.deck.held.any(axis=1)))
+    constraints.refuse_references(held, cure="[[interface]] with nodes = 'coupling:NAME'")
     writer.cuts()
     writer.materials()
     deck.problems.refuse()
