@@ -14,9 +14,11 @@ from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_constraints import Constraints
 from morembs.importers.abaqus_deck import SOLIDS, Deck
+from morembs.importers.abaqus_left_out import LOCKED, PRETENSION, notes_of
 from morembs.importers.abaqus_materials import materials_of
 from morembs.importers.abaqus_mesh import mesh_of
 from morembs.importers.abaqus_reader import read_deck
+from morembs.importers.abaqus_words import of_kind
 from morembs.importers.deck_options import deck_options, left_out
 from morembs.importers.formulations import DIALECTS, deck_warnings
 from morembs.importers.imported import Imported, nodes_of, sets_on
@@ -94,7 +96,7 @@ def import_abaqus(
         tied.on_rows(row), nodes=nodes, mesh=_with_warnings(mesh, deck), materials=materials, incomplete=lacking,
         surfaces=sets_on(constraints.surfaces.nodes, row),
         notes=(*_notes(deck), *assembly.notes, *sections.notes, *ties.notes),
-        warnings=(*skipped_warnings(deck), *ties.warnings, *sections.warnings, *said),
+        warnings=(*skipped_warnings(deck), *deck.warnings, *ties.warnings, *sections.warnings, *said),
     )  # fmt: skip
 
 
@@ -117,14 +119,11 @@ def _with_warnings(mesh: Mesh, deck: Deck) -> Mesh:
 
 
 def _notes(deck: Deck) -> list[str]:
-    """What was left out, a sentence each."""
-    notes = []
-    for word in deck.noted:
-        if word == "END STEP":
-            notes.append("The last step is not ended (*END STEP is missing).")
-            continue
-        reason = "is not applied; the body is free" if word == "BOUNDARY" else "is not carried over"
-        notes.append(f"*{word} {reason}.")
+    """What was left out, a sentence for each class."""
+    in_steps = [word for word in deck.in_steps if word in of_kind("support", "load")]
+    notes = notes_of(dict.fromkeys([*deck.noted, *in_steps]))
+    if f"*{PRETENSION}" in deck.skipped:
+        notes.append(LOCKED.format(""))
     if deck.in_steps:
         listed = ", ".join(f"*{word}" for word in deck.in_steps if word != "END STEP")
         notes.append(f"Steps and all in them are not applied: {listed}.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +16,7 @@ from morembs.importers.abaqus_equations import Axes, equations_of, mpc_sums, sol
 from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_points import Points
+from morembs.importers.abaqus_references import problems_of_references
 from morembs.importers.abaqus_surfaces import Surfaces
 from morembs.importers.abaqus_ties import Glue, is_sector
 from morembs.importers.abaqus_words import CONTACT
@@ -52,6 +54,7 @@ class Constraints:
         self.surfaces, self.axes = Surfaces(assembly), Axes(assembly)
         self._sums: dict[str, list[tuple[str, list[Term]]]] = {"*EQUATION": [], "*MPC": []}
         self._turning: dict[int, int] = {}
+        self.references: dict[int, str] = {}
         self._distributing = {
             element.number: element.nodes[0] for element in assembly.discrete if element.code == "DCOUP3D"
         }
@@ -78,6 +81,9 @@ class Constraints:
                         continue
                     with self.problems.collected(card, (f"--skip {card.keyword}",)):
                         self._read_card(placed, card, rows, kind, [row for row in kind_rows if row])
+        if self.deck.dialect == "calculix":
+            terms = ((name[1:], term[0], False) for name, sums in self._sums.items() for _, own in sums for term in own)
+            self.refuse_references(terms, cure="--dialect abaqus (of its elements too)")
         for name, sums in self._sums.items():
             if sums:
                 with self.problems.collected(Card(name[1:], {}, self.deck.name)):
@@ -88,6 +94,12 @@ class Constraints:
         self.ties.notes += glue.notes
         self.ties.warnings += glue.warnings
         return self.ties
+
+    def refuse_references(self, named: Iterable[tuple[str, int, bool]], *, cure: str) -> None:
+        """What acts on references of distributing couplings becomes a problem of the deck, as of the function below."""
+        self.problems.entries += problems_of_references(
+            self.deck.name, named, self.ties.average, self.references, self.assembly.ids, self.assembly.xyz, cure=cure
+        )
 
     def _with_rotations(self, given: tuple[str, list[Term]]) -> tuple[str, list[Term]]:
         """A sum with rotations of rigid bodies at their references, where it has displacements of rotation nodes."""
@@ -147,6 +159,7 @@ class Constraints:
             raise InputError(f"{kind} of {name!r} weighs by {method}; expected UNIFORM")
         if not (weights >= 0).all() or not weights.sum() > 0:
             raise InputError(f"{card} {name!r} has weights that are not positive; check its surface")
+        self.references[reference] = card.keyword
         self.ties.average.append(
             AverageElement(name=title, reference=reference, nodes=nodes, weights=weights, components=components)
         )
@@ -182,6 +195,7 @@ class Constraints:
         if not len(nodes) or not (given >= 0).all() or not given.sum() > 0:
             raise InputError(f"{card} of {card.need('ELSET')!r} has no nodes with positive weights; check its lines")
         title = self._title(placed, card.options["ELSET"])
+        self.references[references[0]] = card.keyword
         self.ties.average.append(AverageElement(name=title, reference=references[0], nodes=nodes, weights=given))
 
     def _rigid_body(self, placed: Placed, card: Card) -> None:
@@ -265,7 +279,7 @@ class Constraints:
 def refuse_sector(card: Card, deck: Deck) -> None:
     """A *TIE of the sides of a sector is a problem, unless sectors are to be taken as they are."""
     if deck.options.skips(SECTOR):
-        deck.skipped[f"*{SECTOR}"] = deck.skipped.get(f"*{SECTOR}", 0) + 1
+        deck.skip(Card(SECTOR, {}, card.file))
         return
     what = (
         f"{card} joins the sides of a sector, which stands for a whole turn and is another body; --skip {SECTOR!r} "

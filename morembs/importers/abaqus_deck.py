@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from morembs.importers.abaqus_data import number
 from morembs.importers.abaqus_keywords import Card
+from morembs.importers.abaqus_left_out import warning_of
 from morembs.importers.deck_options import DeckOptions
 from morembs.importers.formulations import meaning_of
 from morembs.importers.problems import Problems
@@ -92,9 +93,9 @@ class Instance:
 
 @dataclass
 class Deck:
-    """All of a deck; ``counts`` of element types as they are written, ``noted`` keywords without effect, ``skipped``
-    what was left out as asked; ``dialect`` is the program whose types are meant, and ``guessed`` says that the deck
-    does not tell."""
+    """All of a deck; ``counts`` of element types as they are written, ``noted`` keywords without effect and the
+    ``warnings`` of some of them, ``skipped`` what was left out as asked; ``dialect`` is the program whose types are
+    meant, and ``guessed`` says that the deck does not tell."""
 
     name: str
     options: DeckOptions = field(default_factory=DeckOptions)
@@ -107,9 +108,21 @@ class Deck:
     noted: dict[str, int] = field(default_factory=dict)
     skipped: dict[str, int] = field(default_factory=dict)
     in_steps: dict[str, int] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
     dialects: set[str] = field(default_factory=set)
     dialect: str = "calculix"
     guessed: bool = False
+
+    def leave_out(self, card: Card) -> None:
+        """Count a keyword that nothing of the model depends on, with the warning that it may need."""
+        self.noted[card.keyword] = self.noted.get(card.keyword, 0) + 1
+        said = warning_of(card)
+        if said and said not in self.warnings:
+            self.warnings.append(said)
+
+    def skip(self, card: Card) -> None:
+        """Count a keyword that is left out as asked."""
+        self.skipped[f"*{card.keyword}"] = self.skipped.get(f"*{card.keyword}", 0) + 1
 
     def kind(self, code: str) -> tuple[str, str, str]:
         """Type, formulation and mass of the solids that the deck calls ``code``."""

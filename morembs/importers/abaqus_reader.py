@@ -24,17 +24,15 @@ from morembs.importers.abaqus_deck import (
 )
 from morembs.importers.abaqus_generate import GENERATING, generate
 from morembs.importers.abaqus_keywords import Card, cards
+from morembs.importers.abaqus_left_out import refusal_of
 from morembs.importers.abaqus_words import (
     CONSTRAINTS,
     CONTACT,
     GAPS,
+    LEFT_OUT,
     MATERIAL,
-    NOTED,
-    OF_OTHER_ELEMENTS,
     PROPERTIES,
-    SILENT,
     STRUCTURAL,
-    WHY_REFUSED,
 )
 from morembs.importers.deck_options import DeckOptions
 from morembs.importers.formulations import dialect_of, dialects_of_comments
@@ -135,10 +133,10 @@ class DeckReader:
         elif word in ("NODE", "ELEMENT"):
             {"NODE": self._nodes, "ELEMENT": self._elements}[word](card, pieces)
         elif deck.options.skips(word):
-            deck.skipped[f"*{word}"] = deck.skipped.get(f"*{word}", 0) + 1
-        elif word in NOTED or word in OF_OTHER_ELEMENTS:
-            deck.noted[word] = deck.noted.get(word, 0) + 1
-        elif word not in SILENT:
+            deck.skip(card)
+        elif word in LEFT_OUT:
+            deck.leave_out(card)
+        else:
             with deck.problems.collected(card):
                 self._rest(card, pieces)
 
@@ -261,12 +259,7 @@ class DeckReader:
                 raise InputError(f"{card} has no *COUPLING before it; expected one for each")
             scope.constraints[-1] = (*scope.constraints[-1][:2], card, rows)
         else:
-            named = next((card.options[k] for k in ("NAME", "ELSET", "NSET") if card.options.get(k)), "")
-            why = WHY_REFUSED.get(word, "it is not known here, so stiffness or mass may depend on it")
-            what = (
-                f"{card}{f' ({named})' if named else ''} cannot be read: {why}; take it out of the deck, or leave it "
-                f"out with --skip {word!r}, if the model is right without it"
-            )
+            what = refusal_of(card)
             self.deck.problems.add(
                 Problem(what=what, file=card.file, line=card.line, keyword=word, flags=(f"--skip {word}",))
             )
@@ -275,7 +268,7 @@ class DeckReader:
         """Contact is refused, left out, or glued."""
         deck, contact = self.deck, self.deck.options.contact
         if contact == "skip":
-            deck.skipped[f"*{card.keyword}"] = deck.skipped.get(f"*{card.keyword}", 0) + 1
+            deck.skip(card)
         elif contact == "tie" and (self.glues or card.keyword == "CONTACT PAIR"):
             self.scope.constraints.append((card, rows, None, []))
         else:

@@ -98,7 +98,7 @@ def test_all_that_hangs_on_a_body_keeps_its_labels(deck):
     (material,) = imported.materials
     assert material.set == "Cube" and np.allclose(material.stiffness, isotropic(set="", **STEEL).stiffness)
     told = " ".join(imported.notes)
-    assert "*BOUNDARY is not applied" in told and "*CLOAD" in told and "C3D8" in mesh.warnings[0]
+    assert "*BOUNDARY: supports are not applied" in told and "*CLOAD" in told and "C3D8" in mesh.warnings[0]
     assert assemble(mesh, imported.materials).M.sum() / 3 == pytest.approx(7850.0)
 
 

@@ -15,6 +15,7 @@ import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
+from morembs.importers.calculix_matrices import CalculixMatrices, read_calculix_matrices
 from morembs.model import FEModel
 
 CCX = next((path for name in ("ccx", "ccx_2.20") if (path := shutil.which(name))), None)
@@ -66,6 +67,17 @@ def own_frequencies(deck: str, folder: Path, count: int = 6, before: str = "") -
     subprocess.run([str(CCX), "own"], cwd=folder, capture_output=True, check=True, timeout=60)
     lines = [line.split() for line in (folder / "own.dat").read_text().splitlines()]
     return np.array([float(fields[1]) for fields in lines if len(fields) == 5 and fields[0].isdigit()][:count])
+
+
+def stored_matrices(deck: str, folder: Path, step: str = "") -> tuple[CalculixMatrices | None, str]:
+    """Matrices that ccx stores of a deck with more lines in its step, None where it stops, and what it says."""
+    for path in folder.glob("stored.*"):
+        path.unlink()
+    (folder / "stored.inp").write_text(f"{deck}*STEP\n*FREQUENCY, SOLVER=MATRIXSTORAGE\n{step}*END STEP\n")
+    done = subprocess.run([str(CCX), "stored"], cwd=folder, capture_output=True, timeout=60, check=False)
+    written = folder / "stored.sti"
+    read = read_calculix_matrices(written) if written.is_file() and written.stat().st_size else None
+    return read, done.stdout.decode(errors="replace")
 
 
 def independent(model: FEModel) -> tuple[sp.csr_array, sp.csr_array]:

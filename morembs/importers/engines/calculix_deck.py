@@ -54,7 +54,8 @@ class FlatDeck:
     """Text for CalculiX: node ``row`` of the assembly has the label row + 1, element ``number`` that plus 1.
 
     ``masses`` are the numbers of point masses that are in it, ``held`` (n, 3) the displacements that *BOUNDARY holds,
-    ``followers`` rows of nodes that follow others.
+    ``followers`` rows of nodes that follow others, ``equated`` what equations name, as
+    ``problems_of_references`` has it.
     """
 
     assembly: Assembly
@@ -67,6 +68,7 @@ class FlatDeck:
     steps: list[str] = field(default_factory=list)
     masses: set[int] = field(default_factory=set)
     followers: set[int] = field(default_factory=set)
+    equated: list[tuple[str, int, bool]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.labels = self.assembly.element_labels()
@@ -233,8 +235,9 @@ class FlatDeck:
         for _, terms in equations_of(self.assembly, Axes(self.assembly), placed, card, rows):
             self.terms([(node + 1, component + 1, value) for node, component, value in terms])
 
-    def terms(self, terms: list[tuple[int, int, float]]) -> None:
+    def terms(self, terms: list[tuple[int, int, float]], keyword: str = "EQUATION") -> None:
         """One equation of terms (label, dof from 1, coefficient)."""
+        self.equated += [(keyword, label - 1, True) for label, *_ in terms]
         self.followers.add(terms[0][0] - 1)
         texts = [f"{label}, {dof}, {numeral(value)}" for label, dof, value in terms]
         lines = [", ".join(texts[i : i + 4]) for i in range(0, len(texts), 4)]

@@ -12,10 +12,11 @@ from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_constraints import Constraints, refuse_sector
 from morembs.importers.abaqus_deck import Rows, values
 from morembs.importers.abaqus_keywords import Card
+from morembs.importers.abaqus_left_out import CUT, LOCKED, PRETENSION, refusal_of
 from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_points import point_value
 from morembs.importers.abaqus_ties import is_sector
-from morembs.importers.abaqus_words import NOTED, OF_OTHER_ELEMENTS, SILENT, WHY_REFUSED
+from morembs.importers.abaqus_words import LEFT_OUT
 from morembs.importers.deck_options import DeckOptions
 from morembs.importers.engines.calculix_deck import CARDS, FlatDeck
 from morembs.importers.engines.calculix_read import EngineDeck
@@ -28,11 +29,6 @@ from morembs.importers.problems import Problem
 _PLAIN = set(CARDS) - {"BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE", "STATIC", "ORIENTATION", "DISTRIBUTION",
                        "DISTRIBUTING COUPLING", "SOLID SECTION"}  # fmt: skip
 _IN_STEPS = ("STATIC", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE")
-_HARMLESS = NOTED | SILENT | OF_OTHER_ELEMENTS | {
-    "STATIC", "DASHPOT", "CONTACT DAMPING", "GAP CONDUCTANCE", "GAP HEAT GENERATION", "CHANGE FRICTION",
-    "CHANGE SURFACE BEHAVIOR", "CHANGE MATERIAL", "CHANGE CONTACT TYPE", "SENSITIVITY", "FEASIBLE DIRECTION",
-}  # fmt: skip
-
 
 @dataclass(frozen=True, kw_only=True)
 class Choices:
@@ -61,7 +57,12 @@ def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
         with deck.problems.collected(card, (f"--skip {card.keyword}",)):
             writer.take(placed, card, rows)
     writer.ties.couplings(writer.places)
+    own = "own assembly with --dialect abaqus (of its elements too)"
+    constraints.refuse_references(flat.deck.equated, cure=own)
     writer.steps()
+    held = (("BOUNDARY", int(node), True) for node in np.flatnonzero(flat.deck.held.any(axis=1)))
+    constraints.refuse_references(held, cure="[[interface]] with nodes = 'coupling:NAME'")
+    writer.cuts()
     writer.materials()
     deck.problems.refuse()
     return flat
@@ -86,7 +87,8 @@ class _Writer:
         """Write a card, or say why not."""
         word, out = card.keyword, self.flat.deck
         if self.options.skips(word):
-            self.deck.skipped[f"*{word}"] = self.deck.skipped.get(f"*{word}", 0) + 1
+            self.deck.skip(card)
+            self.flat.notes += [LOCKED.format(f" of node {card.options.get('NODE', '')}")] if word == PRETENSION else []
         elif word in ("ORIENTATION", "DISTRIBUTION"):
             self._orientation(placed, card, rows)
         elif word == "BOUNDARY":
@@ -115,14 +117,10 @@ class _Writer:
             self._section(placed, card, rows)
         elif word in _PLAIN and word not in _IN_STEPS:
             self._plain(placed, card, rows)
-        elif word in _HARMLESS:
-            self.deck.noted[word] = self.deck.noted.get(word, 0) + 1
+        elif word in LEFT_OUT or word == "DASHPOT":
+            self.deck.leave_out(card)
         else:
-            why = WHY_REFUSED.get(word, "it is not known here, so stiffness or mass may depend on it")
-            raise InputError(
-                f"{card} cannot be read: {why}; take it out of the deck, or leave it out with --skip {word!r}, if the "
-                "model is right without it"
-            )
+            raise InputError(refusal_of(card))
 
     def _tables(self) -> bool:
         """Whether constants of a material take more than a line, so that they may depend on temperature."""
@@ -146,6 +144,8 @@ class _Writer:
         if card.keyword == "BEAM SECTION" and len(rows) > 1 and not np.array_equal(placed.rotation, np.eye(3)):
             normal = placed.rotation @ np.array((values(rows[1], card) + [0.0] * 3)[:3])
             rows = [rows[0], [numeral(x) for x in normal], *rows[2:]]
+        if card.keyword == PRETENSION:
+            self.flat.cuts.append(self.assembly.one_node(placed, card.need("NODE")))
         if card.keyword == "TRANSFORM":
             self.flat.turned |= set(self.assembly.nodes_of(placed, card.need("NSET")).tolist())
         self.flat.deck.card(placed, card, rows)
@@ -216,6 +216,12 @@ class _Writer:
             for card, rows in self.deck.steps[0]:
                 if card.keyword == "BOUNDARY":
                     out.body.append((9, out.boundary(top, card, rows)))
+
+    def cuts(self) -> None:
+        """Say of each pre-tension section whether it is cut, or locked by a boundary on its node."""
+        for node in self.flat.cuts:
+            said = LOCKED if self.flat.deck.held[node, 0] else CUT
+            self.flat.notes.append(said.format(f" of node {self.assembly.ids[node]}"))
 
     def materials(self) -> None:
         """Materials that sections name, with their stiffness and density only."""

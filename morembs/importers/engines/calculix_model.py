@@ -12,7 +12,9 @@ from morembs.errors import InputError
 from morembs.importers.abaqus import skipped_warnings
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_deck import SOLIDS
+from morembs.importers.abaqus_left_out import notes_of
 from morembs.importers.abaqus_mesh import mesh_of
+from morembs.importers.abaqus_words import of_kind
 from morembs.importers.calculix_matrices import CalculixMatrices
 from morembs.importers.engines.calculix import Ccx
 from morembs.importers.engines.calculix_flat import Choices
@@ -124,7 +126,7 @@ class Exported:
     ) -> Imported:
         """Rows in the order of the model: x, y, z of the mesh's nodes first, then all others."""
         flat, assembly = self.flat, self.assembly
-        notes, warnings = [*flat.notes], [*flat.warnings, *flat.deck.reversed]
+        notes, warnings = [*flat.notes], [*flat.warnings, *self.deck.warnings, *flat.deck.reversed]
         deck, others = mapped.owner[mapped.owner > 0] - 1, nodes_of([*flat.average, *flat.masses])
         extra = np.unique(np.concatenate([deck, node - 1, others]).astype(np.int64))
         named = {
@@ -289,9 +291,9 @@ def _equations(S: sp.csr_array, dependent: tuple[Ints, Ints], node: Ints, compon
 def _notes(deck: EngineDeck, choices: Choices) -> list[str]:
     """What was left out, a sentence each."""
     notes = ["The matrices are those of CalculiX."]
-    for word in deck.noted:
-        reason = "is not applied; the body is free" if word == "BOUNDARY" else "is not carried over"
-        notes.append(f"*{word} {reason}.")
+    in_steps = [card.keyword for step in deck.steps[choices.preload :] for card, _ in step]
+    left_out = of_kind("load") if choices.keep else of_kind("load", "support")
+    notes += notes_of(dict.fromkeys([*deck.noted, *(word for word in in_steps if word in left_out)]))
     if deck.steps:
         held = " but for what the first holds" if choices.keep and not choices.preload else ""
         held = f" beyond step {choices.preload}" if choices.preload else held

@@ -26,7 +26,8 @@ Ints = NDArray[np.int64]
 class Flat:
     """The flat deck, and what the model gets from elsewhere: ``average`` elements; ``bodies``, the reference nodes of
     rigid bodies and couplings in the order of the deck; ``turning`` label of a rotation node -> its reference node;
-    nodes whose conditions are in axes ``turned`` by *TRANSFORM; what is to be said."""
+    nodes whose conditions are in axes ``turned`` by *TRANSFORM; nodes of pre-tension sections (``cuts``); what is to be
+    said."""
 
     deck: FlatDeck
     constraints: Constraints
@@ -37,6 +38,7 @@ class Flat:
     warnings: list[str] = field(default_factory=list)
     masses: list[PointMass] = field(default_factory=list)
     turned: set[int] = field(default_factory=set)
+    cuts: list[int] = field(default_factory=list)
 
 
 class Ties:
@@ -85,7 +87,7 @@ class Ties:
                 for title, terms in mpc_sums(self.assembly, placed, card, row):
                     if any(component > 2 for _, component, _ in terms):
                         raise InputError(f"{title} joins rotations, of which CalculiX has none; give BEAM or PIN")
-                    self.flat.deck.terms([(node + 1, c + 1, a) for node, c, a in terms if a])
+                    self.flat.deck.terms([(node + 1, c + 1, a) for node, c, a in terms if a], "MPC")
             else:
                 others.append(row)
         for reference, nodes in beams.items():
