@@ -160,8 +160,6 @@ def recover(
     with messages():
         if at is not None and not no_stress:
             raise InputError("--at was given; shapes of stress belong to nominal values, so give --no-stress too")
-        if at is not None and out.resolve() == file.resolve():
-            raise InputError(f"--out {out} would overwrite the body file; give another name")
         with progress_line() as progress, _evaluated(file, body, at) as source:
             done = recover_series(
                 source, trajectory, out, body=body, stress=not no_stress, scale=scale, every=every, progress=progress

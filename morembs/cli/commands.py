@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from morembs.cli.batch import app as batches
 from morembs.cli.bodies import app as bodies
@@ -36,15 +37,24 @@ from morembs.cli.terminal import (
 from morembs.cli.update import app as updating
 from morembs.errors import InputError, MorembsError
 from morembs.progress import Progress
+from morembs.storage.contents import keeping_ledger
 from morembs.version import VERSION
 
 if TYPE_CHECKING:
     from morembs.jobs.job import Job
     from morembs.jobs.order import Order
 
+class _Verbs(TyperGroup):
+    """The verbs, each with a ledger of its own: none of its results takes the place of what it has read."""
+
+    def invoke(self, ctx: Any) -> Any:
+        with keeping_ledger():
+            return super().invoke(ctx)
+
+
 app = typer.Typer(
-    name="morembs", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, epilog=EPILOG,
-    help="Reduces finite-element models to small elastic bodies for multibody simulation.",
+    name="morembs", cls=_Verbs, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+    epilog=EPILOG, help="Reduces finite-element models to small elastic bodies for multibody simulation.",
 )  # fmt: skip
 
 
@@ -86,11 +96,10 @@ def compare(
 ) -> None:
     """Run jobs and set the reductions of each side by side: order, errors, time, memory."""
     from morembs.cli.report import print_contenders
-    from morembs.jobs.inputs import sources_of
     from morembs.jobs.job import load_job
     from morembs.jobs.pareto import contenders, draw_contenders
     from morembs.jobs.run import run_job
-    from morembs.storage.safefile import check_writable
+    from morembs.storage.safefile import check_writable, one_file
 
     def work(path: Path, progress: Progress) -> Done:
         if picture is not None:
@@ -100,9 +109,7 @@ def compare(
                 raise InputError(f"--picture {picture} was given; expected a name that ends in .png, .pdf or .svg")
             check_writable(picture)
         loaded = load_job(path, changes or ())
-        if picture is not None and picture.resolve() in {
-            file.resolve() for file in (loaded.path, *sources_of(loaded), loaded.output, loaded.picture) if file
-        }:
+        if picture is not None and any(one_file(picture, path) for path in loaded.results.values()):
             raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
         if loaded.tables.certify is None and not any(reducer.certified_band for reducer in loaded.reducers.values()):
             raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
@@ -136,8 +143,10 @@ def check(
         leave_with_input()
 
     def work(path: Path, progress: Progress) -> Done:
-        forecast = check_job(load_job(path, changes or ()), progress)
-        return {"job": str(path), **forecast.as_json()}, lambda: print_forecast(console(), str(path), forecast)
+        with keeping_ledger() as ledger:
+            forecast = check_job(load_job(path, changes or ()), progress)
+        document = {"job": str(path), **forecast.as_json(), "inputs": ledger.names()}
+        return document, lambda: print_forecast(console(), str(path), forecast)
 
     each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()))
 

@@ -6,6 +6,7 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -50,7 +51,9 @@ class Job:
         """
         try:
             whole = self.path.parent / Path(path).expanduser()
-            whole.exists()
+            # It need not be there; ``exists`` says of a name that no file can have that it is not.
+            with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
+                whole.stat()
         except (RuntimeError, ValueError, OSError) as error:
             raise InputError(f"the path {path[:100]!r} cannot be used ({error}); give another") from error
         return whole
