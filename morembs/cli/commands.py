@@ -97,6 +97,7 @@ def compare(
     """Run jobs and set the reductions of each side by side: order, errors, time, memory."""
     from morembs.cli.report import print_contenders
     from morembs.jobs.job import load_job
+    from morembs.jobs.order import PICTURES
     from morembs.jobs.pareto import contenders, draw_contenders
     from morembs.jobs.run import run_job
     from morembs.storage.safefile import check_writable, one_file
@@ -105,7 +106,7 @@ def compare(
         if picture is not None:
             if len(jobs) > 1:
                 raise InputError(f"--picture {picture} was given for {len(jobs)} jobs; compare them one by one for it")
-            if picture.suffix not in (".png", ".pdf", ".svg"):
+            if picture.suffix not in PICTURES:
                 raise InputError(f"--picture {picture} was given; expected a name that ends in .png, .pdf or .svg")
             check_writable(picture)
         loaded = load_job(path, changes or ())
@@ -192,12 +193,13 @@ def schema() -> None:
 def _order(jobs: Sequence[Path], changes: Sequence[str]) -> Order:
     """The order of jobs by their places; those that cannot be read say so in their turn."""
     from morembs.jobs.job import load_job
-    from morembs.jobs.order import order_of
+    from morembs.jobs.order import order_of, read_ahead
 
     loaded: dict[int, Job] = {}
     for number, path in enumerate(jobs):
         with suppress(MorembsError):
             loaded[number] = load_job(path, changes)
+    read_ahead(list(loaded.values()))
     return order_of(loaded, range(len(jobs)))
 
 

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-from morembs.jobs.inputs import inputs_of, sources_of
+from morembs.body.tables import FORMAT
+from morembs.errors import MorembsError
+from morembs.jobs.inputs import inputs_of, mesh_of, sources_of
 from morembs.jobs.job import Job
-from morembs.storage.contents import Place, place_of
+from morembs.storage.contents import Place, own_files, place_of
+from morembs.storage.hdf5 import holds_format
+
+# Ends of files that no reader of models takes.
+PICTURES = (".png", ".pdf", ".svg")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +51,21 @@ def order_of(jobs: Mapping[int, Job], keys: Collection[int] = ()) -> Order:
             circle = list(dict.fromkeys(error.args[1]))
             names = ", ".join(str(jobs[key].path) for key in sorted(circle))
             refused |= dict.fromkeys(circle, f"each takes a body that another makes, in a circle: {names}; break it")
+
+
+def read_ahead(jobs: Sequence[Job]) -> None:
+    """Read the meshes of several jobs once where a result of one might be an include or a companion of another.
+
+    A file that is not there yet is neither, nor is a body file or a picture of an earlier run.
+    """
+    with own_files():
+        results = [path for job in jobs for path in job.results.values() if path.exists()]
+        drawn = {path for path in results if path.suffix in PICTURES and not path.is_symlink()}
+        known = all(path in drawn or holds_format(path, FORMAT) for path in results)
+    for job in () if known or len(jobs) < 2 else jobs:
+        with suppress(MorembsError):
+            if job.tables.model.mesh is not None:
+                mesh_of(job)
 
 
 def _bodies(job: Job) -> set[Place]:

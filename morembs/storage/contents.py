@@ -92,6 +92,8 @@ class Ledger:
     def __init__(self) -> None:
         # The name that was opened, whole but with its links and dots, and where it led.
         self.opened: dict[str, str] = {}
+        # The same names by the places that they led to then, as a batch has thousands.
+        self.places: dict[Place, list[str]] = {}
         self.promised: list[Path] = []
         self.written: list[str] = []
 
@@ -153,10 +155,11 @@ def refuse_input(path: Path) -> None:
     Raises:
         OverwriteError: ``path`` is one.
     """
-    places = {os.path.realpath(path), place_of(path)}
+    places: tuple[Place, ...] = (os.path.realpath(path), place_of(path))
     for ledger in list(_ledgers):
-        for name, target in ledger.opened.items():
-            if not places.isdisjoint((target, place_of(target), place_of(name))):
+        for name in (name for place in places for name in ledger.places.get(place, ())):
+            # The number of a file that is gone belongs to another one by now.
+            if same_place(path, name) or same_place(path, ledger.opened[name]):
                 raise _refused(path, name)
 
 
@@ -212,7 +215,10 @@ def _opened(name: str) -> None:
     refused: list[OverwriteError] = []
     for ledger in list(_ledgers):
         if target not in ledger.written:
-            ledger.opened.setdefault(name, target)
+            if name not in ledger.opened:
+                ledger.opened[name] = target
+                for place in {target, place_of(name)}:
+                    ledger.places.setdefault(place, []).append(name)
             refused += [_refused(place, name) for place in ledger.promised if same_place(place, target)]
     if refused:
         raise refused[0]

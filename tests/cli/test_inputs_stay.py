@@ -142,6 +142,28 @@ def test_a_batch_spares_what_its_jobs_read_and_what_jobs_that_are_done_have_read
     assert "would overwrite" in record.message and files(tmp_path / "a")["nodes.h5"] == before
 
 
+@pytest.mark.parametrize("turn", [1, -1])
+def test_a_command_spares_what_its_later_jobs_read(tmp_path: Path, turn: int) -> None:
+    for name in "ab":
+        (tmp_path / name).mkdir()
+    reads = included(tmp_path / "a", 'path = "part.h5"')
+    writes = decks.folder(tmp_path / "b", {"output": 'path = "../a/nodes.h5"'}, decks.deck(decks.BEAM[:8]))
+    before = files(tmp_path)
+    said = run("reduce", *[writes, reads][::turn], "-q", code=2)
+    assert said.count("error: ") == 1 and "nodes.h5 would overwrite" in said
+    assert (tmp_path / "a" / "part.h5").exists() and files(tmp_path).items() >= before.items()
+
+
+def test_an_export_spares_the_files_that_come_later(tmp_path: Path) -> None:
+    job = decks.folder(tmp_path, None, decks.deck(decks.BEAM[:8]))
+    run("reduce", job, "-q")
+    bodies = [tmp_path / "a.h5", tmp_path / "a.exudyn.hdf5"]
+    for body in bodies:
+        shutil.copy(tmp_path / "part.h5", body)
+    run("export", *bodies, "--to", "exudyn", code=2)
+    assert {body.read_bytes() for body in bodies} == {(tmp_path / "part.h5").read_bytes()}
+
+
 def test_a_batch_sees_where_links_lead(tmp_path: Path) -> None:
     """The mesh, and a folder on the way to it."""
     for name, count in (("one", 8), ("two", 12)):
