@@ -274,7 +274,7 @@ def check_writable(path: str | Path) -> None:
         OutputError: the folder is missing or read-only, or ``path`` is a folder or a device.
     """
     target = checked(Path(path))
-    promise(target if Path(path).is_symlink() else Path(path))
+    promise(Path(path))
     try:
         folder = PrivateFolder(target.parent, PREFIX)
         try:
