@@ -16,10 +16,11 @@ import os
 import pickle
 import signal
 import sys
+import tempfile
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from multiprocessing import connection
+from multiprocessing import connection, util
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -34,7 +35,7 @@ from morembs.closing import Closing
 from morembs.errors import InputError, MorembsError, OutputError, SolverError
 from morembs.memory import peak_memory_bytes
 from morembs.python_warnings import speak_plainly
-from morembs.scratch import ScratchFolder, remove_abandoned
+from morembs.scratch import PrivateFolder, ScratchFolder, remove_abandoned
 
 log = logging.getLogger(__name__)
 Work = Callable[[Any, Any], Any]
@@ -43,6 +44,10 @@ _SMALLEST = 100_000
 # How long idle processes may take to leave, in seconds.
 _PATIENCE = 10.0
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+# Folders of the temporary folder beyond this many bytes leave no room for the name of a socket, 104 bytes on macOS:
+# /morembs-12345678/pymp-12345678/listener-12345678 takes 49.
+_LONGEST = 54
+_sockets: list[PrivateFolder] = []
 _METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 
 
@@ -235,7 +240,7 @@ class Crew(Closing):
             # Daemons end with this process also where nobody closes the crew.
             process = context.Process(target=_work, args=(theirs, folder, self.threads), daemon=True)
             self._crew.append(_Worker(process, ours))
-            with _without_main(b"__main__" in message):
+            with _without_main(b"__main__" in message), _socket_apart():
                 process.start()
             theirs.close()
 
@@ -316,6 +321,25 @@ def _without_main(needed: bool) -> Iterator[None]:
     finally:
         sys.argv = arguments
         main.update(hidden)
+
+
+@contextlib.contextmanager
+def _socket_apart() -> Iterator[None]:
+    """The socket of the process that workers are copied from goes to a private folder, which lives as long as this
+    process: the next run removes it where this one is killed."""
+    place = next((each for each in (tempfile.gettempdir(), "/tmp") if len(os.fsencode(each)) <= _LONGEST), "/tmp")
+    if _METHOD != "forkserver" or _sockets or not os.access(place, os.W_OK):
+        yield
+        return
+    folder = PrivateFolder(Path(place))
+    _sockets.append(folder)
+    # Multiprocessing removes its own folder within at the very end, and then this one.
+    util.Finalize(None, folder.outlast(), exitpriority=-200)
+    before, tempfile.tempdir = tempfile.tempdir, os.path.join(place, folder.path.name)
+    try:
+        yield
+    finally:
+        tempfile.tempdir = before
 
 
 def _follow() -> None:

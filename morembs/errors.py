@@ -58,6 +58,13 @@ class OutputError(MorembsError, OSError):
     """A result could not be written; the file that was there before is untouched."""
 
 
+class OverwriteError(MorembsError):
+    """A result would take the place of a file that it is made from; nothing was written.
+
+    No reader takes it for damage of that file, as it is no ``OSError`` and no ``ValueError``.
+    """
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Words for an error message: the known name most like ``name``, else the list of all."""
     known = sorted(known)

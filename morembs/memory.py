@@ -6,7 +6,6 @@ import ctypes
 import gc
 import os
 import sys
-import zipfile
 from collections.abc import Callable
 from functools import cache
 from threading import Event, Lock, Thread
@@ -45,11 +44,6 @@ def installed_bytes() -> int:
     import psutil
 
     return int(psutil.virtual_memory().total)
-
-
-def unpacked_bytes(archive: zipfile.ZipFile | None) -> int:
-    """What all files of an archive take once they are unpacked."""
-    return 0 if archive is None else sum(entry.file_size for entry in archive.infolist())
 
 
 def refuse_too_large(source: str, size: float) -> None:

@@ -19,6 +19,8 @@ import shutil
 import stat
 import tempfile
 import weakref
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from morembs import stopping
@@ -74,6 +76,11 @@ class PrivateFolder:
     def close(self) -> None:
         """Remove the folder and all that is in it."""
         self._finalize()
+
+    def outlast(self) -> Callable[[], None]:
+        """The call that removes it, which nothing else does at the end of the interpreter."""
+        held = self._finalize.detach()
+        return partial(_remove, *held[2]) if held else self.close
 
 
 class ScratchFolder(PrivateFolder):

@@ -21,8 +21,9 @@ from morembs.batches.manifest import Ended, Manifest
 from morembs.batches.plan import Part, unchanged
 from morembs.batches.records import Listener, Record
 from morembs.batches.workers import Finished, Heard, Task, Worker, Workers
+from morembs.errors import MorembsError, OverwriteError
 from morembs.storage.attempts import take
-from morembs.storage.contents import Content
+from morembs.storage.contents import Content, note_input, refuse_input
 
 # What a forecast of memory is taken to be wrong by, and what a killed process may have needed more than was seen.
 _MARGIN, _MORE = 1.15, 1.5
@@ -90,6 +91,8 @@ class Coordinator:
                 elif lost:
                     self._fail(part, f"its part {lost[0].name} failed ({lost[0].path}); mend that first")
                 elif last is not None:
+                    for name in last.inputs:
+                        note_input(str(name))
                     self._end(part, state="unchanged", facts=last.facts)
                 else:
                     due.append(part)
@@ -101,6 +104,7 @@ class Coordinator:
         self._listener.checking(len(due))
         self._check(due)
         self._work()
+        self._sound = [work for work in self._sound if self._overwrites_nothing(work)]
         self._checked = True
         if check_only:
             for work in self._sound:
@@ -122,6 +126,16 @@ class Coordinator:
         needs = Worker(bytes=0.0, cores=1, slots=1, seconds=0.0)
         for first in range(count):
             insort(self._waiting, _Work(parts=due[first::count], needs=needs, checks=True))
+
+    def _overwrites_nothing(self, work: _Work) -> bool:
+        """Whether no result takes the place of what other jobs were seen to open, includes among it; else it fails."""
+        try:
+            for path in work.parts[0].outputs:
+                refuse_input(path)
+        except OverwriteError as error:
+            self._fail(work.parts[0], str(error))
+            return False
+        return True
 
     def _work(self) -> None:
         """Until nothing waits or runs."""
@@ -199,6 +213,8 @@ class Coordinator:
         if "error" in document:
             self._fail(part, str(document["error"]), code)
             return
+        for name in document["inputs"]:
+            note_input(name)
         forecast, most = float(document["peak_memory_bytes"]), self._workers.largest
         seconds = float(document["factor_seconds"] + sum(document["reduction_seconds"].values()))
         if self._workers.limits and forecast > most.bytes:
@@ -219,7 +235,8 @@ class Coordinator:
         )
         work = _Work(parts=[part], needs=needs, threads=threads, forecast=document)
         if self._checked:
-            insort(self._waiting, work)
+            if self._overwrites_nothing(work):
+                insort(self._waiting, work)
         else:
             self._sound.append(work)
 
@@ -232,6 +249,9 @@ class Coordinator:
         try:
             take(part.outputs, work.token)
             outputs = {path: Content.of(path) for path in part.outputs}
+        except MorembsError as error:
+            self._fail(part, str(error))
+            return
         except OSError as error:
             self._fail(part, f"{error.filename} is not there although the job ended well ({error.strerror})", 1)
             return

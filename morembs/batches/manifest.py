@@ -1,7 +1,8 @@
 """What is remembered of a batch: a file of JSON lines, one event each, so that a killed batch loses nothing.
 
 A line is written at once and forced to the disk; a last line that is cut off is dropped by the next reader. Paths are
-relative to the folder of the file. The file stays locked while a batch runs, on systems that have such locks.
+relative to the folder of the file; inputs have the names that were opened, whose links may lead elsewhere later. The
+file stays locked while a batch runs, on systems that have such locks.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any
 
 from morembs.closing import Closing
 from morembs.errors import InputError, OutputError
-from morembs.storage.contents import Content
+from morembs.storage.contents import Content, own_files
 
 try:
     import fcntl
@@ -34,7 +35,8 @@ _FIRST = {"event": "begun", "format": FORMAT, "version": VERSION}
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """A job that ended well: its ``key``, what was in its files, and ``facts`` for reports."""
+    """A job that ended well: its ``key``, what was in its files (inputs by the names that were opened), and ``facts``
+    for reports."""
 
     key: str
     inputs: Mapping[Path, Content]
@@ -83,7 +85,8 @@ class Manifest(Closing):
                 {self.path.parent / name: Content.from_plain(values) for name, values in event[part].items()}
                 for part in ("inputs", "outputs")
             )
-            return Ended(key=event["key"], inputs=_normal(inputs), outputs=_normal(outputs), facts=event["facts"])
+            normal = {Path(os.path.normpath(path)): content for path, content in outputs.items()}
+            return Ended(key=event["key"], inputs=inputs, outputs=normal, facts=event["facts"])
         except (KeyError, TypeError, ValueError, AttributeError):
             return None  # of another version: the job is due again
 
@@ -103,10 +106,8 @@ class Manifest(Closing):
         """Remember a job that ended well, with ``values`` for people."""
         event = {
             "event": "ended", "output": self._name(output), "key": end.key, "facts": end.facts, **values,
-            **{
-                part: {self._name(path): vars(content) for path, content in contents.items()}
-                for part, contents in (("inputs", end.inputs), ("outputs", end.outputs))
-            },
+            "inputs": {self._opened(path): vars(content) for path, content in end.inputs.items()},
+            "outputs": {self._name(path): vars(content) for path, content in end.outputs.items()},
         }  # fmt: skip
         self._write(event)
         self._ended[event["output"]] = event
@@ -124,6 +125,11 @@ class Manifest(Closing):
             return Path(os.path.relpath(os.path.realpath(path), self.path.parent)).as_posix()
         except ValueError:  # on another drive
             return Path(os.path.realpath(path)).as_posix()
+
+    def _opened(self, path: Path) -> str:
+        """The name of an input: its links and dots stay, as they may mean another file later."""
+        below = path.is_relative_to(self.path.parent)
+        return (path.relative_to(self.path.parent) if below else path).as_posix()
 
     def _write(self, *events: Mapping[str, object]) -> None:
         now = round(time.time(), 3)
@@ -153,10 +159,6 @@ class Manifest(Closing):
         else:
             os.replace(new, self.path)
             os.close(old)
-
-
-def _normal(contents: Mapping[Path, Content]) -> dict[Path, Content]:
-    return {Path(os.path.normpath(path)): content for path, content in contents.items()}
 
 
 def _locked(path: Path) -> int:
@@ -192,7 +194,7 @@ def _user(path: Path) -> str:
 
 def _events(path: Path, handle: int) -> list[dict[str, Any]]:
     """The events; the file loses a line that was cut off at its end."""
-    with open(path, "rb") as file:
+    with own_files(), open(path, "rb") as file:
         *whole, rest = file.read().split(b"\n")
     events = []
     for number, line in enumerate(whole, start=1):

@@ -18,6 +18,7 @@ from morembs.batches.workers import Worker, Workers
 from morembs.errors import InputError
 from morembs.memory import available_bytes
 from morembs.storage.attempts import discard
+from morembs.storage.contents import keeping_ledger
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -29,6 +30,7 @@ _SHARE = 0.9
 _MANY = 1 << 20
 
 
+@keeping_ledger()
 def batch(
     jobs: Iterable[str | Path], *, changes: Sequence[str] = (), workers: int | None = None,
     cluster: str | Path | None = None, client: Client | None = None, retries: int = 2,

@@ -16,6 +16,7 @@ from morembs.body.tables import BLOCK_BYTES, FORMAT
 from morembs.body.vtkhdf_series import Grid, read_grid
 from morembs.errors import InputError
 from morembs.reducers.base import MODE_KINDS
+from morembs.storage.safefile import one_file
 from morembs.storage.writer import Columns, writing
 from morembs.version import VERSION
 
@@ -33,7 +34,7 @@ def write_stored(path: str | Path, bodies: StoredBodies, body: StoredBody, sourc
         OutputError: the file cannot be written.
     """
     target = Path(path)
-    if target.resolve() == source.resolve():
+    if one_file(target, source):
         raise InputError(f"{target} would overwrite the body file itself; give another name")
     rows, count = 3 * len(bodies.coordinates), len(body.mass_matrix)
     step = max(1, BLOCK_BYTES // (8 * max(1, rows)))

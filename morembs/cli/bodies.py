@@ -60,6 +60,7 @@ def export(
 ) -> None:
     """Write bodies for another program."""
     from morembs.exporters import EXPORTERS, export_body
+    from morembs.storage.contents import note_input
 
     with messages():
         if listed:
@@ -67,6 +68,8 @@ def export(
             return
         if not files or to is None:
             raise InputError("export needs a body file and a target: morembs export FILE.h5 --to NAME (see --list)")
+        for file in files:
+            note_input(str(file))  # also of those whose turn comes later
         if out is not None and len(files) > 1:
             raise InputError(f"--out {out} was given for {len(files)} files; without it each goes beside its own")
         if table is not None:
@@ -160,8 +163,6 @@ def recover(
     with messages():
         if at is not None and not no_stress:
             raise InputError("--at was given; shapes of stress belong to nominal values, so give --no-stress too")
-        if at is not None and out.resolve() == file.resolve():
-            raise InputError(f"--out {out} would overwrite the body file; give another name")
         with progress_line() as progress, _evaluated(file, body, at) as source:
             done = recover_series(
                 source, trajectory, out, body=body, stress=not no_stress, scale=scale, every=every, progress=progress

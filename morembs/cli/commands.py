@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from morembs.cli.batch import app as batches
 from morembs.cli.bodies import app as bodies
@@ -36,15 +37,24 @@ from morembs.cli.terminal import (
 from morembs.cli.update import app as updating
 from morembs.errors import InputError, MorembsError
 from morembs.progress import Progress
+from morembs.storage.contents import keeping_ledger
 from morembs.version import VERSION
 
 if TYPE_CHECKING:
     from morembs.jobs.job import Job
     from morembs.jobs.order import Order
 
+class _Verbs(TyperGroup):
+    """The verbs, each with a ledger of its own: none of its results takes the place of what it has read."""
+
+    def invoke(self, ctx: Any) -> Any:
+        with keeping_ledger():
+            return super().invoke(ctx)
+
+
 app = typer.Typer(
-    name="morembs", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, epilog=EPILOG,
-    help="Reduces finite-element models to small elastic bodies for multibody simulation.",
+    name="morembs", cls=_Verbs, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+    epilog=EPILOG, help="Reduces finite-element models to small elastic bodies for multibody simulation.",
 )  # fmt: skip
 
 
@@ -86,23 +96,21 @@ def compare(
 ) -> None:
     """Run jobs and set the reductions of each side by side: order, errors, time, memory."""
     from morembs.cli.report import print_contenders
-    from morembs.jobs.inputs import sources_of
     from morembs.jobs.job import load_job
+    from morembs.jobs.order import PICTURES
     from morembs.jobs.pareto import contenders, draw_contenders
     from morembs.jobs.run import run_job
-    from morembs.storage.safefile import check_writable
+    from morembs.storage.safefile import check_writable, one_file
 
     def work(path: Path, progress: Progress) -> Done:
         if picture is not None:
             if len(jobs) > 1:
                 raise InputError(f"--picture {picture} was given for {len(jobs)} jobs; compare them one by one for it")
-            if picture.suffix not in (".png", ".pdf", ".svg"):
+            if picture.suffix not in PICTURES:
                 raise InputError(f"--picture {picture} was given; expected a name that ends in .png, .pdf or .svg")
             check_writable(picture)
         loaded = load_job(path, changes or ())
-        if picture is not None and picture.resolve() in {
-            file.resolve() for file in (loaded.path, *sources_of(loaded), loaded.output, loaded.picture) if file
-        }:
+        if picture is not None and any(one_file(picture, path) for path in loaded.results.values()):
             raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
         if loaded.tables.certify is None and not any(reducer.certified_band for reducer in loaded.reducers.values()):
             raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
@@ -136,8 +144,10 @@ def check(
         leave_with_input()
 
     def work(path: Path, progress: Progress) -> Done:
-        forecast = check_job(load_job(path, changes or ()), progress)
-        return {"job": str(path), **forecast.as_json()}, lambda: print_forecast(console(), str(path), forecast)
+        with keeping_ledger() as ledger:
+            forecast = check_job(load_job(path, changes or ()), progress)
+        document = {"job": str(path), **forecast.as_json(), "inputs": ledger.names()}
+        return document, lambda: print_forecast(console(), str(path), forecast)
 
     each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()))
 
@@ -183,12 +193,13 @@ def schema() -> None:
 def _order(jobs: Sequence[Path], changes: Sequence[str]) -> Order:
     """The order of jobs by their places; those that cannot be read say so in their turn."""
     from morembs.jobs.job import load_job
-    from morembs.jobs.order import order_of
+    from morembs.jobs.order import order_of, read_ahead
 
     loaded: dict[int, Job] = {}
     for number, path in enumerate(jobs):
         with suppress(MorembsError):
             loaded[number] = load_job(path, changes)
+    read_ahead(list(loaded.values()))
     return order_of(loaded, range(len(jobs)))
 
 

@@ -17,6 +17,7 @@ from morembs.cli.families import parametric_of, read_values
 from morembs.cli.messages import print_json, printing, warn
 from morembs.cli.terminal import EPILOG, AsJson, messages
 from morembs.errors import InputError
+from morembs.storage.safefile import check_writable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -54,7 +55,7 @@ def evaluate(
 ) -> None:
     """Evaluate a body with parameters at other values."""
     with messages():
-        _refuse_mixed(file, at, table, out, sensitivity, matrices)
+        _refuse_mixed(at, table, out, sensitivity, matrices)
         if frequencies < 1:
             raise InputError(f"--frequencies {frequencies} was given; expected a number, 1 or more")
         at_hz = _frequencies_of(bound_hz)
@@ -76,9 +77,7 @@ def _frequencies_of(text: str | None) -> list[float]:
     return given
 
 
-def _refuse_mixed(
-    file: Path, at: str | None, table: Path | None, out: Path | None, sensitivity: bool, matrices: bool
-) -> None:
+def _refuse_mixed(at: str | None, table: Path | None, out: Path | None, sensitivity: bool, matrices: bool) -> None:
     if (at is None) == (table is None):
         raise InputError("evaluate needs values: --at NAME=VALUE,... for one body, or --table FILE.csv for many")
     if sensitivity and table is not None:
@@ -89,8 +88,8 @@ def _refuse_mixed(
         raise InputError(f"--out {out} was given for a table; expected a name that ends in .csv or .h5")
     if table is None and out is not None and out.suffix == ".csv":
         raise InputError(f"--out {out} was given for --at, which writes a body file; expected a name that ends in .h5")
-    if out is not None and out.resolve() in {each.resolve() for each in (file, table) if each is not None}:
-        raise InputError(f"--out {out} would overwrite an input; give another name")
+    if out is not None:
+        check_writable(out)
 
 
 def _evaluate_one(

@@ -12,6 +12,7 @@ import typer
 
 from morembs.cli.messages import print_json, printing
 from morembs.errors import InputError, OutputError
+from morembs.storage.contents import own_files
 from morembs.storage.csv_table import read_table
 
 if TYPE_CHECKING:
@@ -69,14 +70,13 @@ def export_family(
         OutputError: files that cannot be written.
     """
     from morembs.exporters import EXPORTERS, export_body, make_exporter
-    from morembs.storage.safefile import replacing
+    from morembs.storage.safefile import check_writable, replacing
 
     make_exporter(to, options)
     suffix = EXPORTERS[to].suffix
     first = file.with_suffix(suffix) if out is None else out
     index = first.with_name("index.csv")
-    if index.resolve() == table.resolve():
-        raise InputError(f"the export writes {index} and would overwrite the table; give the table another name")
+    check_writable(index)
     parametric = parametric_of(file, body)
     values = read_values(table, parametric)
     digits, stem, ending = len(str(len(values))), first.name.removesuffix(first.suffix), first.suffix or suffix
@@ -115,7 +115,7 @@ def _refuse_other_family(index: Path, stem: str, new: set[str]) -> None:
         InputError: as said.
     """
     try:
-        with index.open(newline="", encoding="utf-8") as file:
+        with own_files(), index.open(newline="", encoding="utf-8") as file:
             names = [row[0] for row in csv.reader(file) if row][1:]
     except FileNotFoundError:
         return

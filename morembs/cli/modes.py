@@ -83,6 +83,8 @@ def campbell(
 
     with messages():
         _check_ending(out, ".csv")
+        if png:
+            _check_ending(out.with_suffix(".png"), ".png")
         if points < 2 or count < 1:
             raise InputError(f"--points {points} --count {count} were given; expected 2 points and 1 mode at least")
         with progress_line() as progress:

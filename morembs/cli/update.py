@@ -12,7 +12,6 @@ from morembs.cli.bodies import BodyFile, BodyName, values_of
 from morembs.cli.families import parametric_of
 from morembs.cli.messages import print_json, printing
 from morembs.cli.terminal import EPILOG, AsJson, messages
-from morembs.errors import InputError
 
 if TYPE_CHECKING:
     from morembs.parametric.update import Updated
@@ -43,10 +42,10 @@ def update(
     with messages():
         # Not at the top: help needs no numbers.
         from morembs.body.measured import read_measured
+        from morembs.storage.safefile import check_writable
 
-        inputs = {each.resolve() for each in (file, measured, shapes) if each is not None}
-        if out is not None and out.resolve() in inputs:
-            raise InputError(f"--out {out} would overwrite an input; give another name")
+        if out is not None:
+            check_writable(out)
         parametric = parametric_of(file, body)
         fixed = [name.strip() for name in (fix or "").split(",") if name.strip()]
         result = parametric.update(

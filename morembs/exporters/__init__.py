@@ -26,6 +26,7 @@ from morembs.exporters.state_space_files import StateSpaceExporter
 from morembs.moved import renamed
 from morembs.options import checked
 from morembs.plugins import Registry, subclass_fault
+from morembs.storage.contents import keeping_ledger
 
 # One line for each target.
 _ALL: tuple[type[Exporter], ...] = (
@@ -81,6 +82,7 @@ def make_exporter(to: str, options: Mapping[str, object] | None = None) -> Expor
     return kind(**checked(kind, options or {}, f"export to {to!r}"))
 
 
+@keeping_ledger()
 def export_body(
     source: str | Path, to: str, *, path: str | Path | None = None, body: str | None = None,
     options: Mapping[str, object] | None = None, frame: str | None = None, at: Mapping[str, float] | None = None,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.storage.checksums import Checksums
+from morembs.storage.contents import own_files
 from morembs.storage.hdf5 import reading, refuse_newer
 from morembs.storage.safefile import check_writable
 from morembs.storage.table import Row, Table, read_rows
@@ -65,7 +66,7 @@ class Checkpoint:
 
     def _read(self) -> None:
         cure = "give the name of another such file, or of a new one"
-        with reading(self.path, "equilibria of an earlier run", cure) as file:
+        with own_files(), reading(self.path, "equilibria of an earlier run", cure) as file:
             kind, _, version = str(file.attrs.get("kind")).rpartition(" ")
             if kind != _KIND or not version.isdecimal():
                 raise KeyError("kind")

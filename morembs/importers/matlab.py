@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.errors import InputError
+from morembs.errors import InputError, MorembsError
 from morembs.importers.hdf5_sparse import checked_csr, import_hdf5
 from morembs.importers.imported import Imported
 from morembs.importers.matlab_v5 import read_matlab_v5
@@ -43,7 +43,7 @@ def import_matlab(
             matrices = read_matlab_v5(path)
             held, other = dict(matrices.matrices), matrices.other
         square = {name: _once(f"{path.name}: {name}", value) for name, value in held.items() if _is_square(value)}
-    except InputError:
+    except MorembsError:
         raise
     except Exception as error:  # damage shows in every kind of error here, some without a base of their own
         reason = " ".join(str(error).split())[:200] or type(error).__name__

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.errors import InputError
+from morembs.errors import InputError, MorembsError
 from morembs.importers.abaqus import read_abaqus
 from morembs.importers.imported import Imported, picked_nodes
 from morembs.model import ElementBlock, Mesh, Nodes
@@ -121,6 +121,8 @@ def _read(path: Path) -> meshio.Mesh:
             if path.suffix.lower() in _MED:
                 return meshio.read(_without_results(path), file_format="med")
             return meshio.read(path)
+    except MorembsError:
+        raise
     except (SystemExit, Exception) as error:
         said = words.getvalue().strip() or (str(error) if not isinstance(error, SystemExit) else "")
         reason = " ".join(said.split())[:300] or type(error).__name__

@@ -14,7 +14,7 @@ from morembs.errors import InputError, MorembsError
 from morembs.importers.hdf5_sparse import checked_csc, checked_csr
 from morembs.importers.imported import Imported
 from morembs.importers.named import Matrices, Wanted, matrices_by_name
-from morembs.memory import refuse_too_large, unpacked_bytes
+from morembs.storage.archive import refuse_unsafe_archive
 
 Array = NDArray[Any]
 _PARTS = ("data", "indices", "indptr", "shape")
@@ -40,7 +40,7 @@ def import_npz(
         with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
             if not isinstance(held, np.lib.npyio.NpzFile):
                 raise InputError(f"{path.name} holds one array without a name (.npy); expected an .npz archive")
-            refuse_too_large(path.name, unpacked_bytes(held.zip))
+            refuse_unsafe_archive(path.name, held.zip)
             names = set(held.files)
             if "format" in names and "shape" in names:
                 matrix, notes = _saved(path.name, held)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from morembs.jobs.job import Job, load_job
 from morembs.jobs.schema import SubstructureTable
 from morembs.model.assembly import assemble
 from morembs.problem import Problem
+from morembs.storage.safefile import one_file
 
 Floats = NDArray[np.float64]
 # Tables that make another model of the part than its mesh or file holds.
@@ -93,10 +94,10 @@ class _Maker:
             raise InputError(f"{self.where}: {error}") from error
 
     def _refuse_overwriting(self, job: Job) -> None:
-        read: dict[Path, str] = {path.resolve(): what for what, path in inputs_of(self.job).items()}
-        for name, path in job.results.items():
-            if path.resolve() in read:
-                raise InputError(f"{name} = {str(path)!r} would overwrite {read[path.resolve()]} of it")
+        for name, path in replace(job, attempt="").results.items():
+            for what, other in inputs_of(self.job).items():
+                if one_file(path, other):
+                    raise InputError(f"{name} = {str(path)!r} would overwrite {what} of it")
 
     def _problem(self, job: Job, budget: Budget) -> Problem:
         own = self.job

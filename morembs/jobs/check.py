@@ -46,6 +46,7 @@ from morembs.problem.rigid_motions import need_factor
 from morembs.progress import SILENT, Progress
 from morembs.reducers import Facts
 from morembs.scratch import free_bytes
+from morembs.storage.contents import keeping_ledger
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -53,6 +54,7 @@ Ints = NDArray[np.int64]
 MANY_PIECES = 300
 
 
+@keeping_ledger()
 def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     """Check everything that can be checked without a factorisation, and forecast the cost.
 

@@ -27,6 +27,7 @@ from morembs.model.fe_model import SCALAR
 from morembs.model.material import Material, isotropic
 from morembs.model.parts import parts_of
 from morembs.progress import SILENT, Progress
+from morembs.storage.contents import keeping_ledger
 from morembs.storage.safefile import check_writable
 from morembs.units import Units
 
@@ -89,6 +90,7 @@ class ImportResult:
     others: tuple[ImportResult, ...] = ()
 
 
+@keeping_ledger()
 def run_import(
     job: ImportJob, *, check: bool = False, strict: bool = False, dry: bool = False, progress: Progress = SILENT
 ) -> ImportResult:
@@ -103,7 +105,7 @@ def run_import(
         OutputError: the model cannot be written; an old file is kept.
     """
     if not dry:
-        _refuse_output(job, job.out)
+        check_writable(job.out)
     progress.stage("read")
     imported, format = _read(job)
     if imported.K is not None and imported.M is not None:
@@ -117,7 +119,7 @@ def run_import(
     numbered = [job.out.with_name(f"{name}-{i}{dot}{rest}") for i in range(1, len(models) + 1)]
     paths = [job.out] if len(models) == 1 else numbered
     for path in [] if dry else paths:
-        _refuse_output(job, path)
+        check_writable(path)
     diagnoses: list[Diagnosis | None] = [None] * len(models)
     if check or strict:
         progress.stage("examine")
@@ -130,13 +132,6 @@ def run_import(
         for path, part, diagnosis in zip(paths, models, diagnoses, strict=True)
     ]
     return replace(results[0], others=tuple(results[1:]))
-
-
-def _refuse_output(job: ImportJob, path: Path) -> None:
-    """Raise where ``path`` cannot be written, or is read."""
-    if any(source.resolve() == path.resolve() for source in job.sources):
-        raise InputError(f"--out {str(job.out)!r} would overwrite a file that is read; give another name")
-    check_writable(path)
 
 
 def _finished(

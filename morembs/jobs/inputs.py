@@ -28,7 +28,8 @@ from morembs.model.selection import select_nodes
 from morembs.problem import Damping
 from morembs.reducers import Facts, Reducer
 from morembs.responses.direct import why_no_response
-from morembs.storage.safefile import check_writable
+from morembs.storage.contents import promise
+from morembs.storage.safefile import check_writable, one_file
 from morembs.units import Units, parse_units
 
 # How many interface degrees of freedom make sense where the responses to all of them are followed at once.
@@ -189,14 +190,15 @@ def budget_of(job: Job, solver: LinearSolver) -> Budget:
 
 
 def prepare_output(job: Job) -> None:
-    """Check before any work that the results can be written."""
-    inputs = inputs_of(job)
+    """Check before any work that the results can be written, and say that they will be: none is read from then on."""
+    inputs, finals = inputs_of(job), replace(job, attempt="").results
     for name, path in job.results.items():
         for other, taken in inputs.items():
-            if path.resolve() == taken.resolve():
+            if one_file(finals[name], taken):
                 raise InputError(f"{name} = {str(path)!r} would overwrite {other}; give it a name of its own")
+        promise(finals[name])
         check_writable(path)
-        inputs[name] = path
+        inputs[name] = finals[name]
 
 
 def inputs_of(job: Job) -> dict[str, Path]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -106,6 +106,9 @@ def load_job(path: str | Path, changes: Sequence[str] = ()) -> Job:
         raise InputError(f"job file {str(path)!r} is not valid TOML: {error}; mend that line") from error
     for key, value in pairs(changes).items():
         _change(data, key, value)
+    wrong = next((word for word in _words_in(data) if "\0" in word), None)
+    if wrong is not None:
+        raise InputError(f"{wrong[:100]!r} in {str(path)!r} has a NUL character, as no name has; give another text")
     try:
         tables = JobTables.model_validate(data)
     except ValidationError as error:
@@ -115,6 +118,15 @@ def load_job(path: str | Path, changes: Sequence[str] = ()) -> Job:
         path=path, text=text, tables=tables, reducers=_reducers(tables.reduce), memory=memory,
         changes=tuple(changes),
     )  # fmt: skip
+
+
+def _words_in(value: Any) -> Iterator[str]:
+    """All texts of tables within tables."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list):
+        for inner in value.values() if isinstance(value, dict) else value:
+            yield from _words_in(inner)
 
 
 def _change(data: dict[str, Any], key: str, text: Text) -> None:

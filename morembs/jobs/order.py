@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-from morembs.jobs.inputs import inputs_of, sources_of
+from morembs.body.tables import FORMAT
+from morembs.errors import MorembsError
+from morembs.jobs.inputs import inputs_of, mesh_of, sources_of
 from morembs.jobs.job import Job
+from morembs.storage.contents import Place, own_files, place_of
+from morembs.storage.hdf5 import holds_format
+
+# Ends of files that no reader of models takes.
+PICTURES = (".png", ".pdf", ".svg")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,9 +33,9 @@ class Order:
 
 def order_of(jobs: Mapping[int, Job], keys: Collection[int] = ()) -> Order:
     """The order of ``jobs``; ``keys`` has further ones, of jobs that cannot be read."""
-    written: dict[Path, int] = {}
+    written: dict[Place, int] = {}
     for key, job in jobs.items():
-        written.setdefault(job.output.resolve(), key)
+        written.setdefault(place_of(job.output), key)
     parts = {
         key: tuple(dict.fromkeys(maker for body in _bodies(job) if (maker := written.get(body, key)) != key))
         for key, job in jobs.items()
@@ -45,28 +53,43 @@ def order_of(jobs: Mapping[int, Job], keys: Collection[int] = ()) -> Order:
             refused |= dict.fromkeys(circle, f"each takes a body that another makes, in a circle: {names}; break it")
 
 
-def _bodies(job: Job) -> set[Path]:
+def read_ahead(jobs: Sequence[Job]) -> None:
+    """Read the meshes of several jobs once where a result of one might be an include or a companion of another.
+
+    A file that is not there yet is neither, nor is a body file or a picture of an earlier run.
+    """
+    with own_files():
+        results = [path for job in jobs for path in job.results.values() if path.exists()]
+        drawn = {path for path in results if path.suffix in PICTURES and not path.is_symlink()}
+        known = all(path in drawn or holds_format(path, FORMAT) for path in results)
+    for job in () if known or len(jobs) < 2 else jobs:
+        with suppress(MorembsError):
+            if job.tables.model.mesh is not None:
+                mesh_of(job)
+
+
+def _bodies(job: Job) -> set[Place]:
     """The body files that an assembly is made of."""
-    return {path.resolve() for path in sources_of(job)} if job.tables.substructure else set()
+    return {place_of(path) for path in sources_of(job)} if job.tables.substructure else set()
 
 
-def _clashes(jobs: Mapping[int, Job], bodies: Mapping[Path, int]) -> dict[int, str]:
+def _clashes(jobs: Mapping[int, Job], bodies: Mapping[Place, int]) -> dict[int, str]:
     """Key of each job that must not be run with the others -> why: its results and a file of another are one file."""
-    used: dict[Path, list[tuple[int, str, bool]]] = {}
+    used: dict[Place, list[tuple[int, str, Path | None]]] = {}
     for key, job in jobs.items():
         parts = _bodies(job) & bodies.keys()
         for name, path in inputs_of(job).items():
-            place = path.resolve()
+            place = place_of(path)
             if place not in parts:
-                used.setdefault(place, []).append((key, name, False))
+                used.setdefault(place, []).append((key, name, None))
         for name, path in job.results.items():
-            used.setdefault(path.resolve(), []).append((key, name, True))
+            used.setdefault(place_of(path), []).append((key, name, path))
     reasons: dict[int, str] = {}
-    for path, uses in used.items():
-        for key, name, written in uses:
+    for uses in used.values():
+        for key, name, path in uses:
             others = [(other, what) for other, what, _ in uses if other != key]
-            if written and others:
+            if path is not None and others:
                 other, what = others[0]
-                reason = f"{name}: the file {path} is {what} of {jobs[other].path} too; give each job files of its own"
-                reasons.setdefault(key, reason)
+                whose = f"is {what} of {jobs[other].path} too; give each job files of its own"
+                reasons.setdefault(key, f"{name}: the file {path.resolve()} {whose}")
     return reasons

@@ -55,7 +55,7 @@ from morembs.problem import Problem
 from morembs.progress import SILENT, Progress, Stage, Stopwatch
 from morembs.reducers import Facts
 from morembs.reducers.base import ReducedModel
-from morembs.storage.contents import Content, files_read
+from morembs.storage.contents import Content, keeping_ledger
 from morembs.summary import summarised
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class JobResult:
     """A finished job: what it made and what it cost. ``dofs`` counts those of the finite-element model,
     ``peak_memory_bytes`` is the peak resident memory of the process during the job, ``factor`` the cost of the one
     factorisation and ``choice`` says why this solver made it; ``warnings`` are sentences about the model and the
-    bodies; ``inputs`` what was in each file that the model was read from."""
+    bodies; ``inputs`` what was in each file that the model was read from, by the name that was opened."""
 
     job: Job
     nodes: int
@@ -108,6 +108,7 @@ def unheard(_: str) -> None:
     """The default for warnings: they are in the result too."""
 
 
+@keeping_ledger()
 def run_job(job: Job, progress: Progress = SILENT, warn: Callable[[str], None] = unheard) -> JobResult:
     """Reduce the model of ``job`` and write its body file and picture.
 
@@ -131,8 +132,9 @@ def _run(
     warn: Callable[[str], None],
 ) -> JobResult:  # fmt: skip
     progress = watch.progress
-    with files_read() as inputs:
+    with keeping_ledger() as ledger:
         model, varied = model_of(job, solver, materials, budget, start, watch)
+        inputs = ledger.contents()
     warnings = of_model = model_warnings(job, model, budget)
     for warning in warnings:
         warn(warning)
@@ -349,7 +351,9 @@ def _provenance(
     return {
         "job": job.text,
         "changes": list(job.changes) or None,
-        "inputs": [{"file": name, "sha256": content.sha256} for name, content in inputs.items()],
+        "inputs": [
+            {"file": name, "target": content.target, "sha256": content.sha256} for name, content in inputs.items()
+        ],
         "solver": factor.backend,
         "factor": asdict(factor),
         "seconds": {stage.name: stage.seconds for stage in watch.stages},

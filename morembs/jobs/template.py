@@ -13,6 +13,7 @@ from morembs.errors import InputError
 from morembs.importers import read_mesh
 from morembs.importers.model_file import is_model_file, read_model
 from morembs.model import FEModel, Mesh
+from morembs.storage.contents import keeping_ledger, same_place
 from morembs.units import Units, parse_units
 
 # Steel in SI units.
@@ -36,15 +37,18 @@ def job_text(file: Path, folder: Path, units: Units | None = None) -> str:
         path = file.resolve().relative_to(folder.resolve()).as_posix()
     except ValueError:
         path = file.resolve().as_posix()
-    if is_model_file(file):
-        model = read_model(file)
-        head = _model(path, model)
-        couplings = [f"coupling:{name}" for name in model.couplings]
-        choices = (couplings[:INTERFACES], couplings[INTERFACES:]) if couplings else _node_sets(model)
-    else:
-        mesh = read_mesh(file)
-        head, choices = _mesh(path, mesh, units), _node_sets(mesh)
+    with keeping_ledger() as ledger:
+        if is_model_file(file):
+            model = read_model(file)
+            head = _model(path, model)
+            couplings = [f"coupling:{name}" for name in model.couplings]
+            choices = (couplings[:INTERFACES], couplings[INTERFACES:]) if couplings else _node_sets(model)
+        else:
+            mesh = read_mesh(file)
+            head, choices = _mesh(path, mesh, units), _node_sets(mesh)
     name = file.name.removesuffix(".gz").removesuffix(".h5").removesuffix(".model").partition(".")[0]
+    while any(same_place(folder / f"{name}.h5", opened) for opened in ledger.opened):
+        name += "-body"  # a companion of the mesh, or the mesh itself, has the name
     return "\n".join([*head, *_interfaces(*choices), *_rest(name), ""])
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.parametric.terms import AffineProblem
 from morembs.storage.checksums import Checksums
+from morembs.storage.contents import own_files
 from morembs.storage.hdf5 import reading
 from morembs.storage.writer import writing
 
@@ -52,7 +53,7 @@ class SearchSteps:
         if place is None or not place.exists():
             return None
         try:
-            with reading(place, "a step of a search") as file:
+            with own_files(), reading(place, "a step of a search") as file:
                 Checksums(place, file).verify()
                 if file["signature"][()] != self.signature.encode():
                     return None

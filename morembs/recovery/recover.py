@@ -19,6 +19,7 @@ from morembs.progress import SILENT, Progress
 from morembs.recovery.expansion import Expander, Expansion, expand, is_reduced, reduced_coordinates
 from morembs.recovery.shown import LargestDisplacement, ShownStress, notes_on_correction, notes_on_frame
 from morembs.recovery.trajectory import Trajectory, read_trajectory
+from morembs.storage.contents import keeping_ledger
 from morembs.storage.safefile import check_writable
 from morembs.storage.table_check import refuse_not_finite
 
@@ -43,6 +44,7 @@ class Recovered:
     notes: tuple[str, ...] = ()
 
 
+@keeping_ledger()
 def recover(
     body_file: str | Path, trajectory_file: str | Path | Trajectory, out: str | Path, *, body: str | None = None,
     stress: bool = True, scale: float = 1.0, every: int = 1, progress: Progress = SILENT,
@@ -68,7 +70,7 @@ def recover(
     2
     """
     place, target = Path(body_file), Path(out)
-    _check_options(place, trajectory_file, target, scale, every)
+    _check_options(target, scale, every)
     source = read_body(place)
     chosen = choose_body(source, body, place)
     whole = trajectory_file if isinstance(trajectory_file, Trajectory) else read_trajectory(trajectory_file)
@@ -149,12 +151,9 @@ def _recovery_of(path: Path, body: StoredBody, stress: bool) -> Recovery | None:
     return recovery
 
 
-def _check_options(place: Path, trajectory: str | Path | Trajectory, target: Path, scale: float, every: int) -> None:
+def _check_options(target: Path, scale: float, every: int) -> None:
     if target.suffix not in SERIES:
         raise InputError(f"{target} was given for the result; expected a name that ends with {' or '.join(SERIES)}")
-    for given in (place, *(() if isinstance(trajectory, Trajectory) else (Path(trajectory),))):
-        if given.resolve() == target.resolve():
-            raise InputError(f"{target} would overwrite what it is made from; give the result another name")
     if not np.isfinite(scale):
         raise InputError(f"scale = {scale} was given; expected a number, 1 for true deformations")
     if every < 1:

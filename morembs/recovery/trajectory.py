@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from morembs.body.vtkhdf_series import read_arrays
 from morembs.errors import InputError, MorembsError, nearest
-from morembs.memory import refuse_too_large, unpacked_bytes
+from morembs.storage.archive import refuse_unsafe_archive
 from morembs.summary import summarised
 
 Floats = NDArray[np.float64]
@@ -172,7 +172,7 @@ def _read_npz(path: Path) -> dict[str, Any]:
     try:
         with np.load(path, allow_pickle=False) as file:
             if isinstance(file, np.lib.npyio.NpzFile):
-                refuse_too_large(path.name, unpacked_bytes(file.zip))
+                refuse_unsafe_archive(path.name, file.zip)
             return {name: file[name] for name in file.files}
     except MorembsError:
         raise

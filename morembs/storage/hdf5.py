@@ -102,6 +102,8 @@ def refuse_unsafe_file(path: Path) -> None:
     Raises:
         InputError: the file leads out of itself, or announces much more than it holds.
     """
+    # Other libraries of C, which do not say it either, open what is no HDF5 file.
+    sys.audit("open", path, "r", 0)
     try:
         if path.is_file() and h5py.is_hdf5(path):
             with _opened(path) as file:

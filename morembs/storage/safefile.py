@@ -1,7 +1,8 @@
 """Files that are whole or not there, one or several together: written in a private folder beside, then renamed.
 
 What a killed run leaves behind, the next one that writes to the same folder removes (``morembs.scratch``). A link that
-was given as output stays, and the file that it leads to is replaced.
+was given as output stays, and the file that it leads to is replaced. A file that was read is never replaced
+(``storage.contents``): that is asked here, where files get their names, and as soon as an output is named.
 
 A library such as HDF5 does not survive a write that fails while it closes a file. ``SafeFile`` is therefore the file it
 sees: after the first failure it swallows all writes, the library closes in peace, and the failure is raised afterwards.
@@ -12,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shutil
 import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -21,6 +23,7 @@ from pathlib import Path
 from morembs import stopping
 from morembs.errors import OutputError
 from morembs.scratch import PrivateFolder
+from morembs.storage.contents import promise, refuse_input, same_place, was_written
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 # Of the private folders: hidden beside the output.
@@ -122,11 +125,13 @@ def replacing_all(paths: Sequence[Path]) -> Iterator[tuple[SafeFile, ...]]:
     did get their old files back. A power cut at just that time can leave some of each.
 
     Raises:
+        OverwriteError: one of ``paths`` was read.
         OutputError: a file cannot be written, or two of ``paths`` are one file.
     """
     targets = [(path, checked(path)) for path in paths]
     for number, (path, target) in enumerate(targets):
-        if any(target == other for _, other in targets[:number]):
+        refuse_input(path)
+        if any(one_file(target, other) for _, other in targets[:number]):
             raise OutputError(f"{path} would be written twice; give each file its own name")
     folders: dict[Path, PrivateFolder] = {}
     places: list[Place] = []
@@ -191,6 +196,8 @@ def _complete(places: Sequence[Place], files: Sequence[SafeFile]) -> None:
 def take_names(places: Sequence[Place]) -> None:
     """Take the names, all or none: a second name of the old file brings it back; none after a signal to end."""
     stopping.check()
+    for place in places:
+        refuse_input(place.path)
     for place in places if len(places) > 1 and hasattr(os, "link") else ():
         # Not every disk has second names; then the message says which files are new.
         with contextlib.suppress(OSError):
@@ -209,6 +216,8 @@ def take_names(places: Sequence[Place]) -> None:
         if isinstance(error, OSError):
             raise _output_error(places[len(done)].path, error, "the end of the file", places, mixed) from error
         raise
+    for place in places:
+        was_written(place.target)
 
 
 def _undone(place: Place, existed: bool) -> bool:
@@ -223,13 +232,49 @@ def _undone(place: Place, existed: bool) -> bool:
     return True
 
 
+def one_file(one: Path, other: Path) -> bool:
+    """Whether two names are those of one file, also of one that is not there yet on a disk that ignores case."""
+    if same_place(one, other):
+        return True
+    alike = one.name != other.name and one.name.casefold() == other.name.casefold()
+    return alike and same_place(one.parent, other.parent) and _ignores_case(one.parent)
+
+
+def _ignores_case(folder: Path) -> bool:
+    """Whether the disk takes names for the same that differ in small and capital letters only."""
+    trial = PrivateFolder(folder, PREFIX)
+    try:
+        (trial.path / "a").touch()
+        return (trial.path / "A").exists()
+    finally:
+        trial.close()
+
+
+def copy_into(folder: Path, file: Path, name: str = "") -> None:
+    """A copy of ``file`` in ``folder``, with its times, under its own name or another.
+
+    Raises:
+        OverwriteError: a file of that name was read.
+        OutputError: it cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    target = folder / (name or file.name)
+    with replacing(target) as copy, file.open("rb") as held:
+        shutil.copyfileobj(held, copy)
+    shutil.copystat(file, target)
+
+
 def check_writable(path: str | Path) -> None:
     """Check, before a long calculation, that a file can be written at ``path``; leaves nothing behind.
 
+    Until it is written, no input can be read from there.
+
     Raises:
+        OverwriteError: it was read.
         OutputError: the folder is missing or read-only, or ``path`` is a folder or a device.
     """
     target = checked(Path(path))
+    promise(Path(path))
     try:
         folder = PrivateFolder(target.parent, PREFIX)
         try:
@@ -242,6 +287,8 @@ def check_writable(path: str | Path) -> None:
 
 def checked(path: Path) -> Path:
     """Where links lead to; a folder must be there and the name free or a file."""
+    if "\0" in str(path):
+        raise OutputError(f"{str(path)!r} cannot be written: no name of a file has a NUL character; give another name")
     _refuse_planted(path)
     target = Path(os.path.realpath(path))
     folder = target.parent

@@ -248,7 +248,7 @@ def test_a_table_of_a_spreadsheet_with_a_mark_of_its_encoding_is_read(path, tabl
 def test_the_index_of_a_family_does_not_overwrite_its_table(path, table, tmp_path):
     given = table.rename(tmp_path / "index.csv").read_bytes()
     error = run("export", path, "--table", tmp_path / "index.csv", "--to", "sid", "-o", tmp_path / "a.SID_FEM", code=2)
-    assert "would overwrite the table" in error.replace("\n", " ")
+    assert "index.csv would overwrite a file that is read" in error.replace("\n", " ")
     assert [file.name for file in tmp_path.iterdir()] == ["index.csv"]
     assert (tmp_path / "index.csv").read_bytes() == given
 

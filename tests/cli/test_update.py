@@ -95,7 +95,7 @@ def test_options_that_cannot_be_used_are_refused(path, tmp_path):
     both = run(path, "--measured", measured, "--fix", "rho", "--prior", "rho=1", code=2)
     assert "rho was fixed and given a prior" in both
     assert "--prior rho=x was given" in run(path, "--measured", measured, "--prior", "rho=x", code=2)
-    assert "would overwrite an input" in run(path, "--measured", measured, "-o", measured, code=2)
+    assert "would overwrite a file that is read" in run(path, "--measured", measured, "-o", measured, code=2)
     assert "cannot be read" in run(path, "--measured", tmp_path / "absent.csv", code=2)
     columns = ["mode", "id", "ux", "uy", "uz"]
     shapes = write(tmp_path / "s.csv", columns, [(1, 1234567, 0, 0, 1)])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gzip
 import struct
+import warnings
+import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -337,3 +339,13 @@ def test_a_header_of_an_npz_array_that_does_not_end(tmp_path, model):
     # The header is a dictionary of Python; NumPy's reader gives it to Python's tokenizer.
     path.write_bytes(path.read_bytes().replace(b"'shape': (", b"'shape':((", 1))
     assert "cannot be read as a NumPy archive" in refused(path)
+
+
+def test_two_arrays_of_one_name_are_refused(tmp_path):
+    """NumPy reads the last of them, in silence."""
+    np.savez(tmp_path / "k.npz", K=np.diag([1.0, 2.0]), M=np.eye(2))
+    with zipfile.ZipFile(tmp_path / "k.npz", "a") as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        archive.writestr("K.npy", archive.read("M.npy"))
+    with pytest.raises(InputError, match=r"2 arrays 'K'; expected each name once"):
+        import_file(tmp_path / "k.npz")

@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -301,6 +302,18 @@ def test_programs_run_once_and_their_processes_end_with_them(tmp_path):
     """Without a guard by __name__, and by SIGKILL of the program alone."""
     ended = ran(tmp_path, UNGUARDED)
     assert ended.returncode == -signal.SIGKILL and ended.stdout.split("\n")[:2] == ["begun", "[3, 6]"], ended.stderr
+
+
+def test_a_killed_program_leaves_nothing_that_the_next_one_does_not_remove(tmp_path):
+    """The socket of the process that workers are copied from among it, whose name has room in short folders only."""
+    with tempfile.TemporaryDirectory(prefix="m", dir="/tmp") as name:
+        folder = Path(name)
+        for text in (UNGUARDED, UNGUARDED, GUARDED):
+            ran(folder, text)
+            left = [path.name for path in folder.iterdir() if path.name != "program.py"]
+            # That of the killed one alone: not more with each, and none under a name that nobody owns.
+            assert len(left) <= 2 and all(name.startswith("morembs-") for name in left), left
+        assert left == []
 
 
 def test_what_a_program_defines_goes_to_the_processes(tmp_path):

@@ -19,7 +19,7 @@ from morembs.body.file import read_body, write_body
 from morembs.body.stress_shapes import recovery_parts, stress_recovery
 from morembs.body.tables import RECOVERY
 from morembs.body.vtkhdf_series import stored_recovery
-from morembs.errors import InputError, OutputError
+from morembs.errors import InputError, OutputError, OverwriteError
 from morembs.floating.frame import floating_frame
 from morembs.interface import make_interface
 from morembs.model import Mesh, Nodes
@@ -523,7 +523,7 @@ def test_what_recover_refuses(bar, tmp_path):
         recover(bar.path, tmp_path / "t.npz", tmp_path / "no" / "out.vtkhdf", body="cb")
     same = tmp_path / "t.hdf"
     same.write_text("")
-    with pytest.raises(InputError, match="would overwrite"):
+    with pytest.raises(OverwriteError, match="would overwrite"):
         recover(bar.path, same, same, body="cb")
 
 

@@ -9,7 +9,6 @@ that the row of this node reads minus the coefficients.
 from __future__ import annotations
 
 import re
-import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from morembs.importers.engines.calculix_expansion import read_expansion
 from morembs.importers.engines.calculix_rows import Expanded
 from morembs.importers.engines.run import Program, find_executable, run
 from morembs.scratch import ScratchFolder
+from morembs.storage.safefile import copy_into
 
 Ints = NDArray[np.int64]
 CURE = "no program ccx was found; install calculix-ccx (Debian, conda-forge) or give calculix:PATH"
@@ -167,10 +167,9 @@ class Ccx(Closing):
             )  # fmt: skip
         finally:
             if self.keep is not None:
-                self.keep.mkdir(parents=True, exist_ok=True)
                 for file in self.folder.path.glob(f"{name}.*"):
-                    shutil.copy2(file, self.keep / file.name)
-                shutil.copy2(self.folder.path / "output.txt", self.keep / f"{name}.output.txt")
+                    copy_into(self.keep, file)
+                copy_into(self.keep, self.folder.path / "output.txt", f"{name}.output.txt")
         errors = _errors(said)
         if errors or done not in said:
             told = self._translated("; ".join(errors[:3])) if errors else _last_words(said)

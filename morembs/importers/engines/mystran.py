@@ -31,6 +31,7 @@ from morembs.importers.engines.mystran_elements import Elements
 from morembs.importers.engines.run import Program, find_executable, run
 from morembs.importers.op4 import OP4Matrix, read_op4
 from morembs.scratch import ScratchFolder
+from morembs.storage.safefile import copy_into
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -241,9 +242,8 @@ class Mystran(Closing):
 
     def _put_away(self, folder: Path, name: str) -> None:
         if self.keep is not None:
-            self.keep.mkdir(parents=True, exist_ok=True)
             for file in folder.glob(f"{name}.*"):
-                shutil.copy2(file, self.keep / file.name)
+                copy_into(self.keep, file)
         shutil.rmtree(folder, ignore_errors=True)
 
     def _advice(self) -> str:
