@@ -123,7 +123,7 @@ class GreedySearch:
 
     def __init__(self, problem: AffineProblem, wanted: Wanted, progress: Progress = SILENT) -> None:
         self.problem, self.wanted, self.progress = problem, wanted, progress
-        self.floor = floor_of(problem, wanted.band_hz, wanted.floor)
+        self.floor = floor_of(problem, wanted.band_hz, wanted.floor, problem.damping_at(problem.box.low))
         self.low, self.high = (2 * np.pi * f for f in wanted.band_hz)
         self.training = training_points(problem.box, wanted.training)
         progress.update("modes at nominal values")
@@ -231,6 +231,7 @@ class GreedySearch:
         residual = -1.0
         for p in self.training if points is None else points:
             at = self._bounded(model, bound, p)
+            self._refuse_undamped(at, p)
             omega = frequencies(at.values, at.damping, self.low, self.high)
             relative = at.error(omega) / at.envelope(omega)
             k = int(np.argmax(relative))
@@ -316,10 +317,28 @@ class GreedySearch:
         step = max(1, len(self.training) // SNAPSHOTS)
         return np.vstack([*self.points, self.training[::step]])
 
+    def _refuse_undamped(self, at: BoundAt, p: Floats) -> None:
+        """Refuse values ``p`` (P,) without damping at a resonance of the band, where no response has a limit.
+
+        Raises:
+            InputError: as said.
+        """
+        inside = at.values[(at.values > self.low**2) & (at.values < self.high**2)]
+        undamped = inside[at.damping.at_resonance(inside) == 0]
+        if len(undamped):
+            raise InputError(
+                f"at {self._words(p)} the body has no damping at {len(undamped)} resonances of the band, the first at "
+                f"{np.sqrt(undamped[0]) / (2 * np.pi):,.6g} Hz, where its response has no limit; expected some: give "
+                "[damping], a range of alpha or beta from above 0, or damping_floor = 0.01"
+            )
+
+    def _words(self, p: Floats) -> str:
+        given = zip(self.problem.parameters, p, strict=True)
+        return ", ".join(f"{each.name} = {x:.4g} {each.unit}".rstrip() for each, x in given)
+
     def _unreached(self, worst: Worst, order: int, alone: float) -> InputError:
         """The error for the ``worst`` bound, which is ``alone`` with all of the basis and the geometry exact."""
-        given = zip(self.problem.parameters, worst.p, strict=True)
-        at = ", ".join(f"{each.name} = {x:.4g} {each.unit}".rstrip() for each, x in given)
+        at = self._words(worst.p)
         geometry = (
             f"; most of it is the interpolated geometry, exact to {self.problem.eps:.1e}, beside light damping"
             if alone < 0.5 * worst.value and self.problem.eps else ""
