@@ -174,7 +174,8 @@ class GreedySearch:
         known = self.steps.known[len(self.points) :]
         if known:
             return Worst(value=known[0].value, p=known[0].p, hz=known[0].hz)
-        return self.worst(*self._bound(proof=False))
+        model, bound = self._bound(proof=False)
+        return self.worst(model, replace(bound, rounding_K=None, rounding_M=None))
 
     def _bound(self, *, proof: bool) -> tuple[ParametricModel, ParametricBound]:
         F = np.eye(self.space.size, self.deflated)
@@ -254,12 +255,14 @@ class GreedySearch:
         order = np.argsort([-self._relative(model, bound, p) for p in self.training])
 
         def of(n: int) -> tuple[ParametricModel, ParametricBound]:
-            return reduced_to(model, T[:, :n]), bound.turned(T[:, :n])
+            return reduced_to(model, T[:, :n]), bare.turned(T[:, :n])
 
+        # More columns mend no round-off.
+        bare = replace(bound, rounding_K=None, rounding_M=None)
         low, high = self.kept, min(whole, wanted.order_limit)
         worst = self.worst(*of(high), points=self.training[order])
         if worst.value > wanted.tolerance and not wanted.accept_bound:
-            raise self._unreached(worst, high, self._relative(model, replace(bound, eps=0.0), worst.p))
+            raise self._unreached(worst, high, self._relative(model, replace(bare, eps=0.0), worst.p))
         while worst.value <= wanted.tolerance and low < high:
             middle = (low + high) // 2
             self.progress.update(f"{middle} of {whole} columns")
@@ -267,8 +270,7 @@ class GreedySearch:
                 high = middle
             else:
                 low = middle + 1
-        model, bound = of(high)
-        bound = bound.compressed()
+        model, bound = reduced_to(model, T[:, :high]), bound.turned(T[:, :high]).compressed()
         box = self.problem.box
         fresh = training_points(box, FRESH * wanted.training, seed=2)
         worst = self.worst(model, bound, np.vstack([self.training, fresh]))
