@@ -183,6 +183,9 @@ def test_a_job_reduces_an_assembly_and_keeps_its_shapes(make_piece: Make, tmp_pa
         assert np.ptp(same, axis=1).max() < 1e-5 * np.abs(moved).max()
     again = CliRunner().invoke(app, ["reduce", str(job), "--set", "couple.between=[\"upper:R\", \"lower:X\"]"])
     assert again.exit_code == 2 and "there is no 'lower:X'; did you mean 'lower:R'" in again.stderr
+    for verb in ("check", "reduce"):
+        hinged = CliRunner().invoke(app, [verb, str(job), "--set", "couple.components=[0, 1, 2, 3, 5]"])
+        assert hinged.exit_code == 2 and "rotation y of lower:L against upper:R" in hinged.stderr
     beside = CliRunner().invoke(app, ["reduce", str(job), "--set", "output.path=" + str(body)])
     assert beside.exit_code == 2 and body.exists()
 
@@ -303,3 +306,18 @@ def test_couplings_that_say_nothing_or_too_much_are_refused(piece: StoredBodies)
         assemble_bodies([part], [Couple(between=("a:R", "a:R"))])
     with pytest.raises(InputError, match="expected three finite numbers"):
         assemble_bodies([replace(part, position=(0.0, np.nan, 0.0))], [])
+
+
+def test_what_couplings_leave_free_is_named(piece: StoredBodies) -> None:
+    """Three pieces: what one coupling leaves, a chain cannot hold, a second one at the same place can."""
+    hinge = (0, 1, 2, 3, 5)
+    assert row(piece, 3).free_motions == ()
+    assert row(piece, 2, components=hinge).free_motions == ("rotation y of p1:L against p0:R",)
+    names = row(piece, 3, components=(0, 1, 2)).free_motions
+    assert [name.split(" of ")[0] for name in names] == ["rotation x, rotation y, rotation z"] * 2
+    parts = row(piece, 2).parts
+    ends = ("p0:R", "p1:L")
+    soft = Couple(between=ends, components=(4,), stiffness=(0, 0, 0, 0, 1e-3, 0), damping=(0, 0, 0, 0, 1.0, 0))
+    assert assemble_bodies(parts, [Couple(between=ends, components=hinge), soft]).free_motions == ()
+    nothing = replace(soft, stiffness=(1.0, 0, 0, 0, 0, 0))
+    assert len(assemble_bodies(parts, [Couple(between=ends, components=hinge), nothing]).free_motions) == 2

@@ -30,10 +30,15 @@ TURNING = (
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AssembledModel(FEModel):
-    """The model of an assembly, with the ``parts`` and ``couples`` that it was made of."""
+    """The model of an assembly, with the ``parts`` and ``couples`` that it was made of.
+
+    ``free_motions`` are relative motions of the parts that no coupling holds, in words: a mechanism, which reductions
+    refuse.
+    """
 
     parts: tuple[Substructure, ...] = ()
     couples: tuple[Couple, ...] = ()
+    free_motions: tuple[str, ...] = ()
 
 
 def assemble_bodies(
@@ -73,7 +78,9 @@ def assemble_bodies(
         "warnings": (*model.warnings, *told, *([REDUCED] if without else []), TURNING),
         "notes": (f"{len(parts)} bodies, {len(couples)} couplings",),
     }  # fmt: skip
-    return AssembledModel(**own, parts=tuple(parts), couples=tuple(couples))
+    owner = np.repeat(np.arange(len(placed)), [len(part.xyz) for part in placed])
+    free = _joints(placed, couples).free_motions(owner)
+    return AssembledModel(**own, parts=tuple(parts), couples=tuple(couples), free_motions=tuple(free))
 
 
 def joined(placed: Sequence[Placed], couples: Sequence[Couple], name: str) -> FEModel:
@@ -82,6 +89,22 @@ def joined(placed: Sequence[Placed], couples: Sequence[Couple], name: str) -> FE
     Raises:
         InputError: couplings that do not fit the parts or each other.
     """
+    joints = _joints(placed, couples)
+    nodes, dofs = joints.nodes, joints.dofs
+    # Interfaces that follow others altogether are these.
+    nodes = replace(nodes, sets={key: joints.leading(rows) for key, rows in nodes.sets.items()})
+    K, M, D = (sp.block_diag([part.matrices[key] for part in placed], "csr") for key in ("K", "M", "D"))
+    K, D = K + joints.springs("stiffness"), D + joints.springs("damping")
+    model = FEModel(
+        K=K, M=M, D=D if D.nnz else None, nodes=nodes, dofs=dofs, source=name, equations=tuple(joints.equations()),
+        warnings=tuple(joints.warnings),
+    )
+    model = replace(model, dependent=_dependent(model, placed))
+    return replace(model, strained=_strained(model))
+
+
+def _joints(placed: Sequence[Placed], couples: Sequence[Couple]) -> Joints:
+    """The couplings between the nodes of all parts."""
     ends = np.cumsum([0, *(len(part.xyz) for part in placed)])
     xyz = np.vstack([part.xyz for part in placed])
     sets = {
@@ -93,17 +116,7 @@ def joined(placed: Sequence[Placed], couples: Sequence[Couple], name: str) -> FE
         node=np.concatenate([part.node + first for part, first in zip(placed, ends, strict=False)]),
         component=np.concatenate([part.component for part in placed]),
     )
-    joints = Joints(nodes, dofs, couples)
-    # Interfaces that follow others altogether are these.
-    nodes = replace(nodes, sets={key: joints.leading(rows) for key, rows in sets.items()})
-    K, M, D = (sp.block_diag([part.matrices[key] for part in placed], "csr") for key in ("K", "M", "D"))
-    K, D = K + joints.springs("stiffness"), D + joints.springs("damping")
-    model = FEModel(
-        K=K, M=M, D=D if D.nnz else None, nodes=nodes, dofs=dofs, source=name, equations=tuple(joints.equations()),
-        warnings=tuple(joints.warnings),
-    )
-    model = replace(model, dependent=_dependent(model, placed))
-    return replace(model, strained=_strained(model))
+    return Joints(nodes, dofs, couples)
 
 
 def _strained(model: FEModel) -> float:

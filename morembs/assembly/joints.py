@@ -23,6 +23,9 @@ Ints = NDArray[np.int64]
 # Distance of two interfaces that are coupled, and that which is round-off, as parts of the size of the assembly.
 APART, TOGETHER = 1e-6, 1e-13
 ALL = (0, 1, 2, 3, 4, 5)
+# Relative motion of two sides, as part of the motion of the parts, above which couplings leave it free.
+FREE = 10 * APART
+MOTIONS = tuple(f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,6 +154,34 @@ class Joints:
                 )
             )  # fmt: skip
         return equations
+
+    def free_motions(self, part: Ints) -> list[str]:
+        """Which relative rigid motions of the parts each coupling and all others leave free, in words; ``part``
+        (nodes,) is the number of the part of each node."""
+        count, node, length = int(part.max()) + 1, self.dofs.node, self.extent or 1.0
+        xyz = (self.nodes.xyz - self.nodes.xyz.mean(axis=0)) / length
+
+        def motion(nodes: Ints, components: Ints) -> Floats:
+            rows = np.zeros((len(nodes), count, len(ALL)))
+            rows[np.arange(len(nodes)), part[nodes]] = rigid_motion(xyz[nodes], components)
+            return rows.reshape(len(nodes), -1)
+
+        rows = [np.zeros((1, count * len(ALL)))]
+        for couple, first, second in self.pairs:
+            values = np.ones(len(ALL)) if couple.stiffness is None else np.asarray(couple.stiffness)
+            holds = values[self.dofs.component[first]] > 0
+            one, other = (motion(node[side], self.dofs.component[side])[holds] for side in (first, second))
+            rows.append(one - other)
+        held = np.vstack(rows)
+        values, Z = np.linalg.eigh(held.T @ held)
+        Z, words = Z[:, values <= FREE**2], []
+        for couple, first, second in self.pairs:
+            one, other = (motion(np.repeat(node[side[:1]], len(ALL)), np.array(ALL)) for side in (first, second))
+            free = np.flatnonzero(np.linalg.norm((one - other) @ Z, axis=1) > FREE)
+            if len(free):
+                names = ", ".join(MOTIONS[k] for k in free)
+                words.append(f"{names} of {couple.between[1]} against {couple.between[0]}")
+        return words
 
     def springs(self, which: str) -> sp.csr_array:
         """``stiffness`` or ``damping`` (N, N) of the elastic couplings."""

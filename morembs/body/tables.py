@@ -271,6 +271,8 @@ BOUND = Table((
     Row("sigma", "real", "", "weight of the deflated motions", "1/s2"),
     Row("highest", "real", "", "upper end of the band", "rad/s"),
     Row("eps", "real", "", "relative error of the stiffness of a morph, in every quadratic form"),
+    Row("rounding_K", "later", "Q n n", "limits of round-off in quadratic forms of the terms of K", when=_OLD),
+    Row("rounding_M", "later", "J n n", "the same of the terms of M", when=_OLD),
 ))  # fmt: skip
 
 FRAME_TERMS = Table((

@@ -41,7 +41,8 @@ def assembly_of(job: Job, budget: Budget) -> AssembledModel:
     """The bodies of the job as one model, in SI units; a file that serves for several parts is read once.
 
     Raises:
-        InputError: body files or jobs of parts that cannot be read, or bodies that cannot be coupled.
+        InputError: body files or jobs of parts that cannot be read, bodies that cannot be coupled, or couplings that
+            leave a mechanism.
     """
     units = units_of(job)
     force = units.stress * units.length**2
@@ -72,7 +73,14 @@ def assembly_of(job: Job, budget: Budget) -> AssembledModel:
         )
         for table in job.tables.couple
     ]  # fmt: skip
-    return assemble_bodies(parts, couples, name=job.path.stem)
+    model = assemble_bodies(parts, couples, name=job.path.stem)
+    if model.free_motions:
+        raise InputError(
+            f"the couplings leave the parts free to move against each other: {'; '.join(model.free_motions)}; a body "
+            "has the six rigid motions of one free part only: couple these components too, by a [[couple]] with "
+            "stiffness if they are soft, or reduce the parts one by one and join them in the simulation"
+        )
+    return model
 
 
 class _Maker:

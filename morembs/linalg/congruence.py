@@ -75,9 +75,15 @@ def cancelling(A: sp.csr_array, X: NDArray[np.float64], scalar: NDArray[np.bool_
 
 def scaled_row_sums(A: sp.csr_array) -> NDArray[np.float64]:
     """Weights w (n,) with |x|' |A| |x| <= w' x^2 independent of the units: the row sums of the equilibrated ``A``."""
+    return weighted_row_sums(A, np.ones(A.shape[0]))
+
+
+def weighted_row_sums(A: sp.csr_array, weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """As ``scaled_row_sums`` of the entries (c_i + c_j) / 2 |A_ij| for the ``weight`` c (n,) of rows."""
     d = np.sqrt(np.abs(A.diagonal()))
     d[d == 0] = 1.0
-    return np.asarray(d * magnitudes(A, 1.0 / d[:, None])[:, 0])
+    plain, across = magnitudes(A, np.column_stack([1.0 / d, weight / d])).T
+    return np.asarray(d * 0.5 * (weight * plain + across))
 
 
 def _split(T: sp.csr_array) -> tuple[Ints, Ints, sp.csr_array]:

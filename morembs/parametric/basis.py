@@ -123,7 +123,7 @@ class GreedySearch:
 
     def __init__(self, problem: AffineProblem, wanted: Wanted, progress: Progress = SILENT) -> None:
         self.problem, self.wanted, self.progress = problem, wanted, progress
-        self.floor = floor_of(problem, wanted.band_hz, wanted.floor)
+        self.floor = floor_of(problem, wanted.band_hz, wanted.floor, problem.damping_at(problem.box.low))
         self.low, self.high = (2 * np.pi * f for f in wanted.band_hz)
         self.training = training_points(problem.box, wanted.training)
         progress.update("modes at nominal values")
@@ -174,7 +174,8 @@ class GreedySearch:
         known = self.steps.known[len(self.points) :]
         if known:
             return Worst(value=known[0].value, p=known[0].p, hz=known[0].hz)
-        return self.worst(*self._bound(proof=False))
+        model, bound = self._bound(proof=False)
+        return self.worst(model, replace(bound, rounding_K=None, rounding_M=None))
 
     def _bound(self, *, proof: bool) -> tuple[ParametricModel, ParametricBound]:
         F = np.eye(self.space.size, self.deflated)
@@ -231,6 +232,7 @@ class GreedySearch:
         residual = -1.0
         for p in self.training if points is None else points:
             at = self._bounded(model, bound, p)
+            self._refuse_undamped(at, p)
             omega = frequencies(at.values, at.damping, self.low, self.high)
             relative = at.error(omega) / at.envelope(omega)
             k = int(np.argmax(relative))
@@ -253,12 +255,14 @@ class GreedySearch:
         order = np.argsort([-self._relative(model, bound, p) for p in self.training])
 
         def of(n: int) -> tuple[ParametricModel, ParametricBound]:
-            return reduced_to(model, T[:, :n]), bound.turned(T[:, :n])
+            return reduced_to(model, T[:, :n]), bare.turned(T[:, :n])
 
+        # More columns mend no round-off.
+        bare = replace(bound, rounding_K=None, rounding_M=None)
         low, high = self.kept, min(whole, wanted.order_limit)
         worst = self.worst(*of(high), points=self.training[order])
         if worst.value > wanted.tolerance and not wanted.accept_bound:
-            raise self._unreached(worst, high, self._relative(model, replace(bound, eps=0.0), worst.p))
+            raise self._unreached(worst, high, self._relative(model, replace(bare, eps=0.0), worst.p))
         while worst.value <= wanted.tolerance and low < high:
             middle = (low + high) // 2
             self.progress.update(f"{middle} of {whole} columns")
@@ -266,8 +270,7 @@ class GreedySearch:
                 high = middle
             else:
                 low = middle + 1
-        model, bound = of(high)
-        bound = bound.compressed()
+        model, bound = reduced_to(model, T[:, :high]), bound.turned(T[:, :high]).compressed()
         box = self.problem.box
         fresh = training_points(box, FRESH * wanted.training, seed=2)
         worst = self.worst(model, bound, np.vstack([self.training, fresh]))
@@ -316,10 +319,28 @@ class GreedySearch:
         step = max(1, len(self.training) // SNAPSHOTS)
         return np.vstack([*self.points, self.training[::step]])
 
+    def _refuse_undamped(self, at: BoundAt, p: Floats) -> None:
+        """Refuse values ``p`` (P,) without damping at a resonance of the band, where no response has a limit.
+
+        Raises:
+            InputError: as said.
+        """
+        inside = at.values[(at.values > self.low**2) & (at.values < self.high**2)]
+        undamped = inside[at.damping.at_resonance(inside) == 0]
+        if len(undamped):
+            raise InputError(
+                f"at {self._words(p)} the body has no damping at {len(undamped)} resonances of the band, the first at "
+                f"{np.sqrt(undamped[0]) / (2 * np.pi):,.6g} Hz, where its response has no limit; expected some: give "
+                "[damping], a range of alpha or beta from above 0, or damping_floor = 0.01"
+            )
+
+    def _words(self, p: Floats) -> str:
+        given = zip(self.problem.parameters, p, strict=True)
+        return ", ".join(f"{each.name} = {x:.4g} {each.unit}".rstrip() for each, x in given)
+
     def _unreached(self, worst: Worst, order: int, alone: float) -> InputError:
         """The error for the ``worst`` bound, which is ``alone`` with all of the basis and the geometry exact."""
-        given = zip(self.problem.parameters, worst.p, strict=True)
-        at = ", ".join(f"{each.name} = {x:.4g} {each.unit}".rstrip() for each, x in given)
+        at = self._words(worst.p)
         geometry = (
             f"; most of it is the interpolated geometry, exact to {self.problem.eps:.1e}, beside light damping"
             if alone < 0.5 * worst.value and self.problem.eps else ""

@@ -32,6 +32,16 @@ W W'. For w with V_L' M w = 0 and any X, W'w = (W - M V_L X)'w, so
 
 No mode at p is needed, no count of them, and F need not be of modes.
 
+**Round-off, and a geometry that is interpolated.** The model is known to E = c E_K + g E_M only, with |x'E_K x| <=
+x'S x for S from sums of magnitudes (``GlobalSpace``: entries, products and projections), to which a morph adds
+eps / (1 - eps) K; that of g / c E_M joins it. With s(x)^2 = x'S x and x = V y + A^-1 r the response,
+
+    |H - H_exact|_F <= |c| s(x)^2 / (1 - |c| G),    s(x) <= s(V y) + (t + sqrt(l kappa)) |r|_F / (b - kappa),
+    G = l + (t + sqrt(l kappa))^2 / (b - kappa),    l = lambda_max(|a|^-1/2 V_L'S V_L |a|^-1/2),
+
+kappa of sizes, and t the largest s(w) / |w|. Of t, which enters in second order, the columns beside V_L tell: motions
+outside of V are stiffer, and round-off is a smaller part of their energy.
+
 All residuals are held in orthonormal coordinates of the norm of K_SS(p_a)^-1 (Casenave, Ern and Lelievre 2014); what
 was cut of them is added by its norm. Sources: the Galerkin identity and min-theta of Rozza, Huynh and Patera (2008),
 the deflated residual of ``morembs.responses.residual_bound``; the inequality for Lam is derived here.
@@ -59,7 +69,6 @@ ANGLES = np.radians([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
 LOW, FAR, TAKEN = 1.5, 4.0, 0.05
 # Parts of their energy that columns may lose by compression, and below which they count as rigid.
 SMALL, RIGID = 1e-5, 1e-6
-TINY = float(np.finfo(float).tiny)
 KINDS = ("bound", "estimate", "none")
 
 
@@ -92,7 +101,9 @@ class ParametricBound:
     the scaled loads, of K_q V, M_j V and W = M(p_a) F in the norm of K_SS(p_a)^-1, ``rest_B`` (m,), ``rest_K`` (Q, n),
     ``rest_M`` (J, n), ``rest_F`` (k,) norms of what they leave out; ``motion_F`` (n, k) is V'W and ``sigma`` its
     weight in (rad/s)2. ``anchor``, ``soft`` (P,) values of the parameters. ``highest`` upper end of the band in
-    rad/s. ``eps`` relative error of K(p) as a quadratic form (a geometry that is interpolated), else 0.
+    rad/s. ``eps`` relative error of K(p) as a quadratic form (a geometry that is interpolated), else 0. ``rounding_K``
+    (Q, n, n), ``rounding_M`` (J, n, n) limit what round-off makes of the quadratic forms of the terms; None where it is
+    not known.
     """
 
     law_K: Law
@@ -112,6 +123,8 @@ class ParametricBound:
     sigma: float
     highest: float
     eps: float = 0.0
+    rounding_K: Floats | None = None
+    rounding_M: Floats | None = None
 
     def turned(self, T: Floats) -> ParametricBound:
         """The bound for the basis V ``T`` (n, k), whose span may be smaller."""
@@ -120,6 +133,8 @@ class ParametricBound:
         parts.update(
             residual_K=self.residual_K @ T, residual_M=self.residual_M @ T, rest_K=self.rest_K @ size,
             rest_M=self.rest_M @ size, motion_F=T.T @ self.motion_F,
+            rounding_K=None if self.rounding_K is None else T.T @ self.rounding_K @ T,
+            rounding_M=None if self.rounding_M is None else T.T @ self.rounding_M @ T,
         )  # fmt: skip
         return ParametricBound(**parts)
 
@@ -168,6 +183,10 @@ class ParametricBound:
         start = self.residual_B - KY @ (b / values[:, None]) - MZ @ b_rigid
         off_start = self.rest_B + (eK @ size) @ np.abs(b / values[:, None]) + (eM @ np.abs(Z)) @ np.abs(b_rigid)
         alpha_cell, least, proven = self.cells.at(p)
+        unsure_K, unsure_M = (
+            np.zeros((len(values),) * 2) if terms is None else Y.T @ np.tensordot(np.abs(theta), terms, 1) @ Y
+            for theta, terms in ((theta_K, self.rounding_K), (theta_M, self.rounding_M))
+        )
         alpha = alpha_cell * ratio(self.law_K.monotone, p, self.anchor).min()
         # Without alpha there is no bound; residuals still tell where it is missed most.
         part = alpha if alpha > 0 else 1.0
@@ -175,11 +194,16 @@ class ParametricBound:
         gram = gram.T @ gram / part
         few = self._few(values, np.diag(gram)[len(gram) - len(values) :])
         d = self._missed(MZ, MY[:, :few], Z, Y[:, :few], eM) / alpha if alpha > 0 else np.inf
+        # Products with K leave round-off in the residuals, too.
+        own = np.sqrt(np.maximum(np.diag(unsure_K), 0.0))
+        own *= (own / np.sqrt(values))[min(few, len(values) - 1) :].max(initial=0.0)
+        off, off_start = off / np.sqrt(part) + own, off_start / np.sqrt(part) + own @ np.abs(b / values[:, None])
         s_K, s_M = ratio(self.law_K.monotone, p, self.soft).min(), ratio(self.law_M.monotone, p, self.soft).max()
         return BoundAt(
-            values=values, b=b, gram=gram, off=off / np.sqrt(part), off_start=off_start / np.sqrt(part), few=few,
-            least=float(s_K / s_M * least / (1 + s_K * self.sigma * d)), damping=damping, eps=self.eps,
-            proven=proven and not damping.is_modal,
+            values=values, b=b, gram=gram, off=off, off_start=off_start, few=few,
+            least=float(s_K / s_M * least / (1 + s_K * self.sigma * d)), damping=damping,
+            unsure_K=unsure_K + self.eps / (1 - self.eps) * np.diag(values), unsure_M=unsure_M,
+            proven=proven and not damping.is_modal and self.rounding_K is not None,
         )  # fmt: skip
 
     def _few(self, values: Floats, own: Floats) -> int:
@@ -202,7 +226,8 @@ class ParametricBound:
 class BoundAt:
     """The bound at one p: Ritz ``values`` (e,) in (rad/s)2 and scaled loads ``b`` (e, m) of the elastic part, ``gram``
     (m + e, m + e) of the static residual and of those of the Ritz vectors in the dual norm, ``off_start`` (m,) and
-    ``off`` (e,) what was cut of them; the first ``few`` are V_L, and K >= ``least`` M beside them."""
+    ``off`` (e,) what was cut of them; the first ``few`` are V_L, and K >= ``least`` M beside them. ``unsure_K``,
+    ``unsure_M`` (e, e) limit the quadratic forms of what is not known of K and M."""
 
     values: Floats
     b: Floats
@@ -212,7 +237,8 @@ class BoundAt:
     few: int
     least: float
     damping: Damping
-    eps: float
+    unsure_K: Floats
+    unsure_M: Floats
     proven: bool
 
     @property
@@ -228,11 +254,14 @@ class BoundAt:
         """(nf,) bounds of |H - H_r|_F, scaled, at ``omega`` (nf,) in rad/s, in m/N; infinite where there is none."""
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         a, c, g = self._a(omega)
+        # On a resonance without damping there is no response.
+        on = (a == 0).any(axis=1)
+        a[on] = c[on, None]
         two, whole = self._residual(a, omega)
         best, kappa = self._gain(a, c, g)
         with np.errstate(divide="ignore", invalid="ignore"):
-            error = np.where(best > 0, two * whole / best, np.inf)
-        return error + self._geometry(a, c, g, whole, kappa) if self.eps else error
+            error = two * whole / best + self._unsure(a, c, g, whole / best, kappa / best, 1 / best)
+        return np.where((best > 0) & ~on, error, np.inf)
 
     def residual(self, omega: Floats) -> Floats:
         """(nf,) |r|_2 |r|_F over the envelope: what a bound is without resonances."""
@@ -277,28 +306,26 @@ class BoundAt:
         best = b[chosen, every] - _largest(weight[chosen, every], gram, off)
         if not self.least > 0:
             best = np.full(len(c), -np.inf)
-        kappa = _largest(np.abs(c[:, None] ** 2 / a[:, :few]), gram, off) if self.eps else np.zeros(len(c))
-        return best, kappa
+        return best, _largest(np.abs(c[:, None] ** 2 / a[:, :few]), gram, off)
 
-    def _geometry(self, a: Complexes, c: Complexes, g: Complexes, whole: Floats, kappa: Floats) -> Floats:
-        """(nf,) what the error of K adds: with E = K - K~ and |E| <= eps' K~, eps' = eps / (1 - eps),
-
-        |H - H~|_F <= |c| eps' |x|_K^2 / (1 - |c| eps' G), G the norm of A~^-1 from the dual norm to that of K~, at most
-        g_L + (1 + sqrt(g_L kappa))^2 / (b - kappa), g_L = max mu_i / |a_i|, b and kappa of sizes.
-        """
-        far = g / self.least if self.least > 0 else -c
-        # The least |c + t far| on 0 <= t <= 1.
-        t = np.clip(-(c * far.conj()).real / np.maximum(np.abs(far) ** 2, TINY), 0.0, 1.0)
-        gap = np.abs(c + t * far) - kappa
-        low = (self.values[: self.few] / np.abs(a[:, : self.few])).max(axis=1, initial=0.0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            reach = np.where(gap > 0, (1 + np.sqrt(low * kappa)) / gap, np.inf)
-            norm = low + (1 + np.sqrt(low * kappa)) * reach
-            y = self.b / a[:, :, None]
-            reduced = np.sqrt((self.values[:, None] * np.abs(y) ** 2).sum(axis=(1, 2)))
-            part = self.eps / (1 - self.eps) * np.abs(c)
-            full = reduced + reach * whole
-            return np.where(part * norm < 1, part * full**2 / (1 - part * norm), np.inf)
+    def _unsure(
+        self, a: Complexes, c: Complexes, g: Complexes, missed: Floats, kappa: Floats, reach: Floats
+    ) -> Floats:
+        """(nf,) what the error of K and M adds; ``missed`` is |r|_F, ``kappa`` that of sizes and ``reach`` one, each
+        over b - kappa."""
+        few, part = self.few, np.abs(g / c)
+        beside = slice(min(few, len(self.values) - 1), None)
+        outside, low = np.zeros(len(c)), np.zeros(len(c))
+        own, y = np.zeros(len(c)), self.b / a[:, :, None]
+        for S, weight in ((self.unsure_K, np.ones(len(c))), (self.unsure_M, part)):
+            outside += weight * (np.diag(S) / self.values)[beside].max(initial=0.0)
+            low += weight * _largest(1 / np.abs(a[:, :few]), S[:few, :few], np.zeros(few))
+            own += weight * np.einsum("fim,fim->f", y.conj(), S @ y).real
+        # (t + sqrt(l kappa)) / sqrt(b - kappa).
+        mixed = np.sqrt(outside * reach) + np.sqrt(low * kappa)
+        norm = np.abs(c) * (low + mixed**2)
+        full = np.sqrt(own) + mixed * missed / np.sqrt(reach)
+        return np.where(norm < 1, np.abs(c) * full**2 / (1 - norm), np.inf)
 
 
 def ritz_pairs(K: Floats, M: Floats, rigid: Floats) -> tuple[Floats, Floats, Floats]:

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.linalg.columns import complement, dot, fix_signs, hstack, multiply_into, symmetric
+from morembs.linalg.congruence import weighted_row_sums
+from morembs.linalg.rigid import EPS, ROUND_OFF
 from morembs.linalg.statics import ConstrainedStatics
 from morembs.parametric.bound import Cells, ParametricBound, ratio
 from morembs.parametric.coordinates import CUT, LoadCoordinates, padded
@@ -16,6 +18,9 @@ from morembs.parametric.model import ParametricModel
 from morembs.parametric.terms import AffineProblem
 
 Floats = NDArray[np.float64]
+# Where sums over all N rows part their round-off, gamma_N |x|' |A x| <= N eps / 2 (x'Dx x'Ax)^(1/2) with row sums D of
+# |A|: up to this part of eps x'Dx, and the rest by x'Ax.
+LONG = 4.0
 
 
 class GlobalSpace:
@@ -41,6 +46,8 @@ class GlobalSpace:
         self._M_parts: list[list[Floats]] = [[] for _ in problem.M_terms]
         self._K_rest: list[list[Floats]] = [[] for _ in problem.K_terms]
         self._M_rest: list[list[Floats]] = [[] for _ in problem.M_terms]
+        self._rounding: list[list[list[Floats]]] = [[[] for _ in terms] for terms in (problem.K_terms, problem.M_terms)]
+        self._weights = [[_rounding(A) for A in terms] for terms in (problem.K_terms, problem.M_terms)]
         self.floor = float(problem.elastic_modes(count=1).eigenvalues[0])
         loads = problem.B.toarray() * problem.motion_scale
         sizes = np.sqrt(np.maximum(np.einsum("ij,ij->j", loads, self.coordinates.flexibility(loads)), 0.0))
@@ -87,8 +94,11 @@ class GlobalSpace:
         )
         one, high = np.ones_like(problem.box.high), problem.box.high
         sizes = [ratio(law, high, one) for law in (problem.law_K, problem.law_M)]
-        for size, (terms, reduced, parts, rests, scale) in zip(sizes, every, strict=True):
+        kinds = zip(sizes, self._weights, self._rounding, every, strict=True)
+        for size, weights, rounding, (terms, reduced, parts, rests, scale) in kinds:
             for q, A in enumerate(terms):
+                WX = np.asfortranarray(weights[q][:, None] * X)
+                rounding[q].append(np.vstack([dot(V, WX, budget) for V in self.V]))
                 AX = np.asfortranarray(A @ X)
                 reduced[q].append(np.vstack([dot(V, AX, budget) for V in self.V]))
                 # A term counts with its coefficient; polynomials are of order one.
@@ -126,12 +136,31 @@ class GlobalSpace:
         K, M = (np.stack([padded(term, q) for term in parts]) for parts in (self._K_parts, self._M_parts))
         rest_K, rest_M = (np.stack([np.concatenate(term) for term in rests]) for rests in (self._K_rest, self._M_rest))
         theta = problem.law_M(problem.box.nominal)
+        long = len(problem.rigid) ** 2 * EPS / (16 * LONG)
+        rounding = [
+            _symmetric_stack(weighted, self.size) + long * _positive(_symmetric_stack(reduced, self.size))
+            for weighted, reduced in zip(self._rounding, (self._K, self._M), strict=True)
+        ]
         return ParametricBound(
             law_K=problem.law_K, law_M=problem.law_M, anchor=problem.box.nominal, soft=soft, cells=cells,
             residual_B=padded([self._B], q), residual_K=K, residual_M=M,
             residual_F=np.tensordot(theta, M, 1) @ F, rest_B=self._B_rest, rest_K=rest_K, rest_M=rest_M,
             rest_F=np.abs(theta) @ rest_M @ np.abs(F), motion_F=F, sigma=sigma, highest=highest, eps=eps,
+            rounding_K=rounding[0], rounding_M=rounding[1],
         )  # fmt: skip
+
+
+def _positive(terms: Floats) -> Floats:
+    """|A| (Q, n, n) of each of the ``terms``, so that |x'A x| <= x'|A| x: that of a preload may be negative."""
+    values, U = np.linalg.eigh(terms)
+    return np.asarray((U * np.abs(values)[:, None, :]) @ U.transpose(0, 2, 1))
+
+
+def _rounding(A: sp.csr_array) -> Floats:
+    """Weights w (Nc,): round-off in ``A``, in its products with columns and in sums of these over all rows makes at
+    most x'(w x) of x'A x, beside ``LONG``."""
+    count = np.diff(A.indptr)
+    return weighted_row_sums(A, ROUND_OFF + EPS * (LONG + 0.5 * count))
 
 
 def _symmetric_stack(terms: list[list[Floats]], n: int) -> Floats:

@@ -129,8 +129,9 @@ class AffineProblem(Problem):
         theta, own = self.law_K(self.box.low), len(self.varied.stiffness)
         added = np.arange(len(theta)) >= own
         elements, springs = (self.stiffness_sum(np.where(chosen, theta, 0.0)) for chosen in (~added, added))
-        mass = self.coupling.R.T @ (self.M @ self.coupling.R)
-        R = self.coupling.R / np.sqrt(np.diag(mass))
+        # A morph moves nodes: rigid motion is that of the geometry of these values.
+        R = self.rigid_at(self.box.low)
+        R = R / np.sqrt(np.einsum("ij,ij->j", R, self.M @ R))
         values, Z = sl.eigh(symmetric(R.T @ (springs @ R)), symmetric(R.T @ (self.M @ R)))
         free = self.rigid.shape[1]
         Z = R @ Z[:, free:] / np.sqrt(values[free:])

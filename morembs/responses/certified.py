@@ -51,16 +51,18 @@ DAMPED = 1e-8
 SMALL = 10.0
 
 
-def floor_of(problem: Problem, band_hz: Sequence[float], given: float | None = None) -> float:
+def floor_of(
+    problem: Problem, band_hz: Sequence[float], given: float | None = None, damping: Damping | None = None
+) -> float:
     """The ratio of critical damping that is assumed in a model and its bodies: ``given``, or what models need that
-    have no damping at some frequencies of the band.
+    have no damping at some frequencies of the band. ``damping`` is that of ``problem``, or the least of a parameter.
 
     Raises:
         InputError: not a ratio.
     """
     if given is not None:
         return checked_floor(given)
-    damping, (low, high) = problem.damping, (2 * np.pi * f for f in band_hz)
+    damping, (low, high) = damping or problem.damping, (2 * np.pi * f for f in band_hz)
     if damping.is_rayleigh or damping.structural or problem.D is not None:
         return 0.0
     jumps = damping.jumps

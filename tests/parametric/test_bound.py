@@ -19,6 +19,7 @@ DAMPINGS = {
     "both": Damping(alpha=0.005, beta=0.01, structural=0.01),
 }  # fmt: skip
 ELASTIC = 7
+EPS = np.finfo(float).eps
 # More than the highest eigenvalue.
 HIGHEST = 4 * 1.8 / 0.7
 
@@ -74,11 +75,16 @@ class Reduced:
 
         (K_C, K_rest), (M_C, M_rest) = (stacked(terms) for terms in parts)
         F = np.eye(n, k)
+        rounding = [
+            np.array([V.T @ (16 * EPS * np.abs(A).sum(axis=1)[:, None] * V) for A in terms])
+            for terms in (self.K_terms, self.M_terms)
+        ]
         self.bound = ParametricBound(
             law_K=self.law_K, law_M=self.law_M, anchor=anchor, soft=soft, cells=cells,
             residual_B=np.vstack([B, np.zeros((coordinates.size - len(B), 3))]), residual_K=K_C, residual_M=M_C,
             residual_F=M_C.sum(axis=0) @ F, rest_B=rest_B, rest_K=K_rest, rest_M=M_rest,
             rest_F=M_rest.sum(axis=0) @ np.abs(F), motion_F=F, sigma=sigma, highest=self.highest,
+            rounding_K=rounding[0], rounding_M=rounding[1],
         )  # fmt: skip
 
     def full(self, p):
