@@ -30,7 +30,7 @@ from tests.fuzz.trials import FAULTS, RESULTS, Outcome, trial  # noqa: E402
 
 def campaign(count: int, seed: int, folder: Path, *, only: int | None = None, fixed: bool = True) -> list[Outcome]:
     """Outcomes of the fixed cases and of ``count`` jobs of ``seed``."""
-    preload.everything()
+    preload.package()
     outcomes = []
     if fixed and only is None:
         for name in cases.CASES:
@@ -95,7 +95,7 @@ def main() -> int:
     folder = given.keep or Path(tempfile.mkdtemp(prefix="attack-"))
     try:
         if given.case:
-            preload.everything()
+            preload.package()
             outcome = cases.run(given.case, folder.resolve(), keep=given.keep is not None)
             _tell(outcome, always=True)
             return int(outcome.result in FAULTS)
@@ -106,7 +106,9 @@ def main() -> int:
             results = given.results or HERE / "results"
             results.mkdir(parents=True, exist_ok=True)
             rows = [asdict(outcome) for outcome in outcomes if outcome.result != "good"]
-            (results / "attack-jobs.json").write_text(json.dumps({"seed": given.seed, "count": given.count, "not good": rows}, indent=1))
+            (results / "attack-jobs.json").write_text(
+                json.dumps({"seed": given.seed, "count": given.count, "not good": rows}, indent=1)
+            )
         return int(any(outcome.result in FAULTS for outcome in outcomes))
     finally:
         if given.keep is None:

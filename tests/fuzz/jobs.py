@@ -151,9 +151,7 @@ def _certify(rng: np.random.Generator, truth: Truth, band: tuple[float, float]) 
     return "[certify]\n" + "\n".join(lines), floor, name
 
 
-def _extra(
-    rng: np.random.Generator, truth: Truth, units: str, damping: str, parametric: bool
-) -> tuple[str, str]:
+def _extra(rng: np.random.Generator, truth: Truth, units: str, damping: str, parametric: bool) -> tuple[str, str]:
     """A further table, where the model may have it."""
     model = truth.model
     framed = [p for p in truth.ports if p.coupling in ("rigid", "average") and len(p.components) == 6]
@@ -185,7 +183,10 @@ def _extra(
         return choice, f"[response]\nfrom_hz = {truth.hz[0] / 3:.5g}\nto_hz = {truth.hz[0] * 2:.5g}\npoints = 20"
     if choice == "state space" and "structural" not in damping and model.inputs is None and not parametric:
         port = truth.ports[0].name
-        return choice, f'[state_space]\npath = "plant.npz"\ninputs = ["{port}:force"]\noutputs = ["{port}:displacement"]'
+        return (
+            choice,
+            f'[state_space]\npath = "plant.npz"\ninputs = ["{port}:force"]\noutputs = ["{port}:displacement"]',
+        )
     if choice == "envelope" and model.free == 6 and not parametric:
         return choice, f"[envelope]\nacceleration = {10 * length}\nspeed = 3.0\nforce = 100.0"
     return "none", ""

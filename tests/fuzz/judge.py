@@ -167,7 +167,9 @@ def _body(truth, body, rng, verdict, exact, tolerances, promised) -> Iterator[st
             if (low < -allowed[: len(own)]).any():
                 yield f"frequency {int(np.argmin(low)) + 1} lies below that of the model by {-low.min():.1e}"
             if method == "modal":
-                yield from (f"mode {k + 1} of {method} is off by {x:.1e}" for k, x in enumerate(low[:1]) if x > 10 * allowed[k])
+                yield from (
+                    f"mode {k + 1} of {method} is off by {x:.1e}" for k, x in enumerate(low[:1]) if x > 10 * allowed[k]
+                )
     if body.name in exact and body.symmetric:
         if len(body.frequencies_hz) - body.free != len(truth.hz):
             yield f"{len(body.frequencies_hz) - body.free} of {len(truth.hz)} elastic modes, though all were asked for"

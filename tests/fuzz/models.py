@@ -100,7 +100,9 @@ def _framework(rng: np.random.Generator) -> Model:
     M = np.diag(np.repeat(10 ** rng.uniform(-0.7, 0.7, n), 3))
     node, component = np.repeat(np.arange(n), 3), np.tile(np.arange(3), n)
     D = D if rng.random() < 0.2 else None
-    return _held(rng, Model(family="framework", support="free", K=K, M=M, D=D, xyz=xyz, node=node, component=component, free=6))
+    return _held(
+        rng, Model(family="framework", support="free", K=K, M=M, D=D, xyz=xyz, node=node, component=component, free=6)
+    )
 
 
 def _beams(rng: np.random.Generator) -> Model:
@@ -123,7 +125,9 @@ def _beams(rng: np.random.Generator) -> Model:
         M[6 * a : 6 * a + 6, 6 * a : 6 * a + 6] = mass * np.diag([1, 1, 1, 0.02, 0.03, 0.04])
     node, component = np.repeat(np.arange(n), 6), np.tile(np.arange(6), n)
     D = D if rng.random() < 0.2 else None
-    return _held(rng, Model(family="beams", support="free", K=K, M=M, D=D, xyz=xyz, node=node, component=component, free=6))
+    return _held(
+        rng, Model(family="beams", support="free", K=K, M=M, D=D, xyz=xyz, node=node, component=component, free=6)
+    )
 
 
 def _beam(a: Floats, b: Floats, EA: float, EIy: float, EIz: float, GJ: float) -> Floats:
@@ -178,7 +182,7 @@ def _held(rng: np.random.Generator, model: Model) -> Model:
     held, K, G = np.zeros(n, bool), model.K, np.zeros((0, n))
     if support in ("clamped", "both ends"):
         ends = ends[:1] if support == "clamped" else ends
-        if len(np.unique(np.concatenate(ends))) > len(model.xyz) - 3 and model.family != "beams" or len(model.xyz) < 3:
+        if (len(np.unique(np.concatenate(ends))) > len(model.xyz) - 3 and model.family != "beams") or len(model.xyz) < 3:
             return _held(rng, model)
         held = np.isin(model.node, np.concatenate(ends))
     elif support == "single dofs":

@@ -47,7 +47,9 @@ class Evaluation:
         verdict.points += len(omega)
         # The tolerance is kept at the values of training; between them the error may be some times larger.
         if ratio.max() > 10 * self.tolerance + LEAST:
-            verdict.wrong.append(f"at {self.values}: off by {ratio.max():.1e} of the envelope, {self.tolerance:.1e} was asked for")
+            verdict.wrong.append(
+                f"at {self.values}: off by {ratio.max():.1e} of the envelope, {self.tolerance:.1e} was asked for"
+            )
         return verdict
 
     def _truth(self, truth: Truth) -> Truth:
@@ -72,7 +74,11 @@ def draw(rng: np.random.Generator, truth: Truth, units: str, band: Band) -> Eval
     solid, (_, stress, density) = truth.model.solid, UNITS[units]
     frames = [k for k, p in enumerate(truth.ports) if p.coupling in ("rigid", "average") and len(p.components) == 6]
     direct_before = any(p.coupling == "direct" for p in truth.ports)
-    possible = [p for p in PROPERTIES if p != "spring" or (frames and not direct_before and all(len(q.components) == 6 for q in truth.ports))]
+    possible = [
+        p
+        for p in PROPERTIES
+        if p != "spring" or (frames and not direct_before and all(len(q.components) == 6 for q in truth.ports))
+    ]
     if truth.damping.steps:
         possible = [p for p in possible if p not in ("alpha", "beta")]
     chosen = [str(p) for p in rng.choice(possible, min(int(rng.integers(1, 3)), len(possible)), replace=False)]

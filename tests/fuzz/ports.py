@@ -17,8 +17,14 @@ def draw_ports(rng: np.random.Generator, model: Model) -> tuple[Port, ...]:
     if model.inputs is not None:
         columns = model.inputs.shape[1]
         return tuple(
-            Port(name=f"in{k + 1}", nodes=np.array([0]), coupling="matrix", point=np.zeros(3), components=(6,),
-                 vector=model.inputs[:, k])  # fmt: skip
+            Port(
+                name=f"in{k + 1}",
+                nodes=np.array([0]),
+                coupling="matrix",
+                point=np.zeros(3),
+                components=(6,),
+                vector=model.inputs[:, k],
+            )  # fmt: skip
             for k in range(int(rng.integers(1, columns + 1)))
         )
     ports: list[Port] = []
@@ -74,7 +80,9 @@ def _direct(rng: np.random.Generator, model: Model, there: Ints, name: str) -> P
         nodes = nodes[:1]
         components = tuple(sorted(model.component[model.node == nodes[0]].tolist()))
     if rng.random() < 0.3:
-        components = tuple(sorted(rng.choice(components, int(rng.integers(1, len(components) + 1)), replace=False).tolist()))
+        components = tuple(
+            sorted(rng.choice(components, int(rng.integers(1, len(components) + 1)), replace=False).tolist())
+        )
     return Port(name=name, nodes=nodes, coupling="direct", point=model.xyz[nodes].mean(axis=0), components=components)
 
 

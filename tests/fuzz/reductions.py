@@ -44,7 +44,9 @@ def _one(rng: np.random.Generator, truth: Truth, band: Band, damping: str, metho
     if method == "static-modes-switching":
         nodes = sorted(set(truth.model.node.tolist()))[-3:]
         lines = [f'candidates = "ids:{",".join(str(n + 1) for n in nodes)}"', "base_options = { modes = 2 }"]
-        lines.append(f"directions = {sorted(set(truth.model.component[np.isin(truth.model.node, nodes)].tolist()) & {0, 1, 2})}")
+        lines.append(
+            f"directions = {sorted(set(truth.model.component[np.isin(truth.model.node, nodes)].tolist()) & {0, 1, 2})}"
+        )
         more = {"why_not": "coordinates have no directions"} if not truth.model.nodes else {}
     if method == "guyan" and _loose(truth):
         more = {"why_not": LOOSE}
@@ -137,7 +139,9 @@ def _order(rng: np.random.Generator, truth: Truth) -> int:
 
 def _gramian(rng: np.random.Generator, truth: Truth, band: Band, damping: str):  # type: ignore[no-untyped-def]
     lines = [f"band_hz = [{band[0]}, {band[1]}]"]
-    lines.append(f"order = {_order(rng, truth)}" if rng.random() < 0.5 else f"tolerance = {10 ** rng.uniform(-5, -1):.2g}")
+    lines.append(
+        f"order = {_order(rng, truth)}" if rng.random() < 0.5 else f"tolerance = {10 ** rng.uniform(-5, -1):.2g}"
+    )
     if truth.D is not None or rng.random() < 0.15:
         lines.append("direct = true")
     lines += ['weight = "velocity"'] if rng.random() < 0.2 else []
@@ -147,7 +151,9 @@ def _gramian(rng: np.random.Generator, truth: Truth, band: Band, damping: str): 
 def _balanced(rng: np.random.Generator, truth: Truth, band: Band, damping: str):  # type: ignore[no-untyped-def]
     variant = str(rng.choice(["fv", "pv", "so", "p", "v", "vp"], p=[0.5, 0.2, 0.1, 0.1, 0.05, 0.05]))
     lines = [f'variant = "{variant}"']
-    lines.append(f"order = {_order(rng, truth)}" if rng.random() < 0.5 else f"tolerance = {10 ** rng.uniform(-5, -1):.2g}")
+    lines.append(
+        f"order = {_order(rng, truth)}" if rng.random() < 0.5 else f"tolerance = {10 ** rng.uniform(-5, -1):.2g}"
+    )
     banded = rng.random() < 0.6
     lines += [f"band_hz = [{band[0]}, {band[1]}]"] if banded else []
     why = ""

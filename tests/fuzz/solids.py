@@ -141,7 +141,9 @@ def _shape(kind: str, p: Floats) -> tuple[Floats, Floats]:
     if kind == "hex8":
         signs = 2.0 * _CUBE - 1
         f = 1 + signs * p
-        return f.prod(axis=1) / 8, np.stack([signs[:, i] * f[:, (i + 1) % 3] * f[:, (i + 2) % 3] for i in range(3)], 1) / 8
+        return f.prod(axis=1) / 8, np.stack(
+            [signs[:, i] * f[:, (i + 1) % 3] * f[:, (i + 2) % 3] for i in range(3)], 1
+        ) / 8
     r, s, t = p
     if kind == "wedge6":
         L, dL = np.array([1 - r - s, r, s]), np.array([[-1.0, -1], [1, 0], [0, 1]])

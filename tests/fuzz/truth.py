@@ -168,7 +168,9 @@ class Truth:
         n = len(self.modes[0])
         for k, (lam, ratio) in enumerate(zip(self.modes[0], self.damping.ratio(self.hz), strict=True)):
             high = float(lam)
-            velocity[k, k] += 2 * flint.arb(float(ratio)) * (flint.arb(high) + flint.arb(float(lam - Long(high)))).sqrt()
+            velocity[k, k] += (
+                2 * flint.arb(float(ratio)) * (flint.arb(high) + flint.arb(float(lam - Long(high)))).sqrt()
+            )
         real = K - w * w * M
         imaginary = flint.arb(d.structural + loss) * K + w * velocity
         A = flint.acb_mat([[flint.acb(real[i, j], imaginary[i, j]) for j in range(n)] for i in range(n)])
