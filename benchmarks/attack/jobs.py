@@ -66,8 +66,8 @@ def table(outcomes: list[Outcome]) -> str:
     good = sum(o.result != "refused" for o in valid)
     lines.append(f"valid by construction: {len(valid)}, of which {good} ({good / max(len(valid), 1):.1%}) gave a body")
     proven, estimates = sum(o.proven for o in outcomes), sum(o.estimates for o in outcomes)
-    lines.append(f"certificates: {proven} proven, {estimates} estimates, of which {sum(o.excess for o in outcomes)} were "
-                 f"exceeded, at {sum(o.points for o in outcomes)} frequencies")  # fmt: skip
+    excess, points = sum(o.excess for o in outcomes), sum(o.points for o in outcomes)
+    lines.append(f"certificates: {proven} proven, {estimates} estimates ({excess} exceeded), at {points} frequencies")
     for kind in ("refused", "refused as it must be"):
         lines += [f"\n{kind}:"] if kinds[kind] else []
         for words, number in Counter(o.words for o in outcomes if o.result == kind).most_common():

@@ -17,6 +17,12 @@ from tests.fuzz.truth import Damping, Port, Truth
 
 Floats = NDArray[np.float64]
 FLOOR = 0.01
+DAMPINGS = ("none", "rayleigh", "modal", "table", "structural", "rayleigh+structural", "modal+structural")
+DAMPING_SHARES = (0.28, 0.2, 0.18, 0.12, 0.12, 0.05, 0.05)
+TARGETS = (
+    "statespace", "matrix-market", "sid", "c", "op4", "dmig", "simscape", "mbdyn", "modelica", "abaqus", "mujoco",
+    "exudyn", "fmu",
+)  # fmt: skip
 
 
 @dataclass(kw_only=True)
@@ -83,8 +89,7 @@ def _damping(rng: np.random.Generator, model: Model, ports: tuple[Port, ...]) ->
     """Factors, the table of the job, and a name."""
     if model.D is not None:
         return Damping(), "", "own"
-    name = str(rng.choice(["none", "rayleigh", "modal", "table", "structural", "rayleigh+structural", "modal+structural"],
-                          p=[0.28, 0.2, 0.18, 0.12, 0.12, 0.05, 0.05]))  # fmt: skip
+    name = str(rng.choice(DAMPINGS, p=DAMPING_SHARES))
     if name == "none":
         return Damping(), "", name
     first = Truth(model, ports, Damping()).hz
@@ -207,8 +212,7 @@ def _outputs(rng: np.random.Generator, job: Job) -> None:
     """Commands that take the body afterwards."""
     job.after.append(["info", "body.h5"])
     if rng.random() < 0.25 and job.judged:
-        target = str(rng.choice(["statespace", "matrix-market", "sid", "c", "op4", "dmig", "simscape", "mbdyn", "modelica",
-                                 "abaqus", "mujoco", "exudyn", "fmu"]))  # fmt: skip
+        target = str(rng.choice(TARGETS))
         name = job.reductions[0].name if job.reductions else "parametric"
         job.features["output"] = target
         job.after.append(["export", "body.h5", "--to", target, "--body", name])

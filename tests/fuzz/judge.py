@@ -216,7 +216,8 @@ def _whole(truth: Truth, body: Reduced, rng: np.random.Generator) -> Iterator[st
         return
     worst = int(np.argmax(E / e - lost))
     if E[worst] / e[worst] > 1e-6 + 10 * lost[worst]:
-        yield f"the body with all modes is off by {E[worst] / e[worst]:.1e} of the envelope at {omega[worst] / 2 / np.pi:.6g} Hz"
+        hz = omega[worst] / 2 / np.pi
+        yield f"the body with all modes is off by {E[worst] / e[worst]:.1e} of the envelope at {hz:.6g} Hz"
 
 
 def _promise(truth, body, rng, measure, tolerance, band, floor) -> Iterator[str]:  # type: ignore[no-untyped-def]
@@ -230,7 +231,8 @@ def _promise(truth, body, rng, measure, tolerance, band, floor) -> Iterator[str]
     worst = int(np.argmax(ratio))
     slack = 1.05 if measure == "peak" else 1.001
     if ratio[worst] > slack * tolerance + lost[worst] * e[worst] / by[worst]:
-        yield f"auto promises {tolerance:.1e} by {measure}, {ratio[worst]:.3e} is reached at {omega[worst] / 2 / np.pi:.9g} Hz"
+        hz = omega[worst] / 2 / np.pi
+        yield f"auto promises {tolerance:.1e} by {measure}, {ratio[worst]:.3e} is reached at {hz:.9g} Hz"
 
 
 def _certificate(truth: Truth, body: Reduced, rng: np.random.Generator, verdict: Verdict) -> Iterator[str]:
@@ -260,9 +262,8 @@ def _certificate(truth: Truth, body: Reduced, rng: np.random.Generator, verdict:
         if not len(bad):
             continue
         k = int(bad[np.argmax(ratio[bad] / limit[bad])])
-        proved = np.linalg.norm(
-            truth.exact(float(omega[k]), 2 * floor) - body.H(omega[k : k + 1], truth.damping.structural + 2 * floor, truth.scale)[0]
-        ) / by[k]  # fmt: skip
+        own_H = body.H(omega[k : k + 1], truth.damping.structural + 2 * floor, truth.scale)[0]
+        proved = np.linalg.norm(truth.exact(float(omega[k]), 2 * floor) - own_H) / by[k]
         if proved <= limit[k]:
             continue
         if kind != "bound":

@@ -182,7 +182,8 @@ def _held(rng: np.random.Generator, model: Model) -> Model:
     held, K, G = np.zeros(n, bool), model.K, np.zeros((0, n))
     if support in ("clamped", "both ends"):
         ends = ends[:1] if support == "clamped" else ends
-        if (len(np.unique(np.concatenate(ends))) > len(model.xyz) - 3 and model.family != "beams") or len(model.xyz) < 3:
+        left = len(model.xyz) - len(np.unique(np.concatenate(ends)))
+        if left < (1 if model.family == "beams" else 3):
             return _held(rng, model)
         held = np.isin(model.node, np.concatenate(ends))
     elif support == "single dofs":

@@ -108,7 +108,8 @@ def draw(rng: np.random.Generator, truth: Truth, units: str, band: Band) -> Eval
         values[name] = float(f"{nominal * rng.uniform(0.7, 1.4):.5g}")
     tolerance = float(rng.choice([1e-2, 1e-3, 1e-4]))
     band = (0.0, band[1]) if rng.random() < 0.6 else band
-    text = f'\n[[reduce]]\nmethod = "parametric"\nband_hz = [{band[0]}, {band[1]}]\ntolerance = {tolerance}\ntraining = 8\n'
+    text = f'\n[[reduce]]\nmethod = "parametric"\nband_hz = [{band[0]}, {band[1]}]\n'
+    text += f"tolerance = {tolerance}\ntraining = 8\n"
     at = ",".join(f"{name}={value!r}" for name, value in values.items())
     commands = [["evaluate", "body.h5", "--at", at, "-o", AT], ["info", AT]]
     return Evaluation(

@@ -24,7 +24,7 @@ def draw_ports(rng: np.random.Generator, model: Model) -> tuple[Port, ...]:
                 point=np.zeros(3),
                 components=(6,),
                 vector=model.inputs[:, k],
-            )  # fmt: skip
+            )
             for k in range(int(rng.integers(1, columns + 1)))
         )
     ports: list[Port] = []

@@ -126,11 +126,11 @@ def _rule(kind: str, n: int) -> tuple[Floats, Floats]:
     u, v = np.polynomial.legendre.leggauss(n + 1)
     u, v = (u + 1) / 2, v / 2
     if kind == "wedge6":
-        triangle = [(a, b * (1 - a), p * q * (1 - a)) for (a, p), (b, q) in itertools.product(zip(u, v), repeat=2)]
+        triangle = [(a, b * (1 - a), p * q * (1 - a)) for (a, p), (b, q) in itertools.product(zip(u, v, strict=True), repeat=2)]
         points = [(r, s, t) for (r, s, _), t in itertools.product(triangle, x)]
         return np.array(points), np.array([p * q for (_, _, p), q in itertools.product(triangle, w)])
     points, weights = [], []
-    for (a, p), (b, q), (c, r) in itertools.product(zip(u, v), repeat=3):
+    for (a, p), (b, q), (c, r) in itertools.product(zip(u, v, strict=True), repeat=3):
         points.append((a, b * (1 - a), c * (1 - a) * (1 - b)))
         weights.append(p * q * r * (1 - a) ** 2 * (1 - b))
     return np.array(points), np.array(weights)
@@ -163,7 +163,7 @@ def _face_areas(x: Floats) -> Floats:
         u, v = np.polynomial.legendre.leggauss(2)
         total = np.zeros(4)
         signs = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
-        for (a, p), (b, q) in itertools.product(zip(u, v), repeat=2):
+        for (a, p), (b, q) in itertools.product(zip(u, v, strict=True), repeat=2):
             f = 1 + signs * (a, b)
             dN = np.stack([signs[:, 0] * f[:, 1], signs[:, 1] * f[:, 0]], 1) / 4
             total += p * q * f.prod(axis=1) / 4 * np.linalg.norm(np.cross(*(dN.T @ x)))

@@ -1,4 +1,4 @@
-"""One trial: write the files of a job, run it through the command line under a limit of processor seconds, and judge."""
+"""One trial: the files of a job, command lines under a limit of processor seconds, and the verdict."""
 
 from __future__ import annotations
 
