@@ -14,7 +14,7 @@ from morembs.importers.model_file import write_model
 from tests.fuzz.models import Model
 
 MESHES = ("part.msh", "part.vtk", "part.vtu", "part.inp", "part.xdmf")
-MATRICES = ("mtx", "npz", "mat", "native")
+MATRICES = ("mtx", "npz", "mat")
 _NAMES = {"hex8": "hexahedron", "tet4": "tetra", "wedge6": "wedge", "tet10": "tetra10"}
 _DECK = {"hex8": "C3D8", "tet4": "C3D4", "wedge6": "C3D6", "tet10": "C3D10"}
 # Lengths, and so moduli and densities, of the two systems of units, per SI unit.
@@ -57,7 +57,7 @@ def write_matrices(folder: Path, model: Model, kind: str) -> tuple[str, list[str
     """Write K, M, D and what maps them to nodes; the table of a job, and the arguments of the import before it."""
     matrices = {"K": model.K, "M": model.M} | ({} if model.D is None else {"D": model.D})
     table = f'[model]\nfile = "{MODEL}"\n'
-    if model.nodes and (model.solid is None or kind == "native"):
+    if model.nodes and (model.solid is None or not model.elements):
         made = from_matrices(**matrices, nodes=model.xyz, node=model.node, component=model.component, name="part")
         write_model(folder / MODEL, made)
         return table, []

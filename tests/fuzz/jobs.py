@@ -47,8 +47,10 @@ class Job:
 
 def draw(rng: np.random.Generator, folder: Path) -> Job:
     """A job, and its input files in ``folder``."""
-    model = draw_model(rng)
-    ports = draw_ports(rng, model)
+    ports: tuple[Port, ...] = ()
+    while not ports:
+        model = draw_model(rng)
+        ports = draw_ports(rng, model)
     damping, damping_text, damping_name = _damping(rng, model, ports)
     truth = Truth(model, ports, damping)
     text, prepare, units = _model(rng, folder, model)

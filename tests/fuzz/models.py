@@ -23,7 +23,7 @@ class Model:
     """K, M and D (N, N) on dofs ``node``, ``component`` (N,) of nodes ``xyz`` (n, 3), labelled from 1.
 
     ``free``: rigid motions that nothing holds. ``solid``: of meshes. ``inputs`` (N, k): columns of B of a model in
-    coordinates of its own. ``nodes``: whether the file says where nodes are.
+    coordinates of its own. ``nodes``: whether the file says where nodes are, ``elements``: which elements they join.
     """
 
     family: str
@@ -38,10 +38,11 @@ class Model:
     solid: Solid | None = None
     inputs: Floats | None = None
     nodes: bool = True
+    elements: bool = True
 
     def weights(self, rows: Ints) -> Floats:
         """Shares (ns,) of nodes in an average."""
-        return np.ones(len(rows)) if self.solid is None else self.solid.weights(rows)
+        return np.ones(len(rows)) if self.solid is None or not self.elements else self.solid.weights(rows)
 
     @property
     def words(self) -> str:
@@ -81,7 +82,7 @@ def _solid(rng: np.random.Generator, family: str) -> Model:
         return model
     shares = 10 ** rng.uniform(-6, -4, len(elements)) / np.sqrt(np.linalg.norm(K) / np.linalg.norm(M)) * 1e4
     D = solid.matrices(young=solid.young * shares)[0]
-    return _held(rng, replace(model, D=D if rng.random() < 0.2 else None))
+    return _held(rng, replace(model, D=D if rng.random() < 0.2 else None, elements=bool(rng.random() < 0.75)))
 
 
 def _framework(rng: np.random.Generator) -> Model:

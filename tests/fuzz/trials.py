@@ -163,8 +163,8 @@ def _judge(job: Job, place: Folder, rng: np.random.Generator) -> None:
     kinds = {drawn.name: drawn.kind for drawn in job.reductions}
     verdict = judge(place.place / "body.h5", job.truth, rng, exact=exact, tolerances=promises, promised=kinds)
     outcome = place.outcome
-    for sentence in verdict.wrong:
-        outcome.fail("wrong", sentence)
+    if verdict.wrong:
+        outcome.fail("wrong", " | ".join(verdict.wrong[:4]))
     outcome.proven, outcome.estimates = verdict.proven, verdict.estimates
     outcome.excess, outcome.points = verdict.excess, verdict.points
 
