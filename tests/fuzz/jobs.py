@@ -9,14 +9,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.fuzz import files, parametric
+from tests.fuzz import assemblies, files, parametric
 from tests.fuzz.models import Model, draw_model
 from tests.fuzz.ports import draw_ports, port_tables
-from tests.fuzz.reductions import Drawn, draw_reductions
+from tests.fuzz.reductions import Drawn, draw_reductions, guyan
 from tests.fuzz.truth import Damping, Port, Truth
 
 Floats = NDArray[np.float64]
 FLOOR = 0.01
+# Share of jobs that couple two bodies.
+ASSEMBLIES = 0.05
 DAMPINGS = ("none", "rayleigh", "modal", "table", "structural", "rayleigh+structural", "modal+structural")
 DAMPING_SHARES = (0.28, 0.2, 0.18, 0.12, 0.12, 0.05, 0.05)
 TARGETS = (
@@ -47,19 +49,50 @@ class Job:
 
 def draw(rng: np.random.Generator, folder: Path) -> Job:
     """A job, and its input files in ``folder``."""
+    return _draw_assembly(rng, folder) if rng.random() < ASSEMBLIES else _draw_part(rng, folder)
+
+
+def _draw_assembly(rng: np.random.Generator, folder: Path) -> Job:
+    """Two bodies, which keep all modes of their parts, coupled and reduced again."""
+    made = assemblies.draw(rng, folder)
+    damping, damping_text, damping_name = _damping(rng, made.truth(Damping()).hz[0])
+    truth = made.truth(damping)
+    band, band_name = _band(rng, truth)
+    certify, floor, floor_name = _certify(rng, truth, band)
+    drawn = [each for each in draw_reductions(rng, truth, band, damping_name) if each.method in assemblies.METHODS]
+    drawn = drawn or [guyan("r1")]
+    text = "\n".join([made.text, damping_text, *(each.text for each in drawn), certify, '[output]\npath = "body.h5"'])
+    job = Job(text=text, truth=truth, prepare=[["reduce", "part.toml", "--quiet"]], reductions=drawn, floor=floor)
+    job.features = {
+        "model": "assembly", "support": "free", "coupling": "springs" if made.stiffness else "one motion",
+        "damping": damping_name + floor_name, "band": band_name if certify else "none",
+        "reduction": "+".join(each.method for each in drawn),
+    }  # fmt: skip
+    _validity(job, damping_name, "none")
+    job.after.append(["info", "body.h5"])
+    return job
+
+
+def _draw_part(rng: np.random.Generator, folder: Path) -> Job:
     ports: tuple[Port, ...] = ()
     while not ports:
         model = draw_model(rng)
         ports = draw_ports(rng, model)
-    damping, damping_text, damping_name = _damping(rng, model, ports)
+    if model.D is None:
+        damping, damping_text, damping_name = _damping(rng, Truth(model, ports, Damping()).hz[0])
+    else:
+        damping, damping_text, damping_name = Damping(), "", "own"
     truth = Truth(model, ports, damping)
     text, prepare, units = _model(rng, folder, model)
     job = Job(text=text, truth=truth, prepare=prepare)
     band, band_name = _band(rng, truth)
     certify, job.floor, floor_name = _certify(rng, truth, band)
     spring = parametric.draw(rng, truth, units, band) if model.family == "mesh" and rng.random() < 0.2 else None
-    job.reductions = [] if spring else draw_reductions(rng, truth, band, damping_name, bool(certify))
+    job.reductions = [] if spring else draw_reductions(rng, truth, band, damping_name)
     job.evaluation = spring
+    if spring:
+        job.truth = spring.at(truth, spring.nominal)
+        job.floor = floor_of(job.truth, spring.band)
     parts = [text, port_tables(ports, model, units), damping_text, *(drawn.text for drawn in job.reductions)]
     parts += [spring.text] if spring else [certify]
     extra, extra_text = _extra(rng, truth, units, damping_name, spring is not None)
@@ -73,7 +106,7 @@ def draw(rng: np.random.Generator, folder: Path) -> Job:
     }  # fmt: skip
     # A preload changes K, which the truth does not follow; its body is only run.
     job.judged = extra != "preload"
-    _validity(job, damping_name, bool(certify), extra)
+    _validity(job, damping_name, extra)
     _outputs(rng, job)
     return job
 
@@ -87,15 +120,12 @@ def _model(rng: np.random.Generator, folder: Path, model: Model) -> tuple[str, l
     return table, [arguments] if arguments else [], "m-kg-s"
 
 
-def _damping(rng: np.random.Generator, model: Model, ports: tuple[Port, ...]) -> tuple[Damping, str, str]:
-    """Factors, the table of the job, and a name."""
-    if model.D is not None:
-        return Damping(), "", "own"
+def _damping(rng: np.random.Generator, first: float) -> tuple[Damping, str, str]:
+    """Factors, the table of the job, and a name, for a model whose first frequency is ``first`` Hz."""
     name = str(rng.choice(DAMPINGS, p=DAMPING_SHARES))
     if name == "none":
         return Damping(), "", name
-    first = Truth(model, ports, Damping()).hz
-    omega = 2 * np.pi * first[0]
+    omega = 2 * np.pi * first
     lines, alpha, beta, steps, eta = [], 0.0, 0.0, (), 0.0
     if "rayleigh" in name:
         alpha, beta = (float(f"{x:.3g}") for x in 10 ** rng.uniform(-3, -1.3, 2) * [omega, 1 / omega])
@@ -105,7 +135,7 @@ def _damping(rng: np.random.Generator, model: Model, ports: tuple[Port, ...]) ->
         steps = ((0.0, float(f"{10 ** rng.uniform(-4, -1):.3g}")),)
         lines.append(f"modal = {steps[0][1]}")
     if name == "table":
-        at = [0.0, *sorted(float(f"{x:.4g}") for x in rng.uniform(0.3, 3, 2) * first[0] + first[0] * np.array([0, 3]))]
+        at = [0.0, *sorted(float(f"{x:.4g}") for x in rng.uniform(0.3, 3, 2) * first + first * np.array([0, 3]))]
         steps = tuple((f, float(f"{10 ** rng.uniform(-3, -1):.3g}")) for f in at)
         lines.append(f"modal = {json.dumps(steps)}")
     if "structural" in name:
@@ -199,7 +229,7 @@ def _extra(rng: np.random.Generator, truth: Truth, units: str, damping: str, par
     return "none", ""
 
 
-def _validity(job: Job, damping: str, certify: bool, extra: str) -> None:
+def _validity(job: Job, damping: str, extra: str) -> None:
     """What the documents do not promise."""
     methods = {drawn.method for drawn in job.reductions}
     reasons = [drawn.why_not for drawn in job.reductions if drawn.why_not]

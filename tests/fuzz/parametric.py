@@ -20,10 +20,11 @@ LEAST = 1e-8
 
 @dataclass(kw_only=True)
 class Evaluation:
-    """Tables of a job, the values in SI units at which its body is judged, and the tolerance that it promises."""
+    """Tables of a job, nominal values and those at which its body is judged, in SI units, and the promised tolerance."""
 
     text: str
     properties: list[str]
+    nominal: dict[str, float]
     values: dict[str, float]
     tolerance: float
     band: Band
@@ -33,7 +34,9 @@ class Evaluation:
 
     def judge(self, folder: Path, truth: Truth, rng: np.random.Generator, floor: float) -> Verdict:
         """The body at the values against the model there."""
-        there = self._truth(truth)
+        there = self.at(truth, self.values)
+        # Moments count by the radius of gyration of nominal values.
+        there.__dict__["scale"] = truth.scale
         (body,), _ = bodies(folder / AT)
         verdict = Verdict([])
         off = np.sqrt(np.maximum(np.linalg.eigvals(np.linalg.solve(body.M, body.K)).real, 0)) / (2 * np.pi)
@@ -52,20 +55,19 @@ class Evaluation:
             )
         return verdict
 
-    def _truth(self, truth: Truth) -> Truth:
+    def at(self, truth: Truth, values: dict[str, float]) -> Truth:
+        """The model at ``values``, ``truth`` being that without parameters."""
         model, solid, damping = truth.model, truth.model.solid, truth.damping
         ones = np.ones(len(solid.cells))
-        K, M = solid.matrices(young=self.values.get("young", solid.young) * ones,
-                              density=self.values.get("density", solid.density) * ones)  # fmt: skip
-        damping = replace(damping, **{k: self.values[k] for k in ("alpha", "beta") if k in self.values})
+        K, M = solid.matrices(young=values.get("young", solid.young) * ones,
+                              density=values.get("density", solid.density) * ones)  # fmt: skip
+        damping = replace(damping, **{k: values[k] for k in ("alpha", "beta") if k in values})
         there = Truth(replace(model, K=K, M=M), truth.ports, damping)
-        if "spring" in self.values:
+        if "spring" in values:
             first = sum(len(p.components) for p in truth.ports[: self.port])
             B = there.B[:, first : first + 6]
-            there.K = there.K + np.longdouble(self.values["spring"]) * (B * np.array(self.stiffness)) @ B.T
+            there.K = there.K + np.longdouble(values["spring"]) * (B * np.array(self.stiffness)) @ B.T
             there.model = replace(there.model, free=0)
-        # Moments count by the radius of gyration of nominal values.
-        there.__dict__["scale"] = truth.scale
         return there
 
 
@@ -82,7 +84,7 @@ def draw(rng: np.random.Generator, truth: Truth, units: str, band: Band) -> Eval
     if truth.damping.steps:
         possible = [p for p in possible if p not in ("alpha", "beta")]
     chosen = [str(p) for p in rng.choice(possible, min(int(rng.integers(1, 3)), len(possible)), replace=False)]
-    tables, values, stiffness, port = [], {}, (), 0
+    tables, nominals, values, stiffness, port = [], {}, {}, (), 0
     omega = 2 * np.pi * truth.hz[0]
     for name in chosen:
         extra = ""
@@ -98,13 +100,16 @@ def draw(rng: np.random.Generator, truth: Truth, units: str, band: Band) -> Eval
             in_job += [x * (1e3 if units == "mm-t-s" else 1) for x in stiffness[3:]]
             extra = f'interface = "{truth.ports[port].name}"\nstiffness = {in_job}\n'
         else:
-            nominal, unit = float(f"{(0.01 * omega if name == 'alpha' else 0.01 / omega):.3g}"), 1.0
+            # A factor of the job is the nominal one.
+            drawn = float(f"{0.01 * omega if name == 'alpha' else 0.01 / omega:.3g}")
+            nominal, unit = getattr(truth.damping, name) or drawn, 1.0
         low, high = (0.0 if name in ("alpha", "beta") and rng.random() < 0.4 else 0.6), 1.5
         tables.append(
             f'[[parameter]]\nname = "{name}"\nproperty = "{name}"\n{extra}'
             f"range = [{low * nominal * unit!r}, {high * nominal * unit!r}]\n"
             + (f"nominal = {nominal * unit!r}\n" if name in ("alpha", "beta", "spring") else "")
         )
+        nominals[name] = nominal
         values[name] = float(f"{nominal * rng.uniform(0.7, 1.4):.5g}")
     tolerance = float(rng.choice([1e-2, 1e-3, 1e-4]))
     band = (0.0, band[1]) if rng.random() < 0.6 else band
@@ -113,6 +118,6 @@ def draw(rng: np.random.Generator, truth: Truth, units: str, band: Band) -> Eval
     at = ",".join(f"{name}={value!r}" for name, value in values.items())
     commands = [["evaluate", "body.h5", "--at", at, "-o", AT], ["info", AT]]
     return Evaluation(
-        text="\n".join(tables) + text, properties=chosen, values=values, tolerance=tolerance, band=band,
-        stiffness=stiffness, port=port, commands=commands,
+        text="\n".join(tables) + text, properties=chosen, nominal=nominals, values=values, tolerance=tolerance,
+        band=band, stiffness=stiffness, port=port, commands=commands,
     )  # fmt: skip

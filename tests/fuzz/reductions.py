@@ -32,11 +32,16 @@ class Drawn:
     why_not: str = ""
 
 
-def draw_reductions(rng: np.random.Generator, truth: Truth, band: Band, damping: str, certified: bool) -> list[Drawn]:
+def draw_reductions(rng: np.random.Generator, truth: Truth, band: Band, damping: str) -> list[Drawn]:
     """One to three."""
     count = int(rng.choice([1, 2, 3], p=[0.5, 0.35, 0.15]))
     methods = rng.choice(METHODS, count, p=np.array(SHARES) / sum(SHARES))
     return [_one(rng, truth, band, damping, str(method), f"r{k + 1}") for k, method in enumerate(methods)]
+
+
+def guyan(name: str) -> Drawn:
+    """The method without a choice."""
+    return Drawn(name=name, method="guyan", text=f'[[reduce]]\nmethod = "guyan"\nname = "{name}"', kind="guyan")
 
 
 def _one(rng: np.random.Generator, truth: Truth, band: Band, damping: str, method: str, name: str) -> Drawn:

@@ -126,7 +126,9 @@ def _rule(kind: str, n: int) -> tuple[Floats, Floats]:
     u, v = np.polynomial.legendre.leggauss(n + 1)
     u, v = (u + 1) / 2, v / 2
     if kind == "wedge6":
-        triangle = [(a, b * (1 - a), p * q * (1 - a)) for (a, p), (b, q) in itertools.product(zip(u, v, strict=True), repeat=2)]
+        triangle = [
+            (a, b * (1 - a), p * q * (1 - a)) for (a, p), (b, q) in itertools.product(zip(u, v, strict=True), repeat=2)
+        ]
         points = [(r, s, t) for (r, s, _), t in itertools.product(triangle, x)]
         return np.array(points), np.array([p * q for (_, _, p), q in itertools.product(triangle, w)])
     points, weights = [], []
