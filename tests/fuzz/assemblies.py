@@ -57,7 +57,6 @@ def draw(rng: np.random.Generator, folder: Path) -> Assembly:
     cells = (int(rng.integers(2, 4)), 1, 1)
     size = 10 ** rng.uniform(-1, 0.3) * np.array([1.0, *rng.uniform(0.1, 0.4, 2)])
     xyz, elements = block("hex8", cells, size)
-    xyz = np.round(xyz * 1e3, 6) * 1e-3
     solid = Solid(kind="hex8", xyz=xyz, cells=elements, young=7e10, poisson=0.33, density=2700.0)
     K, M = solid.matrices()
     node, component = np.repeat(np.arange(len(xyz)), 3), np.tile(np.arange(3), len(xyz))

@@ -69,8 +69,6 @@ def _solid(rng: np.random.Generator, family: str) -> Model:
     length = 10 ** rng.uniform(-1.3, 0.3)
     size = length * np.array([1.0, *rng.uniform(0.1, 0.6, 2)])
     xyz, elements = block(kind, cells, size, taper=0.0 if kind == "wedge6" else float(rng.choice([0.0, 0.3])))
-    # Files in mm hold these numbers, and those in m the same ones.
-    xyz = np.round(xyz * 1e3, 6) * 1e-3
     solid = Solid(
         kind=kind, xyz=xyz, cells=elements, young=float(f"{10 ** rng.uniform(9, 11.4):.4g}"),
         poisson=float(np.round(rng.uniform(0.0, 0.42), 3)), density=float(f"{rng.uniform(900, 8000):.4g}"),

@@ -20,7 +20,7 @@ LEAST = 1e-8
 
 @dataclass(kw_only=True)
 class Evaluation:
-    """Tables of a job, nominal values and those at which its body is judged, in SI units, and the promised tolerance."""
+    """Tables of a job, nominal values and those at which its body is judged (SI), and the tolerance."""
 
     text: str
     properties: list[str]

@@ -56,7 +56,7 @@ class Solid:
 
 
 def block(kind: str, cells: tuple[int, int, int], size: Floats, taper: float = 0.0) -> tuple[Floats, Ints]:
-    """Nodes (n, 3) and elements of a block of ``cells``; ``taper``: by how much the far end is smaller."""
+    """Nodes (n, 3) in m and elements of a block of ``cells``; ``taper``: by how much the far end is smaller."""
     pieces = []
     for corner in np.ndindex(*cells):
         cube = _CUBE + np.array(corner)
@@ -71,11 +71,11 @@ def block(kind: str, cells: tuple[int, int, int], size: Floats, taper: float = 0
     xyz = flat / (2 * np.array(cells))
     xyz[:, 1:] = (xyz[:, 1:] - 0.5) * (1 - taper * xyz[:, :1])
     elements = np.asarray(inverse, dtype=np.int64).reshape(points.shape[:2])
-    if kind == "tet10":
-        # Edges stay straight.
-        for k, (a, b) in enumerate(_EDGES):
-            xyz[elements[:, 4 + k]] = (xyz[elements[:, a]] + xyz[elements[:, b]]) / 2
-    return xyz * size, elements
+    # Of files in mm, and of those in m: no more digits than text has, and edges that stay straight.
+    xyz = np.round(xyz * size * 1e3, 5)
+    for k, (a, b) in enumerate(_EDGES if kind == "tet10" else ()):
+        xyz[elements[:, 4 + k]] = (xyz[elements[:, a]] + xyz[elements[:, b]]) / 2
+    return xyz * 1e-3, elements
 
 
 def _tetrahedron(kind: str, corner: Ints, order: tuple[int, ...]) -> Floats:

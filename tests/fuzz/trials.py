@@ -21,7 +21,9 @@ PROCESSOR, PATIENCE = 30, 900
 FAULTS = ("wrong", "traceback", "library warning", "input changed", "leftovers", "over the limit", "crash")
 RESULTS = (*FAULTS, "good", "refused", "refused as it must be")
 _WARNED = re.compile(r"(Runtime|Deprecation|User|Future)Warning|site-packages|^Warning: ", re.MULTILINE)
-_LEFT = re.compile(r"\.morembs|listener-|\.tmp|\.search-|\.lock$")
+_LEFT = re.compile(r"\.morembs|listener-|\.tmp|\.lock$")
+# What a search for a basis found, which the next run of the job takes until there is a body.
+_SEARCH = ".search-"
 
 
 @dataclass
@@ -87,7 +89,8 @@ class Folder:
             elif _sum(path) != sum_:
                 self.outcome.fail("input changed", f"{name} was written over")
         places = [*self.place.rglob("*"), *self.logs.glob(f"{forked.TEMPORARY}/*")]
-        if left := [str(path.name) for path in places if _LEFT.search(path.name)]:
+        done = (self.place / "body.h5").is_file()
+        if left := [path.name for path in places if _LEFT.search(path.name) or (done and _SEARCH in path.name)]:
             self.outcome.fail("leftovers", ", ".join(left[:4]))
 
     def close(self) -> None:
