@@ -37,11 +37,11 @@ class Solid:
     def matrices(self, young: Floats | None = None, density: Floats | None = None) -> tuple[Floats, Floats]:
         """K and M (N, N); moduli and densities (ne,) of the elements in place of the material's."""
         K, M = np.zeros((2, self.xyz.size, self.xyz.size))
+        stiffness, mass = _elements(self.kind, self.xyz[self.cells], self.poisson)
         for e, cell in enumerate(self.cells):
             at = (3 * cell[:, None] + np.arange(3)).ravel()
-            stiffness, mass = _element(self.kind, self.xyz[cell], self.poisson)
-            K[np.ix_(at, at)] += (self.young if young is None else young[e]) * stiffness
-            M[np.ix_(at, at)] += (self.density if density is None else density[e]) * mass
+            K[np.ix_(at, at)] += (self.young if young is None else young[e]) * stiffness[e]
+            M[np.ix_(at, at)] += (self.density if density is None else density[e]) * mass[e]
         return K, M
 
     def weights(self, rows: Ints) -> Floats:
@@ -85,37 +85,44 @@ def _tetrahedron(kind: str, corner: Ints, order: tuple[int, ...]) -> Floats:
     return np.vstack([x, [(x[a] + x[b]) / 2 for a, b in _EDGES]]) if kind == "tet10" else x
 
 
-def _element(kind: str, x: Floats, poisson: float) -> tuple[Floats, Floats]:
-    """K and M (3 k, 3 k) for unit modulus and density."""
+def _elements(kind: str, x: Floats, poisson: float) -> tuple[Floats, Floats]:
+    """K and M (ne, 3 k, 3 k) of elements with nodes ``x`` (ne, k, 3) for unit modulus and density."""
     C = np.diag([1 - 2 * poisson] * 3 + [(1 - 2 * poisson) / 2] * 3)
     C[:3, :3] += poisson
     C /= (1 + poisson) * (1 - 2 * poisson)
-    K, M = np.zeros((2, x.size, x.size))
-    least = 1 if kind == "tet4" else 2
-    for points, weights, is_mass in ((*_rule(kind, least), False), (*_rule(kind, least + 1), True)):
-        for point, weight in zip(points, weights, strict=True):
-            N, dN = _shape(kind, point)
-            J = dN.T @ x
-            size = weight * np.linalg.det(J)
-            if is_mass:
-                M += size * np.kron(np.outer(N, N), np.eye(3))
-            else:
-                B = _strain(dN @ np.linalg.inv(J).T)
-                K += size * B.T @ C @ B
-    return (K + K.T) / 2, (M + M.T) / 2
-
-
-def _strain(g: Floats) -> Floats:
-    """(6, 3 k) of the gradients (k, 3)."""
-    B = np.zeros((6, 3 * len(g)))
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        B[i, i::3] = g[:, i]
-        B[3 + i, j::3], B[3 + i, k::3] = g[:, k], g[:, j]
-    return B
+    least, matrices = 1 if kind == "tet4" else 2, []
+    for points, is_mass in ((least, False), (least + 1, True)):
+        weights, N, dN = _shapes(kind, points)
+        J = np.einsum("qki,ekj->eqij", dN, x)
+        size = weights * np.linalg.det(J)
+        if is_mass:
+            pairs = np.einsum("eq,qi,qj->eij", size, N, N)
+            A = np.einsum("eij,ab->eiajb", pairs, np.eye(3)).reshape(len(x), 3 * x.shape[1], -1)
+        else:
+            B = _strain(np.einsum("qki,eqji->eqkj", dN, np.linalg.inv(J)))
+            A = np.einsum("eq,eqai,ab,eqbj->eij", size, B, C, B, optimize=True)
+        matrices.append((A + A.transpose(0, 2, 1)) / 2)
+    return matrices[0], matrices[1]
 
 
 @cache
+def _shapes(kind: str, n: int) -> tuple[Floats, Floats, Floats]:
+    """Weights (q,), shape functions (q, k) and their derivatives (q, k, 3) of a rule."""
+    points, weights = _rule(kind, n)
+    each = [_shape(kind, point) for point in points]
+    return weights, np.array([N for N, _ in each]), np.array([dN for _, dN in each])
+
+
+def _strain(g: Floats) -> Floats:
+    """(..., 6, 3 k) of the gradients (..., k, 3)."""
+    B = np.zeros((*g.shape[:-2], 6, 3 * g.shape[-2]))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        B[..., i, i::3] = g[..., i]
+        B[..., 3 + i, j::3], B[..., 3 + i, k::3] = g[..., k], g[..., j]
+    return B
+
+
 def _rule(kind: str, n: int) -> tuple[Floats, Floats]:
     """Points (q, 3) and weights (q,): Gauss, on simplices collapsed with a point more."""
     x, w = np.polynomial.legendre.leggauss(n)
