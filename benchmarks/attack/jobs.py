@@ -9,6 +9,7 @@ The generator, the truth and the judge are in tests/fuzz. A failure is printed w
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import shutil
 import sys
@@ -92,6 +93,8 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, help="folder that keeps the files of what failed")
     parser.add_argument("--results", type=Path, help="folder for JSON (benchmarks/results; none with --only)")
     given = parser.parse_args()
+    if importlib.util.find_spec("flint") is None:
+        raise SystemExit("truths in extended arithmetic need python-flint; give: pip install python-flint")
     folder = given.keep or Path(tempfile.mkdtemp(prefix="attack-"))
     try:
         if given.case:

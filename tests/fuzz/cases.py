@@ -20,6 +20,7 @@ from tests.fuzz.trials import FAULTS, Folder, Outcome, reason
 from tests.fuzz.truth import Damping, Port, Truth
 
 CASES: dict[str, Callable[[Folder], None]] = {}
+MODEL = '[model]\nfile = "part.model.h5"\n'
 MESH = '[model]\nmesh = "{name}"\n[[material]]\nyoung = 2.1e11\npoisson = 0.3\ndensity = 7850.0\n'
 END = '[[interface]]\nname = "end"\nnodes = "ids:{labels}"\n'
 MODAL = '[[reduce]]\nmethod = "modal"\nmodes = 3\n'
@@ -86,11 +87,12 @@ def _expect(place: Folder, holds: bool, words: str) -> None:
         place.outcome.fail("wrong", words)
 
 
-def _model(place: Folder, K: np.ndarray, M: np.ndarray, **more: object) -> None:
+def write_model(place: Folder, K: np.ndarray, M: np.ndarray, **more: object) -> None:
+    """The model file of matrices."""
     from morembs import from_matrices
-    from morembs.importers.model_file import write_model
+    from morembs.importers import model_file
 
-    write_model(place.place / "part.model.h5", from_matrices(K, M, name="part", **more))
+    model_file.write_model(place.place / "part.model.h5", from_matrices(K, M, name="part", **more))
 
 
 def _mass(place: Folder, name: str = "body.h5") -> float:
@@ -126,9 +128,11 @@ def companion_of_a_mesh_as_output(place: Folder) -> None:
 
 @case
 def job_that_init_proposes_for_a_mesh_with_a_companion(place: Folder) -> None:
-    _write(place, "part.xdmf", bar())
+    end = _write(place, "part.xdmf", bar())
     place.seal()
     if _gives(place, "init", "part.xdmf", "-o", "job.toml"):
+        proposed = (place.place / "job.toml").read_text()
+        (place.place / "job.toml").write_text(proposed.replace("[[reduce]]", end + "[[reduce]]", 1))
         place.run(["reduce", "job.toml"])
 
 
@@ -161,7 +165,8 @@ def _judged(place: Folder, truth: Truth, **kinds: str) -> None:
         place.outcome.fail("wrong", sentence)
 
 
-def _abstract(K: np.ndarray, M: np.ndarray, rows: tuple[int, ...]) -> Truth:
+def abstract(K: np.ndarray, M: np.ndarray, rows: tuple[int, ...]) -> Truth:
+    """Coordinates without places, and the truth of direct interfaces at some."""
     model = Model(family="chain", support="clamped", K=K, M=M, xyz=np.zeros((len(K), 3)), node=np.arange(len(K)),
                   component=np.zeros(len(K), int), free=0, nodes=False)  # fmt: skip
     port = Port(name="end", nodes=np.array(rows), coupling="direct", point=np.zeros(3), components=(0,))
@@ -172,14 +177,14 @@ def _abstract(K: np.ndarray, M: np.ndarray, rows: tuple[int, ...]) -> Truth:
 def band_from_above_zero_with_a_mode_below(place: Folder) -> None:
     n = 12
     K = 1e5 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
-    _model(place, K, np.eye(n))
-    truth = _abstract(K, np.eye(n), (n - 1,))
+    write_model(place, K, np.eye(n))
+    truth = abstract(K, np.eye(n), (n - 1,))
     f = truth.hz
     certify = f"[certify]\nband_hz = [{(f[1] + f[2]) / 2:.6g}, {(f[3] + f[4]) / 2:.6g}]\n"
     auto = certify.replace("[certify]", '[[reduce]]\nmethod = "auto"\ntolerance = 1e-3')
     _job(
         place,
-        '[model]\nfile = "part.model.h5"\n',
+        MODEL,
         END.format(labels=n) + 'coupling = "direct"\n',
         auto,
         certify,
@@ -192,9 +197,9 @@ def band_from_above_zero_with_a_mode_below(place: Folder) -> None:
 @case
 def modal_coordinates(place: Folder) -> None:
     K = np.diag((2 * np.pi * np.linspace(1.0, 60.0, 30)) ** 2)
-    _model(place, K, np.eye(30))
-    truth = _abstract(K, np.eye(30), (4, 9))
-    _job(place, '[model]\nfile = "part.model.h5"\n', END.format(labels="5,10") + 'coupling = "direct"\n', MODAL,
+    write_model(place, K, np.eye(30))
+    truth = abstract(K, np.eye(30), (4, 9))
+    _job(place, MODEL, END.format(labels="5,10") + 'coupling = "direct"\n', MODAL,
          "[certify]\nband_hz = [0.0, 25.1]\n", OUTPUT)  # fmt: skip
     if _gives(place, "reduce", "job.toml"):
         _judged(place, truth, modal="modal")
@@ -210,9 +215,9 @@ def _cantilever(place: Folder, n: int, held: tuple[int, ...]) -> None:
     M = np.diag(np.tile([1, 1, 1, 0.02, 0.03, 0.04], n))[np.ix_(keep, keep)]
     node, component = np.repeat(np.arange(n), 6)[keep], np.tile(np.arange(6), n)[keep]
     K = K[np.ix_(keep, keep)]
-    _model(place, K, M, nodes=xyz, node=node, component=component)
+    write_model(place, K, M, nodes=xyz, node=node, component=component)
     tip = int(node[-1])
-    _job(place, '[model]\nfile = "part.model.h5"\n', END.format(labels=tip + 1) + 'coupling = "direct"\n',
+    _job(place, MODEL, END.format(labels=tip + 1) + 'coupling = "direct"\n',
          MODAL, "[certify]\nband_hz = [0.0, 40.0]\n", OUTPUT)  # fmt: skip
     model = Model(family="beams", support="clamped", K=K, M=M, xyz=xyz, node=node, component=component, free=0)
     port = Port(name="end", nodes=np.array([tip]), coupling="direct", point=xyz[tip], components=tuple(range(6)))
@@ -232,9 +237,12 @@ def short_beam_clamped_at_both_ends(place: Folder) -> None:
 
 @case
 def parameter_beta_from_zero(place: Folder) -> None:
-    end = _write(place, "part.vtk", bar())
-    table = '[[parameter]]\nname = "b"\nproperty = "beta"\nrange = [0.0, 1e-6]\n'
-    method = '[[reduce]]\nmethod = "parametric"\nband_hz = [0.0, 20000.0]\ntolerance = 1e-4\ntraining = 8\n'
+    solid = bar()
+    end = (
+        _write(place, "part.vtk", solid) + END.format(labels="1").replace('"end"', '"corner"') + 'coupling = "direct"\n'
+    )
+    table = '[[parameter]]\nname = "b"\nproperty = "beta"\nnominal = 2e-7\nrange = [0.0, 3e-7]\n'
+    method = '[[reduce]]\nmethod = "parametric"\nband_hz = [0.0, 9000.0]\ntolerance = 1e-4\ntraining = 8\n'
     _job(place, MESH.format(name="part.vtk"), end, table, method, OUTPUT)
     _gives(place, "reduce", "job.toml")
 
@@ -315,23 +323,21 @@ def immense_acceleration(place: Folder) -> None:
 def inertia_modes_beyond_a_small_model(place: Folder) -> None:
     n = 8
     K = 1e5 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
-    _model(place, K, np.eye(n))
-    interface = END.format(labels="1,3,5,7") + 'coupling = "direct"\n'
-    table = '[[reduce]]\nmethod = "craig-bampton"\nmodes = 6\ninertia_modes = true\n'
-    _job(place, '[model]\nfile = "part.model.h5"\n', interface, table, OUTPUT)
+    write_model(place, K, np.eye(n))
+    interface = END.format(labels="1,2,3,4,5") + 'coupling = "direct"\n'
+    table = '[[reduce]]\nmethod = "craig-bampton"\nmodes = 5\ninertia_modes = true\n'
+    _job(place, MODEL, interface, table, OUTPUT)
     place.run(["reduce", "job.toml"])
 
 
 @case
 def undamped_mode_beside_dampers(place: Folder) -> None:
-    # The symmetric motion does not move the damper between the masses.
-    K = np.array([[2e4, -1e4], [-1e4, 2e4]])
-    K, M = np.kron(np.eye(3), K) + 1e3 * np.diag([0, 0, 1, 1, 2, 2.0]), np.eye(6)
-    D = np.zeros((6, 6))
-    D[:2, :2] = 10 * np.array([[1, -1], [-1, 1]])
-    _model(place, K, M, D=D)
-    _job(place, '[model]\nfile = "part.model.h5"\n', END.format(labels="1,3") + 'coupling = "direct"\n', MODAL,
-         "[certify]\nband_hz = [0.0, 30.0]\n", OUTPUT)  # fmt: skip
+    # A damper in the middle, where modes that are antisymmetric do not move.
+    n = 11
+    K = 1e5 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    write_model(place, K, np.eye(n), D=np.diag(5.0 * (np.arange(n) == n // 2)))
+    _job(place, MODEL, END.format(labels="2,5") + 'coupling = "direct"\n', MODAL,
+         "[certify]\nband_hz = [0.0, 60.0]\n", OUTPUT)  # fmt: skip
     place.run(["reduce", "job.toml"])
 
 

@@ -5,18 +5,24 @@ from __future__ import annotations
 import re
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 pytest.importorskip("flint", reason="truths in extended arithmetic need python-flint")
-pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="this system cannot fork processes")
+pytestmark = [
+    pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="this system cannot fork processes"),
+    pytest.mark.skipif(np.finfo(np.longdouble).nmant < 63, reason="this machine has no arithmetic of 80 bits"),
+]
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from benchmarks.attack import preload  # noqa: E402
 from benchmarks.attack.jobs import main, table  # noqa: E402
 from tests.fuzz import cases  # noqa: E402
+from tests.fuzz.judge import judge  # noqa: E402
 from tests.fuzz.models import draw_model  # noqa: E402
 from tests.fuzz.trials import FAULTS, Folder, Outcome, trial  # noqa: E402
 from tests.fuzz.truth import Damping, Port, Truth  # noqa: E402
@@ -27,8 +33,9 @@ KNOWN_CASES: set[str] = {
     "link-retargeted-between-batches", "companion-of-a-mesh-as-output", "import-onto-the-companion-of-its-mesh",
     "include-of-a-deck-as-output", "band-from-above-zero-with-a-mode-below", "modal-coordinates",
     "straight-clamped-cantilever", "short-beam-clamped-at-both-ends", "spring-beside-a-morph",
-    "hinge-between-two-free-bodies", "nul-in-the-output-path", "immense-wrench", "immense-acceleration",
-    "matrix-twice-in-one-archive", "stiffness-of-a-body-times-four",
+    "hinge-between-two-free-bodies", "parameter-beta-from-zero", "inertia-modes-beyond-a-small-model",
+    "job-that-init-proposes-for-a-mesh-with-a-companion", "nul-in-the-output-path", "immense-wrench",
+    "immense-acceleration", "matrix-twice-in-one-archive", "stiffness-of-a-body-times-four",
 }  # fmt: skip
 KNOWN_WORDS = r"modes are said to lie in the band"
 
@@ -66,6 +73,39 @@ def test_sums_over_modes_are_the_eliminated_balls() -> None:
         H, e = truth.H(omega, 0.02), truth.envelope(omega, 0.02)
         for k, w in enumerate(omega):
             assert np.abs(truth.exact(float(w), 0.02) - H[k]).max() < 1e-14 * e[k]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda body: scaled(body["stiffness_matrix"], 1 + 1e-5), "mode 1 of modal is off"),
+        (lambda body: scaled(body["stiffness_matrix"], 1 - 1e-5), "lies below that of the model"),
+        (lambda body: scaled(body["certificate/cell_limit"], 0.5), "proven limit"),
+        (lambda body: scaled(body["certificate/mode_enclosure_hz"], 1.001), "is enclosed"),
+        (lambda body: scaled(body["certificate/band_hz"], 0.5), "modes are said to lie"),
+        (lambda body: scaled(body["full_frequencies_hz"], 1.001), "full frequency 1"),
+    ],
+)
+def test_the_judge_sees_what_is_wrong_with_a_body(tmp_path: Path, change: Callable[..., None], words: str) -> None:
+    n = 9
+    K = 1e5 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    truth = cases.abstract(K, np.eye(n), (n - 1,))
+    place = Folder(tmp_path / "body", Outcome("body"))
+    cases.write_model(place, K, np.eye(n))
+    job = [cases.MODEL, cases.END.format(labels=n) + 'coupling = "direct"', cases.MODAL, cases.OUTPUT]
+    (place.place / "job.toml").write_text("\n".join([*job, "[certify]", f"band_hz = [0.0, {truth.hz[2] * 1.2}]"]))
+    assert place.run(["reduce", "job.toml"]).code == 0
+    file = place.place / "body.h5"
+    given = {"exact": set(), "tolerances": {}, "promised": {"modal": "modal"}}
+    assert judge(file, truth, np.random.default_rng(1), **given).wrong == []
+    with h5py.File(file, "r+") as stored:
+        change(stored["bodies/modal"])
+    assert words in "; ".join(judge(file, truth, np.random.default_rng(1), **given).wrong)
+
+
+def scaled(dataset: h5py.Dataset, factor: float) -> None:
+    """Multiply what is stored."""
+    dataset[...] = dataset[...] * factor
 
 
 def test_the_trial_sees_what_commands_do_to_inputs(tmp_path: Path) -> None:
