@@ -83,7 +83,7 @@ def test_sums_over_modes_are_the_eliminated_balls() -> None:
         (lambda body: scaled(body["certificate/cell_limit"], 0.5), "proven limit"),
         (lambda body: scaled(body["certificate/mode_enclosure_hz"], 1.001), "is enclosed"),
         (lambda body: scaled(body["certificate/band_hz"], 0.5), "modes are said to lie"),
-        (lambda body: scaled(body["full_frequencies_hz"], 1.001), "full frequency 1"),
+        (lambda body: scaled(body["full_frequencies_hz"], 1.001), "full frequency"),
     ],
 )
 def test_the_judge_sees_what_is_wrong_with_a_body(tmp_path: Path, change: Callable[..., None], words: str) -> None:
