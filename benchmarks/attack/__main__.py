@@ -21,7 +21,7 @@ from benchmarks.measure import HERE, Settings
 
 COUNTS = {"kill": 200, "damage": 2000}
 # Verbs with a command line of their own: modules here that are run as scripts with the rest of the arguments.
-OWN = ("cluster", "structured")
+OWN = ("cluster", "jobs", "structured")
 
 
 def options(arguments: Sequence[str]) -> argparse.Namespace:

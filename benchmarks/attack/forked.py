@@ -82,8 +82,13 @@ class Child:
         return Ended(os.waitstatus_to_exitcode(status), *texts, seconds, peak - self.resident, hung)
 
 
-def begin(work: Callable[[], object], folder: Path, logs: Path, *, seconds: int = 600, space: int = 0) -> Child:
-    """Fork a child that does ``work`` in ``folder``, at most ``seconds``; ``space``: bytes of addresses above ours."""
+def begin(
+    work: Callable[[], object], folder: Path, logs: Path, *, seconds: int = 600, space: int = 0, processor: int = 0
+) -> Child:
+    """Fork a child that does ``work`` in ``folder``, at most ``seconds``; ``space``: bytes of addresses above ours.
+
+    ``processor``: seconds of the processor of it and of each of its children, which no load of the machine shortens.
+    """
     (logs / TEMPORARY).mkdir(parents=True, exist_ok=True)
     for name in (OUTPUT, ERRORS):
         (logs / name).write_bytes(b"")
@@ -91,15 +96,17 @@ def begin(work: Callable[[], object], folder: Path, logs: Path, *, seconds: int 
     resident, start = _memory(1), time.perf_counter()
     pid = os.fork()
     if pid == 0:
-        _live(work, folder, logs, space)
+        _live(work, folder, logs, space, processor)
     # Here too, as nobody knows who comes first.
     _lead(pid)
     return Child(pid, logs, start, resident, seconds)
 
 
-def run(work: Callable[[], object], folder: Path, logs: Path, *, seconds: int = 600, space: int = 0) -> Ended:
+def run(
+    work: Callable[[], object], folder: Path, logs: Path, *, seconds: int = 600, space: int = 0, processor: int = 0
+) -> Ended:
     """As ``begin``, to its end."""
-    return begin(work, folder, logs, seconds=seconds, space=space).wait()
+    return begin(work, folder, logs, seconds=seconds, space=space, processor=processor).wait()
 
 
 @cache
@@ -138,11 +145,11 @@ def _lead(pid: int) -> None:
         os.setpgid(pid, pid)
 
 
-def _live(work: Callable[[], object], folder: Path, logs: Path, space: int) -> NoReturn:
+def _live(work: Callable[[], object], folder: Path, logs: Path, space: int, processor: int) -> NoReturn:
     code = 1
     try:
         _lead(0)
-        code = _code(folder, logs, space, work)
+        code = _code(folder, logs, space, processor, work)
         try:
             threading._shutdown()  # type: ignore[attr-defined]
             atexit._run_exitfuncs()
@@ -156,7 +163,7 @@ def _live(work: Callable[[], object], folder: Path, logs: Path, space: int) -> N
         os._exit(code)
 
 
-def _own(folder: Path, logs: Path, space: int) -> None:
+def _own(folder: Path, logs: Path, space: int, processor: int) -> None:
     """What a new process has of its own; nothing of the parent may be ended or removed by the child."""
     atexit._clear()
     weakref.finalize._registry.clear()  # type: ignore[attr-defined]
@@ -168,6 +175,9 @@ def _own(folder: Path, logs: Path, space: int) -> None:
     if space and sys.platform == "linux":
         used = _memory(0)
         resource.setrlimit(resource.RLIMIT_AS, (used + space, used + space))
+    if processor:
+        # The child has used nothing yet, whatever its parent has: times are its own.
+        resource.setrlimit(resource.RLIMIT_CPU, (processor, processor + 1))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     os.chdir(folder)
     os.environ["TMPDIR"] = tempfile.tempdir = str(logs / TEMPORARY)
@@ -178,10 +188,10 @@ def _own(folder: Path, logs: Path, space: int) -> None:
     sys.stdin, sys.stdout, sys.stderr = (os.fdopen(i, "w" if i else "r", 1, closefd=False) for i in range(3))
 
 
-def _code(folder: Path, logs: Path, space: int, work: Callable[[], object]) -> int:
+def _code(folder: Path, logs: Path, space: int, processor: int, work: Callable[[], object]) -> int:
     """The exit code as the interpreter gives it, from the start of the child on."""
     try:
-        _own(folder, logs, space)
+        _own(folder, logs, space, processor)
         work()
     except SystemExit as end:
         if isinstance(end.code, int) or end.code is None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import pkgutil
 
 MODULES = (
     "h5py", "matplotlib.backends.backend_agg", "matplotlib.pyplot", "meshio", "scipy.io", "morembs.cli.commands",
@@ -18,3 +20,16 @@ def everything() -> None:
         except ImportError:
             if name.startswith("morembs."):
                 raise
+
+
+def package() -> None:
+    """Every module of the program too; those of simulators that are not installed are passed over."""
+    everything()
+    import morembs
+
+    for found in pkgutil.walk_packages(morembs.__path__, "morembs."):
+        if not found.name.endswith("__main__"):
+            with contextlib.suppress(ImportError):
+                importlib.import_module(found.name)
+    for name in ("encodings.latin_1", "encodings.ascii", "psutil", "pydantic.deprecated.class_validators"):
+        importlib.import_module(name)
