@@ -201,7 +201,7 @@ def test_matrices_that_no_body_has(whole, tmp_path, target, diagonal):
             file[name][...] = 2 * np.ones((n, n)) + (diagonal - 2) * np.eye(n)
 
     path = damaged(whole, tmp_path, change)
-    with pytest.raises(InputError, match="reduce it again"):
+    with pytest.raises(InputError, match="M of the reduced body is not positive definite"):
         export_body(path, target, path=tmp_path / "o.hdf5")
     assert [left_over.name for left_over in tmp_path.iterdir()] == ["bad.h5"]
 
