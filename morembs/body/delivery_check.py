@@ -55,11 +55,18 @@ def check_delivery(body: ReducedModel | ElasticBody | StoredBody, part: Part | S
     if any(finding.code == "indefinite" and "M " in finding.sentence for finding in findings):
         return Diagnosis(findings=tuple(findings), facts=facts)
     try:
-        values, Y = _modes(given)
+        # What is far out of range is told by the findings.
+        with np.errstate(all="ignore"):
+            _solved(given, findings, facts)
     except np.linalg.LinAlgError as error:
         sentence = f"K and M of the reduced body have no eigenvalues that can be computed ({error})"
         findings.append(Finding(code="unsolvable", severity="error", sentence=sentence, cure="write it again"))
-        return Diagnosis(findings=tuple(findings), facts=facts)
+    return Diagnosis(findings=tuple(findings), facts=facts)
+
+
+def _solved(given: Delivered, findings: list[Finding], facts: dict[str, Any]) -> None:
+    """What the modes of the body tell."""
+    values, Y = _modes(given)
     _frequencies(given, values, findings, facts)
     ways = rigid_findings(given, values, Y, findings, facts)
     if given.symmetric and ways and len(given.C):
@@ -67,7 +74,6 @@ def check_delivery(body: ReducedModel | ElasticBody | StoredBody, part: Part | S
     _damping(given, values, Y, findings, facts)
     findings += frame_findings(given)
     findings += _response(given, values, Y)
-    return Diagnosis(findings=tuple(findings), facts=facts)
 
 
 def _named(given: Delivered) -> dict[str, Floats]:
