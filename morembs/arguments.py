@@ -21,6 +21,13 @@ Target = TypeVar("Target", bound=Callable[..., Any])
 ARRAY_LIKE = frozenset(get_args(ArrayLike))
 # How much of a value a message quotes.
 LONGEST = 60
+# Size of a load, a speed or a place in SI units, of which products of four, times a stiffness, are finite numbers.
+LARGEST = 1e60
+
+
+def in_range(value: float) -> bool:
+    """Whether a number is finite, and not so large that the products it goes into are not."""
+    return abs(value) <= LARGEST
 
 
 def checked(target: Target) -> Target:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body import tables, vtkhdf
+from morembs.body.delivery_check import refuse_unsound, stored_findings
 from morembs.body.stored import StoredBodies, StoredBody, StoredInterface, basis_columns, stored_bodies
 from morembs.body.stored_check import check_file
 from morembs.body.tables import BLOCK_BYTES, FORMAT, FORMAT_VERSION, SKEW_PARTS
@@ -164,18 +165,31 @@ def _write_one(out: Writer, body: ElasticBody, progress: Progress, block_bytes: 
 
 
 def read_body(path: str | Path, *, whole: bool = False) -> StoredBodies:
-    """Read a body file; bases stay in it until asked for.
+    """Read a body file; bases stay in it until asked for. Each body is examined: what its file says of it has to be
+    what follows from its matrices.
 
     Args:
         whole: compare everything with its checksums now, also bases, stress shapes, static modes of candidate loads
             and shapes for ParaView, which otherwise are compared when they are read.
 
     Raises:
-        InputError: no such file, not a body file, written by a newer version, damaged or incomplete.
+        InputError: no such file, not a body file, written by a newer version, damaged or incomplete, or a body that
+            contradicts itself.
 
     >>> path = write_body("bar.h5", [body])
     >>> read_body(path)
     StoredBodies: bodies craig-bampton (order 18); mass 7.85 kg; nodes 20; interfaces LEFT, RIGHT
+    """
+    stored = read_unexamined(path, whole=whole)
+    refuse_unsound(path, stored_findings(stored))
+    return stored
+
+
+def read_unexamined(path: str | Path, *, whole: bool = False) -> StoredBodies:
+    """Read a body file as ``read_body`` does, to show what is in it: its bodies may contradict themselves.
+
+    Raises:
+        InputError: as ``read_body``, but for that.
     """
     place = Path(path)
 

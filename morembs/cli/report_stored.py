@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from morembs.body.file import read_body
+from morembs.body.delivery_check import refuse_unsound, stored_findings
+from morembs.body.file import read_unexamined
 from morembs.body.stored import StoredBodies
 from morembs.cli.messages import console, printing, without_nan
-from morembs.diagnostics.delivery_check import refuse_unsound, stored_findings
 from morembs.diagnostics.findings import Diagnosis
 from morembs.errors import InputError
 
@@ -27,7 +27,7 @@ def show(file: str | Path, documents: list[dict[str, Any]] | None) -> None:
         OutputError: standard output cannot be written.
     """
     try:
-        stored = read_body(file, whole=True)
+        stored = read_unexamined(file, whole=True)
     except InputError:
         _refuse_model(Path(file))
         raise

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.body import ElasticBody
 from morembs.budget import UNLIMITED, Budget
-from morembs.diagnostics.delivery_check import check_delivery
 from morembs.diagnostics.doctor import examine
 from morembs.diagnostics.elements import double_elements, open_seams
 from morembs.diagnostics.findings import Diagnosis, Finding, sentences
 from morembs.diagnostics.units import estimate, unit_findings
-from morembs.errors import SolverError
 from morembs.linalg.congruence import congruence
 from morembs.model import DofMap, FEModel
 from morembs.model.fe_model import refuse_complex, refuse_unsymmetric
@@ -97,18 +92,3 @@ def imported_warnings(model: FEModel, declared: Units) -> tuple[str, ...]:
     estimated = estimate(model.K, model.M, model.nodes, model.dofs)
     findings = unit_findings(estimated, (), np.ptp(model.nodes.xyz, axis=0), Units(), declared)
     return (*model.warnings, *sentences([finding for finding in findings if finding.severity == "warning"]))
-
-
-def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:
-    """Warnings about reduced bodies, those of each named after it.
-
-    Raises:
-        SolverError: a body that is wrong.
-    """
-    warnings: list[str] = []
-    for body in bodies:
-        diagnosis = check_delivery(body)
-        if diagnosis.errors:
-            raise SolverError(f"the body {body.name!r} is not sound: {'; '.join(sentences(diagnosis.errors))}")
-        warnings += [f"{body.name}: {sentence}" for sentence in sentences(diagnosis.warnings)]
-    return tuple(warnings)

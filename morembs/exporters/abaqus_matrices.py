@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
-from morembs.exporters.reduced import on_interfaces
+from morembs.exporters.read_back import ReadBack
+from morembs.exporters.reduced import body_transfer, on_interfaces
+from morembs.importers.abaqus_matrices import read_abaqus_matrix
 from morembs.storage.safefile import replacing, replacing_all
 
 Ints = NDArray[np.int64]
@@ -21,6 +23,7 @@ Layout = Literal["matrix input", "labels", "coordinate"]
 # Abaqus takes labels below a billion.
 _LARGEST = 999_999_999
 _ROWS = 1 << 16
+_DIGITS = 16
 # Other than the names of Matrix Market files: both may lie beside one body file.
 _ENDING = "_abaqus_{}.mtx"
 
@@ -136,3 +139,13 @@ class AbaqusExporter(Exporter):
             paths=(context.path, *paths.values()),
             notes=("numbers have 16 digits", *body.notes, *stale),
         )  # fmt: skip
+
+    def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
+        body = on_interfaces(context, self.first_label, component_of_rest=1, largest_label=_LARGEST)
+        found = {}
+        for key in body.matrices:
+            read = read_abaqus_matrix(files[context.beside(_ENDING.format(key))])
+            if read.node is None or read.dof is None:
+                raise InputError(f"matrix {key} has no labels")
+            found[key] = read.matrix, read.node, read.dof
+        return ReadBack(found=body.transfer(found), expected=body_transfer(context.body), digits=_DIGITS, changed=True)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, final
 
@@ -12,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.body.stored import StoredBodies, StoredBody
-from morembs.errors import InputError
+from morembs.errors import InputError, OutputError
+from morembs.exporters.read_back import ReadBack, frequencies_between
 from morembs.model.fe_model import SCALAR
 from morembs.problem.damping import frequency_domain_only
+from morembs.storage.safefile import looked_at
 
 if TYPE_CHECKING:
     from morembs.floating.frame import FloatingFrame, InterfaceMarker
@@ -161,6 +164,15 @@ class Exporter(ABC):
     def _write(self, context: ExportContext) -> Exported:
         """Write the file or files; the input has been checked. Files appear whole or not at all."""
 
+    def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack | None:
+        """What was written, read again: ``files`` has where each file lies until it gets its name. None, by default,
+        where there is no reader.
+
+        Raises:
+            InputError: it cannot be read.
+        """
+        return None
+
     @final
     def export(self, source: StoredBodies, body: StoredBody, path: str | Path, file: Path | None = None) -> Exported:
         """Write ``body`` of ``source`` to ``path``; ``file`` is where the body comes from, if it is a file.
@@ -182,13 +194,28 @@ class Exporter(ABC):
         try:
             if self.needs_frame:
                 refuse_rigid(context)
-            written = self._write(context)
+            with looked_at(partial(self._look, context)):
+                written = self._write(context)
         except np.linalg.LinAlgError as error:
             raise InputError(
                 f"the matrices of body {body.name!r} cannot be transformed for {self.name!r} ({error}); its mass or "
                 "stiffness is not that of a body, reduce it again"
             ) from error
         return replace(written, notes=(*written.notes, *lost))
+
+    def _look(self, context: ExportContext, files: Mapping[Path, Path]) -> None:
+        """Refuse files that are not the body, before they get their names.
+
+        Raises:
+            OutputError: as said.
+        """
+        try:
+            read = self._read_back(context, files)
+        except InputError as error:
+            raise OutputError(f"{context.path} was not written: it cannot be read back ({error})") from error
+        if read is not None:
+            body = context.body
+            read.refuse_others(context.path, frequencies_between(body.frequencies_hz, body.rigid_count))
 
 
 def _same(path: Path, other: Path) -> bool:

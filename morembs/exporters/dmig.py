@@ -13,12 +13,16 @@ import scipy.sparse as sp
 
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
-from morembs.exporters.reduced import on_interfaces
-from morembs.importers.dmig import DmigMatrix
+from morembs.exporters.read_back import ReadBack
+from morembs.exporters.reduced import body_transfer, on_interfaces
+from morembs.importers.dmig import DmigMatrix, read_dmig
 from morembs.storage.safefile import replacing
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,7}")
+_NAMES = {"M": "MAAX", "K": "KAAX", "D": "BAAX"}
 _LARGEST = 99999999
+# Fewest of a field.
+_DIGITS = 11
 # Sizes of numbers that have most digits without an exponent.
 _PLAIN = (1e-2, 1e15)
 
@@ -141,9 +145,8 @@ class DmigExporter(Exporter):
         if body.rest:
             lines.append(f"{'SPOINT':8}{body.rest[0]:8}{'THRU':>8}{body.rest[-1]:8}" if len(body.rest) > 1
                          else f"{'SPOINT':8}{body.rest[0]:8}")  # fmt: skip
-        names = {"M": "MAAX", "K": "KAAX", "D": "BAAX"}
         matrices = {
-            names[key]: DmigMatrix(
+            _NAMES[key]: DmigMatrix(
                 matrix=sp.csr_array(A[np.ix_(order, order)]), rows=labels[order], columns=labels[order], form=6
             )
             for key, A in body.matrices.items()
@@ -153,6 +156,12 @@ class DmigExporter(Exporter):
             paths=(context.path,),
             notes=("numbers have 11 digits or more, as fields of 16 characters hold", *body.notes),
         )  # fmt: skip
+
+    def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
+        body = on_interfaces(context, self.first_label, component_of_rest=0, largest_label=_LARGEST)
+        read = read_dmig(files[context.path])
+        found = {key: (read[name].matrix, *read[name].rows.T) for key, name in _NAMES.items() if name in read}
+        return ReadBack(found=body.transfer(found), expected=body_transfer(context.body), digits=_DIGITS, changed=True)
 
 
 def _ascii(name: str) -> str:

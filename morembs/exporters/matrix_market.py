@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 from scipy.io import mmwrite
 
 from morembs.exporters.base import ExportContext, Exported, Exporter
-from morembs.exporters.reduced import reduced_matrices
+from morembs.exporters.read_back import ReadBack
+from morembs.exporters.reduced import reduced_matrices, second_order
+from morembs.importers.matrix_market import read_matrix_market
 from morembs.model.fe_model import SCALAR
 from morembs.storage.safefile import replacing_all
 
@@ -43,6 +47,11 @@ class MatrixMarketExporter(Exporter):
                 file.check()
         stale = context.left_from_before([context.beside(f"_{key}.mtx") for key in _MEANING if key not in paths])
         return Exported(paths=tuple(paths.values()), notes=stale)
+
+    def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
+        names = {context.beside(f"_{key}.mtx"): key for key in _MEANING}
+        found = second_order({names[path]: read_matrix_market(file) for path, file in files.items()})
+        return ReadBack(found=found, expected=second_order(reduced_matrices(context.body)), digits=_DIGITS)
 
     @staticmethod
     def _columns(context: ExportContext, key: str) -> str:

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
-from morembs.exporters.reduced import reduced_matrices
+from morembs.exporters.read_back import ReadBack
+from morembs.exporters.reduced import reduced_matrices, second_order
+from morembs.importers.op4 import read_op4
 from morembs.importers.op4_columns import BIGMAT_ROWS, RECTANGULAR, SQUARE, SYMMETRIC, OP4Matrix
 from morembs.storage.safefile import replacing
 
@@ -24,7 +26,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,7}")
 _TYPES = {"f4": 1, "f8": 2, "c8": 3, "c16": 4}
 # Words of a string whose row and length share one 32-bit integer.
 _LONGEST = 32766
-_FORMAT, _WIDTH, _PER_LINE = "%23.16E", 23, 3
+_FORMAT, _WIDTH, _PER_LINE, _DIGITS = "%23.16E", 23, 3, 17
 
 
 def write_op4(
@@ -216,3 +218,7 @@ class OP4Exporter(Exporter):
     def _write(self, context: ExportContext) -> Exported:
         write_op4(context.path, reduced_matrices(context.body), binary=not self.text, sparse=self.storage)
         return Exported(paths=(context.path,))
+
+    def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
+        found = second_order({key: each.matrix for key, each in read_op4(files[context.path]).items()})
+        return ReadBack(found=found, expected=second_order(reduced_matrices(context.body)), digits=_DIGITS)

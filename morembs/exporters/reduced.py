@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext
+from morembs.exporters.read_back import SecondOrder
 from morembs.linalg.columns import symmetric
 from morembs.model.fe_model import SCALAR
 
@@ -35,6 +39,23 @@ def reduced_matrices(body: StoredBody) -> dict[str, Floats]:
     return matrices
 
 
+def body_transfer(body: StoredBody, rows: Ints | slice = slice(None)) -> SecondOrder:
+    """The transfer matrix of a body, of some ``rows`` of C and the same columns of B."""
+    return second_order(reduced_matrices(body) | {"B": body.input_matrix[:, rows], "C": body.output_matrix[rows]})
+
+
+def second_order(matrices: Mapping[str, Any]) -> SecondOrder:
+    """Of M, K, D, B, C by their letters, as ``reduced_matrices`` gives them."""
+    dense = {key: A.toarray() if sp.issparse(A) else np.asarray(A) for key, A in matrices.items()}
+    B = dense.get("B", np.eye(len(dense["M"])))
+    return SecondOrder(M=dense["M"], K=dense["K"], D=dense.get("D"), B=B, C=dense.get("C", B.T))
+
+
+def interface_transfer(matrices: Mapping[str, Any], count: int) -> SecondOrder:
+    """Of matrices whose first ``count`` coordinates are interface degrees of freedom."""
+    return second_order({**matrices, "B": np.eye(matrices["M"].shape[0], count)})
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class InterfaceBody:
     """Reduced ``matrices`` M, K, D (n, n) in coordinates of which the first m are the interface degrees of freedom.
@@ -49,6 +70,23 @@ class InterfaceBody:
     grids: tuple[tuple[int, str, Floats], ...]
     rest: tuple[int, ...]
     notes: tuple[str, ...]
+
+    def transfer(self, labelled: Mapping[str, tuple[Any, Ints, Ints]]) -> SecondOrder:
+        """Of matrices M, K, D of a file, each with the labels of the points of its rows and their dofs.
+
+        Raises:
+            InputError: rows that are not of this body.
+        """
+        place = {pair: row for row, pair in enumerate(zip(self.node.tolist(), self.dof.tolist(), strict=True))}
+        matrices = {}
+        for key, (matrix, node, dof) in labelled.items():
+            pairs = list(zip(node.tolist(), dof.tolist(), strict=True))
+            if not set(pairs) <= set(place):
+                raise InputError(f"matrix {key} has rows of other points")
+            rows = [place[pair] for pair in pairs]
+            matrices[key] = np.zeros((len(place), len(place)))
+            matrices[key][np.ix_(rows, rows)] = matrix.toarray()
+        return interface_transfer(matrices, len(place) - len(self.rest))
 
 
 def on_interfaces(

@@ -6,8 +6,9 @@ letter D, at most 19 characters before it, integers of up to five digits, and se
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits, names_without_blanks
+from morembs.exporters.read_back import ReadBack, SecondOrder
 from morembs.exporters.sid_reader import INERTIA, NODE_TERMS, Sid, SidNode, Taylor, read_sid
 from morembs.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.model import skew
@@ -23,6 +25,7 @@ from morembs.storage.safefile import replacing
 
 Floats = NDArray[np.float64]
 MOST_NODES = 99999
+DIGITS = 12
 LONGEST_NAME = 60
 # Bytes from which the size of a file is said.
 LARGE = 50e6
@@ -67,6 +70,19 @@ class SidFem(Exporter):
                 file.write(piece.encode("ascii"))
                 file.check()
         return Exported(paths=(context.path,), notes=self._notes(context, markers, changed))
+
+    def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
+        """The elastic part of H, between the frames of the interfaces."""
+        read = read_sid(files[context.path])
+        frame, markers = context.frame, context.frame.markers
+        if self.nodes == "interfaces":
+            markers = context.markers("a SID file")
+        rows = np.vstack([np.zeros((0, frame.count)), *(marker.motion for marker in markers.values())])
+        nodes = [read.nodes[number] for number in sorted(read.nodes)[: len(markers)]]
+        held = np.vstack([np.zeros((0, frame.count)), *(part.M0 for node in nodes for part in (node.phi, node.psi))])
+        found = SecondOrder(M=read.Me.M0, K=read.Ke.M0, D=read.De.M0, B=held.T, C=held)
+        expected = SecondOrder(M=frame.integrals.Me, K=frame.Ke, D=frame.De, B=rows.T, C=rows)
+        return ReadBack(found=found, expected=expected, digits=DIGITS, changed=True)
 
     def _pieces(
         self, context: ExportContext, sid: Sid, markers: dict[str, InterfaceMarker], count: int

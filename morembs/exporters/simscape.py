@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from morembs.body.stored import StoredBody
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter
-from morembs.exporters.reduced import held_and_free
+from morembs.exporters.read_back import ReadBack
+from morembs.exporters.reduced import body_transfer, held_and_free, interface_transfer
 from morembs.linalg.columns import symmetric
 from morembs.storage.safefile import replacing
 
@@ -30,6 +31,8 @@ Floats = NDArray[np.float64]
 HEADER = b"MATLAB 5.0 MAT-file, written by morembs"
 HEADER_BYTES = 116
 RIGID_MOTIONS = 6
+# Of doubles, of which every bit is kept.
+DIGITS = 17
 BLOCK = "the Simscape block"
 
 
@@ -73,6 +76,14 @@ class Simscape(Exporter):
         }
         write_mat(context.path, values)
         return Exported(paths=(context.path,), notes=_notes(context, names))
+
+    def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
+        rows = np.concatenate(list(framed_rows(context, BLOCK).values()))
+        read = sio.loadmat(files[context.path], variable_names=("K", "M", "D"))
+        return ReadBack(
+            found=interface_transfer(read, len(rows)), expected=body_transfer(context.body, rows), digits=DIGITS,
+            changed=True,
+        )  # fmt: skip
 
 
 def write_mat(path: Path, values: Mapping[str, object]) -> None:

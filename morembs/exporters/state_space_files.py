@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -13,7 +13,8 @@ import scipy.io as sio
 
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter
-from morembs.exporters.simscape import write_mat
+from morembs.exporters.read_back import FirstOrder, ReadBack
+from morembs.exporters.simscape import DIGITS, write_mat
 from morembs.exporters.state_space import StateSpace, state_space
 from morembs.storage.safefile import replacing
 
@@ -111,17 +112,27 @@ class StateSpaceExporter(Exporter):
 
     def _write(self, context: ExportContext) -> Exported:
         refuse_displacement(context.path, self.inputs)
+        system = self._system(context)
+        write_state_space(context.path, system if self.step is None else system.discrete(self.step))
+        return Exported(paths=(context.path,), notes=tuple(_notes(system, self.step)))
+
+    def _system(self, context: ExportContext) -> StateSpace:
+        """In continuous time."""
         names = [name for at, name in enumerate(context.source.interfaces) if at in context.source.input_interface]
         if not names and not (self.inputs and self.outputs):
             raise InputError(f"body {context.body.name!r} has no interface, so that nothing goes in or comes out")
-        system = continuous = state_space(
+        return state_space(
             context.source, self.inputs or [f"{name}:force" for name in names if name not in self.held],
             self.outputs or [f"{name}:displacement" for name in names], held=self.held, name=context.body.name,
         )  # fmt: skip
-        if self.step is not None:
-            system = continuous.discrete(self.step)
-        write_state_space(context.path, system)
-        return Exported(paths=(context.path,), notes=tuple(_notes(continuous, self.step)))
+
+    def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
+        system = self._system(context)
+        found, expected = (
+            FirstOrder(A=each.A, B=each.B, C=each.C, D=each.D, dt=each.dt)
+            for each in (read_state_space(files[context.path]), system.discrete(self.step) if self.step else system)
+        )
+        return ReadBack(found=found, expected=expected, digits=DIGITS)
 
 
 def _notes(system: StateSpace, step: float | None) -> list[str]:

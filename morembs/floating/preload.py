@@ -12,7 +12,6 @@ velocity W, belongs to the floating frame.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -20,6 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.arguments import LARGEST, in_range
 from morembs.budget import Budget
 from morembs.errors import InputError, nearest
 from morembs.floating.buckling import FAR, critical_factor
@@ -67,10 +67,11 @@ class Preload:
             ("axis", (0, 0, 1) if self.axis is None else self.axis, 3), ("point", self.point, 3),
             ("acceleration", self.acceleration, 3), *((f"wrench.{name}", f, 6) for name, f in self.wrench.items()),
         ):  # fmt: skip
-            if len(given) != size or not all(math.isfinite(value) for value in given):
-                raise InputError(f"{name} = {list(given)} was given; expected {size} finite numbers")
-        if not math.isfinite(self.speed):
-            raise InputError(f"speed = {self.speed} was given; expected a finite number")
+            if len(given) != size or not all(map(in_range, given)):
+                expected = f"{size} finite numbers, {LARGEST:g} at most"
+                raise InputError(f"{name} = {list(given)} was given; expected {expected}")
+        if not in_range(self.speed):
+            raise InputError(f"speed = {self.speed} was given; expected a finite number, {LARGEST:g} at most")
         if (self.speed != 0) != (self.axis is not None):
             raise InputError("a rotation needs both speed and axis; give both, or leave both out")
         if self.axis is not None and not any(self.axis):

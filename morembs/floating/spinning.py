@@ -8,7 +8,6 @@ tilts lacks the gyroscopic moment (Ip - It) W^2.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -16,6 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.arguments import LARGEST, in_range
 from morembs.errors import InputError, nearest
 from morembs.floating.static_state import coupling_stiffness, static_state
 from morembs.floating.stiffening_terms import why_no_stiffening
@@ -47,8 +47,9 @@ class Rotation:
 
     def __post_init__(self) -> None:
         for name, given in (("axis", self.axis), ("point", self.point)):
-            if len(given) != 3 or not all(math.isfinite(value) for value in given):
-                raise InputError(f"spin: {name} = {list(given)} was given; expected 3 finite numbers")
+            if len(given) != 3 or not all(map(in_range, given)):
+                expected = f"3 finite numbers, {LARGEST:g} at most"
+                raise InputError(f"spin: {name} = {list(given)} was given; expected {expected}")
         if not any(self.axis):
             raise InputError("spin: axis = [0, 0, 0] was given; expected a direction")
 

@@ -12,13 +12,13 @@ one unit of its load causes.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import LARGEST, in_range
 from morembs.errors import InputError, nearest
 from morembs.floating.integrals import PAIRS
 from morembs.model import frozen
@@ -53,8 +53,9 @@ class Envelope:
     def __post_init__(self) -> None:
         for entry in fields(self):
             value = getattr(self, entry.name)
-            if value is not None and not (value >= 0 and math.isfinite(value)):
-                raise InputError(f"envelope: {entry.name} = {value} was given; expected zero or a positive number")
+            if value is not None and not (value >= 0 and in_range(value)):
+                expected = f"zero or a positive number, {LARGEST:g} at most"
+                raise InputError(f"envelope: {entry.name} = {value} was given; expected {expected}")
 
     def limits(self, interfaces: Sequence[str]) -> dict[str, float | None]:
         """Largest value of every load of a body with these ``interfaces``, by name (rad2/s2 for rotations)."""

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from morembs.body import ElasticBody, make_part
 from morembs.body.build import BodyOptions, build_body
+from morembs.body.delivery_check import delivered_warnings
 from morembs.body.file import write_body
 from morembs.body.shapes import Shapes, mode_shapes
 from morembs.budget import Budget
-from morembs.diagnostics.warnings import delivered_warnings
 from morembs.errors import InputError, SolverError
 from morembs.floating.preload import preloaded
 from morembs.floating.spin import ReducedSpin

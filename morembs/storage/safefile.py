@@ -15,8 +15,9 @@ import errno
 import os
 import shutil
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +30,20 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 # Of the private folders: hidden beside the output.
 PREFIX = ".morembs.tmp-"
 _FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
+# Sees files that are complete, by the paths that were asked for, before they take their names.
+Look = Callable[[Mapping[Path, Path]], None]
+_LOOK: ContextVar[Look | None] = ContextVar("look", default=None)
+
+
+@contextmanager
+def looked_at(look: Look) -> Iterator[None]:
+    """Within the ``with`` files that are complete are shown to ``look``; where it raises, none of them takes its
+    name."""
+    token = _LOOK.set(look)
+    try:
+        yield
+    finally:
+        _LOOK.reset(token)
 
 
 class SafeFile:
@@ -141,7 +156,8 @@ def replacing_all(paths: Sequence[Path]) -> Iterator[tuple[SafeFile, ...]]:
             try:
                 if target.parent not in folders:
                     folders[target.parent] = PrivateFolder(target.parent, PREFIX)
-                places.append(Place(path=path, target=target, new=folders[target.parent].path / f"{number}.tmp"))
+                new = folders[target.parent].path / f"{number}.tmp{target.suffix}"
+                places.append(Place(path=path, target=target, new=new))
                 files.append(SafeFile(places[-1].new))
             except OSError as error:
                 raise _output_error(path, error, "the file", places) from error
@@ -152,6 +168,9 @@ def replacing_all(paths: Sequence[Path]) -> Iterator[tuple[SafeFile, ...]]:
             _refuse_failed(places, files)
             raise
         _complete(places, files)
+        look = _LOOK.get()
+        if look is not None:
+            look({place.path: place.new for place in places})
         take_names(places)
     finally:
         for file in files:

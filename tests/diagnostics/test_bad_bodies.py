@@ -16,14 +16,16 @@ from morembs.body.stress_shapes import stress_recovery
 from morembs.certificate.certify import certify
 from morembs.cli import app
 from morembs.errors import InputError
-from morembs.exporters import export_body
+from morembs.exporters import EXPORTERS, export_body
 from morembs.floating.frame import floating_frame
 from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.importers import import_file
 from morembs.interface import make_interface
-from morembs.problem import Problem
+from morembs.model import FEModel
+from morembs.problem import Damping, Problem
 from morembs.recovery.recover import Trajectory, expand, recover
 from morembs.reducers import CraigBampton
+from morembs.storage.checksums import seal
 from tests.support.meshes import box, steel, where
 
 # What follows from other datasets and is for people or other programs only.
@@ -52,6 +54,25 @@ def whole(tmp_path_factory):
         write_body(path, [body])
     with h5py.File(path, "r+") as file:
         del file["checksums"]  # as other writers may: what is wrong must show without them
+    return path
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory):
+    """A damped body on springs with a certificate."""
+    model = steel(box("hex8", (4, 1, 1), (0.4, 0.05, 0.04)))
+    K = model.K.tolil()
+    for row in model.dofs.of_nodes(where(model, 0, 0.0)).ravel():
+        K[row, row] += 1e9
+    model = FEModel(K=K.tocsr(), M=model.M, nodes=model.nodes, dofs=model.dofs, mesh=model.mesh)
+    ends = [make_interface(model, name="tip", nodes=where(model, 0, 0.4))]
+    path = tmp_path_factory.mktemp("held") / "beam.h5"
+    with Problem(model, ends, damping=Damping(beta=1e-6)) as problem:
+        reduced = CraigBampton(modes=4).reduce(problem, "cb")
+        certificate = certify(problem, [reduced], [0.0, 2000.0], damping_floor=0.01, points=5)[0]
+        write_body(path, [elastic_body(problem, reduced, make_part(problem), certificate=certificate)])
+    with h5py.File(path, "r+") as file:
+        del file["checksums"]
     return path
 
 
@@ -201,9 +222,71 @@ def test_matrices_that_no_body_has(whole, tmp_path, target, diagonal):
             file[name][...] = 2 * np.ones((n, n)) + (diagonal - 2) * np.eye(n)
 
     path = damaged(whole, tmp_path, change)
-    with pytest.raises(InputError, match="reduce it again"):
+    with pytest.raises(InputError, match="M of the reduced body is not positive definite"):
         export_body(path, target, path=tmp_path / "o.hdf5")
     assert [left_over.name for left_over in tmp_path.iterdir()] == ["bad.h5"]
+
+
+def scaled(name, factor):
+    def change(file):
+        file[f"bodies/cb/{name}"][...] = factor * file[f"bodies/cb/{name}"][()]
+
+    return change
+
+
+def unsymmetric(file):
+    K = file["bodies/cb/stiffness_matrix"]
+    K[1, -1] = K[1, -1] + 0.3 * np.abs(K[()]).max()
+
+
+def mass_for_stiffness(file):
+    file["bodies/cb/stiffness_matrix"][...] = file["bodies/cb/mass_matrix"][()]
+
+
+def sealed(change):
+    """As ``change``, with checksums made again."""
+    def changed(file):
+        change(file)
+        seal(file)
+
+    return changed
+
+
+CHANGES = {
+    "K times 4": scaled("stiffness_matrix", 4.0), "K times -1": scaled("stiffness_matrix", -1.0),
+    "M for K": mass_for_stiffness, "K not symmetric": unsymmetric, "B twice": scaled("input_matrix", 2.0),
+    "M twice": scaled("mass_matrix", 2.0), "sealed again": sealed(scaled("stiffness_matrix", 4.0)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_a_body_that_contradicts_itself_leaves_by_no_door(whole, tmp_path, change):
+    path = damaged(whole, tmp_path, change)
+    np.savez(tmp_path / "m.npz", times=[0.0, 0.1], coordinates=np.zeros((2, 28)))
+    (tmp_path / "job.toml").write_text(
+        '[[substructure]]\nname = "a"\nbody = "bad.h5"\n[[substructure]]\nname = "b"\nbody = "bad.h5"\n'
+        'position = [1, 0, 0]\n[[couple]]\nbetween = ["a:tip", "b:root"]\n[[reduce]]\nmethod = "modal"\nmodes = 2\n'
+        '[output]\npath = "out.h5"\n'
+    )
+    doors = [["export", path, "--to", to, "-o", tmp_path / f"out.{to}"] for to in EXPORTERS]
+    doors += [["info", path], ["recover", path, tmp_path / "m.npz", "-o", tmp_path / "out.vtkhdf"],
+              ["evaluate", path, "--at", "E=1"], ["campbell", path, "-o", tmp_path / "out.csv"],
+              ["reduce", tmp_path / "job.toml"]]  # fmt: skip
+    for door in doors:
+        result = CliRunner().invoke(app, [*map(str, door)])
+        assert result.exit_code == 2 and "bad.h5 is not sound" in result.stderr, (door, result.stdout, result.stderr)
+    with pytest.raises(InputError, match=r"bad\.h5 is not sound"):
+        read_body(path)
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["bad.h5", "job.toml", "m.npz"]
+
+
+def test_a_held_body_is_compared_with_the_curve_of_its_certificate(held, tmp_path):
+    """No rigid motion tells what its loads and damping are."""
+    for change in (scaled("input_matrix", 2.0), scaled("damping_matrix", 3.0)):
+        path = damaged(held, tmp_path, change)
+        with pytest.raises(InputError, match="does not respond as its certificate shows"):
+            export_body(path, "op4", path=tmp_path / "out.op4")
+    assert read_body(held).bodies["cb"].rigid_count == 0
 
 
 def motion(n, **other):

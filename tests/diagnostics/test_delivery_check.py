@@ -9,9 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from morembs.body import elastic_body, make_part
+from morembs.body.delivery_check import check_delivery
 from morembs.body.file import read_body, write_body
 from morembs.cli import app
-from morembs.diagnostics.delivery_check import check_delivery
 from morembs.errors import InputError
 from morembs.interface import make_interface
 from morembs.model import FEModel

@@ -179,3 +179,41 @@ def test_a_body_of_two_bases_is_refused_by_name(tmp_path):
         with pytest.raises(InputError, match="comes from a two-sided reduction"):
             make_exporter(to).export(source, two_sided, tmp_path / f"x.{to}")
         assert not (tmp_path / f"x.{to}").exists()
+
+
+REFUSING = """
+#include <math.h>
+#include "NAME.h"
+
+static NAME_body body;
+
+int main(void)
+{
+    int refused = 0;
+    NAME_start(&body);
+    body.p[0] = -1;
+    refused += NAME_step(&body);
+    NAME_start(&body);
+    body.u[0] = (NAME_real)NAN;
+    refused += NAME_step(&body);
+    NAME_start(&body);
+    body.x[0] = (NAME_real)INFINITY;
+    refused += NAME_step(&body);
+    NAME_start(&body);
+    return 10 * NAME_step(&body) + refused;
+}
+"""
+
+
+@pytest.mark.parametrize("structure", ["linear", "floating"])
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_a_step_from_values_that_no_body_has_says_so(source, structure, precision):
+    name = f"refusing_{structure}_{precision}"
+    options = {"step": 1e-4, "structure": structure, "precision": precision}
+    (path, *_) = export_body(source, "c", path=source.with_name(f"{name}.c"), options=options).paths
+    (path.parent / "main.c").write_text(REFUSING.replace("NAME", name))
+    command = ["cc", *FLAGS, f"{name}.c", "main.c", "-o", name, "-lm"]
+    subprocess.run(command, cwd=path.parent, check=True, capture_output=True, text=True)
+    # Steps of one size of a linear body have no parameter.
+    expected = 3 if structure == "floating" else 2
+    assert subprocess.run([path.parent / name], check=False).returncode == expected

@@ -187,6 +187,52 @@ def test_states_are_kept_and_nonsense_is_refused(fmpy, held, source, fmi):
         other.instantiate()
 
 
+@pytest.mark.parametrize("fmi", VERSIONS)
+@pytest.mark.parametrize("exchange", [False, True])
+@pytest.mark.parametrize("options", [{"structure": "linear"}, {}])
+def test_values_that_no_body_has_are_refused_and_leave_it_as_it_was(fmpy, source, fmi, exchange, options):
+    fmu = exported(source, f"refusing_{fmi[0]}_{len(options)}", fmi=fmi, **options)
+    description, folder = fmpy.read_model_description(str(fmu)), fmpy.extract(str(fmu))
+    at = {variable.name: variable.valueReference for variable in description.modelVariables}
+    parameters = [variable for variable in description.modelVariables if variable.causality == "parameter"]
+    assert parameters and all(variable.min == "0" for variable in parameters)
+    module = pytest.importorskip(f"fmpy.fmi{fmi[0]}")
+    kind = getattr(module, f"FMU{fmi[0]}{'Model' if exchange else 'Slave'}")
+    body = kind(guid=description.guid, modelIdentifier=fmu.stem, unzipDirectory=folder, instanceName="body")
+    body.instantiate()
+    if fmi == "2.0":
+        body.setupExperiment()
+    body.enterInitializationMode()
+    body.exitInitializationMode()
+    second = fmi == "2.0"
+    read, write = (body.getReal, body.setReal) if second else (body.getFloat64, body.setFloat64)
+    pack, unpack = (body.serializeFMUstate, body.deSerializeFMUstate) if second else (
+        body.serializeFMUState, body.deserializeFMUState)  # fmt: skip
+    keep = body.getFMUstate if second else body.getFMUState
+    outputs = [at[name] for name in ("tip.velocity.x", "tip.velocity.z")]
+    write([at["tip.force.z"]], [1.0])
+    packed, before = pack(keep()), read([*outputs, at["damping_ratio"], at["tip.force.z"]])
+    force, ratio = at["tip.force.z"], at["damping_ratio"]
+    # The first of the packed numbers behind the time is a parameter.
+    negative = packed[:8] + np.array([-1.0]).tobytes() + packed[16:]
+    bad = [(write, ([ratio], [-1.0])), (write, ([ratio], [np.inf])), (write, ([force, ratio], [7.0, -1.0])),
+           (unpack, (b"\xff" * len(packed),)), (unpack, (negative,))]  # fmt: skip
+    if not exchange:
+        bad += [(body.doStep, (np.nan, 1e-3)), (body.doStep, (0.0, -1.0))]
+    for call, arguments in bad:
+        with pytest.raises(Exception, match="failed with status 3"):
+            call(*arguments)
+        assert read([*outputs, at["damping_ratio"], at["tip.force.z"]]) == before
+    # Outputs of finite values that are none.
+    states = [reference for name, reference in at.items() if f"der({name})" in at]
+    write(states, [1.7e308] * len(states))
+    with pytest.raises(Exception, match="failed with status 3"):
+        read(outputs)
+    unpacked = unpack(packed)
+    (body.setFMUstate if second else body.setFMUState)(unpacked)
+    assert read(outputs) == before[:2]
+
+
 def test_the_same_body_gives_the_same_bytes(source, held):
     before = held.read_bytes()
     assert exported(source, "held", **HELD).read_bytes() == before

@@ -9,8 +9,8 @@ import pytest
 import scipy.linalg as sl
 
 from morembs.body import elastic_body, make_part
+from morembs.body.delivered import delivered
 from morembs.body.file import read_body, write_body
-from morembs.diagnostics.delivered import delivered
 from morembs.errors import InputError
 from morembs.interface import COUPLINGS, CouplingKind, make_interface
 from morembs.model import rigid_motion

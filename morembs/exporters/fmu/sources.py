@@ -108,12 +108,14 @@ class Code:
         body, real = f"{name}_body *body", f"{name}_real"
         start = {f"void {name}_start({body})": f"    memset(body, 0, sizeof *body);\n{starts}    observe(body);"}
         if not free:
-            step = "    int failed = advance(body);\n    observe(body);\n    return failed;"
+            failed = "unsound(body) || advance(body) || unsound(body)"
+            step = f"    int failed = {failed};\n    observe(body);\n    return failed;"
             return start | {f"int {name}_step({body})": step}
+        advance = "    return unsound(body) || advance(body, time, h) || unsound(body);"
         return start | {
-            f"int {name}_rates({body}, {real} *x_rate)": "    return rates(body, x_rate);",
+            f"int {name}_rates({body}, {real} *x_rate)": "    return unsound(body) || rates(body, x_rate);",
             f"void {name}_observe({body})": "    observe(body);",
-            f"int {name}_advance({body}, {real} time, {real} h)": "    return advance(body, time, h);",
+            f"int {name}_advance({body}, {real} time, {real} h)": advance,
         }
 
     def _constant(self, value: float) -> str:
@@ -176,7 +178,8 @@ def token_of(sources: Mapping[str, str]) -> str:
 
 
 _HEADER = """\
-/* An elastic body, written by morembs; SI units. Allocates nothing. */
+/* An elastic body, written by morembs; SI units. Allocates nothing. Functions that return int give 1 where a parameter
+   is below zero, a parameter, an input or a state is no finite number, or the step does not succeed; else 0. */
 
 #ifndef {upper}_H
 #define {upper}_H

@@ -1,3 +1,18 @@
+/* 1 where a parameter is below zero, or a parameter, an input or a state is no finite number. */
+static int unsound(const Body *body)
+{
+    for (int i = 0; i < PARAMETERS; i++)
+        if (!isfinite(body->p[i]) || body->p[i] < 0)
+            return 1;
+    for (int i = 0; i < INPUTS; i++)
+        if (!isfinite(body->u[i]))
+            return 1;
+    for (int i = 0; i < STATES; i++)
+        if (!isfinite(body->x[i]))
+            return 1;
+    return 0;
+}
+
 /* to += the columns (rows each) of a table times a vector; four at a time, so that sums stay in registers. */
 static void add_columns(int rows, int columns, const real *restrict table, const real *restrict vector,
                         real *restrict to)

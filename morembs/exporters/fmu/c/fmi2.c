@@ -64,8 +64,7 @@ EXPORT fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance
                                       fmi2Boolean has_stop, double stop)
 {
     (void)has_tolerance, (void)tolerance, (void)has_stop, (void)stop;
-    set_time(c, start);
-    return fmi2OK;
+    DONE(c, set_time(c, start), NOT_SET);
 }
 
 EXPORT fmi2Status fmi2EnterInitializationMode(fmi2Component c) { (void)c; return fmi2OK; }
@@ -99,7 +98,7 @@ OTHER_TYPE(Boolean, fmi2Boolean)
 OTHER_TYPE(String, fmi2String)
 
 EXPORT fmi2Status fmi2GetFMUstate(fmi2Component c, void **state) { DONE(c, get_state(c, state), NO_MEMORY); }
-EXPORT fmi2Status fmi2SetFMUstate(fmi2Component c, void *state) { set_state(c, state); return fmi2OK; }
+EXPORT fmi2Status fmi2SetFMUstate(fmi2Component c, void *state) { DONE(c, set_state(c, state), NO_STATE); }
 EXPORT fmi2Status fmi2FreeFMUstate(fmi2Component c, void **state) { (void)c; free_state(state); return fmi2OK; }
 
 EXPORT fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, void *state, size_t *size)
@@ -147,7 +146,7 @@ EXPORT fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean kept,
     return fmi2OK;
 }
 
-EXPORT fmi2Status fmi2SetTime(fmi2Component c, double time) { set_time(c, time); return fmi2OK; }
+EXPORT fmi2Status fmi2SetTime(fmi2Component c, double time) { DONE(c, set_time(c, time), NOT_SET); }
 
 EXPORT fmi2Status fmi2SetContinuousStates(fmi2Component c, const double x[], size_t n)
 {

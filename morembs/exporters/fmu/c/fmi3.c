@@ -79,8 +79,7 @@ EXPORT fmi3Status fmi3EnterInitializationMode(fmi3Instance c, bool has_tolerance
                                               bool has_stop, double stop)
 {
     (void)has_tolerance, (void)tolerance, (void)has_stop, (void)stop;
-    set_time(c, start);
-    return fmi3OK;
+    DONE(c, set_time(c, start), NOT_SET);
 }
 
 /* Changes of mode, which ask nothing of the body. */
@@ -205,7 +204,7 @@ EXPORT fmi3Status fmi3ActivateModelPartition(fmi3Instance c, fmi3ValueReference 
 }
 
 EXPORT fmi3Status fmi3GetFMUState(fmi3Instance c, void **state) { DONE(c, get_state(c, state), NO_MEMORY); }
-EXPORT fmi3Status fmi3SetFMUState(fmi3Instance c, void *state) { set_state(c, state); return fmi3OK; }
+EXPORT fmi3Status fmi3SetFMUState(fmi3Instance c, void *state) { DONE(c, set_state(c, state), NO_STATE); }
 EXPORT fmi3Status fmi3FreeFMUState(fmi3Instance c, void **state) { (void)c; free_state(state); return fmi3OK; }
 
 EXPORT fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, void *state, size_t *size)
@@ -243,7 +242,7 @@ EXPORT fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, bool kept, bool *e
     return fmi3OK;
 }
 
-EXPORT fmi3Status fmi3SetTime(fmi3Instance c, double time) { set_time(c, time); return fmi3OK; }
+EXPORT fmi3Status fmi3SetTime(fmi3Instance c, double time) { DONE(c, set_time(c, time), NOT_SET); }
 
 EXPORT fmi3Status fmi3SetContinuousStates(fmi3Instance c, const double x[], size_t n)
 {

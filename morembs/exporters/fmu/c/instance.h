@@ -19,9 +19,10 @@
 #define STATE_BYTES ((1 + PARAMETERS + INPUTS + STATES) * sizeof(double))
 
 #define NO_INSTANCE "no instance: the token of the description is not that of this library, or memory is short"
-#define NO_VALUE "no such value, or the mass matrix has no inverse at these states"
-#define NOT_SET "a value that cannot be set, or that is no finite number"
+#define NO_VALUE "no such value, or none that is finite at these inputs and states"
+#define NOT_SET "a value that cannot be set: a parameter is zero or more, and every value a finite number"
 #define NO_MEMORY "memory is short, or these bytes are no state of this body"
+#define NO_STATE "no state of this body: a parameter is zero or more, and every value a finite number"
 #define NOT_OFFERED "this body does not offer that; its description says so"
 #define NO_STEP "the step did not succeed: expected a step above zero, and inputs for which the deflection stays small"
 
@@ -29,6 +30,7 @@ typedef struct {
     Body body;
     double time;
     double x_rate[STATES];
+    double before[STATES]; /* states before a step */
     int rates_known, outputs_known;
     const void *callbacks; /* of version 2 */
     void (*log)(void *environment, int status, const char *category, const char *text); /* of version 3 */
@@ -57,14 +59,19 @@ static Instance *make_instance(const char *name, const char *token)
 
 static void free_instance(void *instance) { free(instance); }
 
-static void set_time(Instance *instance, double time) { instance->time = time; }
-
 static int finite_numbers(const double *value, size_t n)
 {
     for (size_t i = 0; i < n; i++)
         if (!isfinite(value[i]))
             return 0;
     return 1;
+}
+
+static int set_time(Instance *instance, double time)
+{
+    if (isfinite(time))
+        instance->time = time;
+    return isfinite(time);
 }
 
 static int know_rates(Instance *instance)
@@ -75,11 +82,13 @@ static int know_rates(Instance *instance)
     return instance->rates_known;
 }
 
-static void know_outputs(Instance *instance)
+static int know_outputs(Instance *instance)
 {
-    if (!instance->outputs_known)
+    if (!instance->outputs_known) {
         body_observe(&instance->body);
-    instance->outputs_known = 1;
+        instance->outputs_known = finite_numbers(instance->body.y, OUTPUTS);
+    }
+    return instance->outputs_known;
 }
 
 /* Parameters, inputs and states, which may be set; NULL for all else. */
@@ -98,10 +107,10 @@ static int get_values(Instance *instance, const unsigned *reference, size_t n, d
 {
     for (size_t i = 0; i < n; i++) {
         unsigned r = reference[i];
-        if (r >= REFERENCES || (r >= FIRST_RATE && r < FIRST_OUTPUT && !know_rates(instance)))
+        if (r >= REFERENCES || (r >= FIRST_OUTPUT && !know_outputs(instance))
+            || (r >= FIRST_RATE && r < FIRST_OUTPUT && !know_rates(instance)))
             return 0;
         if (r >= FIRST_OUTPUT) {
-            know_outputs(instance);
             value[i] = instance->body.y[r - FIRST_OUTPUT];
         } else if (r >= FIRST_RATE) {
             value[i] = instance->x_rate[r - FIRST_RATE];
@@ -114,12 +123,11 @@ static int get_values(Instance *instance, const unsigned *reference, size_t n, d
 
 static int set_values(Instance *instance, const unsigned *reference, size_t n, const double *value)
 {
-    for (size_t i = 0; i < n; i++) {
-        double *place = settable(instance, reference[i]);
-        if (!place || !isfinite(value[i]))
+    for (size_t i = 0; i < n; i++)
+        if (!settable(instance, reference[i]) || !isfinite(value[i]) || (reference[i] < FIRST_INPUT && value[i] < 0))
             return 0;
-        *place = value[i];
-    }
+    for (size_t i = 0; i < n; i++)
+        *settable(instance, reference[i]) = value[i];
     changed(instance);
     return 1;
 }
@@ -155,25 +163,44 @@ static int get_nominals(double *nominal, size_t n)
     return n == STATES;
 }
 
+/* Where the step does not succeed, the states stay. */
 static int do_step(Instance *instance, double time, double h)
 {
     Body *body = &instance->body;
-    if (!(h > 0) || !isfinite(h) || body_advance(body, time, h) || !finite_numbers(body->x, STATES))
+    if (!(h > 0) || !isfinite(h) || !isfinite(time))
         return 0;
+    memcpy(instance->before, body->x, STATES * sizeof(double));
+    if (body_advance(body, time, h)) {
+        memcpy(body->x, instance->before, STATES * sizeof(double));
+        changed(instance);
+        return 0;
+    }
     instance->time = time + h;
     changed(instance);
     return 1;
 }
 
-static void set_state(Instance *instance, const void *state)
+/* A state is [time; parameters; inputs; states]. */
+static int is_state(const double *value)
+{
+    for (int i = 0; i < PARAMETERS; i++)
+        if (!(value[1 + i] >= 0))
+            return 0;
+    return finite_numbers(value, STATE_BYTES / sizeof(double));
+}
+
+static int set_state(Instance *instance, const void *state)
 {
     const double *value = state;
     Body *body = &instance->body;
+    if (!value || !is_state(value))
+        return 0;
     instance->time = value[0];
     memcpy(body->p, value + 1, PARAMETERS * sizeof(double));
     memcpy(body->u, value + FIRST_INPUT, INPUTS * sizeof(double));
     memcpy(body->x, value + FIRST_STATE, STATES * sizeof(double));
     changed(instance);
+    return 1;
 }
 
 static int get_state(const Instance *instance, void **state)
@@ -192,10 +219,14 @@ static int get_state(const Instance *instance, void **state)
 
 static int restore_state(const void *bytes, void **state)
 {
+    double value[STATE_BYTES / sizeof(double)];
+    memcpy(value, bytes, STATE_BYTES);
+    if (!is_state(value))
+        return 0;
     if (!*state)
         *state = malloc(STATE_BYTES);
     if (*state)
-        memcpy(*state, bytes, STATE_BYTES);
+        memcpy(*state, value, STATE_BYTES);
     return *state != NULL;
 }
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.body.curve_check import Curve
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.body.tables import SKEW_PARTS
 from morembs.diagnostics.findings import MOTIONS
@@ -16,6 +17,7 @@ from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame
 from morembs.model import rigid_motion
 from morembs.model.fe_model import SCALAR
+from morembs.problem.damping import STRUCTURAL
 
 if TYPE_CHECKING:
     from morembs.body import ElasticBody, Part
@@ -29,7 +31,8 @@ Ints = NDArray[np.int64]
 class Delivered:
     """What is checked: M, K, D (n, n); interface degrees of freedom C q (m, n) with their rigid motion ``frame``
     (m, 6) about the origin of the model, names of them; ``rigid`` (n, 6) from geometry, if known; what the model says
-    of its mass; the ``floating`` frame, and ``markers`` interface -> rows of C that are all six of its frame."""
+    of its mass; the ``floating`` frame, and ``markers`` interface -> rows of C that are all six of its frame; the
+    ``curve`` of its certificate."""
 
     M: Floats
     K: Floats
@@ -48,6 +51,7 @@ class Delivered:
     inertia: Floats
     floating: FloatingFrame | None = None
     markers: Mapping[str, Ints] = field(default_factory=dict)
+    curve: Curve | None = None
 
 
 def delivered(body: ReducedModel | ElasticBody | StoredBody, part: Part | StoredBodies | None) -> Delivered:
@@ -75,7 +79,8 @@ def delivered(body: ReducedModel | ElasticBody | StoredBody, part: Part | Stored
 
 def _of_body(body: ElasticBody, part: Part) -> Delivered:
     r = body.reduced
-    frame = np.full((r.B.shape[1], 6), np.nan)
+    certificate = body.certificate
+    frame, motion = np.full((r.B.shape[1], 6), np.nan), np.full(r.B.shape[1], SCALAR)
     names = [""] * r.B.shape[1]
     place = {int(label): row for row, label in enumerate(part.nodes.ids.tolist())}
     for interface in part.interfaces:
@@ -85,14 +90,19 @@ def _of_body(body: ElasticBody, part: Part) -> Delivered:
         points[rows >= 0] = _points(part.node_ids[rows[rows >= 0]], place, part.nodes.xyz)
         # Generalised forces do work on motions that the points do not tell: their rows stay unknown.
         told = motions < SCALAR
+        motion[columns] = motions
         frame[columns[told]] = rigid_motion(points[told], motions[told])
-        for column, motion in zip(columns.tolist(), motions.tolist(), strict=True):
-            names[column] = f"{interface.name} {MOTIONS[motion]}"
+        for column, which in zip(columns.tolist(), motions.tolist(), strict=True):
+            names[column] = f"{interface.name} {MOTIONS[which]}"
     return Delivered(
         M=r.M, K=r.K, D=r.D, B=r.B, C=r.C, frame=None if np.isnan(frame).any() else frame, motions=tuple(names),
         rigid=_about_model(body.floating), rigid_count=r.rigid_count, symmetric=r.symmetric,
         hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
         mass=part.mass, center=part.center_of_mass, inertia=part.inertia, floating=body.floating,
+        curve=None if certificate is None else _curve(
+            certificate.frequencies_hz, certificate.reduced, certificate.damping_floor, motion, r.structural,
+            part.mass, part.inertia,
+        ),
         markers={
             interface.name: np.arange(r.B.shape[1])[part.columns[interface.name]]
             for interface in part.interfaces if interface.kind.framed and tuple(interface.components) == tuple(range(6))
@@ -102,7 +112,7 @@ def _of_body(body: ElasticBody, part: Part) -> Delivered:
 
 def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
     place = {int(label): row for row, label in enumerate(file.node_ids.tolist())}
-    kept = list(file.interfaces.items())
+    kept, known = list(file.interfaces.items()), body.certificate
     points, names = [], []
     for which, motion, label in zip(
         file.input_interface.tolist(), file.input_component.tolist(), file.input_node_id.tolist(), strict=True
@@ -119,6 +129,10 @@ def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
         motions=tuple(names), rigid=_about_model(body.floating), rigid_count=body.rigid_count,
         symmetric=_meant_symmetric(body, file), hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
         mass=file.mass, center=file.center_of_mass, inertia=file.inertia, floating=body.floating,
+        curve=None if known is None or not {"reduced", "damping_floor"} <= set(known) else _curve(
+            known["frequencies_hz"], known["reduced"], float(known["damping_floor"]), file.input_component,
+            float(body.recipe.get(STRUCTURAL, 0.0)), file.mass, file.inertia,
+        ),
         markers={
             name: np.flatnonzero(file.input_interface == which)
             for which, (name, interface) in enumerate(kept)
@@ -132,6 +146,17 @@ def _meant_symmetric(body: StoredBody, file: StoredBodies) -> bool:
     return bool(np.array_equal(body.input_matrix.T, body.output_matrix)) and (
         file.format_version < SKEW_PARTS or body.symmetric
     )
+
+
+def _curve(
+    hz: Floats, size: Floats, floor: float, motion: Ints, structural: float, mass: float, inertia: Floats
+) -> Curve | None:
+    """The curve of a certificate with the damping ``floor``; None where it is not known what lengths rotations have."""
+    turning, square = (motion > 2) & (motion < SCALAR), float(np.trace(inertia)) / (2 * mass)
+    if turning.any() and not square > 0:
+        return None
+    scale = np.where(turning, np.sqrt(max(square, 0.0)), 1.0)
+    return Curve(frequencies_hz=hz, size=size, scale=scale, structural=structural + 2 * floor)
 
 
 def _points(labels: Ints, place: Mapping[int, int], xyz: Floats) -> Floats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.diagnostics.delivered import Delivered
+from morembs.body.delivered import Delivered
 from morembs.diagnostics.findings import Finding
 
 Floats = NDArray[np.float64]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.diagnostics.delivered import Delivered
+from morembs.body.delivered import Delivered
 from morembs.diagnostics.findings import MOTIONS, Finding, listed
 from morembs.model import skew
 from morembs.model.mass import mass_properties

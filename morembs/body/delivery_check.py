@@ -6,18 +6,20 @@ rigid-body motion are in ``rigid_check``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.body.curve_check import curve_findings
+from morembs.body.delivered import Delivered, delivered
+from morembs.body.frame_check import frame_findings
+from morembs.body.rigid_check import ROUND_OFF, eigh, rigid_findings, scale
 from morembs.body.stored import StoredBodies, StoredBody
-from morembs.diagnostics.delivered import Delivered, delivered
 from morembs.diagnostics.findings import Diagnosis, Finding, sentences
-from morembs.diagnostics.frame_check import frame_findings
-from morembs.diagnostics.rigid_check import ROUND_OFF, eigh, rigid_findings, scale
-from morembs.errors import InputError
+from morembs.errors import InputError, SolverError
 
 if TYPE_CHECKING:
     from morembs.body import ElasticBody, Part
@@ -53,18 +55,25 @@ def check_delivery(body: ReducedModel | ElasticBody | StoredBody, part: Part | S
     if any(finding.code == "indefinite" and "M " in finding.sentence for finding in findings):
         return Diagnosis(findings=tuple(findings), facts=facts)
     try:
-        values, Y = _modes(given)
+        # What is far out of range is told by the findings.
+        with np.errstate(all="ignore"):
+            _solved(given, findings, facts)
     except np.linalg.LinAlgError as error:
         sentence = f"K and M of the reduced body have no eigenvalues that can be computed ({error})"
         findings.append(Finding(code="unsolvable", severity="error", sentence=sentence, cure="write it again"))
-        return Diagnosis(findings=tuple(findings), facts=facts)
+    return Diagnosis(findings=tuple(findings), facts=facts)
+
+
+def _solved(given: Delivered, findings: list[Finding], facts: dict[str, Any]) -> None:
+    """What the modes of the body tell."""
+    values, Y = _modes(given)
     _frequencies(given, values, findings, facts)
     ways = rigid_findings(given, values, Y, findings, facts)
     if given.symmetric and ways and len(given.C):
         _effective(given, next(iter(ways.values())), findings, facts)
     _damping(given, values, Y, findings, facts)
     findings += frame_findings(given)
-    return Diagnosis(findings=tuple(findings), facts=facts)
+    findings += _response(given, values, Y)
 
 
 def _named(given: Delivered) -> dict[str, Floats]:
@@ -72,7 +81,7 @@ def _named(given: Delivered) -> dict[str, Floats]:
 
 
 def _finite(given: Delivered, findings: list[Finding]) -> bool:
-    bad = [name for name, A in {**_named(given), "B": given.B}.items() if not np.isfinite(A).all()]
+    bad = [name for name, A in {**_named(given), "B": given.B, "C": given.C}.items() if not np.isfinite(A).all()]
     if bad:
         sentence = f"{', '.join(bad)} of the reduced body hold entries that are not finite numbers"
         findings.append(Finding(code="not-finite", severity="error", sentence=sentence, cure="reduce it again"))
@@ -86,8 +95,9 @@ def _symmetry(given: Delivered, findings: list[Finding]) -> None:
         if _congruent(given):
             code, sentence = "gyroscopic", "the reduced matrices have gyroscopic or circulatory terms: skew parts"
         findings.append(Finding(code=code, severity="note", sentence=sentence, cure=cure))
-        return
     for name, A in _named(given).items():
+        if not given.symmetric and (name != "M" or not _congruent(given)):
+            continue
         size = np.maximum(np.outer(scale(A), scale(A)), np.finfo(float).tiny)
         off = np.abs(A - A.T) / size
         if off.max(initial=0.0) > SYMMETRIC:
@@ -144,6 +154,14 @@ def _modes(given: Delivered) -> tuple[Floats, Floats]:
     Y = vectors[:, order].real
     modal = np.einsum("in,ij,jn->n", Y, given.M, Y)
     return roots.real[order], Y / np.sqrt(np.maximum(np.abs(modal), np.finfo(float).tiny))
+
+
+def _response(given: Delivered, values: Floats, Y: Floats) -> list[Finding]:
+    E = None
+    if _congruent(given):
+        # Flow may make elastic modes softer than rigid motion.
+        E = np.delete(Y, np.argsort(np.abs(values), kind="stable")[: given.rigid_count], axis=1)
+    return curve_findings(given.curve, given.M, given.D, given.K, given.B, given.C, E, given.rigid_count)
 
 
 def _frequencies(given: Delivered, values: Floats, findings: list[Finding], facts: dict[str, Any]) -> None:
@@ -222,12 +240,27 @@ def _damping(given: Delivered, values: Floats, Y: Floats, findings: list[Finding
         findings.append(Finding(code="grounded-damping", severity="warning", sentence=sentence, cure=cure))
 
 
+def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:
+    """Warnings about reduced bodies, those of each named after it.
+
+    Raises:
+        SolverError: a body that is wrong.
+    """
+    warnings: list[str] = []
+    for body in bodies:
+        diagnosis = check_delivery(body)
+        if diagnosis.errors:
+            raise SolverError(f"the body {body.name!r} is not sound: {'; '.join(sentences(diagnosis.errors))}")
+        warnings += [f"{body.name}: {sentence}" for sentence in sentences(diagnosis.warnings)]
+    return tuple(warnings)
+
+
 def stored_findings(file: StoredBodies) -> dict[str, Diagnosis]:
     """What is wrong with each body of a file: whether what it says of itself is what follows from its matrices."""
     return {name: check_delivery(body, file) for name, body in file.bodies.items()}
 
 
-def refuse_unsound(path: str, diagnoses: Mapping[str, Diagnosis]) -> None:
+def refuse_unsound(path: str | Path, diagnoses: Mapping[str, Diagnosis]) -> None:
     """Stop at bodies that contradict themselves.
 
     Raises:
