@@ -23,8 +23,8 @@ def warning_of(card: Card) -> str | None:
         return f"*{word} was left out: {effect} [keyword-effect]"
     if word in LEFT_OUT and not WORDS[word].source:
         return (
-            f"*{word} was left out: no manual that morembs goes by says what it does, so stiffness or mass may depend "
-            "on it [keyword-unsourced]"
+            f"*{word} was left out: no line of a manual is known that stiffness and mass do not depend on "
+            "it, so check that they do not [keyword-unsourced]"
         )
     return None
 
