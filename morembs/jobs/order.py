@@ -86,10 +86,10 @@ def _clashes(jobs: Mapping[int, Job], bodies: Mapping[Place, int]) -> dict[int, 
             used.setdefault(place_of(path), []).append((key, name, path))
     reasons: dict[int, str] = {}
     for uses in used.values():
-        for key, name, path in uses:
+        for key, name, written in uses:
             others = [(other, what) for other, what, _ in uses if other != key]
-            if path is not None and others:
+            if written is not None and others:
                 other, what = others[0]
                 whose = f"is {what} of {jobs[other].path} too; give each job files of its own"
-                reasons.setdefault(key, f"{name}: the file {path.resolve()} {whose}")
+                reasons.setdefault(key, f"{name}: the file {written.resolve()} {whose}")
     return reasons

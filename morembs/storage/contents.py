@@ -67,7 +67,8 @@ class Content:
         Raises:
             KeyError, TypeError, ValueError: other values, such as those of an older version.
         """
-        return cls(str(values["target"]), *(int(values[key]) for key in _NUMBERS), sha256=str(values["sha256"]))
+        numbers: dict[str, Any] = {key: int(values[key]) for key in _NUMBERS}
+        return cls(target=str(values["target"]), sha256=str(values["sha256"]), **numbers)
 
     def still_in(self, path: str | Path) -> bool:
         """Whether the name leads to the same bytes now: by the file and its times where they tell, else by all bytes.
