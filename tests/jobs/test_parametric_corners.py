@@ -76,6 +76,11 @@ def test_resonances_without_damping_are_refused_where_none_is_to_be_assumed(tmp_
     assert "at b = 0" in done.stderr and "no damping at 3 resonances of the band, the first at 4,3" in done.stderr
 
 
+def test_rayleigh_parameters_are_refused_by_name_beside_modal_damping(tmp_path):
+    done = reduced(tmp_path, BETA, "[damping]\nmodal = 0.01")
+    assert done.exit_code == 2 and "parameter b (beta) was given beside modal damping" in done.stderr
+
+
 def test_a_ground_spring_holds_a_body_that_a_morph_turns_about_other_places(tmp_path):
     done = reduced(tmp_path, SPRING + MORPH, high=BAND)
     assert done.exit_code == 0, done.stderr
