@@ -107,14 +107,15 @@ def _evaluate_one(
     written = [str(at.write(out))] if out is not None else []
     slopes: dict[str, Any] = {}
     clustered: list[bool] = []
+    in_band: list[bool] = []
     if sensitivity:
         derived = at.model.sensitivity()
         slopes = {name: values[: len(hz)].tolist() for name, values in derived.frequencies_hz.items()}
-        clustered = derived.clustered[: len(hz)].tolist()
+        clustered, in_band = (flags[: len(hz)].tolist() for flags in (derived.clustered, derived.in_band))
     with printing(written):
         if as_json:
             document = {"at": at.values, "written": written, "frequencies_hz": hz.tolist()}
-            more = {"frequency_slopes": slopes, "clustered": clustered} if sensitivity else {}
+            more = {"frequency_slopes": slopes, "clustered": clustered, "in_band": in_band} if sensitivity else {}
             known = {"bound_hz": at_hz, "bound": without_nan(bounds)} if at_hz else {}
             print_json([{**document, "bound_kind": at.bound_kind, **known, **more}])
             return
@@ -129,6 +130,9 @@ def _evaluate_one(
         if any(clustered):
             numbers = ", ".join(str(k + 1) for k, together in enumerate(clustered) if together)
             typer.echo(f"note: frequencies {numbers} lie together; their derivatives are those of the branches")
+        if not all(in_band):
+            numbers = ", ".join(str(k + 1) for k, inside in enumerate(in_band) if not inside)
+            typer.echo(f"note: frequencies {numbers} lie above the band of the body, and their derivatives are rough")
         for name in written:
             typer.echo(f"written: {name}")
 

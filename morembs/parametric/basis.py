@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.linalg.columns import map_columns, multiply, symmetric
 from morembs.linalg.lanczos import BlockLanczos
-from morembs.parametric.bound import BoundAt, ParametricBound, ritz_pairs
+from morembs.parametric.bound import BoundAt, ParametricBound, ratio, ritz_pairs
 from morembs.parametric.cells import Proofs
 from morembs.parametric.model import ParametricModel
 from morembs.parametric.parameter import Box
@@ -34,6 +34,9 @@ from morembs.responses.certified import floor_of
 Floats = NDArray[np.float64]
 # Modes up to these multiples of the upper frequency: those that are deflated at the anchor, those taken at other p.
 DEFLATED, TAKEN = 1.75, 1.5
+# In wide boxes more are deflated, as modes of the softest and heaviest body lie lower: to this multiple of its own
+# frequencies, as far as all its moduli and densities scale them, but no further than the second.
+SOFTER, WIDEST = 1.25, 5.0
 # Blocks of the Krylov space of the loads that are taken beside the modes, one more each time that p comes again.
 BLOCKS = 2
 # Weight of deflated loads in eigenvalues at the limit of the deflated modes.
@@ -127,20 +130,30 @@ class GreedySearch:
         self.low, self.high = (2 * np.pi * f for f in wanted.band_hz)
         self.training = training_points(problem.box, wanted.training)
         progress.update("modes at nominal values")
-        modes = problem.elastic_modes(below=(DEFLATED * self.high) ** 2)
+        limit = (self._deflated() * self.high) ** 2
+        modes = problem.elastic_modes(below=limit)
         self.space = GlobalSpace(problem)
         self.space.add(np.array(modes.vectors, order="F"))
         # Before the motions that are rigid at other p only: no low modes are beside those, nor orthogonal to them.
         self.deflated = self.space.size
         self.space.add_rigid_at_others()
         self.kept = self.space.size
-        self.sigma = WEIGHT * (DEFLATED * self.high) ** 2
+        self.sigma = WEIGHT * limit
         self.proofs = Proofs(self.space, progress)
         self.cells = self.proofs.cells()
         self.points: list[Floats] = []
         self.factorisations = 1
         kind = f"{wanted.band_hz} {wanted.training} {self.floor}"
         self.steps = SearchSteps(problem, kind, problem.output)
+
+    def _deflated(self) -> float:
+        """The multiple of the upper frequency below which modes of the anchor are deflated."""
+        problem, box = self.problem, self.problem.box
+        used = np.array([kind in ("young", "density") for kind in box.kinds])
+        low, high = np.where(used, box.low, box.nominal), np.where(used, box.high, box.nominal)
+        stiffer = ratio(problem.law_K.monotone, box.nominal, low).max()
+        lighter = ratio(problem.law_M.monotone, high, box.nominal).max()
+        return float(np.clip(SOFTER * np.sqrt(stiffer * lighter), DEFLATED, WIDEST))
 
     def damping(self, p: Floats) -> Damping:
         """The damping at ``p`` (P,) with its floor."""

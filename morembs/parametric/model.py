@@ -61,6 +61,11 @@ class ParametricModel:
         """Number n of reduced coordinates."""
         return int(self.K.shape[1])
 
+    @property
+    def highest_hz(self) -> float:
+        """Upper end of the band that the basis was made for, infinite where that is not known."""
+        return np.inf if self.bound is None else float(self.bound.highest / (2 * np.pi))
+
     def matrices(self, p: Floats) -> tuple[Floats, Floats]:
         """K and M (..., n, n) at ``p`` (..., P)."""
         return np.tensordot(self.law_K(p), self.K, axes=1), np.tensordot(self.law_M(p), self.M, axes=1)
@@ -189,6 +194,7 @@ class ModelAt:
         return Sensitivity(
             at=self, K=dict(zip(box.names, dK, strict=True)), M=dict(zip(box.names, dM, strict=True)),
             frequencies_hz=frequencies, clustered=clustered,
+            in_band=self.frequencies_hz[: len(clustered)] <= self.model.highest_hz,
         )  # fmt: skip
 
     def _slopes(self, dK: Floats, dM: Floats, clusters: list[NDArray[np.int64]]) -> Floats:
@@ -212,13 +218,16 @@ def _clusters(values: Floats) -> list[NDArray[np.int64]]:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensitivity:
     """Derivatives at one value, by the names of the parameters: ``K``, ``M`` (n, n) and elastic ``frequencies_hz``
-    (e,). ``clustered`` (e,) marks frequencies that lie together, whose derivatives are those of the branches."""
+    (e,). ``clustered`` (e,) marks frequencies that lie together, whose derivatives are those of the branches,
+    ``in_band`` (e,) those that the reduction had to keep: others and their derivatives may differ by percents from the
+    full model's."""
 
     at: ModelAt
     K: Mapping[str, Floats]
     M: Mapping[str, Floats]
     frequencies_hz: Mapping[str, Floats]
     clustered: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    in_band: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def response(self, frequencies_hz: Floats) -> dict[str, Complexes]:
         """dH/dp (nf, m, m) of the elastic part of H by each parameter, dH = -y' dA y.

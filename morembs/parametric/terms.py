@@ -22,6 +22,7 @@ from morembs.model import FEModel, skew
 from morembs.model.assembly import mass_matrix
 from morembs.parametric.added import with_springs
 from morembs.parametric.law import Law
+from morembs.parametric.parameter import DAMPING
 from morembs.parametric.varied import VariedModel, varied_model
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
@@ -55,6 +56,12 @@ class AffineProblem(Problem):
         self.output = output
         self.varied, self.box, self.parameters = varied, varied.box, varied.parameters
         _refuse_bent(varied, interfaces)
+        for parameter in self.parameters if damping is not None and damping.is_modal else ():
+            if parameter.kind in DAMPING:
+                raise InputError(
+                    f"parameter {parameter.name} ({parameter.kind}) was given beside modal damping; expected rayleigh "
+                    "or structural in [damping], or no such parameter"
+                )
         given = self.box.damping(damping or Damping(), nominal)
         super().__init__(model, interfaces, damping=given, budget=budget, **options)
         if "spring" in self.box.kinds:

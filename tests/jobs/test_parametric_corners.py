@@ -76,6 +76,11 @@ def test_resonances_without_damping_are_refused_where_none_is_to_be_assumed(tmp_
     assert "at b = 0" in done.stderr and "no damping at 3 resonances of the band, the first at 4,3" in done.stderr
 
 
+def test_rayleigh_parameters_are_refused_by_name_beside_modal_damping(tmp_path):
+    done = reduced(tmp_path, BETA, "[damping]\nmodal = 0.01")
+    assert done.exit_code == 2 and "parameter b (beta) was given beside modal damping" in done.stderr
+
+
 def test_a_ground_spring_holds_a_body_that_a_morph_turns_about_other_places(tmp_path):
     done = reduced(tmp_path, SPRING + MORPH, high=BAND)
     assert done.exit_code == 0, done.stderr
@@ -83,3 +88,22 @@ def test_a_ground_spring_holds_a_body_that_a_morph_turns_about_other_places(tmp_
     assert body.model.box_bound <= 1e-3
     stiff, long = body.at(k=4.0, t=0.0).frequencies_hz[0], body.at(k=0.5, t=0.05).frequencies_hz[0]
     assert stiff > 2 * long > 0
+
+
+def test_a_wide_range_of_a_modulus_has_a_body(tmp_path):
+    """Modes of the softest body lie five times lower beside the band than those of the stiffest one."""
+    done = reduced(tmp_path, '[[parameter]]\nname = "E"\nproperty = "young"\nrange = [4.2e10, 1.05e12]')
+    assert done.exit_code == 0, done.stderr
+    body = read_body(tmp_path / "bar.h5").bodies["parametric"].parametric
+    assert body.model.box_bound <= 1e-3
+    # Every frequency is proportional to the root of the one modulus.
+    low, high = (body.at(E=E) for E in (4.2e10, 1.05e12))
+    np.testing.assert_allclose(high.frequencies_hz[:3], 5 * low.frequencies_hz[:3], rtol=1e-9)
+    slope = body.sensitivity(E=4.2e10).frequencies_hz["E"][:3]
+    np.testing.assert_allclose(slope, low.frequencies_hz[:3] / (2 * 4.2e10), rtol=1e-9)
+    # What lies above the band belongs to the basis, and is said to be rough.
+    count = int((high.frequencies_hz <= 6000.0).sum())
+    assert count < len(high.frequencies_hz) and body.sensitivity(E=1.05e12).in_band.sum() == count
+    asked = ["--at", "E=1.05e12", "--sensitivity", "--frequencies", f"{count + 1}"]
+    words = CliRunner().invoke(app, ["evaluate", str(tmp_path / "bar.h5"), *asked])
+    assert words.exit_code == 0 and f"note: frequencies {count + 1} lie above the band" in words.stdout
