@@ -239,17 +239,14 @@ def empty_and_massless(K: sp.csr_array, M: sp.csr_array, names: Names) -> list[F
     findings = []
     groups = (
         ("empty-dofs", "error", ~stiff & ~heavy, "neither stiffness nor mass"),
-        (
-            "no-stiffness", "warning" if names.dofs is None else "error", ~stiff & heavy,
-            "mass but no stiffness, so nothing holds it",
-        ),
-    )  # fmt: skip
+        ("no-stiffness", "error" if names.dofs is not None else "note", ~stiff & heavy, "mass but no stiffness"),
+    )
     for code, severity, where, words in groups:
         rows = np.flatnonzero(where)
         if len(rows):
             labels, places = names.places(rows)
             sentence = f"{len(rows)} dofs have {words}: {places}"
-            cure = "leave these dofs out, or join their nodes to the structure"
+            cure = "" if severity == "note" else "leave these dofs out, or join their nodes to the structure"
             findings.append(Finding(code=code, severity=severity, sentence=sentence, cure=cure, where=labels))
     return findings + _massless(np.flatnonzero(stiff & ~heavy), names)
 

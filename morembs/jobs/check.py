@@ -125,7 +125,10 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
             rigid = 0 if need_factor(model, problem.K) else problem.rigid.shape[1]
         warnings += preflight(job, facts, rigid)
         progress.stage("analyse")
-        cost = _cost(job, facts, model.K, coupling.T, solver, budget, start)
+        # Coordinates that are rigid motions have no stiffness; what holds them while it is factorised has an entry.
+        held = sp.diags_array((model.K.diagonal() == 0).astype(float))
+        cost = _cost(job, facts, sp.csr_array(model.K + held) if held.data.any() else model.K, coupling.T, solver,
+                     budget, start)  # fmt: skip
         told, seconds = cost.told(), _reduction_seconds(job, facts, cost)
     matrices = [A for name in MATRICES if (A := getattr(model, name)) is not None]
     x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()

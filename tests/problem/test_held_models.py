@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
+from typer.testing import CliRunner
 
+from morembs.body.file import read_body
+from morembs.cli import app
 from morembs.diagnostics.warnings import examined
 from morembs.errors import InputError, SingularMatrixError
 from morembs.importers.from_matrices import from_matrices
+from morembs.importers.model_file import write_model
 from morembs.interface import Interface, make_interface, matrix_interface
 from morembs.linalg.null_space import DENSE, null_space
 from morembs.linalg.sparse.select import select_solver
@@ -273,3 +278,18 @@ def test_rotations_alone_have_no_mass_and_are_reduced() -> None:
         assert problem.mass_properties[0] == 0.0 and problem.rigid.shape[1] == 0
         body = Modal(modes=2).reduce(problem)
     assert body.modes()[0] == pytest.approx(eigenvalues(model)[:2], rel=1e-9)
+
+
+@pytest.mark.parametrize("method", ["modal", "craig-bampton", "free-interface"])
+def test_modal_coordinates_are_checked_and_reduced_by_jobs(tmp_path: Path, method: str) -> None:
+    write_model(tmp_path / "m.h5", modal(2))
+    text = '[model]\nfile = "m.h5"\n[[interface]]\nname = "q"\nmatrix = "B"\n[[reduce]]\nname = "a"\n'
+    text += f'method = "{method}"\n'
+    (tmp_path / "job.toml").write_text(text + 'modes = 3\n[output]\npath = "o.h5"\n')
+    for verb in ("check", "reduce"):
+        done = CliRunner().invoke(app, [verb, str(tmp_path / "job.toml")])
+        assert done.exit_code == 0, done.stderr
+    body = read_body(tmp_path / "o.h5").bodies["a"]
+    values = sl.eigh(body.stiffness_matrix, body.mass_matrix, eigvals_only=True)
+    exact = (2 * np.pi * np.geomspace(0.5, 500.0, 12)) ** 2
+    assert np.abs(values[:2]).max() <= 1e-9 * exact[0] and (values[2:] >= exact[: len(values) - 2] * (1 - 1e-9)).all()
