@@ -53,7 +53,7 @@ def campaign(count: int, seed: int, folder: Path, *, only: int | None = None, fi
 
 
 def _tell(outcome: Outcome, *, always: bool = False) -> None:
-    if outcome.result in FAULTS or always:
+    if outcome.result in (*FAULTS, "refused") or always:
         what = ", ".join(f"{key} {value}" for key, value in outcome.features.items())
         print(f"{outcome.result}: {outcome.words}\n    {what}\n    {outcome.command}", flush=True)
 

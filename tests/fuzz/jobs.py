@@ -95,7 +95,7 @@ def _draw_part(rng: np.random.Generator, folder: Path) -> Job:
         job.floor = floor_of(job.truth, spring.band)
     parts = [text, port_tables(ports, model, units), damping_text, *(drawn.text for drawn in job.reductions)]
     parts += [spring.text] if spring else [certify]
-    extra, extra_text = _extra(rng, truth, units, damping_name, spring is not None)
+    extra, extra_text = _extra(rng, job.truth, units, damping_name, spring is not None)
     job.text = "\n".join([*parts, extra_text, '[output]\npath = "body.h5"'])
     job.features = {
         "model": model.family + (f" {model.solid.kind}" if model.solid else ""), "support": model.support,

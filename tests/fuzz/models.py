@@ -115,7 +115,7 @@ def _beams(rng: np.random.Generator) -> Model:
     E = 10 ** rng.uniform(5, 8) * np.array([1.0, *rng.uniform(1e-3, 1e-2, 3)])
     for a in range(n - 1):
         at = np.arange(6 * a, 6 * a + 12)
-        k = _beam(xyz[a], xyz[a + 1], *E)
+        k = beam(xyz[a], xyz[a + 1], *E)
         K[np.ix_(at, at)] += k
         D[np.ix_(at, at)] += k * 10 ** rng.uniform(-6, -4)
     M = np.zeros((6 * n, 6 * n))
@@ -129,7 +129,7 @@ def _beams(rng: np.random.Generator) -> Model:
     )
 
 
-def _beam(a: Floats, b: Floats, EA: float, EIy: float, EIz: float, GJ: float) -> Floats:
+def beam(a: Floats, b: Floats, EA: float, EIy: float, EIz: float, GJ: float) -> Floats:
     """(12, 12): the stiffness of end b with a clamped, and what b moves beyond the rigid motion of a."""
     length = float(np.linalg.norm(b - a))
     x = (b - a) / length

@@ -166,6 +166,8 @@ def _balanced(rng: np.random.Generator, truth: Truth, band: Band, damping: str):
     why = ""
     if not banded and ("structural" in damping or damping == "none"):
         why = "all frequencies need a damping matrix"
+    if banded and damping == "own":
+        why = "a band needs proportional damping"
     return lines, {"why_not": why}
 
 

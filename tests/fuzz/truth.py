@@ -92,7 +92,14 @@ class Truth:
         if not turning > 0:
             R = self.R[:, 3:]
             turning = float((R * (self.M @ R)).sum())
-        length = np.sqrt(turning / (2 * mass)) if turning > 0 and mass > 0 else 1.0
+        return self._scale(float(np.sqrt(turning / (2 * mass))) if turning > 0 and mass > 0 else 1.0)
+
+    def measure(self, length: float) -> None:
+        """Take ``length`` in m for the radius of gyration."""
+        self.__dict__["scale"] = self._scale(length)
+        self.__dict__.pop("b", None)
+
+    def _scale(self, length: float) -> Floats:
         rotates = np.concatenate([np.array(p.components * self._times(p)) for p in self.ports])
         return np.where((rotates >= 3) & (rotates < 6), length, 1.0)
 
