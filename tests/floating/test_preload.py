@@ -225,6 +225,9 @@ def test_a_budget_changes_nothing(tmp_path):
         ({"speed": 3.0, "axis": [0, 0, 0]}, "expected a direction"),
         ({"speed": float("nan"), "axis": [0, 0, 1]}, "expected a finite number"),
         ({"acceleration": [0, 0, 9.81]}, "held ="),
+        ({"wrench": {"tip": [1e300, 0, 0, 0, 0, 0]}}, r"expected 6 finite numbers, 1e\+60 at most"),
+        ({"acceleration": [1e308, 0, 0], "held": ("root",)}, r"expected 3 finite numbers, 1e\+60 at most"),
+        ({"speed": 1e200, "axis": [0, 0, 1]}, r"expected a finite number, 1e\+60 at most"),
     ],
 )
 def test_loads_that_make_no_sense_are_refused(given, words):
@@ -324,6 +327,13 @@ follows = ["tip"]"""
     assert load.held == ("root",) and load.follows == ("tip",)
     heavy = preload_of(job(tmp_path, "[preload]\nwrench = { tip = [1, 0, 0, 0, 0, 0] }", units='"m-t-s"'))
     assert heavy.wrench["tip"] == pytest.approx([1000, 0, 0, 0, 0, 0])
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_largest_loads_overflow_nowhere():
+    model, interfaces = beam("average", n=2)
+    with Problem(model, interfaces) as problem, pytest.raises(InputError, match="the body buckles at"):
+        preloaded(problem, Preload(wrench={"tip": [-1e60, 0, 0, 0, 0, 0]}, held=("root",)))
 
 
 @pytest.mark.parametrize(
