@@ -12,6 +12,7 @@ from morembs.floating.frame import floating_frame
 from morembs.floating.preload import Preload, preloaded, prestressed
 from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.interface import make_interface
+from morembs.jobs.inputs import rotation_of
 from morembs.jobs.job import load_job
 from morembs.jobs.run import preload_of, run_job
 from morembs.linalg.sparse.select import select_solver
@@ -348,3 +349,9 @@ def test_the_largest_loads_overflow_nowhere():
 def test_wrong_lines_in_a_job_are_refused(tmp_path, text, words):
     with pytest.raises(InputError, match=words):
         job(tmp_path, f"[preload]\n{text}")
+
+
+def test_a_job_spins_at_speeds_in_range(tmp_path):
+    given = job(tmp_path, "[spin]\nspeed = [0, 1e200]\naxis = [0, 0, 1]")
+    with pytest.raises(InputError, match=r"\[spin\]: speed = 1e\+200 was given; expected a finite number"):
+        rotation_of(given)
