@@ -9,7 +9,7 @@ import operator
 import sys
 import types
 from collections import abc
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -28,6 +28,17 @@ LARGEST = 1e60
 def in_range(value: float) -> bool:
     """Whether a number is finite, and not so large that the products it goes into are not."""
     return abs(value) <= LARGEST
+
+
+def refuse_out_of_range(what: str, values: Iterable[float]) -> None:
+    """Refuse numbers that are not ``in_range``.
+
+    Raises:
+        InputError: there is one.
+    """
+    for value in values:
+        if not in_range(value):
+            raise InputError(f"{what} = {value} was given; expected a finite number, {LARGEST:g} at most")
 
 
 def checked(target: Target) -> Target:

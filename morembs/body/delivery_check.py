@@ -95,6 +95,12 @@ def _symmetry(given: Delivered, findings: list[Finding]) -> None:
         if _congruent(given):
             code, sentence = "gyroscopic", "the reduced matrices have gyroscopic or circulatory terms: skew parts"
         findings.append(Finding(code=code, severity="note", sentence=sentence, cure=cure))
+    r = given.rigid_count
+    if not _congruent(given) and max(np.abs(given.K[:r]).max(initial=0.0), np.abs(given.K[:, :r]).max(initial=0.0)) > (
+        SYMMETRIC * np.abs(given.K).max(initial=0.0)
+    ):
+        sentence = f"K has entries on the {r} rigid motions, which are the first coordinates of a body of two bases"
+        findings.append(Finding(code="grounded", severity="error", sentence=sentence, cure="write it again"))
     for name, A in _named(given).items():
         if not given.symmetric and (name != "M" or not _congruent(given)):
             continue

@@ -22,10 +22,15 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+# Difference of the nominal matrices, which are computed in two ways, against the largest entry.
+AGREES = 1e-9
 
 
 class ParametricBody:
     """A body of a file with parameters.
+
+    Raises:
+        InputError: its matrices at nominal values are not those of the body.
 
     >>> body = morembs.read_body("bracket.h5").bodies["parametric"].parametric
     >>> at = body.at(E_arm=2.0e11, t=1.5)
@@ -35,6 +40,13 @@ class ParametricBody:
     def __init__(self, path: Path, source: StoredBodies, body: StoredBody, parts: ParametricParts) -> None:
         self.path, self.source, self.stored, self.parts = path, source, body, parts
         self.model = replace(parts.model, B=body.input_matrix)
+        nominal = self.model.at(self.model.box.nominal)
+        for name, found, held in (("K", nominal.K, body.stiffness_matrix), ("M", nominal.M, body.mass_matrix)):
+            if held.shape != found.shape or not np.abs(found - held).max() <= AGREES * np.abs(held).max():
+                raise InputError(
+                    f"{path}: {name} of the parameters of body {body.name!r} is not that of the body at nominal "
+                    "values; the file was damaged or changed after it was written, write it again"
+                )
 
     @property
     def names(self) -> tuple[str, ...]:

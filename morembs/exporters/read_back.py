@@ -16,6 +16,8 @@ Complexes = NDArray[np.complex128]
 EPS, CHANGED = float(np.finfo(float).eps), 1e-12
 # Half a unit of the last digit of each number adds up to at most the bound; solving adds its own round-off.
 SLACK = 4.0
+# Entries that vanish by symmetry are known to this many units of the largest.
+FLOOR = 100.0
 TINY = float(np.finfo(float).tiny)
 
 
@@ -93,8 +95,9 @@ class ReadBack:
                     raise _mismatch(path, f"cannot be solved at {hz:.6g} Hz ({error})") from error
                 if H.shape != expected.shape:
                     raise _mismatch(path, f"has {H.shape[0]} motions by {H.shape[1]} loads, not {expected.shape}")
-                good = np.abs(H - expected) <= SLACK * (off + own)
-                worst = np.abs(H - expected).max(initial=0.0) / max(np.abs(expected).max(initial=0.0), TINY)
+                largest = float(np.abs(expected).max(initial=0.0))
+                good = np.abs(H - expected) <= SLACK * (off + own) + FLOOR * (unit + len(off) * EPS) * largest
+                worst = np.abs(H - expected).max(initial=0.0) / max(largest, TINY)
             if not good.all():
                 raise _mismatch(path, f"differs at {hz:.6g} Hz by {worst:.2g} of its largest entry")
 

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.arguments import LARGEST, in_range
+from morembs.arguments import LARGEST, in_range, refuse_out_of_range
 from morembs.budget import Budget
 from morembs.errors import InputError, nearest
 from morembs.floating.buckling import FAR, critical_factor
@@ -70,8 +70,7 @@ class Preload:
             if len(given) != size or not all(map(in_range, given)):
                 expected = f"{size} finite numbers, {LARGEST:g} at most"
                 raise InputError(f"{name} = {list(given)} was given; expected {expected}")
-        if not in_range(self.speed):
-            raise InputError(f"speed = {self.speed} was given; expected a finite number, {LARGEST:g} at most")
+        refuse_out_of_range("speed", [self.speed])
         if (self.speed != 0) != (self.axis is not None):
             raise InputError("a rotation needs both speed and axis; give both, or leave both out")
         if self.axis is not None and not any(self.axis):

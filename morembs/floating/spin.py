@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.arguments import refuse_out_of_range
 from morembs.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -55,7 +56,7 @@ def campbell(body: Spinning, speeds: Sequence[float], count: int = 12) -> tuple[
     """The ``count`` lowest modes of a body with spin, of a job or of its file, at each of the ``speeds`` in rad/s.
 
     Raises:
-        InputError: a body without spin matrices.
+        InputError: a body without spin matrices, or a speed out of range.
 
     >>> from morembs import Rotation, campbell
     >>> campbell(body, [0.0, 100.0])
@@ -66,6 +67,7 @@ def campbell(body: Spinning, speeds: Sequence[float], count: int = 12) -> tuple[
     spin = body.spin
     if spin is None:
         raise InputError(f"body {body.name!r} has no spin matrices; reduce with a table [spin] in the job")
+    refuse_out_of_range("speed", speeds)
     M, K, D = body.matrices
     return tuple(whirl_modes(M, K, D, spin, float(speed), count) for speed in speeds)
 

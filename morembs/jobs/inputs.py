@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from morembs.arguments import refuse_out_of_range
 from morembs.body.build import BodyOptions, StressOptions
 from morembs.budget import Budget
 from morembs.errors import InputError
@@ -163,7 +164,9 @@ def rotation_of(job: Job) -> tuple[Rotation, list[float]] | None:
         axis=given.axis, point=[units.length * value for value in given.point], held=tuple(given.held),
         stress=given.stress,
     )  # fmt: skip
-    return rotation, [speed / units.time for speed in given.speed]
+    speeds = [speed / units.time for speed in given.speed]
+    refuse_out_of_range("[spin]: speed", speeds)
+    return rotation, speeds
 
 
 def solver_of(job: Job) -> LinearSolver:

@@ -1,14 +1,19 @@
 """Body files with parameters: the nominal body, bodies at other values, and what is written of them."""
 
+import shutil
+
 import h5py
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import morembs
 from morembs.body.build import BodyOptions
+from morembs.cli import app
 from morembs.errors import InputError
 from morembs.exporters import EXPORTERS, export_body
 from morembs.parametric.terms import AffineProblem, varied_model
+from morembs.storage.checksums import seal
 from tests.support.parametric import STEEL, bracket, interfaces, longer, parameters, parametric_file
 
 VALUES = {"E_arm": 1.9e11, "rho": 8000.0, "alpha": 30.0, "t": 1.1}
@@ -133,3 +138,14 @@ def test_without_a_bound_there_is_none(body):
     assert H.shape == (2, 12, 12)
     assert np.isinf(bound).all()
     assert body.at().bound_kind == "none"
+
+
+@pytest.mark.parametrize("name", ["K", "M"])
+def test_parameters_of_another_body_are_refused(path, tmp_path, name):
+    other = shutil.copy(path, tmp_path / "other.h5")
+    with h5py.File(other, "r+") as file:
+        file[f"bodies/some-basis/parametric/{name}"][...] *= 4
+        seal(file)
+    result = CliRunner().invoke(app, ["evaluate", str(other), "--at", "rho=8000"])
+    assert result.exit_code == 2
+    assert f"other.h5: {name} of the parameters of body 'some-basis' is not that of the body" in result.stderr

@@ -24,7 +24,7 @@ from morembs.interface import make_interface
 from morembs.model import FEModel
 from morembs.problem import Damping, Problem
 from morembs.recovery.recover import Trajectory, expand, recover
-from morembs.reducers import CraigBampton
+from morembs.reducers import CraigBampton, Krylov
 from morembs.storage.checksums import seal
 from tests.support.meshes import box, steel, where
 
@@ -287,6 +287,20 @@ def test_a_held_body_is_compared_with_the_curve_of_its_certificate(held, tmp_pat
         with pytest.raises(InputError, match="does not respond as its certificate shows"):
             export_body(path, "op4", path=tmp_path / "out.op4")
     assert read_body(held).bodies["cb"].rigid_count == 0
+
+
+def test_a_body_of_two_bases_has_no_stiffness_on_rigid_motion(tmp_path):
+    model = steel(box("hex8", (4, 1, 1), (0.4, 0.05, 0.04)))
+    ends = [make_interface(model, name=name, nodes=where(model, 0, x)) for name, x in (("root", 0.0), ("tip", 0.4))]
+    with Problem(model, ends) as problem:
+        reduced = Krylov(shifts_hz=[500.0], two_sided=True, inputs=["root"], outputs=["tip"]).reduce(problem, "cb")
+        path = write_body(tmp_path / "bad.h5", [elastic_body(problem, reduced, make_part(problem))])
+    assert not read_body(path).bodies["cb"].symmetric
+    with h5py.File(path, "r+") as file:
+        unsymmetric(file)
+        seal(file)
+    with pytest.raises(InputError, match="K has entries on the 6 rigid motions"):
+        export_body(path, "op4", path=tmp_path / "out.op4")
 
 
 def motion(n, **other):

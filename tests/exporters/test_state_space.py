@@ -40,7 +40,8 @@ def body():
     D = free.reduced.D
     size = np.sqrt(np.outer(np.diag(free.reduced.M), np.diag(free.reduced.M)))
     skewed = np.triu(np.random.default_rng(3).standard_normal(D.shape) * size, 1)
-    return replace(free, reduced=replace(free.reduced, D=D + 2 * (skewed - skewed.T)))
+    reduced = replace(free.reduced, D=D + 2 * (skewed - skewed.T), W=free.reduced.V)
+    return replace(free, reduced=reduced, floating=None)
 
 
 def response(system, omega):

@@ -12,6 +12,7 @@ from morembs.floating.frame import floating_frame
 from morembs.floating.preload import Preload, preloaded, prestressed
 from morembs.floating.stiffening_terms import geometric_stiffening
 from morembs.interface import make_interface
+from morembs.jobs.inputs import rotation_of
 from morembs.jobs.job import load_job
 from morembs.jobs.run import preload_of, run_job
 from morembs.linalg.sparse.select import select_solver
@@ -225,6 +226,9 @@ def test_a_budget_changes_nothing(tmp_path):
         ({"speed": 3.0, "axis": [0, 0, 0]}, "expected a direction"),
         ({"speed": float("nan"), "axis": [0, 0, 1]}, "expected a finite number"),
         ({"acceleration": [0, 0, 9.81]}, "held ="),
+        ({"wrench": {"tip": [1e300, 0, 0, 0, 0, 0]}}, r"expected 6 finite numbers, 1e\+60 at most"),
+        ({"acceleration": [1e308, 0, 0], "held": ("root",)}, r"expected 3 finite numbers, 1e\+60 at most"),
+        ({"speed": 1e200, "axis": [0, 0, 1]}, r"expected a finite number, 1e\+60 at most"),
     ],
 )
 def test_loads_that_make_no_sense_are_refused(given, words):
@@ -326,6 +330,13 @@ follows = ["tip"]"""
     assert heavy.wrench["tip"] == pytest.approx([1000, 0, 0, 0, 0, 0])
 
 
+@pytest.mark.filterwarnings("error")
+def test_the_largest_loads_overflow_nowhere():
+    model, interfaces = beam("average", n=2)
+    with Problem(model, interfaces) as problem, pytest.raises(InputError, match="the body buckles at"):
+        preloaded(problem, Preload(wrench={"tip": [-1e60, 0, 0, 0, 0, 0]}, held=("root",)))
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -338,3 +349,9 @@ follows = ["tip"]"""
 def test_wrong_lines_in_a_job_are_refused(tmp_path, text, words):
     with pytest.raises(InputError, match=words):
         job(tmp_path, f"[preload]\n{text}")
+
+
+def test_a_job_spins_at_speeds_in_range(tmp_path):
+    given = job(tmp_path, "[spin]\nspeed = [0, 1e200]\naxis = [0, 0, 1]")
+    with pytest.raises(InputError, match=r"\[spin\]: speed = 1e\+200 was given; expected a finite number"):
+        rotation_of(given)

@@ -415,5 +415,7 @@ def test_what_has_no_stress_or_no_frame_is_refused_with_a_reason():
             geometric_stiffening(problem, other, frame)
     with pytest.raises(InputError, match="speed = -1"):
         Envelope(speed=-1.0)
+    with pytest.raises(InputError, match=r"speed = 1e\+200 was given; .* 1e\+60 at most"):
+        Envelope(speed=1e200)
     with pytest.raises(InputError, match=r"expected \(.*, k\)"):
         StressedMesh.of(model.mesh, model.materials).stiffness(np.zeros((4, 1)))
