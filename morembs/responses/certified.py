@@ -23,10 +23,11 @@ from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
 from morembs.responses.band import beyond, checked_band
+from morembs.responses.clusters import clusters, damping_of_clusters
 from morembs.responses.direct import refuse_skew_parts
 from morembs.responses.krylov_space import KrylovSpace, RitzModes, root
 from morembs.responses.layout import Layout
-from morembs.responses.loads import static_response, unit_loads
+from morembs.responses.loads import unit_loads
 from morembs.responses.measures import Standard
 from morembs.responses.pencils import response_of
 from morembs.responses.rational import Terms, squares
@@ -88,8 +89,9 @@ class CertifiedReference:
     ``model`` are its n modes, with the damping ``floor``; their stiffness is uncertain by ``unsure`` (n,), and with
     couplings of the square root of its products, and their scaled loads ``b`` (n, m) are by ``b_off`` (n, m).
     ``vectors`` (Nc, k) and ``sigma`` (k,) are those of the modes below ``cut``, all of which are there; ``edges``
-    (nc + 1,) in rad/s and ``off`` (nc,) limits of ``|H - H_ref|`` over the envelope. ``proven`` is False where ``off``
-    is an estimate.
+    (nc + 1,) in rad/s and ``off`` (nc,) limits of ``|H - H_ref|`` over the envelope. ``solve_errors`` (n,) are limits of
+    the errors of solutions in the modes, in the energy of G s_p / theta_p, and ``start`` is one of |r_0| in the norm of K^-1
+    (``residual_bound``). ``off`` is an estimate where there are ``doubts``, which say why.
 
     >>> reference = certified_reference(problem, [0.0, 3000.0])
     >>> reference.proven, bool(reference.off.max() < 1e-6)
@@ -106,13 +108,20 @@ class CertifiedReference:
     cut: float
     edges: Floats
     off: Floats
-    proven: bool
+    doubts: tuple[str, ...]
+    solve_errors: Floats
+    start: float
 
     def _facts(self) -> dict[str, object]:
         return {
             "band": list(self.band_hz), "modes": len(self.values), "error": upwards(float(self.off.max(initial=0.0))),
             "proven": self.proven, "damping floor": self.floor or None,
         }  # fmt: skip
+
+    @property
+    def proven(self) -> bool:
+        """Whether ``off`` are limits."""
+        return not self.doubts
 
     @property
     def problem(self) -> Problem:
@@ -145,7 +154,8 @@ class CertifiedReference:
         layout = Layout(self.b.shape[1], list(self.problem.coupling.columns.values()), symmetric)
         damping, D = self.model.damping, self.model.D
         stiffness = self.values * (1 + 1j * damping.structural)
-        modes = Terms.second_order(stiffness, self.model.damping_of_modes(), layout.rows(self.b, self.b))
+        d = damping.of_modes(self.values) if D is None else damping_of_clusters(self.values, D)[0]
+        modes = Terms.second_order(stiffness, d, layout.rows(self.b, self.b))
         H = modes
         if D is not None:
             H = response_of(
@@ -160,7 +170,7 @@ class CertifiedReference:
         above = self.values[self.values >= self.cut]
         floor = SMALL * EPS * float(above.max(initial=0.0)) / float(above.min(initial=np.inf))
         return Standard(
-            H=H, modes=modes, sizes=layout.sizes(self.b), rounding=rounding, layout=layout, floor=floor,
+            H=H, modes=modes, sizes=layout.sizes(self.b, clusters(self.values)), rounding=rounding, layout=layout, floor=floor,
             edges=self.edges, off=self.off,
         )  # fmt: skip
 
@@ -256,7 +266,9 @@ class _Build:
             unsure=np.maximum(self._rounding(model), 4 * EPS * (model.values + self.band[1] ** 2)),
             b_off=np.zeros((len(model.values), problem.B.shape[1])),
             vectors=self.modes.vectors, sigma=np.zeros(len(self.modes.eigenvalues)), cut=self.cut,
-            edges=np.array(self.band), off=np.array([max(model.error, DAMPED)]), proven=False,
+            edges=np.array(self.band), off=np.array([max(model.error, DAMPED)]),
+            doubts=("the error of the full response, with the model's own damping, is an estimate",),
+            solve_errors=np.zeros(len(model.values)), start=0.0,
         )  # fmt: skip
 
     def _rounding(self, model: Reference) -> Floats:
@@ -322,20 +334,21 @@ class _Build:
                 f"reference has {k}; move the upper end of the band by a percent"
             )
         modes = space.modes(Y, values, k, self.band[1])
+        start = self._start(growth, space, modes)
         left = Residual(
-            values=modes.values, b=modes.b, tau=modes.tau, start=self._start(space, modes), k=k, cut=self.cut,
+            values=modes.values, b=modes.b, tau=modes.tau, lost=modes.lost, start=start, k=k, cut=self.cut,
             damping=self.damping,
         )  # fmt: skip
         edges, off = left.bounds(self.band, self.tolerance)
-        sigma = modes.values[:k] * np.linalg.norm(modes.tau[:, :k], axis=0)
+        sigma = modes.values * np.sqrt(left.own)
         model = Reference(
             values=modes.values, D=None, damping=self.damping, F=self._loads(space, modes), inputs=problem.B.shape[1],
             V=space.V, Y=modes.Y, error=float(off.max()), problem=problem,
         )  # fmt: skip
         return CertifiedReference(
             model=model, band_hz=self.band_hz, floor=self.floor, unsure=modes.unsure, b_off=modes.b_off,
-            vectors=modes.vectors, sigma=sigma, cut=self.cut, edges=edges, off=off,
-            proven=not self._straddled(modes.values[:k], sigma),
+            vectors=modes.vectors, sigma=sigma[:k], cut=self.cut, edges=edges, off=off,
+            doubts=self._doubts(growth, modes, left, sigma), solve_errors=modes.lost, start=start,
         )  # fmt: skip
 
     def _loads(self, space: KrylovSpace, modes: RitzModes) -> Floats:
@@ -347,18 +360,27 @@ class _Build:
             F = np.hstack([F, modes.Y.T @ dot(space.V, others, problem.budget)])
         return F
 
-    def _start(self, space: KrylovSpace, modes: RitzModes) -> float:
+    def _start(self, growth: ReferenceSpace, space: KrylovSpace, modes: RitzModes) -> float:
         """|r_0| in the norm of K^-1: what the space misses of the static responses, round-off."""
         problem = self.problem
-        X = static_response(problem) * problem.motion_scale
+        X, left = growth.statics
+        lost = float(np.linalg.norm(left * problem.motion_scale)) * modes.softness.value
+        X = X * problem.motion_scale
         subtract(space.V, modes.Y @ (modes.b / modes.values[:, None]), X, problem.budget)
-        return float(np.sqrt(max((X * (problem.K @ X)).sum(), 0.0)))
+        return float(np.sqrt(max((X * (problem.K @ X)).sum(), 0.0))) + lost
 
-    def _straddled(self, values: Floats, sigma: Floats) -> bool:
-        """Whether a mode may lie on either side of a jump of the modal table."""
-        jumps = self.damping.jumps**2
+    def _doubts(self, growth: ReferenceSpace, modes: RitzModes, left: Residual, sigma: Floats) -> tuple[str, ...]:
+        """Why limits are estimates, in words."""
+        doubts = ()
+        if not modes.softness.proven:
+            doubts += ("the solver is too inexact to say how far its solutions are off",)
+        values, jumps = left.values, self.damping.jumps**2
+        jumps = jumps[jumps >= left.softest]
         off = values * (sigma / np.sqrt(np.maximum(values, CLOSE)) + CLOSE)
-        return bool((np.abs(values[:, None] - jumps) <= off[:, None]).any())
+        straddled = (np.abs(values[:, None] - jumps) <= off[:, None]).any()
+        if len(jumps) and (straddled or len(values) < growth.room):
+            doubts += ("the modal damping table jumps among modes that the reference does not know one by one",)
+        return doubts
 
 
 def _inside(omega: Floats, band: tuple[float, float]) -> Floats:
