@@ -253,6 +253,8 @@ class _Build:
         self.band = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
         self.modes = problem.elastic_modes(below=beyond(band_hz[1]))
         self.cut = beyond(band_hz[1]) * (1 + GAP)
+        # Whether nothing but the residuals of solutions keeps the error above the tolerance.
+        self.hidden = False
 
     def with_own_damping(self) -> CertifiedReference:
         """The space of a damping matrix of the model's own, whose error is an estimate."""
@@ -291,7 +293,8 @@ class _Build:
             self.progress.update(f"reference: order {growth.lanczos.size}, error {error:.1e}")
             if error <= enough or not growth.lanczos.pending.shape[1]:
                 reference = self._reference(growth)
-                if reference.off.max() <= self.tolerance or reference.undamped:
+                # A larger space has no part in what solutions are off by.
+                if reference.off.max() <= self.tolerance or reference.undamped or self.hidden:
                     return reference
                 error = float(reference.off.max())
             seen.append(error)
@@ -334,12 +337,18 @@ class _Build:
                 f"reference has {k}; move the upper end of the band by a percent"
             )
         modes = space.modes(Y, values, k, self.band[1])
-        start = self._start(growth, space, modes)
+        self.hidden, start = False, self._start(growth, space, modes)
         left = Residual(
             values=modes.values, b=modes.b, tau=modes.tau, lost=modes.lost, start=start, k=k, cut=self.cut,
             damping=self.damping,
         )  # fmt: skip
         edges, off = left.bounds(self.band, self.tolerance)
+        if off.max() > self.tolerance and left.poles.z.imag.any():
+            modes = space.sharpened(modes)
+            left = replace(left, lost=modes.lost)
+            edges, off = left.bounds(self.band, self.tolerance)
+            without = replace(left, lost=np.zeros(len(left.lost))).bounds(self.band, self.tolerance)[1]
+            self.hidden = off.max() > self.tolerance >= without.max()
         sigma = modes.values * np.sqrt(left.own)
         model = Reference(
             values=modes.values, D=None, damping=self.damping, F=self._loads(space, modes), inputs=problem.B.shape[1],

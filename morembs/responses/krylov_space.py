@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg as sl
@@ -58,7 +58,7 @@ class KrylovSpace:
         self.solves, self.residuals = space.solves, residuals
         for _ in range(2):
             subtract(self.V, np.asarray(np.linalg.solve(self.stiffness, dot(self.V, K @ Z, budget))), Z, budget)
-        self.forces = K @ Z
+        self.Z, self.forces = Z, K @ Z
         self.root = root(Z.T @ self.forces)
 
     def modes(self, Y: Floats, values: Floats, k: int, highest: float) -> RitzModes:
@@ -105,6 +105,17 @@ class KrylovSpace:
         sums = np.vstack([(B @ np.abs(U[rows])).T, ((B @ np.abs(self.V[rows])) @ np.abs(Y)).T])
         off = EPS * (sums + Z.sum(axis=1)) + turned[:, None] * (Z @ np.sqrt(problem.rounding(problem.rigid)))
         return np.asarray(off * problem.motion_scale)
+
+    def sharpened(self, modes: RitzModes) -> RitzModes:
+        """``modes`` with what is lost of the first ones from solutions for their residuals."""
+        U, k = modes.vectors, modes.vectors.shape[1]
+        e = modes.Y[self.rows, :k]
+        lost = modes.lost.copy()
+        # The combination Z e itself is rounded.
+        rounded = (len(e) + 1) * EPS * np.sqrt(self.solves.weights @ self.Z**2) @ np.abs(e)
+        sharp = self.solves.energy_of_modes(U, modes.values[:k], self.Z @ e, modes.softness.value) + rounded
+        lost[:k] = np.minimum(lost[:k], sharp)
+        return replace(modes, lost=lost)
 
     def residual(self, Y: Floats) -> Floats:
         """(q, k) coordinates of G s_p / theta_p, but for the sign, for Ritz vectors V ``Y`` (n, k)."""

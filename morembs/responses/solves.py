@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.linalg.congruence import scaled_row_sums
+from morembs.linalg.congruence import extended_product, scaled_row_sums
 from morembs.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -33,6 +33,8 @@ EPS = float(np.finfo(float).eps)
 TRIALS, SMALLEST = 16, 0.225
 # A residual is refined where it is so many times what round-off may make of its evaluation, in so many steps at most.
 REFINED, STEPS = 100.0, 6
+# Blocks of that size, in extended precision and not, that are held at once, and most columns of them.
+COPIES, WIDEST = 12, 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +106,27 @@ class Solves:
         w = self.weights
         lost = (_norms(U, w) + _norms(KU, 1 / w)) / values + _norms(known, 1 / w) + _norms(MU, 1 / w)
         return np.asarray(_norms(KU / values - MU + known, 1 / w) + self.gamma * lost + self.inertia(U))
+
+    def energy_of_modes(self, U: Floats, values: Floats, Ze: Floats, softness: float) -> Floats:
+        """(k,) limits of |K (u / value + Ze) - M u|_P for Ritz vectors ``U`` (Nc, k) and ``Ze`` (Nc, k).
+
+        The residual is taken in extended precision, where there is one, and solved for: of a stiff model ``softness``
+        makes more of the round-off of its evaluation than of the residual.
+        """
+        problem, w, K = self.problem, self.weights, self.problem.K
+        energy, width = np.empty(len(values)), problem.budget.columns(len(U), COPIES, WIDEST)
+        finer = float(np.finfo(np.longdouble).eps) / EPS * self.gamma
+        for at in range(0, len(values), width):
+            some = slice(at, at + width)
+            u = U[:, some].astype(np.longdouble)
+            y = u / values[some] + Ze[:, some]
+            rho = (extended_product(K, y) - extended_product(problem.M, u)).astype(float)
+            x, left = self.flexibility(rho)
+            z = x - U @ ((U.T @ (K @ x)) / values[:, None])
+            own = np.einsum("ij,ij->j", z, K @ z) + self.gamma * _norms(z, w) ** 2
+            lost = finer * (_norms(y.astype(float), w) + self.inertia(U[:, some]) / self.gamma) + EPS * _norms(rho, 1 / w)
+            energy[some] = np.sqrt(np.maximum(own, 0.0)) + softness * (left + lost)
+        return energy
 
     def softness(self, U: Floats, values: Floats) -> Softness:
         """The number that turns residuals into energies beside the lowest modes ``U`` (Nc, k) with ``values`` (k,)."""
