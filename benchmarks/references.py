@@ -103,12 +103,12 @@ def rounding_of(problem: Problem, high: float, rng: np.random.Generator) -> Floa
 
 def main(arguments: list[str]) -> int:
     """Run trials and print what they found; the number of errors above a bound."""
-    seed, numbers, _ = asked(__doc__, arguments)
+    options = asked(__doc__, arguments)
     vars(certified)["Residual"] = Kept
     bounds: dict[str, list[Floats]] = {}
     rounding: list[Floats] = []
-    for number in numbers:
-        rng = np.random.default_rng([seed, number])
+    for number in options.numbers:
+        rng = np.random.default_rng([options.seed, number])
         case = drawn(rng, number)
         with case.problem as problem:
             bounds.setdefault(kind_of(case), []).append(bounds_of(problem, case.high, rng))

@@ -184,7 +184,7 @@ class ReferenceSpace:
         F = unit_loads(problem, inertia)
         self.inputs = problem.B.shape[1]
         self.solves, self.residuals = Solves(problem), np.zeros(0)
-        start = static_response(problem)
+        start = self.statics[0]
         if inertia:
             others = problem.elastic.flexibility(F[:, self.inputs :])
             start = hstack(start, others, budget=problem.budget)

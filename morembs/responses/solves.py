@@ -6,7 +6,7 @@ lowest Ritz vectors, let C be the K-orthogonal complement and P = G - U Theta^-1
     max_{y in C} rho'y / |y|_K = |rho|_P <= |rho|_W softness,   |rho|_W^2 = rho' W^-1 rho,
 
 W the scaled row sums of |K|, so that |x|'|K||y| <= |W^(1/2) x| |W^(1/2) y|, and the product K x is known to
-gamma |W^(1/2) x| in that norm, gamma = (entries of a row + 2) eps. softness^2 is the largest eigenvalue of
+gamma |W^(1/2) x| in that norm, gamma = (entries of a row + 4) eps / 2 (Higham 2002, section 3.1). softness^2 is the largest eigenvalue of
 S = W^(1/2) P W^(1/2). For g with independent normal entries, its unit vector v, and any x that stands for
 G f, f = W^(1/2) g, with the residual rho and the part z = x - U Theta^-1 U'K x on C,
 
@@ -60,7 +60,7 @@ class Solves:
     def gamma(self) -> float:
         """Round-off of a product with K or M, relative to that of the sizes of its terms."""
         rows = max(int(np.diff(A.indptr).max(initial=0)) for A in (self.problem.K, self.problem.M))
-        return (rows + 2 + self.problem.rigid.shape[1]) * EPS
+        return (rows + 4 + self.problem.rigid.shape[1]) * 0.5 * EPS
 
     @cached_property
     def _mass(self) -> tuple[Floats, float]:
@@ -80,6 +80,8 @@ class Solves:
             if (left <= REFINED * lost).all():
                 break
             Y = X - self.problem.elastic.flexibility(rho)
+            # Rigid motion has no residual.
+            Y -= self.problem.rigid @ (self.problem.rigid.T @ (self.problem.M @ Y))
             new = Y, *self._residual(Y, F)
             if not new[2].max() <= 0.5 * left.max():
                 break
