@@ -47,8 +47,8 @@ DAMPINGS = ("rayleigh", "structural", "both", "modal", "none")
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """One certificate: its ``kind``, ``above`` values beyond the limits, upper limits over the largest dense values (3,), upper over
-    lower limits (3,), upper limits (3,), whether round-off is small beside them (3,), ``seconds`` it took."""
+    """One certificate: its ``kind``, ``above`` values beyond the limits, upper limits over the largest dense values
+    (3,), upper over lower limits (3,), upper limits (3,), whether round-off is small beside them (3,), ``seconds`` it took."""
 
     words: str
     kind: str
@@ -141,7 +141,8 @@ def judged(problem: Problem, reduced: ReducedModel, band: tuple[float, float], w
     upper = np.array([certificate.limits[name].upper for name in MEASURES])
     lower = np.array([certificate.limits[name].lower for name in MEASURES])
     return Verdict(
-        words=words, kind=certificate.kind, above=int((true > certificate.cell_limit[cell]).sum()), effectivity=upper / true.max(axis=0),
+        words=words, kind=certificate.kind, above=int((true > certificate.cell_limit[cell]).sum()),
+        effectivity=upper / true.max(axis=0),
         gap=upper / np.maximum(lower, 1e-300), upper=upper, clear=lost_beside(certificate, upper), seconds=seconds,
     )  # fmt: skip
 

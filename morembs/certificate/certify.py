@@ -251,9 +251,7 @@ def _missing(poles: Poles) -> list[str]:
 
 def _on_damping(reference: CertifiedReference, reduced: ReducedModel, poles: Poles) -> list[str]:
     """What damping makes of the comparison, in words."""
-    sentences = []
-    problem, damping = reference.problem, reference.problem.damping
-    sentences += [f"{doubt}, so that limits are estimates" if problem.D is None else doubt for doubt in reference.doubts]
+    sentences, damping = list(reference.doubts), reference.problem.damping
     # Where the frequency of a body is off, the table may give its mode another ratio.
     omega = 2 * np.pi * poles.frequencies_hz
     moved = damping.ratio(omega) != damping.ratio(omega * (1 + np.nan_to_num(poles.deviation)))

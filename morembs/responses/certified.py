@@ -1,8 +1,8 @@
 """A reference model whose error is known: bounds of |H - H_ref| on every frequency of a band.
 
 The reference is the Galerkin projection on V, a block Krylov space of the flexibility G started at the loads, and the
-modes below lam_c that no load excites. It grows until ``residual_bound`` is below a tolerance on all of the band: no
-accuracy of modes or solver is assumed. Modal damping acts on the modes of the reference: D = M U diag(d) U'M.
+modes below lam_c that no load excites. It grows until ``residual_bound`` is below a tolerance on all of the band: what modes
+and solutions leave is part of it. Modal damping acts on the exact modes of the model.
 """
 
 from __future__ import annotations
@@ -89,9 +89,9 @@ class CertifiedReference:
     ``model`` are its n modes, with the damping ``floor``; their stiffness is uncertain by ``unsure`` (n,), and with
     couplings of the square root of its products, and their scaled loads ``b`` (n, m) are by ``b_off`` (n, m).
     ``vectors`` (Nc, k) and ``sigma`` (k,) are those of the modes below ``cut``, all of which are there; ``edges``
-    (nc + 1,) in rad/s and ``off`` (nc,) limits of ``|H - H_ref|`` over the envelope. ``solve_errors`` (n,) are limits of
-    the errors of solutions in the modes, in the energy of G s_p / theta_p, and ``start`` is one of |r_0| in the norm of K^-1
-    (``residual_bound``). ``off`` is an estimate where there are ``doubts``, which say why.
+    (nc + 1,) in rad/s and ``off`` (nc,) limits of ``|H - H_ref|`` over the envelope. ``solve_errors`` (n,) limit the
+    errors of solutions in the modes, in the energy of G s_p / theta_p, and ``start`` is a limit of |r_0| in the norm of
+    K^-1 (``residual_bound``). ``off`` is an estimate where there are ``doubts``, which say why.
 
     >>> reference = certified_reference(problem, [0.0, 3000.0])
     >>> reference.proven, bool(reference.off.max() < 1e-6)
@@ -170,8 +170,8 @@ class CertifiedReference:
         above = self.values[self.values >= self.cut]
         floor = SMALL * EPS * float(above.max(initial=0.0)) / float(above.min(initial=np.inf))
         return Standard(
-            H=H, modes=modes, sizes=layout.sizes(self.b, clusters(self.values)), rounding=rounding, layout=layout, floor=floor,
-            edges=self.edges, off=self.off,
+            H=H, modes=modes, sizes=layout.sizes(self.b, clusters(self.values)), rounding=rounding, layout=layout,
+            floor=floor, edges=self.edges, off=self.off,
         )  # fmt: skip
 
     def H(self, omega: Floats) -> Complexes:
@@ -380,15 +380,16 @@ class _Build:
 
     def _doubts(self, growth: ReferenceSpace, modes: RitzModes, left: Residual, sigma: Floats) -> tuple[str, ...]:
         """Why limits are estimates, in words."""
-        doubts = ()
+        doubts: tuple[str, ...] = ()
         if not modes.softness.proven:
-            doubts += ("the solver is too inexact to say how far its solutions are off",)
+            doubts += ("the solver is too inexact to say how far its solutions are off, so that limits are estimates",)
         values, jumps = left.values, self.damping.jumps**2
         jumps = jumps[jumps >= left.softest]
         off = values * (sigma / np.sqrt(np.maximum(values, CLOSE)) + CLOSE)
         straddled = (np.abs(values[:, None] - jumps) <= off[:, None]).any()
         if len(jumps) and (straddled or len(values) < growth.room):
-            doubts += ("the modal damping table jumps among modes that the reference does not know one by one",)
+            doubts += ("the modal damping table jumps among modes that the reference does not know one by one, so that "
+                       "limits are estimates",)  # fmt: skip
         return doubts
 
 

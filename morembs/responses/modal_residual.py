@@ -13,9 +13,12 @@ By 1 / (x + y) = int_0^inf exp(-x t) exp(-y t) dt both are bounded by one positi
     N_pq = 2 zeta (s_p' K^-1 s_q) / (x + y) = 2 zeta theta_p theta_q (tau_p'tau_q) / (x + y):
 
 with mu(w)^2 = w |Z'N Z|, the second sum makes |Z'(D - D_ref) Z| w <= mu^2 (as 1 / l^2 - 1 / ((l + x) (l + y)), over
-x + y, is positive semidefinite), and by Cauchy the first a residual w |(D - D_ref) U Z| <= mu (zeta w / lam_1^(1/2))^(1/2)
-in the norm of K^-1. The modes below the cut are taken one by one; the sum over the others, which cancel, is a function
-whose poles are far from the band: it is known at the points of a grid, and in between by the theorems of ``rational``.
+x + y, is positive semidefinite), and by Cauchy the first a residual
+
+    w |(D - D_ref) U Z| <= mu (zeta w / lam_1^(1/2))^(1/2)   in the norm of K^-1.
+
+The modes below the cut are taken one by one; the sum over the others, which cancel, is a function whose poles are far
+from the band: it is known at the points of a grid, and in between by the theorems of ``rational``.
 """
 
 from __future__ import annotations

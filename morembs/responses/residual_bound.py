@@ -58,7 +58,8 @@ APART = 0.1
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Residual:
     """What a space with Ritz ``values`` (n,) and loads ``b`` (n, m) leaves of the response: coordinates ``tau`` (q, n)
-    of G s_p / theta_p, known but for ``lost`` (n,), and ``start``, |r_0| in K^-1. The first ``k`` values lie below ``cut``, and no more modes."""
+    of G s_p / theta_p, known but for ``lost`` (n,), and ``start``, |r_0| in K^-1. The first ``k`` values lie below
+    ``cut``, and no more modes."""
 
     values: Floats
     b: Floats

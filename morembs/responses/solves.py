@@ -6,9 +6,9 @@ lowest Ritz vectors, let C be the K-orthogonal complement and P = G - U Theta^-1
     max_{y in C} rho'y / |y|_K = |rho|_P <= |rho|_W softness,   |rho|_W^2 = rho' W^-1 rho,
 
 W the scaled row sums of |K|, so that |x|'|K||y| <= |W^(1/2) x| |W^(1/2) y|, and the product K x is known to
-gamma |W^(1/2) x| in that norm, gamma = (entries of a row + 4) eps / 2 (Higham 2002, section 3.1). softness^2 is the largest eigenvalue of
-S = W^(1/2) P W^(1/2). For g with independent normal entries, its unit vector v, and any x that stands for
-G f, f = W^(1/2) g, with the residual rho and the part z = x - U Theta^-1 U'K x on C,
+gamma |W^(1/2) x| in that norm, gamma = (entries of a row + 4) eps / 2 (Higham 2002, section 3.1). softness^2 is the
+largest eigenvalue of S = W^(1/2) P W^(1/2). For g with independent normal entries, its unit vector v, and any x that
+stands for G f, f = W^(1/2) g, with the residual rho and the part z = x - U Theta^-1 U'K x on C,
 
     softness^2 |v'g| <= |S g| <= |W^(1/2) z| + softness^2 |rho|_W,
 
@@ -126,7 +126,8 @@ class Solves:
             x, left = self.flexibility(rho)
             z = x - U @ ((U.T @ (K @ x)) / values[:, None])
             own = np.einsum("ij,ij->j", z, K @ z) + self.gamma * _norms(z, w) ** 2
-            lost = finer * (_norms(y.astype(float), w) + self.inertia(U[:, some]) / self.gamma) + EPS * _norms(rho, 1 / w)
+            lost = finer * (_norms(y.astype(float), w) + self.inertia(U[:, some]) / self.gamma)
+            lost += EPS * _norms(rho, 1 / w)
             energy[some] = np.sqrt(np.maximum(own, 0.0)) + softness * (left + lost)
         return energy
 

@@ -1,6 +1,5 @@
 """References made with inexact solutions, and those of modal damping, against solutions of the full equations."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from morembs.model import DofMap, FEModel, Nodes
 from morembs.problem import Damping, Problem
 from morembs.reducers import FreeInterface
 from morembs.responses.certified import certified_reference
-from tests.support.exact_responses import Truth, envelope, norms, pencil
+from tests.support.exact_responses import Truth, norms, pencil
 from tests.support.meshes import beam, ends
 from tests.support.solvers import InexactSolver
 
