@@ -48,7 +48,8 @@ DAMPINGS = ("rayleigh", "structural", "both", "modal", "none")
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
     """One certificate: its ``kind``, ``above`` values beyond the limits, upper limits over the largest dense values
-    (3,), upper over lower limits (3,), upper limits (3,), whether round-off is small beside them (3,), ``seconds`` it took."""
+    (3,), upper over lower limits (3,), upper limits (3,), whether round-off is small beside them (3,), ``seconds`` it
+    took."""
 
     words: str
     kind: str

@@ -1,8 +1,8 @@
 """A reference model whose error is known: bounds of |H - H_ref| on every frequency of a band.
 
 The reference is the Galerkin projection on V, a block Krylov space of the flexibility G started at the loads, and the
-modes below lam_c that no load excites. It grows until ``residual_bound`` is below a tolerance on all of the band: what modes
-and solutions leave is part of it. Modal damping acts on the exact modes of the model.
+modes below lam_c that no load excites. It grows until ``residual_bound`` is below a tolerance on all of the band: what
+modes and solutions leave is part of it. Modal damping acts on the exact modes of the model.
 """
 
 from __future__ import annotations
