@@ -73,7 +73,7 @@ def cancelling(A: sp.csr_array, X: NDArray[np.float64], scalar: NDArray[np.bool_
     return terms
 
 
-def extended_product(A: sp.csr_array, X: NDArray[np.longdouble]) -> NDArray[np.longdouble]:
+def extended_product(A: sp.csr_array, X: NDArray[Any]) -> NDArray[np.longdouble]:
     """A X (n, k) in extended precision, where the processor has one. A is copied piece by piece."""
     result = np.empty((A.shape[0], X.shape[1]), dtype=np.longdouble)
     for part in _pieces(A, np.arange(A.shape[0])):

@@ -17,8 +17,8 @@ from morembs.jobs.run import damping_of
 from morembs.problem import Problem
 from morembs.problem.damping import ADAMS, STRUCTURAL, Damping, frequency_domain_only
 from morembs.reducers import REDUCERS, AutoReducer, Balanced, FreeInterface, Gramian, Irka, Krylov, Modal
-from morembs.responses.direct import direct_response, elastic_states
 from morembs.responses.certified import certified_reference
+from morembs.responses.direct import direct_response, elastic_states
 from morembs.responses.reference import reference_model
 from tests.support.commands import refused
 from tests.support.decks import folder
