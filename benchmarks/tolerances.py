@@ -200,7 +200,8 @@ def told(deliveries: list[Delivered]) -> int:
 
 def main(arguments: list[str]) -> int:
     """Run trials and print what they found; the number of bodies that fail."""
-    seed, numbers, alone = asked(__doc__, arguments)
+    options = asked(__doc__, arguments)
+    seed, numbers, alone = options.seed, options.numbers, options.alone
     deliveries: list[Delivered] = []
     for number in numbers:
         case = drawn(np.random.default_rng([seed, number]), number)

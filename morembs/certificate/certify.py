@@ -251,14 +251,7 @@ def _missing(poles: Poles) -> list[str]:
 
 def _on_damping(reference: CertifiedReference, reduced: ReducedModel, poles: Poles) -> list[str]:
     """What damping makes of the comparison, in words."""
-    sentences = []
-    problem, damping = reference.problem, reference.problem.damping
-    if problem.D is not None:
-        sentences.append("the error of the full response, with the model's own damping, is an estimate")
-    elif not reference.proven:
-        sentences.append("a mode cannot be told from a jump of the modal damping table, so that limits are estimates")
-    if damping.is_modal:
-        sentences.append(f"modal damping is that of the {len(reference.values)} modes of the reference model")
+    sentences, damping = list(reference.doubts), reference.problem.damping
     # Where the frequency of a body is off, the table may give its mode another ratio.
     omega = 2 * np.pi * poles.frequencies_hz
     moved = damping.ratio(omega) != damping.ratio(omega * (1 + np.nan_to_num(poles.deviation)))
@@ -306,7 +299,7 @@ def _held_errors(problem: Problem, H_r: Complexes, H: Complexes, omega: Floats) 
 
 def _with_held(H: Complexes, a: NDArray[np.int64], b: NDArray[np.int64]) -> Complexes:
     inner = H[:, a[:, None], a]
-    # A body without some motion of the interface cannot be held there.
-    if (np.linalg.matrix_rank(inner) < len(a)).any():
+    # A body without some motion of the interface, or on an undamped resonance, cannot be held there.
+    if not np.isfinite(inner).all() or (np.linalg.matrix_rank(inner) < len(a)).any():
         return np.full((len(H), len(b), len(b)), np.nan)
     return np.asarray(H[:, b[:, None], b] - H[:, b[:, None], a] @ np.linalg.solve(inner, H[:, a[:, None], b]))

@@ -73,6 +73,14 @@ def cancelling(A: sp.csr_array, X: NDArray[np.float64], scalar: NDArray[np.bool_
     return terms
 
 
+def extended_product(A: sp.csr_array, X: NDArray[Any]) -> NDArray[np.longdouble]:
+    """A X (n, k) in extended precision, where the processor has one. A is copied piece by piece."""
+    result = np.empty((A.shape[0], X.shape[1]), dtype=np.longdouble)
+    for part in _pieces(A, np.arange(A.shape[0])):
+        result[part] = A[part].astype(np.longdouble) @ X
+    return result
+
+
 def scaled_row_sums(A: sp.csr_array) -> NDArray[np.float64]:
     """Weights w (n,) with |x|' |A| |x| <= w' x^2 independent of the units: the row sums of the equilibrated ``A``."""
     return weighted_row_sums(A, np.ones(A.shape[0]))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.problem import Problem
+from morembs.responses.clusters import damping_of_clusters
 
 Floats = NDArray[np.float64]
 POINTS = 200
@@ -20,6 +21,8 @@ BEYOND = 1.25
 FLANKS, NEAR = (-1.0, 0.0, 1.0), 1e-3
 # A frequency this near to an undamped resonance, as part of it, is on it.
 ON = 1e-9
+# Damping below this part of a frequency, and of the largest damping, is round-off of none.
+UNDAMPED = 1e-12
 
 
 def band_frequencies(
@@ -41,10 +44,13 @@ def band_frequencies(
     modes = problem.elastic_modes(below=beyond(high))
     omega = np.sqrt(modes.eigenvalues)
     width = 0.5 * problem.damping.at_resonance(modes.eigenvalues) + floor * omega
+    least, own = width, 0.0
     if problem.D is not None:
-        width = width + 0.5 * np.einsum("ij,ij->j", modes.vectors, problem.D @ modes.vectors)
+        D = modes.vectors.T @ (problem.D @ modes.vectors)
+        (mean, lowest), own = damping_of_clusters(modes.eigenvalues, D), float(np.diag(D).max(initial=0.0))
+        width, least = width + 0.5 * mean, width + 0.5 * lowest
     # At its top an undamped resonance is infinite.
-    damped = (width > 0) | (problem.D is not None)
+    damped = least > UNDAMPED * (omega + own)
     width = np.maximum(width, NEAR * omega)
     for flank in FLANKS:
         flanks = (omega + flank * width) / (2 * np.pi)

@@ -1,8 +1,8 @@
 """A reference model whose error is known: bounds of |H - H_ref| on every frequency of a band.
 
 The reference is the Galerkin projection on V, a block Krylov space of the flexibility G started at the loads, and the
-modes below lam_c that no load excites. It grows until ``residual_bound`` is below a tolerance on all of the band: no
-accuracy of modes or solver is assumed. Modal damping acts on the modes of the reference: D = M U diag(d) U'M.
+modes below lam_c that no load excites. It grows until ``residual_bound`` is below a tolerance on all of the band: what
+modes and solutions leave is part of it. Modal damping acts on the exact modes of the model.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
 from morembs.responses.band import beyond, checked_band
+from morembs.responses.clusters import clusters, damping_of_clusters
 from morembs.responses.direct import refuse_skew_parts
 from morembs.responses.krylov_space import KrylovSpace, RitzModes, root
 from morembs.responses.layout import Layout
-from morembs.responses.loads import static_response, unit_loads
+from morembs.responses.loads import unit_loads
 from morembs.responses.measures import Standard
 from morembs.responses.pencils import response_of
 from morembs.responses.rational import Terms, squares
@@ -90,8 +91,9 @@ class CertifiedReference:
     ``model`` are its n modes, with the damping ``floor``; their stiffness is uncertain by ``unsure`` (n,), and with
     couplings of the square root of its products, and their scaled loads ``b`` (n, m) are by ``b_off`` (n, m).
     ``vectors`` (Nc, k) and ``sigma`` (k,) are those of the modes below ``cut``, all of which are there; ``edges``
-    (nc + 1,) in rad/s and ``off`` (nc,) limits of ``|H - H_ref|`` over the envelope. ``proven`` is False where ``off``
-    is an estimate.
+    (nc + 1,) in rad/s and ``off`` (nc,) limits of ``|H - H_ref|`` over the envelope. ``solve_errors`` (n,) limit the
+    errors of solutions in the modes, in the energy of G s_p / theta_p, and ``start`` is a limit of |r_0| in the norm of
+    K^-1 (``residual_bound``). ``off`` is an estimate where there are ``doubts``, which say why.
 
     >>> reference = certified_reference(problem, [0.0, 3000.0])
     >>> reference.proven, bool(reference.off.max() < 1e-6)
@@ -108,13 +110,20 @@ class CertifiedReference:
     cut: float
     edges: Floats
     off: Floats
-    proven: bool
+    doubts: tuple[str, ...]
+    solve_errors: Floats
+    start: float
 
     def _facts(self) -> dict[str, object]:
         return {
             "band": list(self.band_hz), "modes": len(self.values), "error": upwards(float(self.off.max(initial=0.0))),
             "proven": self.proven, "damping floor": self.floor or None,
         }  # fmt: skip
+
+    @property
+    def proven(self) -> bool:
+        """Whether ``off`` are limits."""
+        return not self.doubts
 
     @property
     def problem(self) -> Problem:
@@ -147,7 +156,8 @@ class CertifiedReference:
         layout = Layout(self.b.shape[1], list(self.problem.coupling.columns.values()), symmetric)
         damping, D = self.model.damping, self.model.D
         stiffness = self.values * (1 + 1j * damping.structural)
-        modes = Terms.second_order(stiffness, self.model.damping_of_modes(), layout.rows(self.b, self.b))
+        d = damping.of_modes(self.values) if D is None else damping_of_clusters(self.values, D)[0]
+        modes = Terms.second_order(stiffness, d, layout.rows(self.b, self.b))
         H = modes
         if D is not None:
             H = response_of(
@@ -162,8 +172,8 @@ class CertifiedReference:
         above = self.values[self.values >= self.cut]
         floor = SMALL * EPS * float(above.max(initial=0.0)) / float(above.min(initial=np.inf))
         return Standard(
-            H=H, modes=modes, sizes=layout.sizes(self.b), rounding=rounding, layout=layout, floor=floor,
-            edges=self.edges, off=self.off,
+            H=H, modes=modes, sizes=layout.sizes(self.b, clusters(self.values)), rounding=rounding, layout=layout,
+            floor=floor, edges=self.edges, off=self.off,
         )  # fmt: skip
 
     def H(self, omega: Floats) -> Complexes:
@@ -245,6 +255,8 @@ class _Build:
         self.band = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
         self.modes = problem.elastic_modes(below=beyond(band_hz[1]))
         self.cut = beyond(band_hz[1]) * (1 + GAP)
+        # Whether nothing but the residuals of solutions keeps the error above the tolerance.
+        self.hidden = False
 
     def with_own_damping(self) -> CertifiedReference:
         """The space of a damping matrix of the model's own, whose error is an estimate."""
@@ -258,7 +270,9 @@ class _Build:
             unsure=np.maximum(self._rounding(model), 4 * EPS * (model.values + self.band[1] ** 2)),
             b_off=np.zeros((len(model.values), problem.B.shape[1])),
             vectors=self.modes.vectors, sigma=np.zeros(len(self.modes.eigenvalues)), cut=self.cut,
-            edges=np.array(self.band), off=np.array([max(model.error, DAMPED)]), proven=False,
+            edges=np.array(self.band), off=np.array([max(model.error, DAMPED)]),
+            doubts=("the error of the full response, with the model's own damping, is an estimate",),
+            solve_errors=np.zeros(len(model.values)), start=0.0,
         )  # fmt: skip
 
     def _rounding(self, model: Reference) -> Floats:
@@ -281,7 +295,8 @@ class _Build:
             self.progress.update(f"reference: order {growth.lanczos.size}, error {error:.1e}")
             if error <= enough or not growth.lanczos.pending.shape[1]:
                 reference = self._reference(growth)
-                if reference.off.max() <= self.tolerance or reference.undamped:
+                # A larger space has no part in what solutions are off by.
+                if reference.off.max() <= self.tolerance or reference.undamped or self.hidden:
                     return reference
                 error = float(reference.off.max())
             seen.append(error)
@@ -324,20 +339,27 @@ class _Build:
                 f"reference has {k}; move the upper end of the band by a percent"
             )
         modes = space.modes(Y, values, k, self.band[1])
+        self.hidden, start = False, self._start(growth, space, modes)
         left = Residual(
-            values=modes.values, b=modes.b, tau=modes.tau, start=self._start(space, modes), k=k, cut=self.cut,
+            values=modes.values, b=modes.b, tau=modes.tau, lost=modes.lost, start=start, k=k, cut=self.cut,
             damping=self.damping,
         )  # fmt: skip
         edges, off = left.bounds(self.band, self.tolerance)
-        sigma = modes.values[:k] * np.linalg.norm(modes.tau[:, :k], axis=0)
+        if off.max() > self.tolerance and left.poles.z.imag.any():
+            modes = space.sharpened(modes)
+            left = replace(left, lost=modes.lost)
+            edges, off = left.bounds(self.band, self.tolerance)
+            without = replace(left, lost=np.zeros(len(left.lost))).bounds(self.band, self.tolerance)[1]
+            self.hidden = off.max() > self.tolerance >= without.max()
+        sigma = modes.values * np.sqrt(left.own)
         model = Reference(
             values=modes.values, D=None, damping=self.damping, F=self._loads(space, modes), inputs=problem.B.shape[1],
             V=space.V, Y=modes.Y, error=float(off.max()), problem=problem,
         )  # fmt: skip
         return CertifiedReference(
             model=model, band_hz=self.band_hz, floor=self.floor, unsure=modes.unsure, b_off=modes.b_off,
-            vectors=modes.vectors, sigma=sigma, cut=self.cut, edges=edges, off=off,
-            proven=not self._straddled(modes.values[:k], sigma),
+            vectors=modes.vectors, sigma=sigma[:k], cut=self.cut, edges=edges, off=off,
+            doubts=self._doubts(growth, modes, left, sigma), solve_errors=modes.lost, start=start,
         )  # fmt: skip
 
     def _loads(self, space: KrylovSpace, modes: RitzModes) -> Floats:
@@ -349,18 +371,28 @@ class _Build:
             F = np.hstack([F, modes.Y.T @ dot(space.V, others, problem.budget)])
         return F
 
-    def _start(self, space: KrylovSpace, modes: RitzModes) -> float:
+    def _start(self, growth: ReferenceSpace, space: KrylovSpace, modes: RitzModes) -> float:
         """|r_0| in the norm of K^-1: what the space misses of the static responses, round-off."""
         problem = self.problem
-        X = static_response(problem) * problem.motion_scale
+        X, left = growth.statics
+        lost = float(np.linalg.norm(left * problem.motion_scale)) * modes.softness.value
+        X = X * problem.motion_scale
         subtract(space.V, modes.Y @ (modes.b / modes.values[:, None]), X, problem.budget)
-        return float(np.sqrt(max((X * (problem.K @ X)).sum(), 0.0)))
+        return float(np.sqrt(max((X * (problem.K @ X)).sum(), 0.0))) + lost
 
-    def _straddled(self, values: Floats, sigma: Floats) -> bool:
-        """Whether a mode may lie on either side of a jump of the modal table."""
-        jumps = self.damping.jumps**2
+    def _doubts(self, growth: ReferenceSpace, modes: RitzModes, left: Residual, sigma: Floats) -> tuple[str, ...]:
+        """Why limits are estimates, in words."""
+        doubts: tuple[str, ...] = ()
+        if not modes.softness.proven:
+            doubts += ("the solver is too inexact to say how far its solutions are off, so that limits are estimates",)
+        values, jumps = left.values, self.damping.jumps**2
+        jumps = jumps[jumps >= left.softest]
         off = values * (sigma / np.sqrt(np.maximum(values, CLOSE)) + CLOSE)
-        return bool((np.abs(values[:, None] - jumps) <= off[:, None]).any())
+        straddled = (np.abs(values[:, None] - jumps) <= off[:, None]).any()
+        if len(jumps) and (straddled or len(values) < growth.room):
+            doubts += ("the modal damping table jumps among modes that the reference does not know one by one, so that "
+                       "limits are estimates",)  # fmt: skip
+        return doubts
 
 
 def _inside(omega: Floats, band: tuple[float, float]) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg as sl
@@ -24,6 +24,7 @@ from morembs.linalg.eigen import Modes
 from morembs.problem import Problem
 from morembs.responses.reference import ReferenceSpace
 from morembs.responses.rounding import EPS, with_left
+from morembs.responses.solves import Softness
 
 Floats = NDArray[np.float64]
 # Modes of which the Krylov space misses more than this part join it.
@@ -50,12 +51,15 @@ class KrylovSpace:
         self.stiffness = symmetric(np.block([[space.stiffness, cross], [cross.T, own]]))
         # Of G M V these columns alone leave the space.
         self.rows = np.r_[np.arange(lanczos.last.start, lanczos.last.stop), lanczos.size + np.arange(X.shape[1])]
-        Z = np.array(lanczos.rest_vectors, order="F")
+        Z, residuals = np.array(lanczos.rest_vectors, order="F"), space.residuals[: lanczos.size]
         if X.shape[1]:
-            Z = np.hstack([Z, problem.elastic.flexibility(M @ X)])
+            solved, own = space.solves.flexibility(M @ X)
+            Z, residuals = np.hstack([Z, solved]), np.append(residuals, own + space.solves.inertia(X))
+        self.solves, self.residuals = space.solves, residuals
         for _ in range(2):
             subtract(self.V, np.asarray(np.linalg.solve(self.stiffness, dot(self.V, K @ Z, budget))), Z, budget)
-        self.root = root(Z.T @ (K @ Z))
+        self.Z, self.forces = Z, K @ Z
+        self.root = root(Z.T @ self.forces)
 
     def modes(self, Y: Floats, values: Floats, k: int, highest: float) -> RitzModes:
         """Ritz vectors V ``Y`` (n, n) with ``values`` (n,), the first ``k`` of them for frequencies up to ``highest``
@@ -65,7 +69,9 @@ class KrylovSpace:
         # Couplings that the small eigenproblem leaves, in parts of the highest eigenvalue, would hide light damping.
         turn = sl.eigh(symmetric(dot(U, K @ U, budget)), symmetric(dot(U, M @ U, budget)))[1]
         multiply_into(U, turn, U, budget)
-        U /= m_norms(U, M @ U)
+        MU = M @ U
+        norms = m_norms(U, MU)
+        U, MU = U / norms, MU / norms
         Y = np.hstack([Y[:, :k] @ turn, Y[:, k:]])
         KU = K @ U
         coupled = np.hstack([dot(U, KU, budget), dot(self.V, KU, budget).T @ Y[:, k:]])
@@ -78,8 +84,12 @@ class KrylovSpace:
         rest = np.zeros((len(values), len(values)))
         rest[:k], rest[k:, :k] = coupled, coupled[:, k:].T
         np.fill_diagonal(rest, 0.0)
+        softness = self.solves.softness(U, values[:k])
+        # The residuals of the first ones themselves.
+        left = self.residuals @ np.abs(Y)
+        left[:k] = self.solves.of_modes(U, values[:k], KU, MU, self.forces @ Y[self.rows, :k])
         return RitzModes(
-            values=values, Y=Y, vectors=U, b=b, tau=self.residual(Y),
+            softness=softness, values=values, Y=Y, vectors=U, b=b, tau=self.residual(Y), lost=softness.value * left,
             unsure=with_left(np.sqrt(unsure), np.sqrt(unsure), rest)[0] ** 2,
             b_off=self._rows(U, Y[:, k:], np.sqrt(unsure) / values),
         )  # fmt: skip
@@ -95,6 +105,17 @@ class KrylovSpace:
         sums = np.vstack([(B @ np.abs(U[rows])).T, ((B @ np.abs(self.V[rows])) @ np.abs(Y)).T])
         off = EPS * (sums + Z.sum(axis=1)) + turned[:, None] * (Z @ np.sqrt(problem.rounding(problem.rigid)))
         return np.asarray(off * problem.motion_scale)
+
+    def sharpened(self, modes: RitzModes) -> RitzModes:
+        """``modes`` with what is lost of the first ones from solutions for their residuals."""
+        U, k = modes.vectors, modes.vectors.shape[1]
+        e = modes.Y[self.rows, :k]
+        lost = modes.lost.copy()
+        # The combination Z e itself is rounded.
+        rounded = (len(e) + 1) * EPS * np.sqrt(self.solves.weights @ self.Z**2) @ np.abs(e)
+        sharp = self.solves.energy_of_modes(U, modes.values[:k], self.Z @ e, modes.softness.value) + rounded
+        lost[:k] = np.minimum(lost[:k], sharp)
+        return replace(modes, lost=lost)
 
     def residual(self, Y: Floats) -> Floats:
         """(q, k) coordinates of G s_p / theta_p, but for the sign, for Ritz vectors V ``Y`` (n, k)."""
@@ -115,7 +136,8 @@ class KrylovSpace:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RitzModes:
     """Of a space V (Nc, n): ``values`` (n,), coordinates ``Y`` (n, n) of the modes, their scaled loads ``b`` (n, m),
-    ``tau`` (q, n) as ``KrylovSpace.residual``, the ``vectors`` (Nc, k) of the first ones. The stiffness is off by
+    ``tau`` (q, n) as ``KrylovSpace.residual``, known but for ``lost`` (n,) by the residuals of the solutions and
+    the ``softness``, the ``vectors`` (Nc, k) of the first ones. The stiffness is off by
     ``unsure`` (n,) at most, with couplings of the square root of its products, and b by ``b_off`` (n, m)."""
 
     values: Floats
@@ -123,6 +145,8 @@ class RitzModes:
     vectors: Floats
     b: Floats
     tau: Floats
+    lost: Floats
+    softness: Softness
     unsure: Floats
     b_off: Floats
 

@@ -62,7 +62,12 @@ class Layout:
         i, j = (np.array([0, *(1 + pair[side] for pair in self.pairs)]) for side in (0, 1))
         return np.asarray(left[..., i] * right[..., j])
 
-    def sizes(self, b: Floats) -> Floats:
-        """(P, 1 + nb) norms of the contributions b_p b_p' for ``b`` (P, m)."""
+    def sizes(self, b: Floats, alike: Sequence[slice] = ()) -> Floats:
+        """(P, 1 + nb) norms of the contributions b_p b_p' for ``b`` (P, m).
+
+        Modes that are ``alike`` have equal shares in the product of their norms, which no rotation among them changes.
+        """
         own = self.lengths(b)
+        for some in alike:
+            own[some] = np.sqrt((own[some] ** 2).mean(axis=0))
         return self.products(own, own)

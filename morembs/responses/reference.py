@@ -15,6 +15,7 @@ more is asked of it. A damping matrix of the model's own needs another space: ``
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ from morembs.responses.damped_reference import DampedSpace
 from morembs.responses.direct import refuse_skew_parts, why_no_response
 from morembs.responses.loads import static_response, unit_loads
 from morembs.responses.rational import product
+from morembs.responses.solves import Solves
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -181,7 +183,8 @@ class ReferenceSpace:
         self.problem, self.inertia = problem, inertia
         F = unit_loads(problem, inertia)
         self.inputs = problem.B.shape[1]
-        start = static_response(problem)
+        self.solves, self.residuals = Solves(problem), np.zeros(0)
+        start = self.statics[0]
         if inertia:
             others = problem.elastic.flexibility(F[:, self.inputs :])
             start = hstack(start, others, budget=problem.budget)
@@ -192,13 +195,28 @@ class ReferenceSpace:
         M = problem.M
         self.room = M.shape[0] - problem.rigid.shape[1]
         self.lanczos = BlockLanczos(
-            problem.elastic.flexibility, M, start, capacity=min(FIRST_ORDER, self.room), seed=3, budget=problem.budget
+            self._solved, M, start, capacity=min(FIRST_ORDER, self.room), seed=3, budget=problem.budget
         )
         # G F = V g in the first block of V.
         self.loads = self.lanczos.M_pending.T @ start
         self.stiffness: Floats = np.zeros((0, 0))
         self.lanczos.expand()
         self._border()
+
+    @cached_property
+    def statics(self) -> tuple[Floats, Floats]:
+        """Static responses (Nc, m) to unit interface loads, refined where they need it, and their residuals (m,)."""
+        return self.solves.checked(static_response(self.problem), self.problem.B.toarray())
+
+    def _solved(self, F: Floats) -> Floats:
+        """Elastic displacements under ``F``; the residuals of those under M times the newest block are kept."""
+        if F is not self.lanczos.M_pending:
+            return self.problem.elastic.flexibility(F)
+        k, b = self.lanczos.size, F.shape[1]
+        X, residuals = self.solves.flexibility(F)
+        lost = self.solves.inertia(self.lanczos.V[:, k : k + b], SAME * np.sqrt(k + b))
+        self.residuals = np.append(self.residuals, residuals + lost)
+        return X
 
     def until(self, omega: Floats, tolerance: float, progress: Progress, damping: Damping) -> Reference:
         """The space, grown until the error with ``damping`` is below ``tolerance`` at ``omega``.

@@ -19,8 +19,19 @@ and as U'r = 0 the Schur complement of the others gives, with gamma = 1 / (1 - w
 
     |H - H_ref| <= gamma / (1 - gamma kappa) |T|^2,   kappa = sum_{p<=k} |g + i w d_p|^2 sigma_p^2 / (theta_p^2 |a_p|).
 
-It is quadratic as loads and motions are the same (Rozza, Huynh and Patera 2008), and assumes nothing of the accuracy
-of modes or solver.
+It is quadratic as loads and motions are the same (Rozza, Huynh and Patera 2008). Solutions for the columns v_i of V
+have residuals too, G M V = V T + W E' - G R, so that G s_p / theta_p is known but for sum_i |G r_i|_K |Y_ip| (``lost``;
+``solves`` has these norms).
+
+With modal damping D acts on the exact modes, and r is not orthogonal to U. ``modal_residual`` has mu(w), and then
+
+    |H - H_ref| <= (gamma t^2 + mu^2) / (1 - gamma kappa - nu),   t = |T| + mu (zeta w / lam_1^(1/2))^(1/2),
+
+nu = sum_{p<=k} w d_p sigma_p^2 / (2 theta_p |a_p|), w d_p beside |g + i w d_p| in kappa, and by the same Haynsworth
+1 / lam_1 <= max(1 / theta_1, 1 / lam^) + (sum_{p<=k} sigma_p^2 / theta_p^3)^(1/2).
+
+Assumed are the count of modes below lam_c, U'M U = I and U'K U = Theta up to the round-off that ``rounding`` counts,
+and K Z = 0 for the rigid motions Z.
 """
 
 from __future__ import annotations
@@ -33,6 +44,7 @@ from numpy.typing import NDArray
 
 from morembs.problem.damping import Damping
 from morembs.responses.cells import Bounds, first_edges, search
+from morembs.responses.modal_residual import form, largest
 from morembs.responses.rational import BULGE, POINTS, SEGMENTS, Terms, cell_points, on_grid, squares
 
 Floats = NDArray[np.float64]
@@ -46,11 +58,13 @@ APART = 0.1
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Residual:
     """What a space with Ritz ``values`` (n,) and loads ``b`` (n, m) leaves of the response: coordinates ``tau`` (q, n)
-    of G s_p / theta_p, and ``start``, |r_0| in K^-1. The first ``k`` values lie below ``cut``, and no more modes."""
+    of G s_p / theta_p, known but for ``lost`` (n,), and ``start``, |r_0| in K^-1. The first ``k`` values lie below
+    ``cut``, and no more modes."""
 
     values: Floats
     b: Floats
     tau: Floats
+    lost: Floats
     start: float
     k: int
     cut: float
@@ -68,9 +82,36 @@ class Residual:
         return slope(self.damping, self.values)
 
     @cached_property
+    def own(self) -> Floats:
+        """(n,) of (sigma_p / theta_p)^2."""
+        return np.asarray((np.linalg.norm(self.tau, axis=0) + self.lost) ** 2)
+
+    @cached_property
+    def softest(self) -> float:
+        """Lower limit of the lowest elastic eigenvalue."""
+        values = self.values[: self.k]
+        coupled = float(np.sqrt((self.own[: self.k] / values).sum()))
+        return 1.0 / (1.0 / min(self.least, float(values.min(initial=np.inf))) + coupled)
+
+    @cached_property
+    def ratio(self) -> float:
+        """Largest ratio of modal damping."""
+        return max(ratio for _, ratio in self.damping.steps)
+
+    def _above(self, band: tuple[float, float]) -> float:
+        """mu over the root of the frequency, of the modes above the cut."""
+        if not self.ratio:
+            return 0.0
+        some = slice(self.k, None)
+        poles, b, values = Terms(z=self.poles.z[some], N=self.poles.N[some]), self.b[some], self.values[some]
+        lost = np.sqrt(self.ratio * values**1.5) * self.lost[some] * np.linalg.norm(b, axis=1)
+        least = Residual._away(poles.z, *(np.array([end]) for end in band))[0]
+        return largest(poles, b, form(values, self.tau[:, some], self.ratio), band) + float((lost / least).sum())
+
+    @cached_property
     def least(self) -> float:
         """lam^, below which the complement has nothing."""
-        values, own = self.values[: self.k], (self.tau[:, : self.k] ** 2).sum(axis=0)
+        values, own = self.values[: self.k], self.own[: self.k]
         share = 1.0 / np.where(values < self.cut, 1.0 / values - 1.0 / self.cut, 1.0)
         return 1.0 / (1.0 / self.cut + float((own / values * share).sum()))
 
@@ -81,13 +122,15 @@ class Residual:
         poles, slope, k = self.poles, self.slope, self.k
         if not poles.z.imag.any() and ((poles.z.real >= low) & (poles.z.real <= high)).any():
             return np.array(band), np.array([np.inf])
-        size, own, most = -poles.N[:, 0], (self.tau**2).sum(axis=0), high**2 + high * slope
+        size, own, most = -poles.N[:, 0], self.own, high**2 + high * slope
         # Modes that are as good as exact count one by one: their share in T^2 over their own part of the envelope.
         each = own * most**2 / self._weakest(np.array([low]), np.array([high]))[0]
         order = [p for p in np.argsort(each) if p < k]
         fits = [p for n, p in enumerate(order) if 2 * (n + 1) * each[order[: n + 1]].sum() <= APART * tolerance]
         others = np.ones(len(size), dtype=bool)
         others[fits] = False
+        hidden, modal, above = (self.lost * np.sqrt(size) * most)[others], self._modal(), self._above(band)
+        coupled = most[:k] + (high * slope[:k] if self.ratio else 0.0)
         rest, double = float(2 * len(fits) * each[fits].sum()), 2.0 if fits else 1.0
         rows = (self.tau.T[others, :, None] * self.b[others, None, :]).reshape(-1, len(self.tau) * self.b.shape[1])
         T, norms = Terms(z=poles.z[others], N=rows), np.linalg.norm(rows, axis=1)[:, None]
@@ -99,12 +142,18 @@ class Residual:
             spread = np.sqrt(squares(p - p[:, SEGMENTS // 2, None]).sum(axis=2)).max(axis=1)
             middle, half = 0.5 * (lo + hi), 0.5 * (hi - lo)
             outside = T.remainder(middle, half, norms, slope[others])[:, 0]
-            whole = here.max(axis=1) + BULGE * spread + outside + self.start
+            weakest = self._weakest(lo, hi)
+            mu = np.sqrt(hi) * ((modal * np.sqrt(size[:k]) / weakest[:, :k]).sum(axis=1) + above)
+            turned = mu * np.sqrt(self.ratio * hi / np.sqrt(self.softest))
+            whole = here.max(axis=1) + BULGE * spread + outside + self.start + turned
+            whole += (hidden / weakest[:, others]).sum(axis=1)
             ends = np.maximum(*(np.abs(end[:, None, None] - poles.z) for end in (lo, hi))).prod(axis=2)
-            kappa = ((most[:k] ** 2 * own[:k]) / self._weakest(lo, hi)[:, :k]).sum(axis=1)
+            kappa = ((coupled**2 * own[:k]) / weakest[:, :k]).sum(axis=1)
+            nu = hi * (modal**2 / weakest[:, :k]).sum(axis=1)
             gamma = 1.0 / np.maximum(1.0 - hi**2 / self.least, TINY)
-            gain = np.where(gamma * kappa < 1, gamma / np.maximum(1 - gamma * kappa, CLOSE), np.inf)
-            off = gain * (double * whole**2 / (1.0 / ends @ size) + rest)
+            left = 1 - gamma * kappa - nu
+            gain = np.where(left > 0, gamma / np.maximum(left, CLOSE), np.inf)
+            off = gain * ((double * whole**2 + mu**2) / (1.0 / ends @ size) + rest)
             fine = half < 0.1 * T.nearest(middle)
             return Bounds(upper=off[:, None], lower=np.zeros((len(lo), 1)), at=middle[:, None], final=fine[:, None])
 
@@ -115,9 +164,17 @@ class Residual:
         )  # fmt: skip
         return np.append(cells.edges[:, 0], high), cells.upper[:, 0]
 
+    def _modal(self) -> Floats:
+        """(k,) roots of w d_p sigma_p^2 / (2 theta_p w)."""
+        k = self.k
+        return np.sqrt(self.ratio * self.values[:k] ** 1.5 * self.own[:k])
+
     def _weakest(self, lo: Floats, hi: Floats) -> Floats:
         """(nc, n) least |a_p| on cells."""
-        z = self.poles.z
+        return self._away(self.poles.z, lo, hi)
+
+    @staticmethod
+    def _away(z: Complexes, lo: Floats, hi: Floats) -> Floats:
         away = np.maximum(np.abs(0.5 * (lo + hi)[:, None, None] - z.real) - 0.5 * (hi - lo)[:, None, None], 0.0)
         return np.asarray(np.hypot(away, z.imag).prod(axis=2))
 

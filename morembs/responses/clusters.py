@@ -1,0 +1,31 @@
+"""Modes whose frequencies are equal: any rotation among them is a basis as good as the one that was computed."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+# Part of a frequency: an eigensolver turns modes that are nearer by about its own error, 1e-8, over their distance.
+EQUAL = 1e-6
+
+
+def clusters(values: Floats) -> list[slice]:
+    """Runs of modes whose eigenvalues (k,), ascending, belong to equal frequencies."""
+    omega = np.sqrt(np.maximum(values, 0.0))
+    starts = np.flatnonzero(np.diff(omega, prepend=-np.inf) > EQUAL * omega) if len(omega) else np.zeros(0, int)
+    return [slice(*ends) for ends in pairwise([*starts.tolist(), len(omega)])]
+
+
+def damping_of_clusters(values: Floats, D: Floats) -> tuple[Floats, Floats]:
+    """Mean and least damping (k,) in the clusters of modes with ``values`` (k,) and the damping matrix ``D`` (k, k).
+
+    The mean is the trace over the number of modes. No rotation within a cluster changes either.
+    """
+    mean, least = np.empty(len(values)), np.empty(len(values))
+    for some in clusters(values):
+        own = np.linalg.eigvalsh(D[some, some])
+        mean[some], least[some] = own.mean(), own[0]
+    return mean, least
