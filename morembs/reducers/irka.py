@@ -266,7 +266,7 @@ def _starts(band: _Band, order: int, low: float, high: float) -> list[_Shifts]:
 
 def _strength(band: _Band) -> Floats:
     """H2 norm (k,) of the response of each mode alone, up to a factor."""
-    return np.linalg.norm(band.B, axis=1) ** 2 / (np.sqrt(band.reference.values) * np.sqrt(band.decay))
+    return np.asarray(np.linalg.norm(band.B, axis=1) ** 2 / np.sqrt(band.reference.values * band.decay))
 
 
 def _of_modes(band: _Band, met: _Run, order: int) -> _Run:
@@ -274,7 +274,7 @@ def _of_modes(band: _Band, met: _Run, order: int) -> _Run:
     first = np.sort(np.argsort(-_strength(band), kind="stable")[:order])
     X, values, decay = np.eye(len(band.B))[:, first], band.reference.values[first], band.decay[first]
     turned = np.sqrt(values - np.minimum((decay - band.delta) ** 2, values))
-    shifts = _Shifts(s=decay + 1j * turned, b=band.B[first] + 0j)
+    shifts = _Shifts(s=decay + 1j * turned, b=band.B[first].astype(complex))
     return replace(met, C=X, shifts=shifts, error=band.error(X))
 
 
