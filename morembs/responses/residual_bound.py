@@ -150,9 +150,10 @@ class Residual:
             ends = np.maximum(*(np.abs(end[:, None, None] - poles.z) for end in (lo, hi))).prod(axis=2)
             kappa = ((coupled**2 * own[:k]) / weakest[:, :k]).sum(axis=1)
             nu = hi * (modal**2 / weakest[:, :k]).sum(axis=1)
-            gamma = 1.0 / np.maximum(1.0 - hi**2 / self.least, TINY)
-            left = 1 - gamma * kappa - nu
-            gain = np.where(left > 0, gamma / np.maximum(left, CLOSE), np.inf)
+            with np.errstate(over="ignore"):
+                gamma = 1.0 / np.maximum(1.0 - hi**2 / self.least, TINY)
+                left = 1 - gamma * kappa - nu
+                gain = np.where(left > 0, gamma / np.maximum(left, CLOSE), np.inf)
             off = gain * ((double * whole**2 + mu**2) / (1.0 / ends @ size) + rest)
             fine = half < 0.1 * T.nearest(middle)
             return Bounds(upper=off[:, None], lower=np.zeros((len(lo), 1)), at=middle[:, None], final=fine[:, None])

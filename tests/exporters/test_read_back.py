@@ -46,12 +46,11 @@ def stiffer(body):
 
 
 def turned(body):
-    """One motion of an interface with the other sign."""
+    """One motion of the tip with the other sign; the frame follows the other end."""
     B, frame = body.input_matrix.copy(), body.floating
-    B[:, 2] *= -1
-    first = next(iter(frame.markers))
-    motion = frame.markers[first].motion * np.array([1, 1, -1, 1, 1, 1])[:, None]
-    markers = {**frame.markers, first: replace(frame.markers[first], motion=motion)}
+    B[:, 8] *= -1
+    motion = frame.markers["tip"].motion * np.array([1, 1, -1, 1, 1, 1])[:, None]
+    markers = {**frame.markers, "tip": replace(frame.markers["tip"], motion=motion)}
     return replace(body, input_matrix=B, output_matrix=B.T, floating=replace(frame, markers=markers))
 
 

@@ -34,9 +34,9 @@ def test_a_reference_of_an_inexact_solver_is_known_to_its_uncertainty(error, tol
 
 
 def test_a_solver_that_is_of_no_use_proves_nothing():
-    """Half of every solution is wrong: refinement gains nothing."""
+    """Up to three tenths of every solution are wrong, which refinement cannot mend."""
     model = beam((16, 2, 2))
-    with Problem(model, ends(model), damping=Damping(beta=3e-7), solver=InexactSolver(error=2.5)) as problem:
+    with Problem(model, ends(model), damping=Damping(beta=3e-7), solver=InexactSolver(error=0.3)) as problem:
         reference = certified_reference(problem, BAND)
         assert not reference.proven and "solver is too inexact" in reference.doubts[0]
 
@@ -93,19 +93,22 @@ def test_equal_modes_share_their_damping_in_the_envelope(place):
     assert seen[:, 2] == pytest.approx(inverse @ (left * right), rel=1e-6)
 
 
-@pytest.mark.parametrize("seed", [3, 20, 29])
-def test_a_mode_that_the_matrix_of_the_model_leaves_undamped_has_no_limit(seed):
-    rng = np.random.default_rng(seed)
-    n = 8
-    A, C = rng.standard_normal((n, n)), rng.standard_normal((n - 1, n - 1))
-    K = 1e4 * (A @ A.T + np.eye(n))
-    Y = np.delete(sl.eigh(K)[1], 1, axis=1)
-    for D in (Y @ C @ C.T @ Y.T, Y @ np.diag(rng.uniform(0.1, 3.0, n - 1)) @ Y.T):
-        model = spring_model(K, np.eye(n), D)
-        faces = [make_interface(model, name=f"f{i}", nodes=[i], coupling="direct", components=[2]) for i in (0, n - 1)]
-        with Problem(model, faces) as problem:
-            hz = np.sqrt(sl.eigvalsh(K)) / (2 * np.pi)
-            (certificate,) = certify(problem, [FreeInterface(modes=3).reduce(problem)], [0.0, float(hz[4])])
-        assert certificate.limit.upper == np.inf and "undamped resonance at" in certificate.notes[0]
-        assert certificate.limit.at_hz == pytest.approx(hz[1], rel=1e-6)
-        assert np.isfinite(certificate.full).all() and np.isfinite(certificate.block_error).all()
+def test_a_mode_that_the_matrix_of_the_model_leaves_undamped_has_no_limit():
+    """Two equal chains, joined at their ends: dampers on both see what moves the same way on both."""
+    for h in range(2, 7):
+        chain = np.diag(np.full(h, 2e4)) - 1e4 * (np.eye(h, k=1) + np.eye(h, k=-1))
+        K, n, join = sl.block_diag(chain, chain), 2 * h, np.zeros(2 * h)
+        join[h - 1], join[n - 1] = 1.0, -1.0
+        K += 1e4 * np.outer(join, join)
+        v = np.zeros(n)
+        v[0] = v[h] = 1.0
+        hz = np.sqrt(sl.eigvalsh(K)) / (2 * np.pi)
+        for c in (1.0, 30.0, 1e3):
+            model = spring_model(K, np.eye(n), c * np.outer(v, v))
+            faces = [make_interface(model, name=f"f{i}", nodes=[i], coupling="direct", components=[2])
+                     for i in (0, n - 1)]  # fmt: skip
+            with Problem(model, faces) as problem:
+                band = [0.0, float(hz[min(5, n - 1)])]
+                (certificate,) = certify(problem, [FreeInterface(modes=min(3, n - 2)).reduce(problem)], band)
+            assert certificate.limit.upper == np.inf and "undamped resonance at" in certificate.notes[0]
+            assert np.isfinite(certificate.full).all() and np.isfinite(certificate.block_error).all()
