@@ -120,7 +120,8 @@ CERTIFICATE = Table((
     Row("absolute_error", "any", "", "largest difference over the largest size, at the samples", when=_MAYBE),
     Row("reference_error", "any", "nf", "as uncertainty", when=_MAYBE),
     Row("mode_frequencies_hz", "any", "nm", "of the full model in the band", "Hz", when=_MAYBE,
-        doc="free-free modes of the full model in the band"),
+        doc="free-free modes of the full model whose enclosure meets the band; files of earlier versions have those "
+        "below the band too"),
     Row("mode_deviation", "any", "nm", "relative deviation of the body's frequencies", when=_MAYBE,
         doc="relative deviation of the body's frequencies; no number for a mode without a partner"),
     Row("mode_mac", "any", "nm", "mass-weighted modal assurance criterion", when=_MAYBE,

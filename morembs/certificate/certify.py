@@ -51,7 +51,8 @@ class Certificate(ErrorLimits):
     what is left when interface i is held still, from the whole transfer matrix with its rigid-body part; not a number
     below ``HELD`` of the upper frequency. ``static_error`` that at 0 Hz.
 
-    ``mode_frequencies_hz`` (k,) of the full model in the band, which lie within ``mode_enclosure_hz`` (k, 2);
+    ``mode_frequencies_hz`` (k,) of the full model, which lie within ``mode_enclosure_hz`` (k, 2), as far as that meets
+    the band, whose lower end may lie above modes too;
     ``mode_deviation`` (k,) relative deviation of the reduced ones, ``mode_mac`` (k,) mass-weighted modal assurance
     criterion, ``residue_deviation`` (k,) of the residues, not a number for modes that no load excites, both of the
     whole cluster where modes are close. No mode is missing below ``verified_below_hz``.
