@@ -123,7 +123,8 @@ def _notes(certified: Certified) -> list[str]:
         hz, error = (np.asarray(certified.values[key], dtype=float) for key in ("frequencies_hz", "error"))
         at = int(np.argmax(error))
         notes.append(f"error at most {error[at]:.1e} (pointwise) at {len(hz)} frequencies, worst at {hz[at]:,.6g} Hz")
-    if infinite == ["pointwise"] and certified.text("bound_kind") != "none":
+    # Files of earlier versions do not name the cause.
+    if infinite == ["pointwise"] and certified.text("bound_kind") != "none" and not certified.text("notes"):
         at_hz = float(certified.values["limits/pointwise"][2])
         notes.append(f"pointwise: unbounded (zero of H at {at_hz:,.6g} Hz)")
     return [*notes, *([certified.text("notes")] if certified.text("notes") else []), *certified.notes]
