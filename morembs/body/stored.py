@@ -17,8 +17,8 @@ from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.ranking import RankedTerm
 from morembs.floating.spin import ReducedSpin
-from morembs.responses.lemma import read_lemmas
 from morembs.storage.checksums import GROUP, Checksums
+from morembs.storage.lemma import read_lemmas
 from morembs.storage.table import read_rows
 from morembs.storage.table_check import refuse_not_finite
 from morembs.summary import error_words, hertz, kinds_words, summarised

@@ -23,9 +23,9 @@ from morembs.responses.band import POINTS, band_frequencies, checked_band
 from morembs.responses.certified import CertifiedReference, certified_reference
 from morembs.responses.direct import direct_response, elastic_statics
 from morembs.responses.layout import Layout
-from morembs.responses.lemma import Lemma, kind_of
 from morembs.responses.loads import static_response
 from morembs.responses.measures import SHARPNESS, Limit, checked_measure
+from morembs.storage.lemma import Lemma, kind_of
 from morembs.summary import error_words, summarised
 
 Floats = NDArray[np.float64]

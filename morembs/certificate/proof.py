@@ -7,7 +7,7 @@ import numpy as np
 from morembs.certificate.limits import ErrorLimits
 from morembs.certificate.poles import enclosures
 from morembs.responses.certified import CertifiedReference
-from morembs.responses.lemma import ESTIMATE, PROVEN, Lemma
+from morembs.storage.lemma import ESTIMATE, PROVEN, Lemma
 from morembs.summary import upwards
 
 
@@ -95,4 +95,4 @@ def _cells(reference: CertifiedReference, known: ErrorLimits) -> Lemma:
         f"on {len(known.cells_hz):,} cells, which cover {low:,.6g} to {high:,.6g} Hz, the errors are at most "
         + ", ".join(f"{name} {upwards(value)}" for name, value in upper.items())
     )
-    return _lemma("cells-of-the-band", statement, cells=len(known.cells_hz), low_hz=low, high_hz=high, **upper)
+    return _lemma("cells-of-the-band", statement, PROVEN, cells=len(known.cells_hz), low_hz=low, high_hz=high, **upper)

@@ -19,7 +19,7 @@ from morembs.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import FreeInterface
 from morembs.responses.certified import certified_reference
-from morembs.responses.lemma import kind_of
+from morembs.storage.lemma import kind_of
 from tests.support.meshes import box, steel, where
 
 RUNNER = CliRunner()
