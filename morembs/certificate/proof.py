@@ -62,6 +62,7 @@ def _residual(reference: CertifiedReference) -> Lemma:
     what = "by residuals at frequencies of the band" if doubtful else "on all of the band"
     size = f"at most {upwards(off)} times the envelope" if np.isfinite(off) else "unbounded"
     statement = f"|H - H_ref| is {size}, {what}, for the reference of {order} modes"
+    statement = "; ".join([statement, *reference.doubts]) if doubtful else statement
     return _lemma("reference-residual", statement, ESTIMATE if doubtful else PROVEN, error=off, order=order)
 
 
@@ -72,7 +73,7 @@ def _damping(reference: CertifiedReference) -> Lemma:
     elif damping.is_modal:
         statement = "modal damping acts on the modes of the reference, each of which has one ratio of the table"
         if not reference.proven and len(damping.jumps):
-            kind, statement = ESTIMATE, "a mode of the reference may lie on either side of a jump of the damping table"
+            kind, statement = ESTIMATE, "; ".join(reference.doubts)
     else:
         statement = "damping is a function of K and M, and diagonal in the modes" if damping.is_viscous or (
             damping.structural) else "there is no damping"  # fmt: skip
