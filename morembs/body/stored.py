@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -17,6 +18,7 @@ from morembs.floating.frame import FloatingFrame
 from morembs.floating.ranking import RankedTerm
 from morembs.floating.spin import ReducedSpin
 from morembs.storage.checksums import GROUP, Checksums
+from morembs.storage.lemma import read_lemmas
 from morembs.storage.table import read_rows
 from morembs.storage.table_check import refuse_not_finite
 from morembs.summary import error_words, hertz, kinds_words, summarised
@@ -292,8 +294,11 @@ def _body(name: str, group: Any, kinds: Sequence[str], readers: Mapping[str, Any
     values = read_rows(group, BODY)
     values.setdefault("output_matrix", values["input_matrix"].T)
     values["mode_kind"] = tuple(kinds[code] for code in values["mode_kind"])
+    certificate = _tree(group["certificate"], np.asarray) if "certificate" in group else None
+    if certificate is not None and "proof" in certificate:
+        certificate["proof"] = [asdict(lemma) for lemma in read_lemmas(json.loads(certificate["proof"]))]
     return StoredBody(
         name=name, has_recovery="recovery" in group, has_switching="switching" in group,
         has_parameters="parametric" in group,
-        certificate=_tree(group["certificate"], np.asarray) if "certificate" in group else None, **values, **readers,
+        certificate=certificate, **values, **readers,
     )  # fmt: skip

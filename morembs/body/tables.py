@@ -6,7 +6,7 @@ Sizes: n coordinates of a body, ne elastic ones, m inputs, N nodes, s nodes of a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,7 +52,8 @@ def _ranking_parts(terms: Sequence[RankedTerm]) -> Mapping[str, object]:
 def _certificate_parts(certificate: Certificate) -> Mapping[str, Any]:
     limits = {name: (limit.lower, limit.upper, limit.at_hz) for name, limit in certificate.limits.items()}
     more = {name: getattr(certificate, name) for name in ("bound_kind", "absolute_error")}
-    return vars(certificate) | more | {"limits": limits, "version": CERTIFICATE_VERSION}
+    proof = {"lemmas": [asdict(lemma) for lemma in certificate.proof]} if certificate.proof else None
+    return vars(certificate) | more | {"limits": limits, "proof": proof, "version": CERTIFICATE_VERSION}
 
 
 def _parametric(**values: Any) -> ParametricParts:
@@ -120,13 +121,17 @@ CERTIFICATE = Table((
     Row("absolute_error", "any", "", "largest difference over the largest size, at the samples", when=_MAYBE),
     Row("reference_error", "any", "nf", "as uncertainty", when=_MAYBE),
     Row("mode_frequencies_hz", "any", "nm", "of the full model in the band", "Hz", when=_MAYBE,
-        doc="free-free modes of the full model in the band"),
+        doc="free-free modes of the full model whose enclosure meets the band; files of earlier versions have those "
+        "below the band too"),
     Row("mode_deviation", "any", "nm", "relative deviation of the body's frequencies", when=_MAYBE,
         doc="relative deviation of the body's frequencies; no number for a mode without a partner"),
     Row("mode_mac", "any", "nm", "mass-weighted modal assurance criterion", when=_MAYBE,
         doc="mass-weighted MAC, of the whole cluster where modes are close; near 0 for a mode that the body lacks"),
-    Row("verified_below_hz", "any", "", "a Sturm count found no mode missing", "Hz", when=_MAYBE,
-        doc="a Sturm count proved that no mode below is missing"),
+    Row("verified_below_hz", "any", "", "no mode below is missing", "Hz", when=_MAYBE,
+        doc="no mode below is missing: by a Sturm count, or as LAPACK found all modes of a small model, see `proof`"),
+    Row("proof", "json", "", "lemmas that the limits rest on", when="absent without limits, and in files of earlier "
+        "versions", doc="JSON, `lemmas` is a list of those that the limits rest on: `name` (a section of methods.md), "
+        "`statement`, `numbers` by name, `kind` (`proven` or `estimate`)"),
     Row("notes", "notes", doc="what there is to say about them", when=_MAYBE),
 ), parts=_certificate_parts)  # fmt: skip
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from morembs.certificate.limits import ErrorLimits, body_response, checked_sharpness, error_limits, sampled
 from morembs.certificate.poles import Poles, poles_of
+from morembs.certificate.proof import proof_of
 from morembs.certificate.response import reduced_response
 from morembs.errors import InputError
 from morembs.optional import optional
@@ -24,6 +25,7 @@ from morembs.responses.direct import direct_response, elastic_statics
 from morembs.responses.layout import Layout
 from morembs.responses.loads import static_response
 from morembs.responses.measures import SHARPNESS, Limit, checked_measure
+from morembs.storage.lemma import Lemma, kind_of
 from morembs.summary import error_words, summarised
 
 Floats = NDArray[np.float64]
@@ -51,10 +53,12 @@ class Certificate(ErrorLimits):
     what is left when interface i is held still, from the whole transfer matrix with its rigid-body part; not a number
     below ``HELD`` of the upper frequency. ``static_error`` that at 0 Hz.
 
-    ``mode_frequencies_hz`` (k,) of the full model in the band, which lie within ``mode_enclosure_hz`` (k, 2);
+    ``mode_frequencies_hz`` (k,) of the full model, which lie within ``mode_enclosure_hz`` (k, 2), as far as that meets
+    the band, whose lower end may lie above modes too;
     ``mode_deviation`` (k,) relative deviation of the reduced ones, ``mode_mac`` (k,) mass-weighted modal assurance
     criterion, ``residue_deviation`` (k,) of the residues, not a number for modes that no load excites, both of the
-    whole cluster where modes are close. No mode is missing below ``verified_below_hz``.
+    whole cluster where modes are close. No mode is missing below ``verified_below_hz``. ``proof`` is the chain of
+    lemmas that the limits rest on: ``kind`` is "proven" where all of them are; there is none without limits.
 
     >>> [certificate] = certify(problem, [reduced], [0.0, 3000.0])
     >>> certificate.limit.lower <= certificate.limit.upper
@@ -82,6 +86,7 @@ class Certificate(ErrorLimits):
     residue_deviation: Floats
     verified_below_hz: float
     reference_error: Floats
+    proof: tuple[Lemma, ...] = ()
 
     @property
     def absolute_error(self) -> float:
@@ -187,10 +192,11 @@ def _certificate(
         unsure = reference.uncertainty(omega) / norm
         own = body.rounding.at(body.terms.moduli(omega)[0]).size()[:, 0] / norm
     poles = poles_of(reference, reduced)
+    proof = proof_of(reference, known) if bound else ()
     return Certificate(
         limits=known.limits, block_limit=known.block_limit, cells_hz=known.cells_hz, cell_limit=known.cell_limit,
         band_hz=reference.band_hz, measure=measure, damping_floor=reference.floor,
-        kind=("proven" if reference.proven else "estimate") if bound else "sampled",
+        proof=proof, kind=kind_of(proof) if bound else "sampled",
         frequencies_hz=hz, full=norm, reduced=np.linalg.norm(H_r, axis=(1, 2)), error=error,
         bound=error + unsure + own if bound else np.full(len(hz), np.inf), reference_error=unsure,
         block_error=_block_errors(problem, H_r - H, H), held_error=_held_errors(problem, H_r, H, omega),

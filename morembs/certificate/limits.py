@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,10 +10,10 @@ from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.reducers.base import ReducedModel
-from morembs.responses.cells import MOST
+from morembs.responses.cells import MOST, Cells
 from morembs.responses.certified import CertifiedReference
 from morembs.responses.layout import Layout
-from morembs.responses.measures import MEASURES, SHARPNESS, Limit, compare
+from morembs.responses.measures import MEASURES, SHARPNESS, Limit, Standard, compare
 from morembs.responses.pencils import response_of
 from morembs.responses.rational import Terms
 from morembs.responses.rounding import Response
@@ -21,6 +22,16 @@ from morembs.summary import summarised, upwards
 Floats = NDArray[np.float64]
 # Neighbouring cells whose limits differ by less than this are stored as one, at most so many of them.
 ALIKE, STORED = 0.05, 5000
+# Points of a cell at which the cause of its limit is looked for.
+LOOKED_AT = 9
+# Part of its envelope below which H is as good as zero beside a limit of the others.
+ZERO_BESIDE = 1e-2
+UNKNOWN = ("the residual of the reference", "round-off of the full model", "round-off of the body")
+CURES = (
+    "give damping, or a damping_floor such as 0.01",
+    "give more damping, or a larger damping_floor, or stiff parts a smaller stiffness",
+    "give more damping, or another basis with fewer coordinates",
+)
 
 
 @summarised
@@ -89,33 +100,69 @@ def error_limits(
     low, high = (2 * np.pi * f for f in reference.band_hz)
     standard = reference.standard(reduced.symmetric)
     body = body_response(reference, reduced, standard.layout)
-    sharp = _undamped_pole(standard.H, body.terms, low, high)
-    if sharp is not None:
-        at_hz, n = sharp / (2 * np.pi), len(problem.coupling.columns)
+    sharp = {whose: at for whose, terms in (("the full model", standard.H), ("the body", body.terms))
+             if (at := _undamped_pole(terms, low, high)) is not None}  # fmt: skip
+    if sharp:
+        at_hz, n = min(sharp.values()) / (2 * np.pi), len(problem.coupling.columns)
         return ErrorLimits(
             limits={name: Limit(lower=0.0, upper=np.inf, at_hz=at_hz) for name in MEASURES},
             block_limit=np.full((n, n), np.inf), cells_hz=np.array([reference.band_hz]),
             cell_limit=np.full((1, 3), np.inf),
-            notes=(f"no limit: there is an undamped resonance at {at_hz:,.6g} Hz, where a transfer error has none; "
+            notes=(f"no limit: there is an undamped resonance at {at_hz:,.6g} Hz, a pole of {' and of '.join(sharp)}, "
+                   "where a transfer error has none; "
                    "give damping, or a damping_floor such as 0.01",),
         )  # fmt: skip
     limits, blocks, cells = compare(standard, body, low, high, sharpness, most_cells=most_cells)
     hz, upper = _merged(cells.edges / (2 * np.pi), cells.upper)
     # The ends as they were given.
     hz[0, 0], hz[-1, 1] = reference.band_hz
-    loose = [name for name, limit in limits.items() if 2 * sharpness * limit.lower < limit.upper < np.inf]
     notes: tuple[str, ...] = ()
     if not cells.whole:
         notes = (f"limits could be sharper: the search ended at {len(cells.upper):,} cells",)
-    elif loose:
-        lost, at_hz = reference.lost()
-        notes = (f"{', '.join(loose)}: limited by round-off of the full response, {lost:.1e} at {at_hz:,.6g} Hz",)
+    loose = [name for name, limit in limits.items()
+             if limit.upper == np.inf or (cells.whole and 2 * sharpness * limit.lower < limit.upper)]  # fmt: skip
+    notes += tuple(_causes(standard, body, cells, loose))
     return ErrorLimits(limits=limits, block_limit=blocks, cells_hz=hz, cell_limit=upper, notes=notes)
 
 
-def _undamped_pole(H: Terms, body: Terms, low: float, high: float) -> float | None:
+def _causes(standard: Standard, body: Response, cells: Cells, loose: Sequence[str]) -> list[str]:
+    """Why the limits of the measures ``loose`` lie far above what is reached, or are infinite, in words.
+
+    The largest part of what is not known of the two responses, over the envelope, on the cell with the largest limit.
+    """
+    because: dict[str, list[str]] = {}
+    for name in loose:
+        low, high = cells.edges[int(cells.upper[:, MEASURES.index(name)].argmax())]
+        omega = np.linspace(low, high, LOOKED_AT)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            inverse = standard.modes.moduli(omega)[0]
+            e = inverse @ standard.sizes[:, 0]
+            parts = np.nan_to_num([
+                standard.uncertain(omega, omega),
+                standard.rounding.at(inverse).size()[:, 0] / e + standard.floor,
+                body.rounding.at(body.terms.moduli(omega)[0]).size()[:, 0] / e,
+            ], nan=np.inf, posinf=np.inf)  # fmt: skip
+            size = standard.layout.norms(standard.H.at(omega))[:, 0] / e
+        worst = int(parts.max(axis=1).argmax())
+        lost = float(parts[worst].max())
+        at = omega[int(parts[worst].argmax())]
+        amount = f"is {upwards(lost)} of the envelope" if np.isfinite(lost) else "exceeds the damping of a pole"
+        what = f"{UNKNOWN[worst]} {amount} at {at / (2 * np.pi):,.6g} Hz; {CURES[worst]}"
+        if name == "pointwise" and lost < ZERO_BESIDE and size.min() < ZERO_BESIDE:
+            at = omega[int(size.argmin())]
+            what = (
+                f"H has a zero near {at / (2 * np.pi):,.6g} Hz, of {size.min():.1e} of its envelope, of which "
+                f'{upwards(lost)} is not known; take measure = "envelope"'
+            )
+        elif name == "peak" and not cells.lower[3] > 0:
+            what = f"no value of H is known to differ from zero: {what}"
+        because.setdefault(what, []).append(name)
+    return [f"{', '.join(names)}: limited as {what}" for what, names in because.items()]
+
+
+def _undamped_pole(terms: Terms, low: float, high: float) -> float | None:
     """The first pole in the band that lies on the axis of frequencies, up to round-off; None if there is none."""
-    z = np.concatenate([H.z.ravel(), body.z.ravel()])
+    z = terms.z.ravel()
     on = z.real[(np.abs(z.imag) <= 1e-12 * np.abs(z)) & (z.real >= low) & (z.real <= high)]
     return float(on.min()) if len(on) else None
 

@@ -24,9 +24,9 @@ EXCITED = 1e-12
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Poles:
-    """Of the k modes in the band: ``frequencies_hz`` (k,), ``enclosure_hz`` (k, 2) between which they lie,
-    ``excited`` (k,) whether loads reach them; of a body the relative ``deviation`` (k,) of its frequencies, the
-    ``mac`` (k,) and the relative ``residue`` deviation (k,), of the whole cluster where modes are close."""
+    """Of the k modes whose enclosure meets the band: ``frequencies_hz`` (k,), ``enclosure_hz`` (k, 2) between which
+    they lie, ``excited`` (k,) whether loads reach them; of a body the relative ``deviation`` (k,) of its frequencies,
+    the ``mac`` (k,) and the relative ``residue`` deviation (k,), of the whole cluster where modes are close."""
 
     frequencies_hz: Floats
     enclosure_hz: Floats
@@ -56,10 +56,15 @@ def enclosures(reference: CertifiedReference) -> Floats:
 
 
 def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
-    """The modes of ``reference`` in its band against those of ``reduced``."""
-    problem = reference.problem
-    highest = 2 * np.pi * reference.band_hz[1]
-    inside = int((reference.values[: len(reference.sigma)] <= highest**2).sum())
+    """The modes of ``reference`` in its band against those of ``reduced``.
+
+    Partners are sought for the modes below the band as well, which else would take those of modes in it. A mode whose
+    enclosure meets an end of the band may lie in it, and counts.
+    """
+    problem, (low, high) = reference.problem, reference.band_hz
+    limits = enclosures(reference)
+    band = np.flatnonzero((limits[:, 1] >= low) & (limits[:, 0] <= high))
+    inside = int(band.max(initial=-1)) + 1
     omega, b = np.sqrt(reference.values[:inside]), reference.b
     energy = (b**2).sum(axis=1) / reference.values
     shapes = problem.shared(
@@ -86,8 +91,8 @@ def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
             off = np.linalg.norm(outputs[held].T @ inputs[held] - true)
             residue[first:last] = off / np.linalg.norm(true)
     return Poles(
-        frequencies_hz=omega / (2 * np.pi), enclosure_hz=enclosures(reference)[:inside], excited=excited,
-        deviation=deviation, mac=mac, residue=residue,
+        frequencies_hz=omega[band] / (2 * np.pi), enclosure_hz=limits[band], excited=excited[band],
+        deviation=deviation[band], mac=mac[band], residue=residue[band],
     )  # fmt: skip
 
 

@@ -29,12 +29,13 @@ BodyName = Annotated[str | None, typer.Option("--body", help="Which body, where 
 @app.command(epilog=EPILOG)
 def info(
     files: Annotated[list[Path], typer.Argument(metavar="FILE.h5...", help="Body files.", show_default=False)],
+    proof: Annotated[bool, typer.Option("--proof", help="Print the lemmas that limits of errors rest on.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Show what body files hold."""
     from morembs.cli.report_stored import show
 
-    each_file(files, as_json, lambda file, documents: show(file, documents))
+    each_file(files, as_json, lambda file, documents: show(file, documents, proof))
 
 
 @app.command(epilog=EPILOG)

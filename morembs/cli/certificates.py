@@ -18,7 +18,7 @@ MISSING = 0.5
 LEGEND = (
     "error of the frequency response relative to the sum of its modes (envelope), to its largest value (peak), to "
     "itself (pointwise); block: of the worst pair of interfaces, by the envelope; static: at 0 Hz; modes, residues, "
-    "MAC: the worst mode in the band"
+    "MAC: the worst mode in the band that loads excite"
 )
 
 
@@ -75,13 +75,16 @@ def _table(known: Sequence[Certified]) -> Any:
         limits = [np.asarray(values[f"limits/{name}"], dtype=float) for name in MEASURES]
         worst = limits[MEASURES.index(certified.text("measure"))]
         residue = np.asarray(values["residue_deviation"], dtype=float)
-        mac = np.asarray(values["mode_mac"], dtype=float)[np.isfinite(residue)]
+        # Modes that no load excites have no residue; what resembles them in a body says nothing.
+        mac, moved = (
+            np.asarray(values[name], dtype=float)[np.isfinite(residue)] for name in ("mode_mac", "mode_deviation")
+        )
         table.add_row(
             certified.name, str(certified.order),
             *("-" if kind == "sampled" else upwards(limit[1]) for limit in limits),
             "-" if kind == "sampled" else f"{worst[2]:,.6g}",
             "-" if kind == "sampled" else upwards(np.max(values["block_limit"], initial=0.0)),
-            f"{float(values['static_error']):.1e}", _largest(values["mode_deviation"]), _largest(residue),
+            f"{float(values['static_error']):.1e}", _largest(moved), _largest(residue),
             f"{mac.min():.4f}" if len(mac) else "-", kind,
         )  # fmt: skip
     return table
@@ -120,7 +123,8 @@ def _notes(certified: Certified) -> list[str]:
         hz, error = (np.asarray(certified.values[key], dtype=float) for key in ("frequencies_hz", "error"))
         at = int(np.argmax(error))
         notes.append(f"error at most {error[at]:.1e} (pointwise) at {len(hz)} frequencies, worst at {hz[at]:,.6g} Hz")
-    if infinite == ["pointwise"] and certified.text("bound_kind") != "none":
+    # Files of earlier versions do not name the cause.
+    if infinite == ["pointwise"] and certified.text("bound_kind") != "none" and not certified.text("notes"):
         at_hz = float(certified.values["limits/pointwise"][2])
         notes.append(f"pointwise: unbounded (zero of H at {at_hz:,.6g} Hz)")
     return [*notes, *([certified.text("notes")] if certified.text("notes") else []), *certified.notes]

@@ -17,10 +17,12 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 SHOWN_FREQUENCIES = 10
+PROOFS = "docs/methods.md"
 
 
-def show(file: str | Path, documents: list[dict[str, Any]] | None) -> None:
-    """Print what a body file holds, or add it to the ``documents``, and say what is wrong with it.
+def show(file: str | Path, documents: list[dict[str, Any]] | None, proof: bool = False) -> None:
+    """Print what a body file holds, with the ``proof`` of its limits, or add it to the ``documents``, and say what is
+    wrong with it.
 
     Raises:
         InputError: the file cannot be used, or contradicts itself.
@@ -37,6 +39,8 @@ def show(file: str | Path, documents: list[dict[str, Any]] | None) -> None:
     else:
         with printing():
             print_stored(console(), str(file), stored, diagnoses)
+            if proof:
+                print_proofs(console(), stored)
     refuse_unsound(str(file), diagnoses)
 
 
@@ -117,6 +121,26 @@ def flat(certificate: Mapping[str, Any]) -> dict[str, Any]:
     """Values of a stored certificate by the names of their datasets."""
     limits = {f"limits/{name}": value for name, value in certificate.get("limits", {}).items()}
     return {**{name: value for name, value in certificate.items() if name != "limits"}, **limits}
+
+
+def print_proofs(console: Console, stored: StoredBodies) -> None:
+    """The lemmas that the limits of each body rest on, and where their proofs are."""
+    for name, body in stored.bodies.items():
+        known = body.certificate
+        lemmas = [] if known is None else known.get("proof", [])
+        if not lemmas:
+            why = "has no certificate" if known is None else (
+                "is certified without a proof: by samples alone, or by an earlier version; certify it again"
+            )  # fmt: skip
+            console.print(f"proof: {name} {why}", highlight=False, soft_wrap=True, markup=False)
+            continue
+        console.print(f"proof: limits of {name}, each lemma by its section in {PROOFS}", highlight=False, markup=False)
+        for lemma in lemmas:
+            numbers = ", ".join(f"{key} = {value:.6g}" for key, value in lemma["numbers"].items())
+            console.print(
+                f"  {lemma['name']} ({lemma['kind']}): {lemma['statement']}\n    {numbers}",
+                highlight=False, soft_wrap=True, markup=False,
+            )  # fmt: skip
 
 
 def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnosis]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg as sl
@@ -45,12 +45,14 @@ WIDE, WIDEST, COPIES = 32, 64, 8
 class Modes:
     """``eigenvalues`` (m,) in (rad/s)2 ascending, ``vectors`` (N, m) M-orthonormal.
 
-    ``verified_below`` is the eigenvalue below which a count proved that no mode is missing.
+    ``verified_below`` is the eigenvalue below which no mode is missing: a Sturm count proved it where modes are
+    ``counted``; otherwise LAPACK found all modes of the dense pencil.
     """
 
     eigenvalues: Floats
     vectors: Floats
     verified_below: float
+    counted: bool = True
 
     @property
     def frequencies_hz(self) -> Floats:
@@ -60,7 +62,9 @@ class Modes:
     def first(self, count: int) -> Modes:
         """The lowest ``count`` of these modes."""
         held = self.verified_below if count >= len(self.eigenvalues) else float(self.eigenvalues[count])
-        return Modes(eigenvalues=self.eigenvalues[:count], vectors=self.vectors[:, :count], verified_below=held)
+        return replace(
+            self, eigenvalues=self.eigenvalues[:count], vectors=self.vectors[:, :count], verified_below=held
+        )
 
 
 def lowest_modes(
@@ -137,7 +141,7 @@ def _dense(body: ConstrainedStatics, M: sp.csr_array, count: int | None, below: 
     vectors = fix_signs(vectors[:, :m])
     # All modes are known here, but only those that are returned count as held.
     held = float(values[m]) if m is not None and m < len(values) else np.inf
-    return Modes(eigenvalues=values[:m], vectors=vectors, verified_below=held)
+    return Modes(eigenvalues=values[:m], vectors=vectors, verified_below=held, counted=False)
 
 
 def _sharpened(body: ConstrainedStatics, M: sp.csr_array, V: Floats) -> tuple[Floats, Floats]:

@@ -13,7 +13,7 @@ body. So block Lanczos finds the modes from two sparse solves for each vector, a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg as sl
@@ -95,9 +95,7 @@ class FixedInterfaceBody(Closing):
         if count is None and below is not None:
             count = int((modes.eigenvalues <= below * (1 + GAP)).sum())
         modes = modes.first(len(modes.eigenvalues) if count is None else count)
-        return Modes(
-            eigenvalues=modes.eigenvalues, vectors=self._whole(modes.vectors), verified_below=modes.verified_below
-        )
+        return replace(modes, vectors=self._whole(modes.vectors))
 
     def close(self) -> None:
         """Release the factor, where there is one of its own."""

@@ -93,7 +93,8 @@ class CertifiedReference:
     ``vectors`` (Nc, k) and ``sigma`` (k,) are those of the modes below ``cut``, all of which are there; ``edges``
     (nc + 1,) in rad/s and ``off`` (nc,) limits of ``|H - H_ref|`` over the envelope. ``solve_errors`` (n,) limit the
     errors of solutions in the modes, in the energy of G s_p / theta_p, and ``start`` is a limit of |r_0| in the norm of
-    K^-1 (``residual_bound``). ``off`` is an estimate where there are ``doubts``, which say why.
+    K^-1 (``residual_bound``). ``off`` is an estimate where there are ``doubts``, which say why. The modes below
+    ``cut`` are ``counted``, or LAPACK found all modes; beside their vectors K >= ``least`` M.
 
     >>> reference = certified_reference(problem, [0.0, 3000.0])
     >>> reference.proven, bool(reference.off.max() < 1e-6)
@@ -113,6 +114,8 @@ class CertifiedReference:
     doubts: tuple[str, ...]
     solve_errors: Floats
     start: float
+    counted: bool
+    least: float = 0.0
 
     def _facts(self) -> dict[str, object]:
         return {
@@ -273,6 +276,7 @@ class _Build:
             edges=np.array(self.band), off=np.array([max(model.error, DAMPED)]),
             doubts=("the error of the full response, with the model's own damping, is an estimate",),
             solve_errors=np.zeros(len(model.values)), start=0.0,
+            counted=self.modes.counted,
         )  # fmt: skip
 
     def _rounding(self, model: Reference) -> Floats:
@@ -360,6 +364,7 @@ class _Build:
             model=model, band_hz=self.band_hz, floor=self.floor, unsure=modes.unsure, b_off=modes.b_off,
             vectors=modes.vectors, sigma=sigma[:k], cut=self.cut, edges=edges, off=off,
             doubts=self._doubts(growth, modes, left, sigma), solve_errors=modes.lost, start=start,
+            counted=self.modes.counted, least=left.least,
         )  # fmt: skip
 
     def _loads(self, space: KrylovSpace, modes: RitzModes) -> Floats:
