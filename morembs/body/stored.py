@@ -17,6 +17,7 @@ from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.ranking import RankedTerm
 from morembs.floating.spin import ReducedSpin
+from morembs.model.fe_model import STRUCTURAL
 from morembs.storage.checksums import GROUP, Checksums
 from morembs.storage.lemma import read_lemmas
 from morembs.storage.table import read_rows
@@ -157,7 +158,6 @@ class StoredBody(Viewed):
 
     def reduced(self) -> ReducedModel:
         """The matrices as a reduced model without a basis, to be certified again."""
-        from morembs.problem.damping import STRUCTURAL
         from morembs.reducers.base import ReducedModel
 
         n = len(self.stiffness_matrix)

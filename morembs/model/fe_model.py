@@ -32,6 +32,8 @@ LARGEST = 1e75
 MATRICES = ("K", "M", "D", "G", "N")
 # The component of dofs that are no motion of a node.
 SCALAR = 6
+# Key of the recipe of a body that holds a loss factor.
+STRUCTURAL = "structural_damping"
 
 
 @checked
