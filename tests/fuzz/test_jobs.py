@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import sys
 from collections.abc import Callable
@@ -28,9 +27,6 @@ from tests.fuzz.trials import FAULTS, Folder, Outcome, trial  # noqa: E402
 from tests.fuzz.truth import Damping, Port, Truth  # noqa: E402
 
 SEED, COUNT, PARTS = 33, 40, 4
-# What is known to fail until the modes below a band are told from those in it.
-KNOWN_CASES = {"band-from-above-zero-with-a-mode-below"}
-KNOWN_WORDS = r"modes are said to lie in the band"
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -41,8 +37,6 @@ def _loaded() -> None:
 @pytest.mark.parametrize("name", list(cases.CASES))
 def test_a_defect_that_was_found_stays_mended(tmp_path: Path, name: str) -> None:
     outcome = cases.run(name, tmp_path)
-    if name in KNOWN_CASES and outcome.result in FAULTS:
-        pytest.xfail(outcome.words)
     assert (outcome.result, outcome.words) == ("good", "")
 
 
@@ -50,7 +44,7 @@ def test_a_defect_that_was_found_stays_mended(tmp_path: Path, name: str) -> None
 def test_random_jobs_are_right_or_refused(tmp_path: Path, part: int) -> None:
     outcomes = [trial(number, SEED, tmp_path) for number in range(part, COUNT, PARTS)]
     faults = [(o.command, o.result, o.words) for o in outcomes if o.result in FAULTS]
-    assert [fault for fault in faults if not re.search(KNOWN_WORDS, fault[2])] == []
+    assert faults == []
     assert sum(o.result == "good" for o in outcomes) >= len(outcomes) / 3
     assert "valid by construction" in table(outcomes)
 
