@@ -9,7 +9,7 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.errors import SolverError
-from morembs.linalg.columns import hstack, projected
+from morembs.linalg.columns import hstack, multiply, projected
 from morembs.problem import Problem
 from morembs.reducers.base import Basis
 
@@ -22,7 +22,7 @@ def two_sided_basis(
     problem: Problem, V: Floats, W: Floats, kind: str, notes: Mapping[str, object], *,
     V_velocity: Floats | None = None, what: str, instead: str,
 ) -> Basis:  # fmt: skip
-    """Rigid-body modes and elastic columns ``V``, tested with the rigid-body modes and ``W``, all (Nc, n).
+    """Rigid-body modes and elastic columns ``V``, tested with the rigid-body modes and the span of ``W``, all (Nc, n).
 
     ``V_velocity`` (Nc, n) expands velocities and accelerations where V does not. ``what`` was made and what to take
     ``instead`` are words for the message.
@@ -32,10 +32,14 @@ def two_sided_basis(
     """
     Z, budget = problem.rigid, problem.budget
     r, n = Z.shape[1], V.shape[1]
-    K = np.zeros((r + n, r + n))
-    K[r:, r:] = projected(V, problem.K, budget, W)
     velocity = V if V_velocity is None else V_velocity
     mass = projected(velocity, problem.M, budget, W)
+    if np.linalg.eigvalsh(mass + mass.T).min(initial=1.0) <= 0:
+        # The same equations, solved for the accelerations: simulations want a positive mass.
+        W = multiply(W, np.linalg.inv(mass).T, budget)
+        mass = projected(velocity, problem.M, budget, W)
+    K = np.zeros((r + n, r + n))
+    K[r:, r:] = projected(V, problem.K, budget, W)
     # Stiffness damping acts on the columns of velocities.
     stiffness = K[r:, r:] if V_velocity is None else projected(V_velocity, problem.K, budget, W)
     D = problem.damping.matrix(mass, stiffness, np.zeros((n, 0)), symmetric=False)

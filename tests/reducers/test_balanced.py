@@ -5,6 +5,7 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from benchmarks.certificates import truss
 from morembs.certificate.response import full_response, reduced_response
 from morembs.errors import InputError, SolverError
 from morembs.interface import make_interface
@@ -205,3 +206,19 @@ def test_damping_of_rigid_motion_is_refused():
             spectra.append(Balanced(order=12).reduce(problem).recipe["singular_values"])
     assert spectra[0] == pytest.approx(spectra[1], abs=1e-8 * spectra[1][0])
     assert spectra[2] == pytest.approx(spectra[3], abs=1e-8 * spectra[3][0])
+
+
+@pytest.mark.parametrize(("variant", "orders", "error"), [("p", (2, 3, 9), 0.005), ("vp", (2, 3), 0.1)])
+def test_bodies_of_two_bases_have_a_positive_mass(variant, orders, error):
+    """W'MV of balanced spaces has any sign; solved for the accelerations it is positive, as simulations want it."""
+    band, model = [0.0, 600.0], truss(np.random.default_rng(0), 12, held=True, twins=False)
+    node = make_interface(model, name="i", nodes=np.array([5]), coupling="direct", components=(0, 1, 2))
+    omega = 2 * np.pi * np.linspace(*band, 200)
+    with Problem(model, [node], damping=Damping(modal=0.01)) as problem:
+        H = full_response(problem, omega)
+        errors = []
+        for order in orders:
+            reduced = Balanced(order=order, variant=variant, band_hz=band).reduce(problem)
+            assert np.linalg.eigvalsh(reduced.M + reduced.M.T).min() > 0
+            errors.append(np.abs(reduced_response(reduced, omega) - H).max() / np.abs(H).max())
+    assert errors[-1] < error and errors[-1] < 0.5 * errors[0]
