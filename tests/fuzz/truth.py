@@ -90,7 +90,8 @@ class Truth:
         mass, _, inertia = self.mass
         turning = float(np.trace(inertia))
         if not turning > 0:
-            R = self.R[:, 3:]
+            # About the mean place of the nodes: e_j x (x - p).
+            R = self.R[:, 3:] - self.R[:, :3] @ np.cross(np.eye(3), self.model.xyz.mean(axis=0)).T
             turning = float((R * (self.M @ R)).sum())
         return self._scale(float(np.sqrt(turning / (2 * mass))) if turning > 0 and mass > 0 else 1.0)
 
