@@ -89,15 +89,18 @@ class Truth:
         """Per column of B: one for displacements, the radius of gyration for rotations."""
         mass, _, inertia = self.mass
         turning = float(np.trace(inertia))
-        if not turning > 0:
-            # About the mean place of the nodes: e_j x (x - p).
-            R = self.R[:, 3:] - self.R[:, :3] @ np.cross(np.eye(3), self.model.xyz.mean(axis=0)).T
-            turning = float((R * (self.M @ R)).sum())
+        return self._scale(float(np.sqrt(turning / (2 * mass)))) if turning > 0 < mass else self._middle_scale()
+
+    def _middle_scale(self) -> Floats:
+        """As ``scale``, with the inertia about the mean place of the nodes: rotations e_j x (x - p)."""
+        mass = self.mass[0]
+        R = self.R[:, 3:] - self.R[:, :3] @ np.cross(np.eye(3), self.model.xyz.mean(axis=0)).T
+        turning = float((R * (self.M @ R)).sum())
         return self._scale(float(np.sqrt(turning / (2 * mass))) if turning > 0 and mass > 0 else 1.0)
 
-    def measure(self, length: float) -> None:
-        """Take ``length`` in m for the radius of gyration."""
-        self.__dict__["scale"] = self._scale(length)
+    def measure(self, square: float) -> None:
+        """Take the root of ``square`` in m2 for the radius of gyration; negative where masses have no centre."""
+        self.__dict__["scale"] = self._scale(float(np.sqrt(square))) if square > 0 else self._middle_scale()
         self.__dict__.pop("b", None)
 
     def _scale(self, length: float) -> Floats:
