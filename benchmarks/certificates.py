@@ -40,6 +40,8 @@ from morembs.responses.rational import Terms, squares
 
 Floats = NDArray[np.float64]
 DENSE, BESIDE = 20_000, 25
+# Samples are up to so much lower than the peaks between them, so that all maxima above this part of the highest count.
+ALIKE = 0.9
 # Frequencies that are looked at together: what fits into a cache.
 AT_ONCE = 250
 DAMPINGS = ("rayleigh", "structural", "both", "modal", "none")
@@ -170,15 +172,21 @@ def dense_errors(
         full = full_terms.at(omega[some])
         E[some], H[some] = (np.sqrt(squares(X).sum(axis=1)) for X in (full - body.at(omega[some]), full))
         e[some] = full_terms.moduli(omega[some])[0] @ (b**2).sum(axis=1)
-    top = int(H.argmax())
-    # The peak itself lies between the samples, with others of near modes.
-    around = omega[max(top - 1, 0)], omega[min(top + 1, len(omega) - 1)]
-    finer = np.linspace(*around, 2001)
-    top = int(np.linalg.norm(full_terms.at(finer), axis=1).argmax())
-    around = finer[max(top - 1, 0)], finer[min(top + 1, len(finer) - 1)]
-    peak = -minimize_scalar(lambda x: -float(np.linalg.norm(full_terms.at(np.array([x])))), bounds=around,
-                            method="bounded", options={"xatol": 1e-12 * around[1]}).fun  # fmt: skip
+    peak = max(_peak(full_terms, omega, at) for at in np.flatnonzero(H > ALIKE * H.max()) if _is_top(H, at))
     return omega, np.stack([E / e, E / max(peak, H.max()), E / H], axis=1)
+
+
+def _is_top(H: Floats, at: int) -> bool:
+    return bool(H[at] >= H[max(at - 1, 0)] and H[at] >= H[min(at + 1, len(H) - 1)])
+
+
+def _peak(terms: Terms, omega: Floats, top: int) -> float:
+    """The largest response between the samples beside ``top``; there are others of near modes."""
+    finer = np.linspace(omega[max(top - 1, 0)], omega[min(top + 1, len(omega) - 1)], 2001)
+    top = int(np.linalg.norm(terms.at(finer), axis=1).argmax())
+    around = finer[max(top - 1, 0)], finer[min(top + 1, len(finer) - 1)]
+    return -float(minimize_scalar(lambda x: -float(np.linalg.norm(terms.at(np.array([x])))), bounds=around,
+                                  method="bounded", options={"xatol": 1e-12 * around[1]}).fun)  # fmt: skip
 
 
 def exact_modes(K: Floats, M: Floats, rigid: int) -> tuple[Floats, Floats]:
