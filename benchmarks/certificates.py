@@ -172,7 +172,7 @@ def dense_errors(
         full = full_terms.at(omega[some])
         E[some], H[some] = (np.sqrt(squares(X).sum(axis=1)) for X in (full - body.at(omega[some]), full))
         e[some] = full_terms.moduli(omega[some])[0] @ (b**2).sum(axis=1)
-    peak = max(_peak(full_terms, omega, at) for at in np.flatnonzero(H > ALIKE * H.max()) if _is_top(H, at))
+    peak = max(_peak(full_terms, omega, at) for at in np.flatnonzero(ALIKE * H.max() < H) if _is_top(H, at))
     return omega, np.stack([E / e, E / max(peak, H.max()), E / H], axis=1)
 
 
