@@ -92,7 +92,7 @@ def test_a_killed_reduction_goes_on_and_gives_the_same_body(tmp_path):
     assert sorted(file.name for file in folder.iterdir()) == ["bracket.h5", "bracket.inp", "job.toml"]
     # A step that is lost while later ones are known is computed in its place.
     lost = sorted((tmp_path / "lost").glob("*.search-*"))[1]
-    again = Told("from 1 values of p", lambda: lost.write_bytes(lost.read_bytes()[:-200]))
+    again = Told("from 1 values of p", lambda: os.truncate(lost, lost.stat().st_size - 200))
     assert reduced(tmp_path / "lost", again) == straight
 
 
