@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from morembs.diagnostics import repaired
 from morembs.diagnostics.findings import Diagnosis
 from morembs.diagnostics.units import Outlook, model_outlook
 from morembs.diagnostics.warnings import diagnosis_of, imported_warnings
-from morembs.errors import InputError
+from morembs.errors import InputError, SolverError
 from morembs.importers import IMPORTERS, format_of, import_file
 from morembs.importers.dof_map import read_dof_map
 from morembs.importers.imported import Imported
@@ -34,6 +35,8 @@ from morembs.units import Units
 ROLES = {"K": "--stiffness", "M": "--mass", "D": "--damping", "G": "--gyroscopic", "N": "--circulatory"}
 # Options that name inputs and outputs.
 INPUTS = ("B", "C", "B_names", "C_names")
+# Findings that only a factorisation tells from a small body that is held.
+SUSPECT = ("not-this-geometry", "node-mapping")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +100,8 @@ def run_import(
     """Read, convert, examine where asked for, and write.
 
     Args:
-        strict: write nothing where the examination finds errors.
+        strict: write nothing where the examination finds errors; K is factorised where it is not clear whether it is
+            that of these coordinates.
         dry: write nothing.
 
     Raises:
@@ -124,14 +128,29 @@ def run_import(
     if check or strict:
         progress.stage("examine")
         examined = [diagnosis_of(part, declared=units) for part in models]
-        for diagnosis in examined if strict else []:
+        for part, diagnosis in zip(models, examined, strict=True) if strict else []:
             diagnosis.refuse_errors()
+            _refuse_other_geometry(part, diagnosis)
         diagnoses = list(examined)
     results = [
         _finished(job, path, part, format, units, diagnosis, dry=dry, progress=progress)
         for path, part, diagnosis in zip(paths, models, diagnoses, strict=True)
     ]
     return replace(results[0], others=tuple(results[1:]))
+
+
+def _refuse_other_geometry(model: FEModel, diagnosis: Diagnosis) -> None:
+    """Factorise where the graph raises the suspicion that K and coordinates do not belong together.
+
+    Raises:
+        InputError: they do not, by the spectrum of K.
+    """
+    if not any(finding.code in SUSPECT for finding in diagnosis.findings):
+        return
+    from morembs.problem import Problem
+
+    with suppress(SolverError), Problem(model) as problem:
+        _ = problem.statics
 
 
 def _finished(
