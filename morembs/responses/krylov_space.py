@@ -44,6 +44,8 @@ class KrylovSpace:
         missed = (1 - seen > (0.0 if everything else MISSED**2)).nonzero()[0]
         X = np.array(modes.vectors[:, missed], order="F")
         for _ in range(2 if len(missed) else 0):
+            # What soft modes have of rigid motion by round-off would be scaled up to a mode of its own.
+            project_out(problem.rigid, X, M, budget=budget)
             project_out(V, X, M, budget=budget)
             X = orthonormal(X, M, np.ones(X.shape[1]) if X.shape[1] == len(missed) else None)
         self.V = V if not X.shape[1] else hstack(V, X, budget=budget)
