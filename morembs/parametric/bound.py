@@ -64,9 +64,9 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 # Angles psi that are tried, in radians.
 ANGLES = np.radians([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
-# Ritz vectors up to the first multiple of the upper frequency are V_L, and those up to the second one whose residuals
-# take no more than this part of b together.
-LOW, FAR, TAKEN = 1.5, 4.0, 0.05
+# Ritz vectors up to the first multiple of the upper frequency are V_L, and those up to the others, one after the other
+# until Lam is this multiple of its square, whose residuals take no more than this part of b together.
+LOW, FAR, BEYOND, TAKEN = 1.5, (4.0, 16.0, 64.0), 1.1, 0.05
 # Parts of their energy that columns may lose by compression, and below which they count as rigid.
 SMALL, RIGID = 1e-5, 1e-6
 KINDS = ("bound", "estimate", "none")
@@ -192,26 +192,34 @@ class ParametricBound:
         part = alpha if alpha > 0 else 1.0
         gram = np.hstack([start, rho])
         gram = gram.T @ gram / part
-        few = self._few(values, np.diag(gram)[len(gram) - len(values) :])
-        d = self._missed(MZ, MY[:, :few], Z, Y[:, :few], eM) / alpha if alpha > 0 else np.inf
+        s_K, s_M = ratio(self.law_K.monotone, p, self.soft).min(), ratio(self.law_M.monotone, p, self.soft).max()
+        few, below = 0, 0.0
+        # More of them where so few leave no bound at the upper end of the band.
+        for far in FAR if alpha > 0 else FAR[:1]:
+            more = self._few(values, np.diag(gram)[len(gram) - len(values) :], far)
+            d = self._missed(MZ, MY[:, :more], Z, Y[:, :more], eM) / alpha if alpha > 0 else np.inf
+            found = float(s_K / s_M * least / (1 + s_K * self.sigma * d))
+            if found > below or far == FAR[0]:
+                few, below = more, found
+            if below > BEYOND * self.highest**2:
+                break
         # Products with K leave round-off in the residuals, too.
         own = np.sqrt(np.maximum(np.diag(unsure_K), 0.0))
         own *= (own / np.sqrt(values))[min(few, len(values) - 1) :].max(initial=0.0)
         off, off_start = off / np.sqrt(part) + own, off_start / np.sqrt(part) + own @ np.abs(b / values[:, None])
-        s_K, s_M = ratio(self.law_K.monotone, p, self.soft).min(), ratio(self.law_M.monotone, p, self.soft).max()
         return BoundAt(
             values=values, b=b, gram=gram, off=off, off_start=off_start, few=few,
-            least=float(s_K / s_M * least / (1 + s_K * self.sigma * d)), damping=damping,
+            least=below, damping=damping,
             unsure_K=unsure_K + self.eps / (1 - self.eps) * np.diag(values), unsure_M=unsure_M,
             proven=proven and not damping.is_modal and self.rounding_K is not None,
         )  # fmt: skip
 
-    def _few(self, values: Floats, own: Floats) -> int:
-        """How many Ritz vectors are V_L, whose residuals have the squares ``own`` (e,) of norms: more of them make d
-        smaller and kappa larger."""
+    def _few(self, values: Floats, own: Floats, far: float) -> int:
+        """How many Ritz vectors are V_L, whose residuals have the squares ``own`` (e,) of norms, up to ``far`` times
+        the upper frequency: more of them make d smaller and kappa larger."""
         low = int((values < (LOW * self.highest) ** 2).sum())
-        far = int((values < (FAR * self.highest) ** 2).sum())
-        return low + int((np.cumsum(own[low:far] / (values[low:far] - self.highest**2)) <= TAKEN).sum())
+        end = int((values < (far * self.highest) ** 2).sum())
+        return low + int((np.cumsum(own[low:end] / (values[low:end] - self.highest**2)) <= TAKEN).sum())
 
     def _missed(self, MZ: Floats, MY: Floats, Z: Floats, Y: Floats, eM: Floats) -> float:
         """d at the anchor: what the rigid motions ``Z`` and the Ritz vectors ``Y`` of V_L miss of W."""
