@@ -21,6 +21,8 @@ Floats = NDArray[np.float64]
 # Where sums over all N rows part their round-off, gamma_N |x|' |A x| <= N eps / 2 (x'Dx x'Ax)^(1/2) with row sums D of
 # |A|: up to this part of eps x'Dx, and the rest by x'Ax.
 LONG = 4.0
+# Part of the energy of the largest load that counts as that of a load.
+STILL = 1e-8
 
 
 class GlobalSpace:
@@ -51,7 +53,8 @@ class GlobalSpace:
         self.floor = float(problem.elastic_modes(count=1).eigenvalues[0])
         loads = problem.B.toarray() * problem.motion_scale
         sizes = np.sqrt(np.maximum(np.einsum("ij,ij->j", loads, self.coordinates.flexibility(loads)), 0.0))
-        self._B, self._B_rest = self.coordinates.of(loads, sizes + (sizes == 0))
+        # Loads on the supports move nothing: of them there is round-off alone, which has no direction.
+        self._B, self._B_rest = self.coordinates.of(loads, np.maximum(sizes, STILL * sizes.max(initial=0.0)))
         self._add_rigid()
 
     @property
