@@ -22,6 +22,9 @@ is infinite, and said to be.
 **The dual norm.** Six dofs S are held that determine rigid motion at every p. For loads free of rigid motion the dual
 norm is that of K_SS(p)^-1, and K_SS(p) >= alpha(p) K_SS(p_a) gives |r|^2 <= |r|_a^2 / alpha. In a morph alpha is
 that of a cell, times the least ratio of the factors of moduli (min-theta).
+Where springs alone hold the body beside a morph, the rigid motions R(p) of other values strain the elements of p_a, and
+alpha is small. K_SS is that of the elements E then: as V has all R(p), R'r = 0, so that r'w = r'(w - R y) with y from
+w_S, and |w - R y| in E_SS(p) is at most |w| in E(p) and in K(p). X below leaves R'(W - M V_L X) = 0.
 
 **Lam.** Let F be columns in span(V), W = M(p_a) F, and K_soft - Lam^ M_heavy + sigma W W' >= 0 for the softest and
 heaviest values on a cell. K grows with each modulus, M with each density, so with the least ratio s_K of stiffness
@@ -69,6 +72,8 @@ ANGLES = np.radians([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
 LOW, FAR, BEYOND, TAKEN = 1.5, (4.0, 16.0, 64.0), 1.1, 0.05
 # Parts of their energy that columns may lose by compression, and below which they count as rigid.
 SMALL, RIGID = 1e-5, 1e-6
+# Least part of a rigid motion on springs that low Ritz vectors have to have.
+HELD = 1e-6
 KINDS = ("bound", "estimate", "none")
 
 
@@ -103,7 +108,7 @@ class ParametricBound:
     weight in (rad/s)2. ``anchor``, ``soft`` (P,) values of the parameters. ``highest`` upper end of the band in
     rad/s. ``eps`` relative error of K(p) as a quadratic form (a geometry that is interpolated), else 0. ``rounding_K``
     (Q, n, n), ``rounding_M`` (J, n, n) limit what round-off makes of the quadratic forms of the terms; None where it is
-    not known.
+    not known. ``rigid`` (n, 6, 1 + morphs): motions that springs alone hold, where these are not in K_SS; else None.
     """
 
     law_K: Law
@@ -125,6 +130,7 @@ class ParametricBound:
     eps: float = 0.0
     rounding_K: Floats | None = None
     rounding_M: Floats | None = None
+    rigid: Floats | None = None
 
     def turned(self, T: Floats) -> ParametricBound:
         """The bound for the basis V ``T`` (n, k), whose span may be smaller."""
@@ -135,6 +141,7 @@ class ParametricBound:
             rest_M=self.rest_M @ size, motion_F=T.T @ self.motion_F,
             rounding_K=None if self.rounding_K is None else T.T @ self.rounding_K @ T,
             rounding_M=None if self.rounding_M is None else T.T @ self.rounding_M @ T,
+            rigid=None if self.rigid is None else np.einsum("nk,nrs->krs", T, self.rigid),
         )  # fmt: skip
         return ParametricBound(**parts)
 
@@ -193,11 +200,11 @@ class ParametricBound:
         gram = np.hstack([start, rho])
         gram = gram.T @ gram / part
         s_K, s_M = ratio(self.law_K.monotone, p, self.soft).min(), ratio(self.law_M.monotone, p, self.soft).max()
-        few, below = 0, 0.0
+        few, below, loads = 0, 0.0, self._rigid_loads(p, M)
         # More of them where so few leave no bound at the upper end of the band.
         for far in FAR if alpha > 0 else FAR[:1]:
             more = self._few(values, np.diag(gram)[len(gram) - len(values) :], far)
-            d = self._missed(MZ, MY[:, :more], Z, Y[:, :more], eM) / alpha if alpha > 0 else np.inf
+            d = self._missed(MZ, MY[:, :more], Z, Y[:, :more], eM, loads) / alpha if alpha > 0 else np.inf
             found = float(s_K / s_M * least / (1 + s_K * self.sigma * d))
             if found > below or far == FAR[0]:
                 few, below = more, found
@@ -221,11 +228,30 @@ class ParametricBound:
         end = int((values < (far * self.highest) ** 2).sum())
         return low + int((np.cumsum(own[low:end] / (values[low:end] - self.highest**2)) <= TAKEN).sum())
 
-    def _missed(self, MZ: Floats, MY: Floats, Z: Floats, Y: Floats, eM: Floats) -> float:
-        """d at the anchor: what the rigid motions ``Z`` and the Ritz vectors ``Y`` of V_L miss of W."""
+    def _rigid_loads(self, p: Floats, M: Floats) -> tuple[Floats, Floats] | None:
+        """R' M (6, n) and R' W (6, k) of orthonormal motions R that springs alone hold at ``p``."""
+        if self.rigid is None:
+            return None
+        morphs = np.array([len(points) > 0 for points in self.law_K.points])
+        R = self.rigid @ np.concatenate([[1.0], p[morphs]])
+        L = sl.cholesky(R.T @ M @ R, lower=True)
+        return sl.solve_triangular(L, R.T @ M, lower=True), sl.solve_triangular(L, R.T @ self.motion_F, lower=True)
+
+    def _missed(
+        self, MZ: Floats, MY: Floats, Z: Floats, Y: Floats, eM: Floats, loads: tuple[Floats, Floats] | None
+    ) -> float:
+        """d at the anchor: what the rigid motions ``Z`` and the Ritz vectors ``Y`` of V_L miss of W, free of the
+        rigid ``loads``."""
         rigid = Z.T @ self.motion_F
-        left = self.residual_F - MZ @ rigid
-        X = sl.lstsq(MY, left, lapack_driver="gelsy")[0] if MY.shape[1] else np.zeros((0, left.shape[1]))
+        left, few = self.residual_F - MZ @ rigid, MY.shape[1]
+        X, free = np.zeros((few, left.shape[1])), np.eye(few)
+        if loads is not None:
+            C, wanted = loads[0] @ Y, loads[1]
+            if np.linalg.matrix_rank(C, tol=HELD) < len(C):
+                return np.inf
+            X, free = np.asarray(np.linalg.pinv(C) @ wanted), np.asarray(sl.null_space(C))
+        if free.shape[1]:
+            X = X + free @ sl.lstsq(MY @ free, left - MY @ X, lapack_driver="gelsy")[0]
         off = self.rest_F + (eM @ np.abs(Z)) @ np.abs(rigid) + (eM @ np.abs(Y)) @ np.abs(X)
         return float(np.linalg.norm(left - MY @ X, 2) ** 2 + (off**2).sum())
 
@@ -270,6 +296,21 @@ class BoundAt:
         with np.errstate(divide="ignore", invalid="ignore"):
             error = two * whole / best + self._unsure(a, c, g, whole / best, kappa / best, 1 / best)
         return np.where((best > 0) & ~on, error, np.inf)
+
+    def lacking(self, omega: float, highest: float) -> str:
+        """Which factor of the bound at ``omega`` is infinite, for a band up to ``highest``, in rad/s."""
+        if not self.least > 0:
+            return "no part of the stiffness at nominal values is proven to be left there (alpha)"
+        if not self.least > highest**2:
+            return (
+                "beside the known modes no others are proven to be absent but below "
+                f"{np.sqrt(self.least) / (2 * np.pi):,.4g} Hz (Lam), and the band goes up to "
+                f"{highest / (2 * np.pi):,.4g} Hz"
+            )
+        a, c, g = self._a(np.array([omega]))
+        if not self._gain(a, c, g)[0][0] > 0:
+            return "the residuals of the low modes outweigh the stiffness beside them (kappa)"
+        return "the round-off of K and M outweighs what is left of K - omega^2 M beside a resonance"
 
     def residual(self, omega: Floats) -> Floats:
         """(nf,) |r|_2 |r|_F over the envelope: what a bound is without resonances."""
