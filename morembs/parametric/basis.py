@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 import scipy.linalg as sl
@@ -19,10 +18,11 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.linalg.columns import map_columns, multiply, symmetric
 from morembs.linalg.lanczos import BlockLanczos
-from morembs.parametric.bound import BEYOND, BoundAt, ParametricBound, ratio, ritz_pairs
+from morembs.parametric.bound import BEYOND, ParametricBound, ratio, ritz_pairs
+from morembs.parametric.bound_at import BoundAt
 from morembs.parametric.cells import MOST, Proofs
 from morembs.parametric.model import ParametricModel
-from morembs.parametric.parameter import Box
+from morembs.parametric.samples import frequencies, narrower, training_points
 from morembs.parametric.space import GlobalSpace
 from morembs.parametric.steps import SearchSteps, Step
 from morembs.parametric.terms import AffineProblem
@@ -45,10 +45,6 @@ BLOCKS = 2
 WEIGHT = 2.0
 # Modes at other p are as sharp as this: they are columns of a basis only.
 SHARP, STEPS = 1e-5, 30
-# Corners of boxes with so many parameters at most join the training set.
-CORNERS = 6
-# Frequencies over the band at each p, beside the flanks of its resonances.
-GRID = 16
 # Values of p of the decomposition, and of the full points that a search may take.
 SNAPSHOTS, POINTS = 96, 40
 # A search ends after so many steps in which the bound falls by less than this factor.
@@ -103,26 +99,6 @@ class Worst:
     value: float
     p: Floats
     hz: float
-
-
-def training_points(box: Box, count: int, seed: int = 1) -> Floats:
-    """The nominal values, the corners of boxes that have few, and ``count`` Sobol points (k, P)."""
-    # Not at the top: it loads much that other methods do without.
-    from scipy.stats import qmc
-
-    sobol = qmc.Sobol(d=len(box.low), seed=seed).random(1 << max(count - 1, 0).bit_length())[:count]
-    inside = box.low + sobol * (box.high - box.low)
-    corners = list(product(*zip(box.low, box.high, strict=True))) if len(box.low) <= CORNERS else []
-    return np.vstack([box.nominal, *corners, inside])
-
-
-def frequencies(values: Floats, damping: Damping, low: float, high: float) -> Floats:
-    """Frequencies (nf,) in rad/s over a band where the bound is looked at: steps, and flanks of resonances."""
-    inside = values[(values > low**2) & (values < high**2)]
-    omega = np.sqrt(inside)
-    width = np.maximum(0.5 * damping.at_resonance(inside), 1e-3 * omega)
-    flanks = (omega + width * np.array([[-1.0], [0.0], [1.0]])).ravel()
-    return np.concatenate([np.linspace(low, high, GRID), flanks[(flanks > low) & (flanks < high)]])
 
 
 class GreedySearch:
@@ -388,9 +364,9 @@ class GreedySearch:
         cure = "raise the tolerance or the order_limit, narrow the ranges or the band, or take accept_bound = true"
         if np.isinf(worst.value):
             at = self._bounded(model, bound, worst.p)
-            return InputError(
-                f"{said} infinite {where}: {at.lacking(2 * np.pi * worst.hz, self.high)}; {self._narrower(model, bound)}"
-            )
+            finite = np.array([np.isfinite(self._relative(model, bound, p)) for p in self.training])
+            words = narrower(self.problem.box, self.training, finite)
+            return InputError(f"{said} infinite {where}: {at.lacking(2 * np.pi * worst.hz, self.high)}; {words}")
         # What the bound is with all of the basis and the geometry exact.
         alone = self._relative(model, replace(bound, eps=0.0), worst.p)
         geometry = (
@@ -398,23 +374,6 @@ class GreedySearch:
             if alone < 0.5 * worst.value and self.problem.eps else ""
         )  # fmt: skip
         return InputError(f"{said} {worst.value:.1e} {where}{geometry}; {cure}")
-
-    def _narrower(self, model: ParametricModel, bound: ParametricBound) -> str:
-        """Which range of which parameter has finite bounds at all sampled values."""
-        box, points = self.problem.box, self.training
-        finite = np.array([np.isfinite(self._relative(model, bound, p)) for p in points])
-        best, words = 0.0, "narrow the ranges of the parameters, or the band"
-        for x, at, low, high, each in zip(points.T, box.nominal, box.low, box.high, self.problem.parameters, strict=True):
-            inner = x[~finite & (x <= at)].max(initial=-np.inf), x[~finite & (x >= at)].min(initial=np.inf)
-            good = x[(x > inner[0]) & (x < inner[1])]
-            left = np.ptp(good) / (high - low) if len(good) else 0.0
-            if best < left < 1.0:
-                best = left
-                words = (
-                    f"narrow the range of {each.name} to {good.min():.4g} ... {good.max():.4g} {each.unit}".rstrip()
-                    + " (in SI units; finite at all sampled values there), or the band"
-                )
-        return words
 
 
 def reduced_to(model: ParametricModel, T: Floats) -> ParametricModel:

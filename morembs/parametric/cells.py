@@ -41,8 +41,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 # Parts of what eigenvalues promise that are tried, one after the other.
 TRIED = (0.97, 0.9, 0.8, 0.65)
-# Cells are split until a proof gives this part of what holds at their corners, up to so many of them, and up to the last
-# number where nothing is proven else.
+# Cells are split until a proof gives this part of what holds at their corners, up to so many of them, and where nothing
+# is proven up to the last number.
 ENOUGH, MOST, FINEST = 0.9, 8, 64
 # Without a proof: values of each morph on a cell, and part of the least estimate that is taken.
 SAMPLES, UNPROVEN = 5, 0.9

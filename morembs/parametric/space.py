@@ -90,9 +90,8 @@ class GlobalSpace:
 
     def _rigid(self) -> Floats:
         """Coordinates (n, 6, 1 + morphs) of the rigid motions at all values."""
-        problem, V = self.problem, self.columns()
-        parts = [dot(V, problem.M @ np.asfortranarray(R), problem.budget) for R in np.moveaxis(problem.rigid_terms, 2, 0)]
-        return np.stack(parts, axis=2)
+        problem, V, terms = self.problem, self.columns(), np.moveaxis(self.problem.rigid_terms, 2, 0)
+        return np.stack([dot(V, problem.M @ np.asfortranarray(R), problem.budget) for R in terms], axis=2)
 
     def add(self, X: Floats) -> int:
         """Number of columns that ``X`` (Nc, k), overwritten, adds."""
