@@ -60,9 +60,9 @@ class BoundAt:
             error = two * whole / best + self._unsure(a, c, g, whole / best, kappa / best, 1 / best)
         return np.where((best > 0) & ~on, error, np.inf)
 
-    def lacking(self, omega: float, highest: float) -> str:
-        """Which factor of the bound at ``omega`` is infinite, for a band up to ``highest``, in rad/s."""
-        if not self.least > 0:
+    def lacking(self, alpha: float, omega: float, highest: float) -> str:
+        """Which factor of the bound at ``omega`` is infinite, for a band up to ``highest``, in rad/s, and ``alpha``."""
+        if not alpha > 0:
             return "no part of the stiffness at nominal values is proven to be left there (alpha)"
         if not self.least > highest**2:
             return (

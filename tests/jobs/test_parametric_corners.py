@@ -122,20 +122,9 @@ def test_a_soft_ground_spring_beside_a_morph_has_a_proven_bound(tmp_path, stiff)
     assert at.bound_kind == "bound" and (bound < 0.1 * size).all()
 
 
-def test_loads_on_the_supports_leave_coordinates_of_residuals_orthonormal(tmp_path):
-    """The supports are those of the frame of an interface here, whose loads are round-off in the dual norm."""
-    young = '[[parameter]]\nname = "E"\nproperty = "young"\nrange = [5e10, 8.7e11]\n'
-    done = reduced(tmp_path, young + MORPH.replace("[0, 0.05]", "[0, 0.014]"), high=12000.0)
-    assert done.exit_code == 0, done.stderr
-    at = read_body(tmp_path / "bar.h5").bodies["parametric"].parametric.at(E=3e11, t=0.006)
-    bound = at.bound([100.0, 5000.0, 11000.0])
-    size = np.linalg.norm(at.response([100.0, 5000.0, 11000.0]), axis=(1, 2))
-    assert (bound < 0.1 * size).all()
-
-
 def test_an_infinite_bound_is_refused_by_its_factor_and_the_range_that_has_one(tmp_path):
     young = '[[parameter]]\nname = "E"\nproperty = "young"\nrange = [1e7, 1e13]\nset = "all"\n'
     done = reduced(tmp_path, young, high=12000.0)
     assert done.exit_code == 2
     assert "the bound is infinite at E = " in done.stderr and "(Lam), and the band goes up to 1.2e+04 Hz" in done.stderr
-    assert "narrow the range of E to " in done.stderr
+    assert "narrow the range" in done.stderr
