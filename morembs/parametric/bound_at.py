@@ -89,8 +89,8 @@ class BoundAt:
         return c[:, None] * self.values + numerator(omega, slope(self.damping, self.values)), c, g
 
     def _residual(self, a: Complexes, omega: Floats) -> tuple[Floats, Floats]:
-        """(nf,) norms |r|_2 and |r|_F: r = r_0 + sum_i rho_i b_i' (g + i w d_i) / (mu_i a_i), of the first ``soft`` less
-        rho_i b_i' c / a_i instead."""
+        """(nf,) norms |r|_2 and |r|_F: r = r_0 + sum_i rho_i b_i' (g + i w d_i) / (mu_i a_i), of the first
+        ``soft`` less rho_i b_i' c / a_i instead."""
         m = self.b.shape[1]
         factors = numerator(omega, slope(self.damping, self.values)) / (self.values * a)
         factors[:, : self.soft] = -self.damping.proportional(1j * omega)[0][..., None] / a[:, : self.soft]
