@@ -278,6 +278,8 @@ BOUND = Table((
     Row("eps", "real", "", "relative error of the stiffness of a morph, in every quadratic form"),
     Row("rounding_K", "later", "Q n n", "limits of round-off in quadratic forms of the terms of K", when=_OLD),
     Row("rounding_M", "later", "J n n", "the same of the terms of M", when=_OLD),
+    Row("rigid", "later", "n 6 f", "rigid motions, constant and per morph",
+        when="where springs alone hold a body with a morph, and are not in the norm of loads"),
 ))  # fmt: skip
 
 FRAME_TERMS = Table((

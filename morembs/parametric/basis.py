@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 import scipy.linalg as sl
@@ -19,10 +18,11 @@ from numpy.typing import NDArray
 from morembs.errors import InputError
 from morembs.linalg.columns import map_columns, multiply, symmetric
 from morembs.linalg.lanczos import BlockLanczos
-from morembs.parametric.bound import BoundAt, ParametricBound, ratio, ritz_pairs
-from morembs.parametric.cells import Proofs
+from morembs.parametric.bound import BEYOND, ParametricBound, ratio, ritz_pairs
+from morembs.parametric.bound_at import BoundAt
+from morembs.parametric.cells import MOST, Proofs
 from morembs.parametric.model import ParametricModel
-from morembs.parametric.parameter import Box
+from morembs.parametric.samples import frequencies, narrower, training_points
 from morembs.parametric.space import GlobalSpace
 from morembs.parametric.steps import SearchSteps, Step
 from morembs.parametric.terms import AffineProblem
@@ -37,20 +37,20 @@ DEFLATED, TAKEN = 1.75, 1.5
 # In wide boxes more are deflated, as modes of the softest and heaviest body lie lower: to this multiple of its own
 # frequencies, as far as all its moduli and densities scale them, but no further than the second.
 SOFTER, WIDEST = 1.25, 5.0
+# Where those are not enough, modes of the softest bodies up to this multiple, and what they have beside the others.
+SOFTEST, NEW = 2.0, 1e-6
 # Blocks of the Krylov space of the loads that are taken beside the modes, one more each time that p comes again.
 BLOCKS = 2
 # Weight of deflated loads in eigenvalues at the limit of the deflated modes.
 WEIGHT = 2.0
 # Modes at other p are as sharp as this: they are columns of a basis only.
 SHARP, STEPS = 1e-5, 30
-# Corners of boxes with so many parameters at most join the training set.
-CORNERS = 6
-# Frequencies over the band at each p, beside the flanks of its resonances.
-GRID = 16
 # Values of p of the decomposition, and of the full points that a search may take.
 SNAPSHOTS, POINTS = 96, 40
 # A search ends after so many steps in which the bound falls by less than this factor.
 STALLED, SLOW = 2, 0.95
+# Where less of the stiffness of the anchor is left on a cell, springs that hold the body are taken out of the norm.
+SOFT = 0.05
 # Fresh values per value of training for the bound over the box.
 FRESH = 4
 
@@ -101,26 +101,6 @@ class Worst:
     hz: float
 
 
-def training_points(box: Box, count: int, seed: int = 1) -> Floats:
-    """The nominal values, the corners of boxes that have few, and ``count`` Sobol points (k, P)."""
-    # Not at the top: it loads much that other methods do without.
-    from scipy.stats import qmc
-
-    sobol = qmc.Sobol(d=len(box.low), seed=seed).random(1 << max(count - 1, 0).bit_length())[:count]
-    inside = box.low + sobol * (box.high - box.low)
-    corners = list(product(*zip(box.low, box.high, strict=True))) if len(box.low) <= CORNERS else []
-    return np.vstack([box.nominal, *corners, inside])
-
-
-def frequencies(values: Floats, damping: Damping, low: float, high: float) -> Floats:
-    """Frequencies (nf,) in rad/s over a band where the bound is looked at: steps, and flanks of resonances."""
-    inside = values[(values > low**2) & (values < high**2)]
-    omega = np.sqrt(inside)
-    width = np.maximum(0.5 * damping.at_resonance(inside), 1e-3 * omega)
-    flanks = (omega + width * np.array([[-1.0], [0.0], [1.0]])).ravel()
-    return np.concatenate([np.linspace(low, high, GRID), flanks[(flanks > low) & (flanks < high)]])
-
-
 class GreedySearch:
     """The search for a basis of ``problem`` that keeps what is ``wanted``."""
 
@@ -132,19 +112,27 @@ class GreedySearch:
         progress.update("modes at nominal values")
         limit = (self._deflated() * self.high) ** 2
         modes = problem.elastic_modes(below=limit)
-        self.space = GlobalSpace(problem)
-        self.space.add(np.array(modes.vectors, order="F"))
-        # Before the motions that are rigid at other p only: no low modes are beside those, nor orthogonal to them.
-        self.deflated = self.space.size
-        self.space.add_rigid_at_others()
-        self.kept = self.space.size
         self.sigma = WEIGHT * limit
-        self.proofs = Proofs(self.space, progress)
-        self.cells = self.proofs.cells()
+        self._start(modes.vectors)
+        if min(cell.alpha for cell in self.cells) < SOFT and problem.loose is not None:
+            self._start(modes.vectors, problem.loose)
         self.points: list[Floats] = []
         self.factorisations = 1
         kind = f"{wanted.band_hz} {wanted.training} {self.floor}"
         self.steps = SearchSteps(problem, kind, problem.output)
+
+    def _start(self, modes: Floats, loose: Problem | None = None) -> None:
+        """The space of the low ``modes`` and rigid motions, and what is proven in its dual norm."""
+        self.space = GlobalSpace(self.problem, loose=loose)
+        self.space.add(np.array(modes, order="F"))
+        # Before the motions that are rigid at other p only: no low modes are beside those, nor orthogonal to them.
+        self.deflated = self.space.size
+        self.space.add_rigid_at_others()
+        self.kept = self.space.size
+        self.proofs = Proofs(self.space, self.progress)
+        # Many cells help little where the norm is the matter.
+        few = loose is None and self.problem.loose is not None
+        self.cells = self.proofs.cells(MOST) if few else self.proofs.cells()
 
     def _deflated(self) -> float:
         """The multiple of the upper frequency below which modes of the anchor are deflated."""
@@ -191,12 +179,30 @@ class GreedySearch:
         return self.worst(model, replace(bound, rounding_K=None, rounding_M=None))
 
     def _bound(self, *, proof: bool) -> tuple[ParametricModel, ParametricBound]:
+        model, enough = self.space.reduced(), BEYOND * self.high**2
         F = np.eye(self.space.size, self.deflated)
-        cells = self.proofs.least(self.cells, F, self.sigma, proof=proof)
+        cells = self.proofs.least(self.cells, F, self.sigma, enough, proof=proof)
+        if cells.least.min() < enough:
+            F = self._more_deflated(model)
+            cells = self.proofs.least(self.cells, F, self.sigma, enough, proof=proof)
         bound = self.space.bound(
             cells, F, sigma=self.sigma, highest=self.high, soft=self.proofs.soft, eps=self.problem.eps
         )
-        return self.space.reduced(), bound
+        return model, bound
+
+    def _more_deflated(self, model: ParametricModel) -> Floats:
+        """Orthonormal coordinates (n, k) of the deflated modes with those of the softest bodies, where modes of the
+        anchor alone are too far from them."""
+        known, ends = self.deflated, self.proofs.soft
+        columns = []
+        for cell in self.cells:
+            p = np.where(np.isin(np.arange(len(ends)), self.proofs.curved), 0.5 * (cell.low + cell.high), ends)
+            K, M = model.matrices(p)
+            _, values, Y = ritz_pairs(K, M, model.rigid_at(p))
+            columns.append(Y[:, values < (SOFTEST * self.high) ** 2])
+        beside = np.hstack(columns)[known:]
+        U, sizes, _ = sl.svd(beside, full_matrices=False)
+        return np.asarray(sl.block_diag(np.eye(known), U[:, sizes > NEW * sizes.max(initial=0.0)]))
 
     def _take(self, worst: Worst) -> bool:
         """Responses and modes at the ``worst`` p join the space, more of them where it was taken before; whether there
@@ -275,7 +281,7 @@ class GreedySearch:
         low, high = self.kept, min(whole, wanted.order_limit)
         worst = self.worst(*of(high), points=self.training[order])
         if worst.value > wanted.tolerance and not wanted.accept_bound:
-            raise self._unreached(worst, high, self._relative(model, replace(bare, eps=0.0), worst.p))
+            raise self._unreached(worst, high, model, bare)
         while worst.value <= wanted.tolerance and low < high:
             middle = (low + high) // 2
             self.progress.update(f"{middle} of {whole} columns")
@@ -351,18 +357,24 @@ class GreedySearch:
         given = zip(self.problem.parameters, p, strict=True)
         return ", ".join(f"{each.name} = {x:.4g} {each.unit}".rstrip() for each, x in given)
 
-    def _unreached(self, worst: Worst, order: int, alone: float) -> InputError:
-        """The error for the ``worst`` bound, which is ``alone`` with all of the basis and the geometry exact."""
-        at = self._words(worst.p)
+    def _unreached(self, worst: Worst, order: int, model: ParametricModel, bound: ParametricBound) -> InputError:
+        """The error for the ``worst`` bound, of ``model`` and ``bound`` with all of the basis."""
+        said = f"tolerance = {self.wanted.tolerance:g} is not reached with {order} coordinates: the bound is"
+        where = f"at {self._words(worst.p)} and {worst.hz:,.6g} Hz"
+        cure = "raise the tolerance or the order_limit, narrow the ranges or the band, or take accept_bound = true"
+        if np.isinf(worst.value):
+            at = self._bounded(model, bound, worst.p)
+            finite = np.array([np.isfinite(self._relative(model, bound, p)) for p in self.training])
+            words = narrower(self.problem.box, self.training, finite)
+            lacking = at.lacking(bound.cells.at(worst.p)[0], 2 * np.pi * worst.hz, self.high)
+            return InputError(f"{said} infinite {where}: {lacking}; {words}")
+        # What the bound is with all of the basis and the geometry exact.
+        alone = self._relative(model, replace(bound, eps=0.0), worst.p)
         geometry = (
             f"; most of it is the interpolated geometry, exact to {self.problem.eps:.1e}, beside light damping"
             if alone < 0.5 * worst.value and self.problem.eps else ""
         )  # fmt: skip
-        return InputError(
-            f"tolerance = {self.wanted.tolerance:g} is not reached with {order} coordinates: the bound is "
-            f"{worst.value:.1e} at {at} and {worst.hz:,.6g} Hz{geometry}; raise the tolerance or the order_limit, "
-            "narrow the ranges or the band, or take accept_bound = true"
-        )
+        return InputError(f"{said} {worst.value:.1e} {where}{geometry}; {cure}")
 
 
 def reduced_to(model: ParametricModel, T: Floats) -> ParametricModel:

@@ -22,6 +22,9 @@ is infinite, and said to be.
 **The dual norm.** Six dofs S are held that determine rigid motion at every p. For loads free of rigid motion the dual
 norm is that of K_SS(p)^-1, and K_SS(p) >= alpha(p) K_SS(p_a) gives |r|^2 <= |r|_a^2 / alpha. In a morph alpha is
 that of a cell, times the least ratio of the factors of moduli (min-theta).
+Where springs alone hold the body beside a morph, the rigid motions R(p) of other values strain the elements of p_a, and
+alpha is small. K_SS is that of the elements E then: as V has all R(p), R'r = 0, so that r'w = r'(w - R y) with y from
+w_S, and |w - R y| in E_SS(p) is at most |w| in E(p) and in K(p). X below leaves R'(W - M V_L X) = 0.
 
 **Lam.** Let F be columns in span(V), W = M(p_a) F, and K_soft - Lam^ M_heavy + sigma W W' >= 0 for the softest and
 heaviest values on a cell. K grows with each modulus, M with each density, so with the least ratio s_K of stiffness
@@ -56,20 +59,20 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.parametric.bound_at import BoundAt
 from morembs.parametric.law import LINEAR, SQUARE, Law
 from morembs.problem.damping import Damping
-from morembs.responses.residual_bound import numerator, slope
 
 Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-# Angles psi that are tried, in radians.
-ANGLES = np.radians([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
-# Ritz vectors up to the first multiple of the upper frequency are V_L, and those up to the second one whose residuals
-# take no more than this part of b together.
-LOW, FAR, TAKEN = 1.5, 4.0, 0.05
+# Ritz vectors up to the first multiple of the upper frequency are V_L, and those up to the others, one after the other
+# until Lam is this multiple of its square, whose residuals take no more than this part of b together.
+LOW, FAR, BEYOND, TAKEN = 1.5, (4.0, 16.0, 64.0), 1.1, 0.05
 # Parts of their energy that columns may lose by compression, and below which they count as rigid.
 SMALL, RIGID = 1e-5, 1e-6
-KINDS = ("bound", "estimate", "none")
+# Least part of a rigid motion on springs that low Ritz vectors have to have.
+HELD = 1e-6
+# Springs are soft whose frequencies are this part of the upper one at most.
+SLOW = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,7 +106,7 @@ class ParametricBound:
     weight in (rad/s)2. ``anchor``, ``soft`` (P,) values of the parameters. ``highest`` upper end of the band in
     rad/s. ``eps`` relative error of K(p) as a quadratic form (a geometry that is interpolated), else 0. ``rounding_K``
     (Q, n, n), ``rounding_M`` (J, n, n) limit what round-off makes of the quadratic forms of the terms; None where it is
-    not known.
+    not known. ``rigid`` (n, 6, 1 + morphs): motions that springs alone hold, where these are not in K_SS; else None.
     """
 
     law_K: Law
@@ -125,6 +128,7 @@ class ParametricBound:
     eps: float = 0.0
     rounding_K: Floats | None = None
     rounding_M: Floats | None = None
+    rigid: Floats | None = None
 
     def turned(self, T: Floats) -> ParametricBound:
         """The bound for the basis V ``T`` (n, k), whose span may be smaller."""
@@ -135,6 +139,7 @@ class ParametricBound:
             rest_M=self.rest_M @ size, motion_F=T.T @ self.motion_F,
             rounding_K=None if self.rounding_K is None else T.T @ self.rounding_K @ T,
             rounding_M=None if self.rounding_M is None else T.T @ self.rounding_M @ T,
+            rigid=None if self.rigid is None else np.einsum("nk,nrs->krs", T, self.rigid),
         )  # fmt: skip
         return ParametricBound(**parts)
 
@@ -180,8 +185,12 @@ class ParametricBound:
         b, b_rigid, size = Y.T @ B, Z.T @ B, np.abs(Y)
         rho = KY - MY * values
         off = eK @ size + (eM @ size) * values
-        start = self.residual_B - KY @ (b / values[:, None]) - MZ @ b_rigid
-        off_start = self.rest_B + (eK @ size) @ np.abs(b / values[:, None]) + (eM @ np.abs(Z)) @ np.abs(b_rigid)
+        # Beside the band motions on soft springs are inertia, K v = mu M v + rho: rho over mu would be round-off.
+        soft = 0 if self.rigid is None else int((values[:6] < (SLOW * self.highest) ** 2).sum())
+        static = np.where(np.arange(len(values))[:, None] < soft, 0.0, b / values[:, None])
+        start = self.residual_B - KY @ static - MY[:, :soft] @ b[:soft] - MZ @ b_rigid
+        off_start = self.rest_B + (eK @ size) @ np.abs(static) + (eM @ np.abs(Z)) @ np.abs(b_rigid)
+        off_start += (eM @ size)[:soft] @ np.abs(b[:soft])
         alpha_cell, least, proven = self.cells.at(p)
         unsure_K, unsure_M = (
             np.zeros((len(values),) * 2) if terms is None else Y.T @ np.tensordot(np.abs(theta), terms, 1) @ Y
@@ -192,140 +201,61 @@ class ParametricBound:
         part = alpha if alpha > 0 else 1.0
         gram = np.hstack([start, rho])
         gram = gram.T @ gram / part
-        few = self._few(values, np.diag(gram)[len(gram) - len(values) :])
-        d = self._missed(MZ, MY[:, :few], Z, Y[:, :few], eM) / alpha if alpha > 0 else np.inf
+        s_K, s_M = ratio(self.law_K.monotone, p, self.soft).min(), ratio(self.law_M.monotone, p, self.soft).max()
+        few, below, loads = 0, 0.0, self._rigid_loads(p, M)
+        # More of them where so few leave no bound at the upper end of the band.
+        for far in FAR if alpha > 0 else FAR[:1]:
+            more = self._few(values, np.diag(gram)[len(gram) - len(values) :], far)
+            d = self._missed(MZ, MY[:, :more], Z, Y[:, :more], eM, loads) / alpha if alpha > 0 else np.inf
+            found = float(s_K / s_M * least / (1 + s_K * self.sigma * d))
+            if found > below or far == FAR[0]:
+                few, below = more, found
+            if below > BEYOND * self.highest**2:
+                break
         # Products with K leave round-off in the residuals, too.
         own = np.sqrt(np.maximum(np.diag(unsure_K), 0.0))
         own *= (own / np.sqrt(values))[min(few, len(values) - 1) :].max(initial=0.0)
-        off, off_start = off / np.sqrt(part) + own, off_start / np.sqrt(part) + own @ np.abs(b / values[:, None])
-        s_K, s_M = ratio(self.law_K.monotone, p, self.soft).min(), ratio(self.law_M.monotone, p, self.soft).max()
+        off, off_start = off / np.sqrt(part) + own, off_start / np.sqrt(part) + own @ np.abs(static)
         return BoundAt(
             values=values, b=b, gram=gram, off=off, off_start=off_start, few=few,
-            least=float(s_K / s_M * least / (1 + s_K * self.sigma * d)), damping=damping,
+            least=below, damping=damping, soft=soft,
             unsure_K=unsure_K + self.eps / (1 - self.eps) * np.diag(values), unsure_M=unsure_M,
             proven=proven and not damping.is_modal and self.rounding_K is not None,
         )  # fmt: skip
 
-    def _few(self, values: Floats, own: Floats) -> int:
-        """How many Ritz vectors are V_L, whose residuals have the squares ``own`` (e,) of norms: more of them make d
-        smaller and kappa larger."""
+    def _few(self, values: Floats, own: Floats, far: float) -> int:
+        """How many Ritz vectors are V_L, whose residuals have the squares ``own`` (e,) of norms, up to ``far`` times
+        the upper frequency: more of them make d smaller and kappa larger."""
         low = int((values < (LOW * self.highest) ** 2).sum())
-        far = int((values < (FAR * self.highest) ** 2).sum())
-        return low + int((np.cumsum(own[low:far] / (values[low:far] - self.highest**2)) <= TAKEN).sum())
+        end = int((values < (far * self.highest) ** 2).sum())
+        return low + int((np.cumsum(own[low:end] / (values[low:end] - self.highest**2)) <= TAKEN).sum())
 
-    def _missed(self, MZ: Floats, MY: Floats, Z: Floats, Y: Floats, eM: Floats) -> float:
-        """d at the anchor: what the rigid motions ``Z`` and the Ritz vectors ``Y`` of V_L miss of W."""
+    def _rigid_loads(self, p: Floats, M: Floats) -> tuple[Floats, Floats] | None:
+        """R' M (6, n) and R' W (6, k) of orthonormal motions R that springs alone hold at ``p``."""
+        if self.rigid is None:
+            return None
+        morphs = np.array([len(points) > 0 for points in self.law_K.points])
+        R = self.rigid @ np.concatenate([[1.0], p[morphs]])
+        L = sl.cholesky(R.T @ M @ R, lower=True)
+        return sl.solve_triangular(L, R.T @ M, lower=True), sl.solve_triangular(L, R.T @ self.motion_F, lower=True)
+
+    def _missed(
+        self, MZ: Floats, MY: Floats, Z: Floats, Y: Floats, eM: Floats, loads: tuple[Floats, Floats] | None
+    ) -> float:
+        """d at the anchor: what the rigid motions ``Z`` and the Ritz vectors ``Y`` of V_L miss of W, free of the
+        rigid ``loads``."""
         rigid = Z.T @ self.motion_F
-        left = self.residual_F - MZ @ rigid
-        X = sl.lstsq(MY, left, lapack_driver="gelsy")[0] if MY.shape[1] else np.zeros((0, left.shape[1]))
+        left, few = self.residual_F - MZ @ rigid, MY.shape[1]
+        X, free = np.zeros((few, left.shape[1])), np.eye(few)
+        if loads is not None:
+            C, wanted = loads[0] @ Y, loads[1]
+            if np.linalg.matrix_rank(C, tol=HELD) < len(C):
+                return np.inf
+            X, free = np.asarray(np.linalg.pinv(C) @ wanted), np.asarray(sl.null_space(C))
+        if free.shape[1]:
+            X = X + free @ sl.lstsq(MY @ free, left - MY @ X, lapack_driver="gelsy")[0]
         off = self.rest_F + (eM @ np.abs(Z)) @ np.abs(rigid) + (eM @ np.abs(Y)) @ np.abs(X)
         return float(np.linalg.norm(left - MY @ X, 2) ** 2 + (off**2).sum())
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BoundAt:
-    """The bound at one p: Ritz ``values`` (e,) in (rad/s)2 and scaled loads ``b`` (e, m) of the elastic part, ``gram``
-    (m + e, m + e) of the static residual and of those of the Ritz vectors in the dual norm, ``off_start`` (m,) and
-    ``off`` (e,) what was cut of them; the first ``few`` are V_L, and K >= ``least`` M beside them. ``unsure_K``,
-    ``unsure_M`` (e, e) limit the quadratic forms of what is not known of K and M."""
-
-    values: Floats
-    b: Floats
-    gram: Floats
-    off_start: Floats
-    off: Floats
-    few: int
-    least: float
-    damping: Damping
-    unsure_K: Floats
-    unsure_M: Floats
-    proven: bool
-
-    @property
-    def kind(self) -> str:
-        """"bound" where all of it is proven in exact arithmetic, "estimate", or "none"."""
-        return "none" if not self.least > 0 else KINDS[0] if self.proven else KINDS[1]
-
-    def envelope(self, omega: Floats) -> Floats:
-        """(nf,) sum of the sizes of all modal contributions to the scaled H at ``omega`` (nf,) in rad/s, in m/N."""
-        return np.asarray((1 / np.abs(self._a(omega)[0])) @ (self.b**2).sum(axis=1))
-
-    def error(self, omega: Floats) -> Floats:
-        """(nf,) bounds of |H - H_r|_F, scaled, at ``omega`` (nf,) in rad/s, in m/N; infinite where there is none."""
-        omega = np.atleast_1d(np.asarray(omega, dtype=float))
-        a, c, g = self._a(omega)
-        # On a resonance without damping there is no response.
-        on = (a == 0).any(axis=1)
-        a[on] = c[on, None]
-        two, whole = self._residual(a, omega)
-        best, kappa = self._gain(a, c, g)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            error = two * whole / best + self._unsure(a, c, g, whole / best, kappa / best, 1 / best)
-        return np.where((best > 0) & ~on, error, np.inf)
-
-    def residual(self, omega: Floats) -> Floats:
-        """(nf,) |r|_2 |r|_F over the envelope: what a bound is without resonances."""
-        omega = np.atleast_1d(np.asarray(omega, dtype=float))
-        two, whole = self._residual(self._a(omega)[0], omega)
-        return np.asarray(two * whole / self.envelope(omega))
-
-    def _a(self, omega: Floats) -> tuple[Complexes, Complexes, Complexes]:
-        """a_i (nf, e), c and g (nf,)."""
-        omega = np.atleast_1d(np.asarray(omega, dtype=float))
-        c, g = self.damping.proportional(1j * omega)
-        c, g = (np.broadcast_to(np.asarray(x, dtype=complex), omega.shape) for x in (c, g))
-        return c[:, None] * self.values + numerator(omega, slope(self.damping, self.values)), c, g
-
-    def _residual(self, a: Complexes, omega: Floats) -> tuple[Floats, Floats]:
-        """(nf,) norms |r|_2 and |r|_F: r = r_0 + sum_i rho_i b_i' (g + i w d_i) / (mu_i a_i)."""
-        m = self.b.shape[1]
-        factors = numerator(omega, slope(self.damping, self.values)) / (self.values * a)
-        T = factors[:, :, None] * self.b
-        G00, G01, G11 = self.gram[:m, :m], self.gram[:m, m:], self.gram[m:, m:]
-        cross = G01 @ T
-        S = G00 + cross + cross.conj().transpose(0, 2, 1) + T.conj().transpose(0, 2, 1) @ (G11 @ T)
-        cut = ((self.off_start + np.abs(factors) @ (self.off[:, None] * np.abs(self.b))) ** 2).sum(axis=1)
-        # Round-off of sums that cancel.
-        size = np.abs(np.trace(G00)) + np.einsum("fi,i->f", (np.abs(T) ** 2).sum(axis=2), np.diag(G11))
-        cut = cut + 10 * np.finfo(float).eps * size
-        values = np.linalg.eigvalsh(S)
-        return np.sqrt(np.maximum(values[:, -1], 0) + cut), np.sqrt(np.maximum(values, 0).sum(axis=1) + cut)
-
-    def _gain(self, a: Complexes, c: Complexes, g: Complexes) -> tuple[Floats, Floats]:
-        """(nf,) b - kappa at the best angle, and kappa with the sizes of 1 / a_i."""
-        m, few = self.b.shape[1], self.few
-        gram, off = self.gram[m : m + few, m : m + few], self.off[:few] ** 2
-        own = np.diag(gram) + off
-        turn = np.exp(-1j * ANGLES)
-        far = c if not self.least > 0 else c + g / self.least
-        b = np.minimum((turn[:, None] * c).real, (turn[:, None] * far).real)
-        weight = np.maximum((turn[:, None, None] * (c[:, None] ** 2 / a[:, :few])).real, 0.0)
-        # The trace chooses the angle, the largest eigenvalue counts.
-        chosen = np.argmax(b - weight @ own, axis=0)
-        every = np.arange(len(c))
-        best = b[chosen, every] - _largest(weight[chosen, every], gram, off)
-        if not self.least > 0:
-            best = np.full(len(c), -np.inf)
-        return best, _largest(np.abs(c[:, None] ** 2 / a[:, :few]), gram, off)
-
-    def _unsure(
-        self, a: Complexes, c: Complexes, g: Complexes, missed: Floats, kappa: Floats, reach: Floats
-    ) -> Floats:
-        """(nf,) what the error of K and M adds; ``missed`` is |r|_F, ``kappa`` that of sizes and ``reach`` one, each
-        over b - kappa."""
-        few, part = self.few, np.abs(g / c)
-        beside = slice(min(few, len(self.values) - 1), None)
-        outside, low = np.zeros(len(c)), np.zeros(len(c))
-        own, y = np.zeros(len(c)), self.b / a[:, :, None]
-        for S, weight in ((self.unsure_K, np.ones(len(c))), (self.unsure_M, part)):
-            outside += weight * (np.diag(S) / self.values)[beside].max(initial=0.0)
-            low += weight * _largest(1 / np.abs(a[:, :few]), S[:few, :few], np.zeros(few))
-            own += weight * np.einsum("fim,fim->f", y.conj(), S @ y).real
-        # (t + sqrt(l kappa)) / sqrt(b - kappa).
-        mixed = np.sqrt(outside * reach) + np.sqrt(low * kappa)
-        norm = np.abs(c) * (low + mixed**2)
-        full = np.sqrt(own) + mixed * missed / np.sqrt(reach)
-        return np.where(norm < 1, np.abs(c) * full**2 / (1 - norm), np.inf)
 
 
 def ritz_pairs(K: Floats, M: Floats, rigid: Floats) -> tuple[Floats, Floats, Floats]:
@@ -349,11 +279,3 @@ def ratio(law: Law, p: Floats, reference: Floats) -> Floats:
     if not used.any():
         return np.ones(len(law.factors))
     return np.asarray(np.prod((p[used] / reference[used]) ** powers[:, used], axis=1))
-
-
-def _largest(weight: Floats, gram: Floats, off: Floats) -> Floats:
-    """(nf,) largest eigenvalue of sum_i weight_i rho_i rho_i' for the Gram matrix of rho, and what was cut of them."""
-    if not gram.size:
-        return np.zeros(len(weight))
-    root = np.sqrt(weight)
-    return np.asarray(np.linalg.eigvalsh(root[:, :, None] * gram * root[:, None, :])[:, -1] + weight @ off)

@@ -33,6 +33,7 @@ from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.parametric.bound import Cells
 from morembs.parametric.law import LINEAR, Law, bernstein
+from morembs.parametric.model import ParametricModel
 from morembs.parametric.space import GlobalSpace
 from morembs.progress import SILENT, Progress
 
@@ -40,8 +41,9 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 # Parts of what eigenvalues promise that are tried, one after the other.
 TRIED = (0.97, 0.9, 0.8, 0.65)
-# Cells are split until a proof gives this part of what holds at their corners, up to so many of them.
-ENOUGH, MOST = 0.9, 8
+# Cells are split until a proof gives this part of what holds at their corners, up to so many of them, and where nothing
+# is proven up to the last number.
+ENOUGH, MOST, FINEST = 0.9, 8, 64
 # Without a proof: values of each morph on a cell, and part of the least estimate that is taken.
 SAMPLES, UNPROVEN = 5, 0.9
 
@@ -87,8 +89,8 @@ class Proofs:
             turn = np.asarray(np.kron(turn, bernstein(points[j], low[j], high[j])), dtype=np.float64)
         return np.asarray(turn @ law(at))
 
-    def cells(self) -> list[Cell]:
-        """The box in cells of the parameters with points, with their alpha.
+    def cells(self, finest: int = FINEST) -> list[Cell]:
+        """The box in cells of the parameters with points, with their alpha; at most ``finest`` of them.
 
         Raises:
             InputError: values at which a preload makes the body buckle.
@@ -97,9 +99,10 @@ class Proofs:
         if not len(curved):
             return [Cell(low=box.low, high=box.high, alpha=1.0, corner=1.0, proven=True)]
         cells = [self._cell(box.low, box.high)]
-        while len(cells) < MOST:
+        while len(cells) < finest:
             # Cells are as good as their corners at best: only what Bernstein coefficients lose is gained by halves.
-            lossy = [k for k, cell in enumerate(cells) if cell.corner > 0 and cell.alpha < ENOUGH * cell.corner]
+            part = ENOUGH if len(cells) < MOST else np.finfo(float).tiny
+            lossy = [k for k, cell in enumerate(cells) if cell.corner > 0 and cell.alpha < part * cell.corner]
             if not lossy:
                 break
             worst = min(lossy, key=lambda k: cells[k].alpha)
@@ -110,7 +113,7 @@ class Proofs:
     def _cell(self, low: Floats, high: Floats) -> Cell:
         problem, space = self.problem, self.space
         theta = self.controls(problem.law_K, problem.box.nominal, low, high)
-        matrices = [problem.stiffness_sum(row) for row in theta]
+        matrices = [space.stiffness_sum(row) for row in theta]
         self.progress.update(f"stiffness beside the nominal one on {self._words(low, high)}")
         # The first and the last coefficient of a polynomial are its values at the ends.
         ends = [A for A, corner in zip(matrices, self._corners(len(theta)), strict=True) if corner]
@@ -122,7 +125,7 @@ class Proofs:
             )
         for part in TRIED if promised > 0 else ():
             alpha = part * promised
-            if all(self.is_positive(A - alpha * problem.K, space.supports) for A in matrices):
+            if all(self.is_positive(A - alpha * space.K, space.supports) for A in matrices):
                 return Cell(low=low, high=high, alpha=alpha, corner=promised, proven=True)
         return Cell(low=low, high=high, alpha=0.0, corner=promised, proven=False)
 
@@ -141,33 +144,47 @@ class Proofs:
         for t in product(*axes):
             p = problem.box.nominal.copy()
             p[self.curved] = t
-            values.append(least_ratio(problem.stiffness_sum(problem.law_K(p)), self.space))
+            values.append(least_ratio(self.space.stiffness_sum(problem.law_K(p)), self.space))
         return replace(cell, alpha=UNPROVEN * max(min(values), 0.0))
 
-    def least(self, cells: list[Cell], F: Floats, sigma: float, *, proof: bool) -> Cells:
-        """``cells`` with their Lam^ for W = M_a V ``F`` (n, k), as the reduced terms have it, or with ``proof``."""
+    def least(self, cells: list[Cell], F: Floats, sigma: float, enough: float, *, proof: bool) -> Cells:
+        """``cells`` with their Lam^ for W = M_a V ``F`` (n, k), as the reduced terms have it, or with ``proof``; those
+        that have not ``enough`` are split, as K and M on halves are less apart."""
         space, problem = self.space, self.problem
-        reduced, soft = space.reduced(), self.soft
-        theta = problem.law_M(problem.box.nominal)
+        reduced = space.reduced()
         W = np.asarray(problem.M @ (space.columns() @ F)) if proof else None
-        W_r = np.tensordot(theta, reduced.M, 1) @ F
-        values, proven = [], []
-        for cell in cells:
-            rows = [self.controls(law, soft, cell.low, cell.high) for law in (problem.law_K, problem.law_M)]
-            promised = min(
-                sl.eigvalsh(np.tensordot(a, reduced.K, 1) + sigma * W_r @ W_r.T, np.tensordot(b, reduced.M, 1))[0]
-                for a, b in zip(*rows, strict=True)
-            )
-            held = 0.0
-            if W is not None and promised > 0:
-                self.progress.update(f"modes beside those that are known on {self._words(cell.low, cell.high)}")
-                held = next((part for part in TRIED if self._holds(rows, part * promised, W, sigma)), 0.0)
-            values.append(max((UNPROVEN if W is None else held) * promised, 0.0))
-            proven.append(held > 0 and cell.proven)
+        W_r = np.tensordot(problem.law_M(problem.box.nominal), reduced.M, 1) @ F
+        left, done = list(cells), list[tuple[Cell, float, bool]]()
+        while left:
+            cell = left.pop(0)
+            value, whole, held = self._least(cell, reduced, W_r, W, sigma)
+            lossy = value < min(enough, ENOUGH * whole) and len(self.curved) > 0
+            if lossy and len(left) + len(done) + 2 <= max(MOST, len(cells)):
+                ends = cell.halves(self.curved, problem.box.high - problem.box.low)
+                left[:0] = [replace(cell, low=low, high=high) for low, high in ends]
+            else:
+                done.append((cell, value, held))
         return Cells(
-            low=np.array([cell.low for cell in cells]), high=np.array([cell.high for cell in cells]),
-            alpha=np.array([cell.alpha for cell in cells]), least=np.array(values), proven=np.array(proven),
+            low=np.array([cell.low for cell, _, _ in done]), high=np.array([cell.high for cell, _, _ in done]),
+            alpha=np.array([cell.alpha for cell, _, _ in done]), least=np.array([value for _, value, _ in done]),
+            proven=np.array([held and cell.proven for cell, _, held in done]),
         )  # fmt: skip
+
+    def _least(
+        self, cell: Cell, reduced: ParametricModel, W_r: Floats, W: Floats | None, sigma: float
+    ) -> tuple[float, float, bool]:
+        """Lam^ on a cell, what its corners have, and whether it is proven."""
+        rows = [self.controls(law, self.soft, cell.low, cell.high) for law in (self.problem.law_K, self.problem.law_M)]
+        values = np.array([
+            sl.eigvalsh(np.tensordot(a, reduced.K, 1) + sigma * W_r @ W_r.T, np.tensordot(b, reduced.M, 1))[0]
+            for a, b in zip(*rows, strict=True)
+        ])  # fmt: skip
+        promised, whole = float(values.min()), float(values[self._corners(len(values))].min())
+        if W is None or not promised > 0:
+            return UNPROVEN * max(promised, 0.0), whole, False
+        self.progress.update(f"modes beside those that are known on {self._words(cell.low, cell.high)}")
+        held = next((part for part in TRIED if self._holds(rows, part * promised, W, sigma)), 0.0)
+        return held * promised, whole, held > 0
 
     def _holds(self, rows: list[Floats], least: float, W: Floats, sigma: float) -> bool:
         problem = self.problem
@@ -221,7 +238,7 @@ def is_positive(
 
 def least_ratio(A: sp.csr_array, space: GlobalSpace) -> float:
     """Estimate of the least eigenvalue of (A, K(p_a)) with the supports held, by Lanczos."""
-    K = space.problem.K
+    K = space.K
     keep = np.setdiff1d(np.arange(K.shape[0]), space.supports)
 
     def solve(f: Floats) -> Floats:

@@ -16,28 +16,35 @@ from morembs.parametric.bound import Cells, ParametricBound, ratio
 from morembs.parametric.coordinates import CUT, LoadCoordinates, padded
 from morembs.parametric.model import ParametricModel
 from morembs.parametric.terms import AffineProblem
+from morembs.problem import Problem
 
 Floats = NDArray[np.float64]
 # Where sums over all N rows part their round-off, gamma_N |x|' |A x| <= N eps / 2 (x'Dx x'Ax)^(1/2) with row sums D of
 # |A|: up to this part of eps x'Dx, and the rest by x'Ax.
 LONG = 4.0
+# Part of the energy of the largest load that counts as that of a load.
+STILL = 1e-8
 
 
 class GlobalSpace:
     """M_a-orthonormal columns V (Nc, n) of ``problem``, whose nominal values are the anchor, the rigid motions first.
 
+    The dual norm is that of ``K`` with the ``supports`` held: of the anchor, or of its elements without springs where
+    the ``loose`` problem is given; V has all rigid motions then, too.
+
     Peak memory: V, the coordinates' basis and the terms of a few columns, where the budget wants them.
     """
 
-    def __init__(self, problem: AffineProblem, cut: float = CUT) -> None:
-        self.problem, budget = problem, problem.budget
-        statics, Nc = problem.statics, problem.K.shape[0]
+    def __init__(self, problem: AffineProblem, cut: float = CUT, loose: Problem | None = None) -> None:
+        self.problem, self.loose, budget = problem, loose, problem.budget
+        self.K, statics = (problem.K, problem.statics) if loose is None else (loose.K, loose.statics)
+        Nc = self.K.shape[0]
         self.supports = statics.supports
         count = len(self.supports)
         held = sp.csc_array((np.ones(count), (self.supports, np.arange(count))), shape=(Nc, count))
         self.held = ConstrainedStatics(statics, held, "the supports") if count else None
         self.coordinates = LoadCoordinates(
-            self.held.flexibility if self.held is not None else statics.apply, problem.K, budget, cut
+            self.held.flexibility if self.held is not None else statics.apply, self.K, budget, cut
         )
         self.V: list[Floats] = []
         self._K: list[list[Floats]] = [[] for _ in problem.K_terms]
@@ -51,7 +58,8 @@ class GlobalSpace:
         self.floor = float(problem.elastic_modes(count=1).eigenvalues[0])
         loads = problem.B.toarray() * problem.motion_scale
         sizes = np.sqrt(np.maximum(np.einsum("ij,ij->j", loads, self.coordinates.flexibility(loads)), 0.0))
-        self._B, self._B_rest = self.coordinates.of(loads, sizes + (sizes == 0))
+        # Loads on the supports move nothing: of them there is round-off alone, which has no direction.
+        self._B, self._B_rest = self.coordinates.of(loads, np.maximum(sizes, STILL * sizes.max(initial=0.0)))
         self._add_rigid()
 
     @property
@@ -68,10 +76,22 @@ class GlobalSpace:
             )
         self._append(np.array(problem.rigid, order="F"))
 
+    def stiffness_sum(self, theta: Floats) -> sp.csr_array:
+        """sum_q theta_q K_q (Nc, Nc) of the terms that the dual norm knows."""
+        own = len(self.problem.varied.stiffness)
+        felt = (self.loose is None) | (np.arange(len(theta)) < own)
+        return self.problem.stiffness_sum(np.where(felt, theta, 0.0))
+
     def add_rigid_at_others(self) -> None:
         """Add what rigid motions at other values of the morphs are beside those at the anchor."""
-        for j in range(len(self.problem.morphs) if self.problem.rigid.shape[1] else 0):
-            self.add(np.array(self.problem.rigid_terms[:, :, 1 + j], order="F"))
+        known = 0 if self.loose is not None else 1
+        for j in range(known, 1 + len(self.problem.morphs) if self.problem.rigid.shape[1] or not known else 0):
+            self.add(np.array(self.problem.rigid_terms[:, :, j], order="F"))
+
+    def _rigid(self) -> Floats:
+        """Coordinates (n, 6, 1 + morphs) of the rigid motions at all values."""
+        problem, V, terms = self.problem, self.columns(), np.moveaxis(self.problem.rigid_terms, 2, 0)
+        return np.stack([dot(V, problem.M @ np.asfortranarray(R), problem.budget) for R in terms], axis=2)
 
     def add(self, X: Floats) -> int:
         """Number of columns that ``X`` (Nc, k), overwritten, adds."""
@@ -112,9 +132,7 @@ class GlobalSpace:
         problem, V = self.problem, self.columns()
         r = problem.rigid.shape[1]
         if r == 6:
-            R = problem.rigid_terms
-            parts = [dot(V, problem.M @ np.asfortranarray(R[:, :, i]), problem.budget) for i in range(R.shape[2])]
-            rigid = np.stack(parts, axis=2)
+            rigid = self._rigid()
         else:
             rigid = np.zeros((self.size, r, 1 + len(problem.morphs)))
             rigid[:, :, 0] = np.eye(self.size, r)
@@ -146,7 +164,7 @@ class GlobalSpace:
             residual_B=padded([self._B], q), residual_K=K, residual_M=M,
             residual_F=np.tensordot(theta, M, 1) @ F, rest_B=self._B_rest, rest_K=rest_K, rest_M=rest_M,
             rest_F=np.abs(theta) @ rest_M @ np.abs(F), motion_F=F, sigma=sigma, highest=highest, eps=eps,
-            rounding_K=rounding[0], rounding_M=rounding[1],
+            rounding_K=rounding[0], rounding_M=rounding[1], rigid=None if self.loose is None else self._rigid(),
         )  # fmt: skip
 
 

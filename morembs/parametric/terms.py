@@ -64,6 +64,7 @@ class AffineProblem(Problem):
                 )
         given = self.box.damping(damping or Damping(), nominal)
         super().__init__(model, interfaces, damping=given, budget=budget, **options)
+        self._bare = bare
         if "spring" in self.box.kinds:
             self._refuse_lost()
 
@@ -151,6 +152,28 @@ class AffineProblem(Problem):
                 f"springs hold the body so softly that round-off of the stiffness of its elements is {lost:.1e} of "
                 f"theirs; expected {LOST:.0e} at most: make them stiffer, or leave them out, and the body is free"
             )
+
+    @cached_property
+    def loose(self) -> Problem | None:
+        """The body without its springs, where these alone hold it and a morph changes what its rigid motions are.
+
+        Rigid motion of other values strains the elements of nominal ones, far more than soft springs do.
+        """
+        if not (self.morphs and "spring" in self.box.kinds) or self.rigid.shape[1]:
+            return None
+        free = Problem(
+            self._bare.model(self.box.nominal, self.budget), self.interfaces, solver=self.solver, budget=self.budget,
+            progress=self.progress,
+        )  # fmt: skip
+        if free.rigid.shape[1] == 6:
+            return free
+        free.close()
+        return None
+
+    def close(self) -> None:
+        if self.__dict__.get("loose") is not None:
+            self.__dict__.pop("loose").close()
+        super().close()
 
     def rigid_at(self, p: Floats) -> Floats:
         """R(p) (Nc, 6) of ``rigid_terms``."""

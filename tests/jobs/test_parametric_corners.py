@@ -107,3 +107,24 @@ def test_a_wide_range_of_a_modulus_has_a_body(tmp_path):
     asked = ["--at", "E=1.05e12", "--sensitivity", "--frequencies", f"{count + 1}"]
     words = CliRunner().invoke(app, ["evaluate", str(tmp_path / "bar.h5"), *asked])
     assert words.exit_code == 0 and f"note: frequencies {count + 1} lie above the band" in words.stdout
+
+
+@pytest.mark.parametrize("stiff", [1e-2, 1e-4])
+def test_a_soft_ground_spring_beside_a_morph_has_a_proven_bound(tmp_path, stiff):
+    """Rigid motion of the longer bar strains elements of the shorter one, a thousand times as much as the spring."""
+    values = [float(f"{stiff * k:.3g}") for k in (3e7, 2e7, 2e7, 4e3, 5e3, 6e3)]
+    spring = SPRING.replace("[3e7, 2e7, 2e7, 4e3, 5e3, 6e3]", str(values))
+    done = reduced(tmp_path, spring + MORPH, high=BAND)
+    assert done.exit_code == 0, done.stderr
+    at = read_body(tmp_path / "bar.h5").bodies["parametric"].parametric.at(k=0.7, t=0.04)
+    bound = at.bound([100.0, 1500.0, 2900.0])
+    size = np.linalg.norm(at.response([100.0, 1500.0, 2900.0]), axis=(1, 2))
+    assert at.bound_kind == "bound" and (bound < 0.1 * size).all()
+
+
+def test_an_infinite_bound_is_refused_by_its_factor_and_the_range_that_has_one(tmp_path):
+    young = '[[parameter]]\nname = "E"\nproperty = "young"\nrange = [1e7, 1e13]\nset = "all"\n'
+    done = reduced(tmp_path, young, high=12000.0)
+    assert done.exit_code == 2
+    assert "the bound is infinite at E = " in done.stderr and "(Lam), and the band goes up to 1.2e+04 Hz" in done.stderr
+    assert "narrow the range" in done.stderr

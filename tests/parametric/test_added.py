@@ -11,6 +11,7 @@ from morembs.interface import make_interface
 from morembs.model.material import isotropic
 from morembs.parametric.added import with_preload
 from morembs.parametric.parameter import Parameter, Spring
+from morembs.parametric.space import GlobalSpace
 from morembs.parametric.terms import AffineProblem, varied_model
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
@@ -90,6 +91,19 @@ def test_a_body_on_a_spring_keeps_its_bound(coupling):
     held = F @ np.diag(stiffness) @ F.T
     rates = compared(basis, lambda p: assembled(plain, ends, p[:1], p[1] * held), BAND)
     assert np.median(rates) < 5 and basis.model.order < 40
+
+
+def test_loads_on_the_supports_leave_coordinates_of_loads_orthonormal():
+    """The supports are those of the frame of an interface here, so that its loads are round-off in the dual norm."""
+    varied = varied_model(box("hex8", (3, 1, 1), (0.3687, 0.0691, 0.0324)), [STEEL], [E])
+    model = varied.model(varied.box.nominal)
+    x = model.nodes.xyz[:, 0]
+    ends = [make_interface(model, name=name, nodes=np.flatnonzero(np.isclose(x, at))) for name, at in
+            (("L", 0.0), ("R", 0.3687))]  # fmt: skip
+    with AffineProblem(varied, ends) as problem:
+        space = GlobalSpace(problem)
+        Q = np.hstack(space.coordinates.basis)
+        np.testing.assert_allclose(Q.T @ (problem.K @ Q), np.eye(Q.shape[1]), atol=1e-9)
 
 
 def test_a_spring_between_interfaces_strains_no_rigid_motion():
