@@ -52,6 +52,9 @@ def check_delivery(body: ReducedModel | ElasticBody | StoredBody, part: Part | S
         return Diagnosis(findings=tuple(findings))
     _symmetry(given, findings)
     _definite(given, findings, facts)
+    if given.without_mass:
+        sentence, _, cure = given.without_mass.partition("; give ")
+        findings.append(Finding(code="without-mass", severity="warning", sentence=sentence, cure=f"give {cure}"))
     if any(finding.code == "indefinite" and "M " in finding.sentence for finding in findings):
         return Diagnosis(findings=tuple(findings), facts=facts)
     try:
