@@ -343,7 +343,7 @@ def test_equal_rows_of_dofs_with_masses_of_their_own_are_a_motion():
     K = np.diag([3.0, 3.0, 5.0, 8.0]) - np.diag([-3.0, 1.0, 0.0], 1) - np.diag([-3.0, 1.0, 0.0], -1)
     K[0, 2] = K[2, 0] = -1.0
     assert not examine(sp.csr_array(K), sp.diags_array([1.0, 2.0, 3.0, 4.0]).tocsr()).errors
-    assert grave(examine(sp.csr_array(K), sp.eye_array(4).tocsr() + sp.csr_array(K))) == {"duplicate-dofs"}
+    assert "duplicate-dofs" in grave(examine(sp.csr_array(K), sp.csr_array(K)))
 
 
 def test_a_dof_written_twice():
