@@ -177,7 +177,11 @@ def _frequencies(given: Delivered, values: Floats, findings: list[Finding], fact
     hz = np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)
     hz[: given.rigid_count] = 0.0
     facts["free_hz"] = hz
-    if given.rigid_count < 6:
+    if not given.inertia.any():
+        sentence = f"the model has coordinates without places, {given.rigid_count} motions of which are free"
+        cure = "a floating frame needs nodes; give coordinates and a dof map at the import"
+        findings.append(Finding(code="no-places", severity="note", sentence=sentence, cure=cure))
+    elif given.rigid_count < 6:
         sentence = f"the body is held to the ground: {given.rigid_count} of 6 rigid-body motions are free"
         cure = "multibody programs expect a free body; reduce a model without supports"
         findings.append(Finding(code="held", severity="warning", sentence=sentence, cure=cure))
