@@ -280,8 +280,8 @@ def why_not_floating(problem: Problem, reduced: ReducedModel) -> str:
         )
     if not has_places(problem.model):
         return (
-            f"the model of the body {reduced.name!r} has coordinates without places; a floating frame needs nodes (give "
-            "their coordinates and a dof map at the import)"
+            f"the model of the body {reduced.name!r} has coordinates without places; a floating frame needs nodes "
+            "(give their coordinates and a dof map at the import)"
         )
     if reduced.rigid_count != RIGID_MOTIONS:
         return (

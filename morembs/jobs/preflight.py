@@ -193,8 +193,8 @@ def _refuse_delivery(job: Job, wanted: BodyOptions, model: FEModel, coupling: Co
     if asked and not (has_places(model) and rigid == 6):
         places = "" if has_places(model) else "coordinates without places and "
         raise InputError(
-            f"[frame], [envelope] and [stiffening]: the model has {places}{rigid} rigid-body motions; a floating frame needs "
-            "a free body with six (leave supports to the simulator)"
+            f"[frame], [envelope] and [stiffening]: the model has {places}{rigid} rigid-body motions; a floating frame "
+            "needs a free body with six (leave supports to the simulator)"
         )
     if job.tables.output.nodes == "skin" and model.mesh is None:
         raise InputError('nodes = "skin" needs elements; this model has matrices only, take "all" or "interfaces"')
