@@ -238,7 +238,7 @@ def elastic_body(
     >>> elastic_body(problem, reduced, make_part(problem)).frequencies_hz.shape
     (18,)
     """
-    if floating is None and not why_not_floating(reduced):
+    if floating is None and not why_not_floating(problem, reduced):
         floating = floating_frame(problem, reduced)
     eigenvalues, _ = reduced.modes()
     omega = np.sqrt(np.maximum(eigenvalues, 0.0))

@@ -80,7 +80,7 @@ def build_body(
     Raises:
         InputError: a frame, stiffening or ranking is wanted of a body that has no floating frame.
     """
-    reason = "a body with [spin] has no floating frame" if spin is not None else why_not_floating(reduced)
+    reason = "a body with [spin] has no floating frame" if spin is not None else why_not_floating(problem, reduced)
     asked = options.kind != "mean-axes" or options.stiffening is not None or options.envelope is not None
     if reason and asked:
         raise InputError(f"[frame], [envelope] and [stiffening]: {reason}")

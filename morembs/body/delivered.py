@@ -17,6 +17,7 @@ from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame
 from morembs.model import rigid_motion
 from morembs.model.fe_model import SCALAR, STRUCTURAL
+from morembs.responses.massless import WITHOUT_MASS
 
 if TYPE_CHECKING:
     from morembs.body import ElasticBody, Part
@@ -31,7 +32,7 @@ class Delivered:
     """What is checked: M, K, D (n, n); interface degrees of freedom C q (m, n) with their rigid motion ``frame``
     (m, 6) about the origin of the model, names of them; ``rigid`` (n, 6) from geometry, if known; what the model says
     of its mass; the ``floating`` frame, and ``markers`` interface -> rows of C that are all six of its frame; the
-    ``curve`` of its certificate."""
+    ``curve`` of its certificate, and what its recipe says of interfaces that deform the body ``without_mass``."""
 
     M: Floats
     K: Floats
@@ -51,6 +52,7 @@ class Delivered:
     floating: FloatingFrame | None = None
     markers: Mapping[str, Ints] = field(default_factory=dict)
     curve: Curve | None = None
+    without_mass: str = ""
 
 
 def delivered(body: ReducedModel | ElasticBody | StoredBody, part: Part | StoredBodies | None) -> Delivered:
@@ -98,6 +100,7 @@ def _of_body(body: ElasticBody, part: Part) -> Delivered:
         rigid=_about_model(body.floating), rigid_count=r.rigid_count, symmetric=r.symmetric,
         hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
         mass=part.mass, center=part.center_of_mass, inertia=part.inertia, floating=body.floating,
+        without_mass=str(r.recipe.get(WITHOUT_MASS, "")),
         curve=None if certificate is None else _curve(
             certificate.frequencies_hz, certificate.reduced, certificate.damping_floor, motion, r.structural,
             part.mass, part.inertia,
@@ -128,6 +131,7 @@ def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
         motions=tuple(names), rigid=_about_model(body.floating), rigid_count=body.rigid_count,
         symmetric=_meant_symmetric(body, file), hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
         mass=file.mass, center=file.center_of_mass, inertia=file.inertia, floating=body.floating,
+        without_mass=str(body.recipe.get(WITHOUT_MASS, "")),
         curve=None if known is None or not {"reduced", "damping_floor"} <= set(known) else _curve(
             known["frequencies_hz"], known["reduced"], float(known["damping_floor"]), file.input_component,
             float(body.recipe.get(STRUCTURAL, 0.0)), file.mass, file.inertia,

@@ -52,6 +52,9 @@ def check_delivery(body: ReducedModel | ElasticBody | StoredBody, part: Part | S
         return Diagnosis(findings=tuple(findings))
     _symmetry(given, findings)
     _definite(given, findings, facts)
+    if given.without_mass:
+        sentence, _, cure = given.without_mass.partition("; give ")
+        findings.append(Finding(code="without-mass", severity="warning", sentence=sentence, cure=f"give {cure}"))
     if any(finding.code == "indefinite" and "M " in finding.sentence for finding in findings):
         return Diagnosis(findings=tuple(findings), facts=facts)
     try:
@@ -67,7 +70,7 @@ def check_delivery(body: ReducedModel | ElasticBody | StoredBody, part: Part | S
 def _solved(given: Delivered, findings: list[Finding], facts: dict[str, Any]) -> None:
     """What the modes of the body tell."""
     values, Y = _modes(given)
-    _frequencies(given, values, findings, facts)
+    _frequencies(given, values, Y, findings, facts)
     ways = rigid_findings(given, values, Y, findings, facts)
     if given.symmetric and ways and len(given.C):
         _effective(given, next(iter(ways.values())), findings, facts)
@@ -170,11 +173,15 @@ def _response(given: Delivered, values: Floats, Y: Floats) -> list[Finding]:
     return curve_findings(given.curve, given.M, given.D, given.K, given.B, given.C, E, given.rigid_count)
 
 
-def _frequencies(given: Delivered, values: Floats, findings: list[Finding], facts: dict[str, Any]) -> None:
+def _frequencies(given: Delivered, values: Floats, Y: Floats, findings: list[Finding], facts: dict[str, Any]) -> None:
     hz = np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)
     hz[: given.rigid_count] = 0.0
     facts["free_hz"] = hz
-    if given.rigid_count < 6:
+    if not given.inertia.any():
+        sentence = f"the model has coordinates without places, {given.rigid_count} motions of which are free"
+        cure = "a floating frame needs nodes; give coordinates and a dof map at the import"
+        findings.append(Finding(code="no-places", severity="note", sentence=sentence, cure=cure))
+    elif given.rigid_count < 6:
         sentence = f"the body is held to the ground: {given.rigid_count} of 6 rigid-body motions are free"
         cure = "multibody programs expect a free body; reduce a model without supports"
         findings.append(Finding(code="held", severity="warning", sentence=sentence, cure=cure))
@@ -187,8 +194,12 @@ def _frequencies(given: Delivered, values: Floats, findings: list[Finding], fact
     if given.full_hz is None or not given.symmetric:
         return
     count = min(len(given.full_hz), len(hz))
-    full, reduced = given.full_hz[given.rigid_count : count], hz[given.rigid_count : count]
-    low = np.flatnonzero(reduced < full * (1 - FREQUENCY))
+    known = slice(given.rigid_count, count)
+    full, reduced = given.full_hz[known], given.hz[known] if given.hz.shape == hz.shape else hz[known]
+    # What round-off may take off a mode, eps abs(y)' abs(K) abs(y), in the body and in the model.
+    size = np.abs(Y[:, known])
+    lost = 2 * np.finfo(float).eps * np.einsum("ij,ij->j", size, np.abs(given.K) @ size) / (2 * np.pi) ** 2
+    low = np.flatnonzero(reduced**2 + lost < (full * (1 - FREQUENCY)) ** 2)
     if len(low):
         k = int(low[0])
         sentence = (

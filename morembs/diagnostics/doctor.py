@@ -86,7 +86,7 @@ def examine(
         return case
     _matrices(case)
     names = case.names
-    case.findings += matrices.empty_and_massless(case.K, case.M, names) + matrices.duplicate_rows(case.K, names)
+    case.findings += matrices.empty_and_massless(case.K, case.M, names) + matrices.duplicate_rows(case.K, case.M, names)
     _ordered(case)
     part = part_of_dofs(case.K, case.dofs)
     case.facts["parts"] = int(part.max(initial=-1)) + 1

@@ -274,8 +274,11 @@ def _row_has_values(A: sp.csr_array) -> NDArray[np.bool_]:
     return count > 0
 
 
-def duplicate_rows(K: sp.csr_array, names: Names) -> list[Finding]:
-    """Dofs whose rows of K are equal: one dof written twice."""
+def duplicate_rows(K: sp.csr_array, M: sp.csr_array, names: Names) -> list[Finding]:
+    """Dofs whose rows of K are equal, and those of M: one dof written twice.
+
+    Where M tells them apart their difference is a motion without energy, which has mass.
+    """
     key = np.random.default_rng(6).uniform(1.0, 2.0, K.shape[0])
     product, size = K @ key, magnitudes(K, key[:, None])[:, 0]
     order = np.lexsort((product, size))
@@ -284,12 +287,12 @@ def duplicate_rows(K: sp.csr_array, names: Names) -> list[Finding]:
     pairs = [
         (a, b)
         for a, b in zip(order[:-1][near][:MOST].tolist(), order[1:][near][:MOST].tolist(), strict=True)
-        if abs(K[[a], :] - K[[b], :]).max() <= 1e-12 * size[a]
+        if all(abs(A[[a], :] - A[[b], :]).max() <= 1e-12 * abs(A[[a], :]).sum() for A in (K, M))
     ]
     if not pairs:
         return []
     first = listed(names.dof_labels(np.array(pairs[0])))
     labels = names.places(np.unique(np.array(pairs).ravel()))[0]
-    sentence = f"{len(pairs)} pairs of dofs have equal rows in the stiffness matrix K, the first {first}"
+    sentence = f"{len(pairs)} pairs of dofs have equal rows in the matrices K and M, the first {first}"
     cure = "leave one dof of each pair out"
     return [Finding(code="duplicate-dofs", severity="error", sentence=sentence, cure=cure, where=labels)]

@@ -20,6 +20,7 @@ from morembs.floating.integrals import ShapeIntegrals, shape_integrals
 from morembs.floating.stiffening import Stiffening
 from morembs.model import frozen_numbers, rigid_motion, skew
 from morembs.moved import renamed
+from morembs.problem.rigid_motions import has_places
 from morembs.summary import summarised
 
 if TYPE_CHECKING:
@@ -223,7 +224,7 @@ def floating_frame(
     from morembs.linalg.columns import dot, multiply
 
     check_frame(kind, interfaces, list(problem.coupling.frame_columns))
-    reason = why_not_floating(reduced)
+    reason = why_not_floating(problem, reduced)
     if reason:
         raise InputError(reason)
     budget, coupling, r = problem.budget, problem.coupling, RIGID_MOTIONS
@@ -265,7 +266,7 @@ def frame_about(
     return body.in_frame("mean-axes").in_frame(kind, interfaces).about(origin)
 
 
-def why_not_floating(reduced: ReducedModel) -> str:
+def why_not_floating(problem: Problem, reduced: ReducedModel) -> str:
     """Why a body has no floating frame; "" where it has one."""
     if reduced.congruent and not reduced.symmetric:
         return (
@@ -276,6 +277,11 @@ def why_not_floating(reduced: ReducedModel) -> str:
         return (
             f"the body {reduced.name!r} comes from a two-sided reduction, whose matrices are not symmetric; a floating "
             "frame needs a one-sided one"
+        )
+    if not has_places(problem.model):
+        return (
+            f"the model of the body {reduced.name!r} has coordinates without places; a floating frame needs nodes "
+            "(give their coordinates and a dof map at the import)"
         )
     if reduced.rigid_count != RIGID_MOTIONS:
         return (

@@ -70,7 +70,7 @@ def geometric_stiffening(
     >>> len(stiffening.share)                                        # 3 + 3 + 6 of the frame, 6 of each interface
     24
     """
-    reason = why_no_stiffening(problem.model) or why_not_floating(reduced)
+    reason = why_no_stiffening(problem.model) or why_not_floating(problem, reduced)
     if reason:
         raise InputError(reason)
     mesh = problem.model.mesh

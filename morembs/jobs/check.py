@@ -45,6 +45,7 @@ from morembs.problem import Problem
 from morembs.problem.rigid_motions import need_factor
 from morembs.progress import SILENT, Progress
 from morembs.reducers import Facts
+from morembs.responses.massless import without_mass_perhaps
 from morembs.scratch import free_bytes
 from morembs.storage.contents import keeping_ledger
 
@@ -123,6 +124,7 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
             facts, coupling = Facts.of(problem), problem.coupling
             # Nothing is factorised here.
             rigid = 0 if need_factor(model, problem.K) else problem.rigid.shape[1]
+            warnings += without_mass_perhaps(problem)
         warnings += preflight(job, facts, rigid)
         progress.stage("analyse")
         # Coordinates that are rigid motions have no stiffness; what holds them while it is factorised has an entry.

@@ -9,7 +9,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 from morembs.body.tables import FORMAT
-from morembs.errors import MorembsError
+from morembs.errors import InputError, MorembsError
 from morembs.jobs.inputs import inputs_of, mesh_of, sources_of
 from morembs.jobs.job import Job
 from morembs.storage.contents import Place, own_files, place_of
@@ -33,6 +33,8 @@ class Order:
 
 def order_of(jobs: Mapping[int, Job], keys: Collection[int] = ()) -> Order:
     """The order of ``jobs``; ``keys`` has further ones, of jobs that cannot be read."""
+    given, unusable = jobs, {key: reason for key, job in jobs.items() if (reason := _why_no_files(job))}
+    jobs = {key: job for key, job in given.items() if key not in unusable}
     written: dict[Place, int] = {}
     for key, job in jobs.items():
         written.setdefault(place_of(job.output), key)
@@ -40,7 +42,7 @@ def order_of(jobs: Mapping[int, Job], keys: Collection[int] = ()) -> Order:
         key: tuple(dict.fromkeys(maker for body in _bodies(job) if (maker := written.get(body, key)) != key))
         for key, job in jobs.items()
     }  # fmt: skip
-    refused, graph = _clashes(jobs, written), dict.fromkeys(sorted({*jobs, *keys}), ())
+    refused, graph = _clashes(jobs, written) | unusable, dict.fromkeys(sorted({*given, *keys}), ())
     while True:
         sorter = TopologicalSorter(graph)
         for key in jobs.keys() - refused.keys():
@@ -58,6 +60,7 @@ def read_ahead(jobs: Sequence[Job]) -> None:
 
     A file that is not there yet is neither, nor is a body file or a picture of an earlier run.
     """
+    jobs = [job for job in jobs if not _why_no_files(job)]
     with own_files():
         results = [path for job in jobs for path in job.results.values() if path.exists()]
         drawn = {path for path in results if path.suffix in PICTURES and not path.is_symlink()}
@@ -66,6 +69,15 @@ def read_ahead(jobs: Sequence[Job]) -> None:
         with suppress(MorembsError):
             if job.tables.model.mesh is not None:
                 mesh_of(job)
+
+
+def _why_no_files(job: Job) -> str:
+    """Why a path of the job can be none; "" where all can."""
+    try:
+        _ = job.output, job.results, inputs_of(job)
+    except InputError as error:
+        return str(error)
+    return ""
 
 
 def _bodies(job: Job) -> set[Place]:

@@ -27,8 +27,10 @@ from morembs.jobs.job import Job
 from morembs.linalg.sparse.select import lacks
 from morembs.linalg.statics import COUNT_BYTES, COUNT_COLUMNS
 from morembs.model import FEModel, rigid_motion
+from morembs.model.fe_model import STRUCTURAL
 from morembs.model.selection import select_nodes
-from morembs.problem.damping import STRUCTURAL, frequency_domain_only
+from morembs.problem.damping import frequency_domain_only
+from morembs.problem.rigid_motions import has_places
 from morembs.progress import duration_words
 from morembs.reducers import Facts
 from morembs.reducers.cost import mode_seconds, response_seconds
@@ -137,7 +139,7 @@ def _refuse_preload(job: Job, model: FEModel, interfaces: Sequence[Interface], r
     reason = why_no_stiffening(model)
     if reason:
         raise InputError(f"preload: {reason}")
-    if rigid != 6:
+    if rigid != 6 or not has_places(model):
         raise InputError(f"preload: the body has {rigid} rigid-body motions; expected a free body with six")
 
 
@@ -189,10 +191,11 @@ def _refuse_delivery(job: Job, wanted: BodyOptions, model: FEModel, coupling: Co
                 f"[frame], [envelope] and [stiffening]: the body {name!r} comes from a two-sided reduction, whose "
                 "matrices are not symmetric; a floating frame needs a one-sided one"
             )
-    if asked and rigid != 6:
+    if asked and not (has_places(model) and rigid == 6):
+        places = "" if has_places(model) else "coordinates without places and "
         raise InputError(
-            f"[frame], [envelope] and [stiffening]: the model has {rigid} rigid-body motions; a floating frame needs "
-            "a free body with six (leave supports to the simulator)"
+            f"[frame], [envelope] and [stiffening]: the model has {places}{rigid} rigid-body motions; a floating frame "
+            "needs a free body with six (leave supports to the simulator)"
         )
     if job.tables.output.nodes == "skin" and model.mesh is None:
         raise InputError('nodes = "skin" needs elements; this model has matrices only, take "all" or "interfaces"')

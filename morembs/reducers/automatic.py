@@ -129,8 +129,14 @@ class AutoReducer(OfResponses):
 
         Raises:
             InputError: an undamped resonance.
-            SolverError: a tolerance below round-off, or a band far above all modes.
+            SolverError: a reference without a limit, a tolerance below round-off, or a band far above all modes.
         """
+        if not np.isfinite(certified.off).all() and not certified.undamped:
+            at_hz = float(certified.edges[:-1][~np.isfinite(certified.off)][0] / (2 * np.pi))
+            raise SolverError(
+                f"the error of the reference of the full model has no limit from {at_hz:,.6g} Hz on, where its "
+                "residual exceeds the damping of a resonance; give more damping, or a damping_floor such as 0.01"
+            )
         if not np.isfinite(certified.off).all():
             raise InputError(
                 "a transfer error of an undamped model has no bound at its resonances; give damping, or a "

@@ -24,12 +24,13 @@ from morembs.linalg.columns import (
 )  # fmt: skip
 from morembs.linalg.complex_modes import small_complex_modes
 from morembs.linalg.eigen import graded_modes
+from morembs.model.fe_model import STRUCTURAL
 from morembs.moved import with_old_names
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
-from morembs.problem.damping import STRUCTURAL
 from morembs.progress import SILENT, Progress
 from morembs.reducers.facts import Facts, Shifted
 from morembs.responses.band import MOST_HZ as MOST_HZ
+from morembs.responses.massless import WITHOUT_MASS, massless_motions, massless_words
 from morembs.summary import hertz, kinds_words, summarised
 
 if TYPE_CHECKING:
@@ -262,13 +263,17 @@ class Reducer(ABC):
         """Reduced model of ``problem``.
 
         Raises:
-            InputError: options that do not fit the problem.
+            InputError: options that do not fit the problem, or interfaces that deform it without mass where an error
+                is promised.
             SingularMatrixError: the model has a mechanism.
             SolverError: the stiffness of the basis is not that of the model.
         """
         reason = self.why_not(Facts.of(problem))
         if reason:
             raise InputError(reason)
+        massless = massless_motions(problem)
+        if massless and self.certified_band is not None:
+            raise InputError(f'method "{self.method}" promises an error, and {massless_words(massless)}')
         basis = self._basis(problem, progress)
         if set(basis.kinds) <= {"rigid"}:
             raise InputError(
@@ -305,6 +310,8 @@ class Reducer(ABC):
         options = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
         structural = problem.damping.structural
         recipe = {"method": self.method, **options, **basis.notes, **({STRUCTURAL: structural} if structural else {})}
+        if massless:
+            recipe[WITHOUT_MASS] = massless_words(massless)
         return ReducedModel(
             name=name or self.method, M=M, K=K, D=D, B=B, C=outputs, V=V, mode_kind=basis.kinds,
             rigid_count=basis.rigid.shape[1], recipe=recipe, W=W, is_projection=basis.V_velocity is None,

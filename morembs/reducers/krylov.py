@@ -3,9 +3,10 @@
 V = span of A(s_k)^-1 F and further blocks. One block makes H and, for loads and motions of the same interfaces,
 dH/df exact at the point; J blocks match J moments for any outputs and 2J for those of the loads themselves.
 With Rayleigh, modal or structural damping the undamped matrices are factorised and the basis is real (Beattie and
-Gugercin 2005); a model with its own D takes the second-order Krylov space, [Re, Im] of it at imaginary points. One with
-G or N takes the space of the transpose, A(s_k)^-T C', beside it, and projects by congruence on both: moments from
-inputs to outputs are matched as often as by two sides, damping stays damping and gyroscopic terms do no work.
+Gugercin 2005): moments are those without damping, and H with it is near them, far off at points among resonances; a
+model with its own D takes the second-order Krylov space, [Re, Im] of it at imaginary points. One with G or N takes the
+space of the transpose, A(s_k)^-T C', beside it, and projects by congruence on both: moments from inputs to outputs are
+matched as often as by two sides, damping stays damping and gyroscopic terms do no work.
 """
 
 from __future__ import annotations

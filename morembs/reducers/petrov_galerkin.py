@@ -36,7 +36,7 @@ def two_sided_basis(
     mass = projected(velocity, problem.M, budget, W)
     if np.linalg.eigvalsh(mass + mass.T).min(initial=1.0) <= 0:
         # The same equations, solved for the accelerations: simulations want a positive mass.
-        W = multiply(W, np.linalg.inv(mass).T, budget)
+        W = multiply(W, np.asarray(np.linalg.inv(mass).T, dtype=np.float64), budget)
         mass = projected(velocity, problem.M, budget, W)
     K = np.zeros((r + n, r + n))
     K[r:, r:] = projected(V, problem.K, budget, W)

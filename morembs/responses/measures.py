@@ -254,9 +254,14 @@ def compare(
     hz = cells.at / (2 * np.pi)
     # The largest |H| is known from both sides; where its lower limit is 0, no error is known relative to it.
     in_peaks = np.inf if lower[3] == 0 else 1 / lower[3]
+    with np.errstate(invalid="ignore"):
+        own = cells.upper[:, :3] * np.array([1.0, in_peaks, 1.0])
+    # nan: no error of a response that nothing is known of.
+    own[np.isnan(own)] = np.inf
+    peak, least_peak = float(own[:, 1].max()), float(lower[1] / upper[3]) if upper[3] > 0 else 0.0
     limits = {
         "envelope": Limit(lower=float(lower[0]), upper=float(upper[0]), at_hz=float(hz[0])),
-        "peak": Limit(lower=float(lower[1] / upper[3]), upper=float(upper[1] * in_peaks), at_hz=float(hz[1])),
+        "peak": Limit(lower=least_peak, upper=peak, at_hz=float(hz[1])),
         "pointwise": Limit(lower=float(lower[2]), upper=float(upper[2]), at_hz=float(hz[2])),
     }
     n = len(standard.layout.blocks)
@@ -265,7 +270,6 @@ def compare(
         blocks[i, j] = value
         if standard.layout.symmetric:
             blocks[j, i] = value
-    own = cells.upper[:, :3] * np.array([1.0, in_peaks, 1.0])
     return limits, blocks, replace(cells, upper=own)
 
 

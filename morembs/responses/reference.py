@@ -34,6 +34,7 @@ from morembs.responses.band import NEAR, ON
 from morembs.responses.damped_reference import DampedSpace
 from morembs.responses.direct import refuse_skew_parts, why_no_response
 from morembs.responses.loads import static_response, unit_loads
+from morembs.responses.massless import refuse_massless
 from morembs.responses.rational import product
 from morembs.responses.solves import Solves
 
@@ -140,7 +141,12 @@ def reference_model(
 
 
 def reference_space(problem: Problem, inertia: bool = False) -> ReferenceSpace:
-    """The Krylov space of ``problem``, also for ``inertia`` loads: kept, and larger with every demand."""
+    """The Krylov space of ``problem``, also for ``inertia`` loads: kept, and larger with every demand.
+
+    Raises:
+        InputError: no load on the interfaces moves any mass.
+    """
+    refuse_massless(problem)
     return problem.shared(("reference", inertia), lambda: ReferenceSpace(problem, inertia))
 
 

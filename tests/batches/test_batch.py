@@ -207,6 +207,14 @@ def test_a_batch_of_faults_leaves_no_manifest(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_a_path_that_cannot_be_is_the_fault_of_its_own_job(tmp_path: Path) -> None:
+    jobs(tmp_path, {"lost": {}, "good": {}})
+    job = tmp_path / "lost" / "lost.toml"
+    job.write_text(re.sub(r'(?m)^(path|file|mesh) = "', r'\1 = "~no-user-of-this-name/', job.read_text()))
+    faults = {part.name: part.fault for part in parts_of([tmp_path])}
+    assert not faults["good"] and "'~no-user-of-this-name/" in faults["lost"] and "cannot be used" in faults["lost"]
+
+
 def test_bytes_that_change_with_their_time_kept_are_seen(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"one")

@@ -339,6 +339,13 @@ def test_many_parts_are_all_counted():
     assert "merge" not in finding(seen, "parts").cure
 
 
+def test_equal_rows_of_dofs_with_masses_of_their_own_are_a_motion():
+    K = np.diag([3.0, 3.0, 5.0, 8.0]) - np.diag([-3.0, 1.0, 0.0], 1) - np.diag([-3.0, 1.0, 0.0], -1)
+    K[0, 2] = K[2, 0] = -1.0
+    assert not examine(sp.csr_array(K), sp.diags_array([1.0, 2.0, 3.0, 4.0]).tocsr()).errors
+    assert "duplicate-dofs" in grave(examine(sp.csr_array(K), sp.csr_array(K)))
+
+
 def test_a_dof_written_twice():
     model = bar()
     rows = np.append(np.arange(model.size), 40)

@@ -293,3 +293,15 @@ def test_modal_coordinates_are_checked_and_reduced_by_jobs(tmp_path: Path, metho
     values = sl.eigh(body.stiffness_matrix, body.mass_matrix, eigvals_only=True)
     exact = (2 * np.pi * np.geomspace(0.5, 500.0, 12)) ** 2
     assert np.abs(values[:2]).max() <= 1e-9 * exact[0] and (values[2:] >= exact[: len(values) - 2] * (1 - 1e-9)).all()
+
+
+@pytest.mark.parametrize("free", [0, 2, 6])
+def test_coordinates_without_places_are_held_to_no_ground(free: int, tmp_path: Path) -> None:
+    write_model(tmp_path / "modal.h5", modal(free))
+    (tmp_path / "job.toml").write_text(
+        '[model]\nfile = "modal.h5"\n[[interface]]\nname = "q"\nmatrix = "B"\n[[reduce]]\nname = "m"\n'
+        'method = "modal"\nmodes = 2\n[output]\npath = "body.h5"\n'
+    )
+    done = CliRunner().invoke(app, ["reduce", str(tmp_path / "job.toml")])
+    assert done.exit_code == 0 and "held to the ground" not in done.output
+    assert read_body(tmp_path / "body.h5").bodies["m"].floating is None
