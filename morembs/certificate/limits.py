@@ -22,6 +22,8 @@ from morembs.summary import summarised, upwards
 Floats = NDArray[np.float64]
 # Neighbouring cells whose limits differ by less than this are stored as one, at most so many of them.
 ALIKE, STORED = 0.05, 5000
+# Steps of limits beyond this factor say nothing any more.
+COARSEST = 1e6
 # Points of a cell at which the cause of its limit is looked for.
 LOOKED_AT = 9
 # Part of its envelope below which H is as good as zero beside a limit of the others.
@@ -113,7 +115,7 @@ def error_limits(
                    "give damping, or a damping_floor such as 0.01",),
         )  # fmt: skip
     limits, blocks, cells = compare(standard, body, low, high, sharpness, most_cells=most_cells)
-    hz, upper = _merged(cells.edges / (2 * np.pi), cells.upper)
+    hz, upper = merge_cells(cells.edges / (2 * np.pi), cells.upper)
     # The ends as they were given.
     hz[0, 0], hz[-1, 1] = reference.band_hz
     notes: tuple[str, ...] = ()
@@ -167,7 +169,7 @@ def _undamped_pole(terms: Terms, low: float, high: float) -> float | None:
     return float(on.min()) if len(on) else None
 
 
-def _merged(cells: Floats, upper: Floats) -> tuple[Floats, Floats]:
+def merge_cells(cells: Floats, upper: Floats) -> tuple[Floats, Floats]:
     """Neighbouring cells (nc, 2) with limits (nc, 3) in the same steps of ``ALIKE`` as one, with the larger limits."""
     alike = ALIKE
     with np.errstate(divide="ignore"):
@@ -175,6 +177,9 @@ def _merged(cells: Floats, upper: Floats) -> tuple[Floats, Floats]:
     while True:
         steps = np.floor(size / np.log1p(alike))
         first = np.flatnonzero(np.append(True, (steps[1:] != steps[:-1]).any(axis=1)))
+        if alike > COARSEST:
+            # Infinite limits beside finite ones are alike in no steps: neighbours are one whatever they are.
+            first = np.arange(0, len(cells), -(-len(cells) // STORED))
         if len(first) <= STORED:
             ends = cells[np.append(first[1:], len(cells)) - 1, 1]
             return np.stack([cells[first, 0], ends], axis=1), np.maximum.reduceat(upper, first)

@@ -13,7 +13,7 @@ from benchmarks import certificates as campaign
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
 from morembs.certificate.certify import certify
-from morembs.certificate.limits import error_limits
+from morembs.certificate.limits import error_limits, merge_cells
 from morembs.errors import InputError, SolverError
 from morembs.interface import make_interface
 from morembs.jobs.job import load_job
@@ -288,3 +288,13 @@ def test_a_list_of_frequencies_is_taken_once_more():
         assert np.array_equal(certificate.frequencies_hz, hz) and certificate.band_hz == (10.0, 800.0)
         (band,) = certify(problem, [body], [10.0, 800.0])
         assert band.limit == certificate.limit
+
+
+def test_infinite_limits_beside_finite_ones_are_stored_in_as_many_cells_as_others():
+    """20,001 cells whose limits take turns: the larger ones hold on what is stored, which covers the band."""
+    edges = np.linspace(0.0, 1.0, 20_002)
+    cells, upper = np.stack([edges[:-1], edges[1:]], axis=1), np.full((20_001, 3), 1e-3)
+    upper[::2] = np.inf
+    hz, limits = merge_cells(cells, upper)
+    assert len(hz) <= 5000 and hz[0, 0] == 0.0 and hz[-1, 1] == 1.0 and (hz[1:, 0] == hz[:-1, 1]).all()
+    assert np.isinf(limits).all()
