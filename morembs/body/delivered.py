@@ -16,8 +16,7 @@ from morembs.diagnostics.findings import MOTIONS
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame
 from morembs.model import rigid_motion
-from morembs.model.fe_model import SCALAR, STRUCTURAL
-from morembs.responses.massless import WITHOUT_MASS
+from morembs.model.fe_model import SCALAR, STRUCTURAL, WITHOUT_MASS
 
 if TYPE_CHECKING:
     from morembs.body import ElasticBody, Part

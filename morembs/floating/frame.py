@@ -19,8 +19,8 @@ from morembs.errors import InputError, nearest
 from morembs.floating.integrals import ShapeIntegrals, shape_integrals
 from morembs.floating.stiffening import Stiffening
 from morembs.model import frozen_numbers, rigid_motion, skew
+from morembs.model.fe_model import has_places
 from morembs.moved import renamed
-from morembs.problem.rigid_motions import has_places
 from morembs.summary import summarised
 
 if TYPE_CHECKING:

@@ -27,10 +27,9 @@ from morembs.jobs.job import Job
 from morembs.linalg.sparse.select import lacks
 from morembs.linalg.statics import COUNT_BYTES, COUNT_COLUMNS
 from morembs.model import FEModel, rigid_motion
-from morembs.model.fe_model import STRUCTURAL
+from morembs.model.fe_model import STRUCTURAL, has_places
 from morembs.model.selection import select_nodes
 from morembs.problem.damping import frequency_domain_only
-from morembs.problem.rigid_motions import has_places
 from morembs.progress import duration_words
 from morembs.reducers import Facts
 from morembs.reducers.cost import mode_seconds, response_seconds

@@ -32,8 +32,8 @@ LARGEST = 1e75
 MATRICES = ("K", "M", "D", "G", "N")
 # The component of dofs that are no motion of a node.
 SCALAR = 6
-# Key of the recipe of a body that holds a loss factor.
-STRUCTURAL = "structural_damping"
+# Keys of the recipe of a body: its loss factor, and motions of interfaces that no mass follows.
+STRUCTURAL, WITHOUT_MASS = "structural_damping", "without_mass"
 
 
 @checked
@@ -314,6 +314,12 @@ class FEModel:
             "outputs": self.outputs and list(self.outputs.names), "source": self.source,
             "warnings": len(self.warnings) or None,
         }  # fmt: skip
+
+
+def has_places(model: FEModel) -> bool:
+    """Whether dofs are motions of nodes at different places; all others are abstract coordinates."""
+    xyz = model.nodes.xyz[model.dofs.node[model.dofs.component < SCALAR]]
+    return bool(len(xyz) and np.ptp(xyz, axis=0).any())
 
 
 def refuse_far(nodes: Nodes, source: str) -> None:

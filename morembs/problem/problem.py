@@ -23,10 +23,11 @@ from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_count, room_for_factor
 from morembs.model import FEModel
+from morembs.model.fe_model import has_places
 from morembs.model.mass import mass_properties
 from morembs.model.rigid_residual import share_of_other_geometry
 from morembs.problem.damping import Damping as Damping
-from morembs.problem.rigid_motions import has_places, need_factor, nodes_of_rows, rigid_motions, terms_in_rows
+from morembs.problem.rigid_motions import need_factor, nodes_of_rows, rigid_motions, terms_in_rows
 from morembs.progress import SILENT, Progress
 from morembs.summary import summarised
 

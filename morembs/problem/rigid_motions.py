@@ -21,7 +21,7 @@ from morembs.linalg.null_space import DENSE, groups_of, null_space
 from morembs.linalg.rigid import free_in_groups, strain_free, written
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import FEModel
-from morembs.model.fe_model import SCALAR
+from morembs.model.fe_model import SCALAR, has_places
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -31,12 +31,6 @@ FEW_TERMS = 100
 DEPENDENT = 1e-12
 # Part of the largest motion of a group below which it does not move.
 STILL = 1e-9
-
-
-def has_places(model: FEModel) -> bool:
-    """Whether dofs are motions of nodes at different places; all others are abstract coordinates."""
-    xyz = model.nodes.xyz[model.dofs.node[model.dofs.component < SCALAR]]
-    return bool(len(xyz) and np.ptp(xyz, axis=0).any())
 
 
 def need_factor(model: FEModel, K: sp.csr_array) -> bool:

@@ -131,21 +131,22 @@ class AutoReducer(OfResponses):
             InputError: an undamped resonance.
             SolverError: a reference without a limit, a tolerance below round-off, or a band far above all modes.
         """
-        if not np.isfinite(certified.off).all() and not certified.undamped:
-            at_hz = float(certified.edges[:-1][~np.isfinite(certified.off)][0] / (2 * np.pi))
-            raise SolverError(
-                f"the error of the reference of the full model has no limit from {at_hz:,.6g} Hz on, where its "
-                "residual exceeds the damping of a resonance; give more damping, or a damping_floor such as 0.01"
-            )
-        if not np.isfinite(certified.off).all():
+        highest_hz = float(np.sqrt(certified.values.max()) / (2 * np.pi))
+        far, endless = self.band_hz[1] > ABOVE * highest_hz, ~np.isfinite(certified.off)
+        if endless.any() and certified.undamped:
             raise InputError(
                 "a transfer error of an undamped model has no bound at its resonances; give damping, or a "
                 "damping_floor such as 0.01"
             )
+        if endless.any() and not far:
+            at_hz = float(certified.edges[:-1][endless][0] / (2 * np.pi))
+            raise SolverError(
+                f"the error of the reference of the full model has no limit from {at_hz:,.6g} Hz on, where its "
+                "residual exceeds the damping of a resonance; give more damping, or a damping_floor such as 0.01"
+            )
         lost, at_hz = certified.lost()
         least = LOST_PARTS * lost
-        highest_hz = float(np.sqrt(certified.values.max()) / (2 * np.pi))
-        if self.tolerance < least and self.band_hz[1] > ABOVE * highest_hz:
+        if far and not self.tolerance >= least:
             raise SolverError(
                 f"the band ends at {self.band_hz[1]:,.6g} Hz, and the highest mode of this model lies at "
                 f"{highest_hz:,.6g} Hz; beside squares of such frequencies its stiffness is round-off; lower the upper "

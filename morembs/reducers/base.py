@@ -24,13 +24,13 @@ from morembs.linalg.columns import (
 )  # fmt: skip
 from morembs.linalg.complex_modes import small_complex_modes
 from morembs.linalg.eigen import graded_modes
-from morembs.model.fe_model import STRUCTURAL
+from morembs.model.fe_model import STRUCTURAL, WITHOUT_MASS
 from morembs.moved import with_old_names
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.facts import Facts, Shifted
 from morembs.responses.band import MOST_HZ as MOST_HZ
-from morembs.responses.massless import WITHOUT_MASS, massless_motions, massless_words
+from morembs.responses.massless import massless_motions, massless_words
 from morembs.summary import hertz, kinds_words, summarised
 
 if TYPE_CHECKING:

@@ -92,7 +92,7 @@ class CertifiedReference:
     couplings of the square root of its products, and their scaled loads ``b`` (n, m) are by ``b_off`` (n, m).
     ``vectors`` (Nc, k) and ``sigma`` (k,) are those of the modes below ``cut``, all of which are there; ``edges``
     (nc + 1,) in rad/s and ``off`` (nc,) limits of ``|H - H_ref|`` over the envelope. ``solve_errors`` (n,) limit the
-    errors of solutions in the modes, in the energy of G s_p / theta_p, and ``start`` is a limit of |r_0| in the norm of
+    errors of solutions in the modes, in the energy of G s_p / theta_p, and ``start`` the norm of r_0 in that of
     K^-1 (``residual_bound``). ``off`` is an estimate where there are ``doubts``, which say why. The modes below
     ``cut`` are ``counted``, or LAPACK found all modes; beside their vectors K >= ``least`` M.
 

@@ -27,8 +27,6 @@ NO_MASS = 1e-12
 RIGID = 1e-10
 # Part of the largest motion of interfaces that is named.
 NAMED = 0.1
-# Key of the recipe of a body that says so.
-WITHOUT_MASS = "without_mass"
 NAMES = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "scalar")
 
 

@@ -243,11 +243,11 @@ def test_different_masses_along_the_axes_count_as_their_mean():
 
 def test_bodies_without_a_frame_say_why(beam, bodies):
     held = dataclasses.replace(bodies["cb"], rigid_count=0)
-    assert "free body" in why_not_floating(held)
+    assert "free body" in why_not_floating(beam, held)
     with pytest.raises(InputError, match="needs a free body with six"):
         floating_frame(beam, held)
     two_sided = Balanced(order=4, variant="p", band_hz=[10.0, 2000.0]).reduce(beam)
-    assert "two-sided" in why_not_floating(two_sided)
+    assert "two-sided" in why_not_floating(beam, two_sided)
 
 
 @pytest.mark.parametrize("kind, interfaces, words", [

@@ -106,7 +106,7 @@ def test_the_proven_eigenvalue_beside_deflated_modes_is_not_above_that_of_the_mo
         F = np.eye(space.size, len(F))
         proofs = Proofs(space)
         sigma = 1e11
-        cells = proofs.least(proofs.cells(), F, sigma, proof=True)
+        cells = proofs.least(proofs.cells(), F, sigma, 0.0, proof=True)
         W = problem.M @ (space.columns() @ F)
         K, M = problem.stiffness_sum(problem.law_K(proofs.soft)), problem.mass_sum(problem.law_M(proofs.soft))
         true = sl.eigh(K.toarray() + sigma * W @ W.T, M.toarray(), eigvals_only=True, subset_by_index=[0, 0])[0]
