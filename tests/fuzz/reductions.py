@@ -54,7 +54,9 @@ def _one(rng: np.random.Generator, truth: Truth, band: Band, damping: str, metho
         lines.append(
             f"directions = {sorted(set(truth.model.component[np.isin(truth.model.node, nodes)].tolist()) & {0, 1, 2})}"
         )
-        more = {"why_not": "coordinates have no directions"} if not truth.model.nodes else {}
+        taken = np.isin(nodes, np.concatenate([port.nodes for port in truth.ports])).any()
+        more = {"why_not": "a candidate lies on an interface"} if taken else {}
+        more = more if truth.model.nodes else {"why_not": "coordinates have no directions"}
     if method == "guyan" and _loose(truth):
         more = {"why_not": LOOSE}
     text = "\n".join([f'[[reduce]]\nmethod = "{method}"\nname = "{name}"', *lines])
