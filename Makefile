@@ -23,6 +23,7 @@ test: test-setup lint
 
 lint: setup
 	@$(RUN)/ruff check .
+	@$(RUN)/ruff format --check --quiet .
 	@$(RUN)/lint-imports
 	@$(RUN)/python scripts/imports.py
 	@$(RUN)/python scripts/schema.py --check

@@ -47,13 +47,14 @@ class Case:
 QUICK: tuple[Case, ...] = (Case("cube", 3_000, 0.5), Case("beam", 3_000, 0.5), Case("beam", 6_000, 0.95))
 # The least parts are below what the program itself needs, and have to be refused.
 ALL: tuple[Case, ...] = (
-    Case("beam", 6_000, 0.5), *(Case("beam", 20_000, part) for part in (0.6, 0.9)),
+    Case("beam", 6_000, 0.5),
+    *(Case("beam", 20_000, part) for part in (0.6, 0.9)),
     *(Case("cube", 20_000, part) for part in (0.5, 0.7, 0.9)),
     *(Case("crankshaft", 20_000, part) for part in (0.7, 0.8, 0.95)),
     *(Case("crankshaft", 20_000, 0.7, extra) for extra in (CERTIFIED, STRESSED, MODAL, FREE, KRYLOV, GRAMIAN, AUTO)),
     *(Case("crankshaft", 60_000, part) for part in (0.4, 0.5, 0.75)),
     Case("crankshaft", 60_000, 0.5, CERTIFIED + STRESSED),
-)  # fmt: skip
+)
 
 
 def budgets(settings: Settings) -> None:
@@ -68,12 +69,18 @@ def budgets(settings: Settings) -> None:
     report.table(
         f"budgets: peak memory within a budget, at most {100 * (MOST - 1):.0f} % above it",
         [
-            ("dofs", "dofs", "n"), ("free_bytes", "free MB", "MB"), ("asked_bytes", "asked MB", "MB"),
-            ("refused", "refused", "n"), ("budget_bytes", "budget MB", "MB"), ("process_peak_bytes", "peak MB", "MB"),
-            ("share", "share", "%"), ("disk_bytes", "disk MB", "MB"), ("solver", "solver", "text"),
+            ("dofs", "dofs", "n"),
+            ("free_bytes", "free MB", "MB"),
+            ("asked_bytes", "asked MB", "MB"),
+            ("refused", "refused", "n"),
+            ("budget_bytes", "budget MB", "MB"),
+            ("process_peak_bytes", "peak MB", "MB"),
+            ("share", "share", "%"),
+            ("disk_bytes", "disk MB", "MB"),
+            ("solver", "solver", "text"),
             ("stage", "peak stage", "text"),
         ],
-    )  # fmt: skip
+    )
     shares = [row["share"] for row in report.rows.values() if "share" in row]
     report.compare("peak memory over the budget, each model", shares)
     print(f"above {100 * (MOST - 1):.0f} %: {sum(share > MOST for share in shares)} of {len(report.rows)}")
@@ -89,7 +96,7 @@ def _measured(case: Case, free: dict[tuple[str, int], Row], settings: Settings) 
         return free[model]
     unlimited = free[model]["process_peak_bytes"]
     asked = budget = int(case.part * unlimited)
-    for refused in range(TRIES):  # noqa: B007  (its last value is a result)
+    for refused in range(TRIES):  # noqa: B007
         row = _run(case, budget, settings)
         least = re.search(r"give at least (\d+) MB", row.get("error", ""))
         more = re.search(r"raise the budget by (\d+) MB", row.get("error", ""))
@@ -99,9 +106,13 @@ def _measured(case: Case, free: dict[tuple[str, int], Row], settings: Settings) 
     if "error" in row:
         return {**row, "asked_bytes": asked, "budget_bytes": budget}
     return {
-        **row, "free_bytes": unlimited, "asked_bytes": asked, "refused": refused, "budget_bytes": budget,
+        **row,
+        "free_bytes": unlimited,
+        "asked_bytes": asked,
+        "refused": refused,
+        "budget_bytes": budget,
         "share": row["process_peak_bytes"] / budget,
-    }  # fmt: skip
+    }
 
 
 def _run(case: Case, budget: int | None, settings: Settings) -> Row:
@@ -118,10 +129,14 @@ def _run(case: Case, budget: int | None, settings: Settings) -> Row:
         return row
     peaks = row.pop("stage_peak_bytes")
     return {
-        "dofs": row["dofs"], "solver": row["solver"], "seconds": row["seconds"],
-        "process_peak_bytes": row["process_peak_bytes"], "stage": max(peaks, key=peaks.__getitem__),
-        "stage_peak_bytes": peaks, "disk_bytes": row["factor"].get("disk_bytes"),
-    }  # fmt: skip
+        "dofs": row["dofs"],
+        "solver": row["solver"],
+        "seconds": row["seconds"],
+        "process_peak_bytes": row["process_peak_bytes"],
+        "stage": max(peaks, key=peaks.__getitem__),
+        "stage_peak_bytes": peaks,
+        "disk_bytes": row["factor"].get("disk_bytes"),
+    }
 
 
 CASES: dict[str, Callable[[Settings], None]] = {"budgets": budgets}

@@ -25,6 +25,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from morembs.base.types import Floats
 from morembs.certificate.certify import Certificate, certify
 from morembs.certificate.limits import body_response
 from morembs.errors import InputError, SolverError
@@ -38,7 +39,6 @@ from morembs.responses.layout import Layout
 from morembs.responses.measures import MEASURES
 from morembs.responses.rational import Terms, squares
 
-Floats = NDArray[np.float64]
 DENSE, BESIDE = 20_000, 25
 # Samples are up to so much lower than the peaks between them, so that all maxima above this part of the highest count.
 ALIKE = 0.9
@@ -83,9 +83,11 @@ def truss(rng: np.random.Generator, nodes: int, held: bool, twins: bool) -> FEMo
                 K += soft * np.outer(v, v)
     node = np.repeat(np.arange(len(xyz)), 3)
     return FEModel(
-        K=sp.csr_array(0.5 * (K + K.T)), M=sp.csr_array(M), nodes=Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz),
+        K=sp.csr_array(0.5 * (K + K.T)),
+        M=sp.csr_array(M),
+        nodes=Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz),
         dofs=DofMap(node=node, component=np.tile(np.arange(3), len(xyz))),
-    )  # fmt: skip
+    )
 
 
 def _along(a: Floats, b: Floats, i: int, j: int, size: int) -> Floats:
@@ -110,8 +112,15 @@ def damping_of(rng: np.random.Generator, kind: str, omega: Floats) -> Damping:
     """Damping of about a random ratio of critical damping in the middle of the band."""
     zeta, middle = 10 ** rng.uniform(-6, np.log10(5e-2)), float(np.sqrt(omega[0] * omega[-1]))
     rayleigh = {"alpha": zeta * middle, "beta": zeta / middle}
-    return Damping(**{"rayleigh": rayleigh, "structural": {"structural": 2 * zeta}, "modal": {"modal": zeta},
-                      "both": {**rayleigh, "structural": zeta}, "none": {}}[kind])  # fmt: skip
+    return Damping(
+        **{
+            "rayleigh": rayleigh,
+            "structural": {"structural": 2 * zeta},
+            "modal": {"modal": zeta},
+            "both": {**rayleigh, "structural": zeta},
+            "none": {},
+        }[kind]
+    )
 
 
 def bodies_of(problem: Problem, high: float, rng: np.random.Generator) -> list[ReducedModel]:
@@ -120,10 +129,13 @@ def bodies_of(problem: Problem, high: float, rng: np.random.Generator) -> list[R
     m, bodies = problem.B.shape[1], []
     band = [0.0, high]
     tried = [
-        Modal(modes=count + 2), FreeInterface(modes=max(1, count - int(rng.integers(0, 3)))),
-        Krylov(shifts_hz=[0.0, 0.8 * high]), Gramian(band_hz=band, order=count + m),
-        Balanced(order=count + m, band_hz=band), CraigBampton(modes=count),
-    ]  # fmt: skip
+        Modal(modes=count + 2),
+        FreeInterface(modes=max(1, count - int(rng.integers(0, 3)))),
+        Krylov(shifts_hz=[0.0, 0.8 * high]),
+        Gramian(band_hz=band, order=count + m),
+        Balanced(order=count + m, band_hz=band),
+        CraigBampton(modes=count),
+    ]
     for number in rng.permutation(len(tried)):
         try:
             bodies.append(tried[number].reduce(problem))
@@ -144,10 +156,15 @@ def judged(problem: Problem, reduced: ReducedModel, band: tuple[float, float], w
     upper = np.array([certificate.limits[name].upper for name in MEASURES])
     lower = np.array([certificate.limits[name].lower for name in MEASURES])
     return Verdict(
-        words=words, kind=certificate.kind, above=int((true > certificate.cell_limit[cell]).sum()),
+        words=words,
+        kind=certificate.kind,
+        above=int((true > certificate.cell_limit[cell]).sum()),
         effectivity=upper / true.max(axis=0),
-        gap=upper / np.maximum(lower, 1e-300), upper=upper, clear=lost_beside(certificate, upper), seconds=seconds,
-    )  # fmt: skip
+        gap=upper / np.maximum(lower, 1e-300),
+        upper=upper,
+        clear=lost_beside(certificate, upper),
+        seconds=seconds,
+    )
 
 
 def dense_errors(
@@ -185,8 +202,14 @@ def _peak(terms: Terms, omega: Floats, top: int) -> float:
     finer = np.linspace(omega[max(top - 1, 0)], omega[min(top + 1, len(omega) - 1)], 2001)
     top = int(np.linalg.norm(terms.at(finer), axis=1).argmax())
     around = finer[max(top - 1, 0)], finer[min(top + 1, len(finer) - 1)]
-    return -float(minimize_scalar(lambda x: -float(np.linalg.norm(terms.at(np.array([x])))), bounds=around,
-                                  method="bounded", options={"xatol": 1e-12 * around[1]}).fun)  # fmt: skip
+    return -float(
+        minimize_scalar(
+            lambda x: -float(np.linalg.norm(terms.at(np.array([x])))),
+            bounds=around,
+            method="bounded",
+            options={"xatol": 1e-12 * around[1]},
+        ).fun
+    )
 
 
 def exact_modes(K: Floats, M: Floats, rigid: int) -> tuple[Floats, Floats]:
@@ -235,8 +258,10 @@ def drawn(rng: np.random.Generator, number: int) -> Drawn:
         model = truss(rng, int(rng.integers(12, 41)), held, twins)
         at = rng.permutation(len(model.nodes))[: int(rng.integers(1, 4))]
         inputs = [np.sort(rng.permutation(3)[: int(rng.integers(1, 4))]) for _ in at]
-        faces = [make_interface(model, name=f"i{n}", nodes=np.array([node]), coupling="direct", components=own.tolist())
-                 for n, (node, own) in enumerate(zip(at, inputs, strict=True))]  # fmt: skip
+        faces = [
+            make_interface(model, name=f"i{n}", nodes=np.array([node]), coupling="direct", components=own.tolist())
+            for n, (node, own) in enumerate(zip(at, inputs, strict=True))
+        ]
         try:
             with Problem(model, faces) as plain:
                 omega = np.sqrt(plain.elastic_modes(count=12).eigenvalues)
@@ -261,8 +286,10 @@ def trial(seed: int, number: int, part: float = 0.0) -> list[Verdict]:
     low = low_end(seed, number, case.high, part)
     words = case.words + (f", from {low / case.high:.2f} of the band" if low else "")
     with case.problem as problem:
-        return [judged(problem, body, (low, case.high), f"{words}, {body.recipe['method']}")
-                for body in bodies_of(problem, case.high, rng)]  # fmt: skip
+        return [
+            judged(problem, body, (low, case.high), f"{words}, {body.recipe['method']}")
+            for body in bodies_of(problem, case.high, rng)
+        ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,8 +338,10 @@ def told(verdicts: list[Verdict]) -> int:
     for q, name in enumerate(MEASURES):
         clear = [verdict for verdict in verdicts if verdict.clear[q] and np.isfinite(verdict.upper[q])]
         if clear:
-            shown = [np.quantile([getattr(verdict, what)[q] for verdict in clear], (0.5, 0.95, 1)).round(3).tolist()
-                     for what in ("effectivity", "gap")]  # fmt: skip
+            shown = [
+                np.quantile([getattr(verdict, what)[q] for verdict in clear], (0.5, 0.95, 1)).round(3).tolist()
+                for what in ("effectivity", "gap")
+            ]
             sys.stdout.write(f"{name}: upper over dense {shown[0]}, over lower {shown[1]} ({len(clear)} bodies)\n")
     seconds = np.quantile([verdict.seconds for verdict in verdicts], (0.5, 1)).round(2).tolist()
     above = sum(verdict.above for verdict in verdicts)

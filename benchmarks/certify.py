@@ -15,13 +15,22 @@ from measure import Report, Row, Settings, child, in_rounds
 
 SIZES, QUICK, BODIES = (25_000, 74_000), (2_200,), 3
 BAND_HZ, TOLERANCE, LOSS = (0.0, 5000.0), 1e-3, 0.01
-RATIOS = {"scratch": "reference and first certificate, modes known", "auto": "auto with its certificate, modes known",
-          "after": "certify one body after auto"}  # fmt: skip
+RATIOS = {
+    "scratch": "reference and first certificate, modes known",
+    "auto": "auto with its certificate, modes known",
+    "after": "certify one body after auto",
+}
 _COLUMNS = (
-    ("dofs", "dofs", "n"), ("factor", "factor s", "s"), ("modes", "modes s", "s"), ("scratch", "certificate s", "s"),
-    ("auto", "auto s", "s"), ("after", "after auto s", "s"), ("body", "per body s", "s"), ("order", "order", "n"),
+    ("dofs", "dofs", "n"),
+    ("factor", "factor s", "s"),
+    ("modes", "modes s", "s"),
+    ("scratch", "certificate s", "s"),
+    ("auto", "auto s", "s"),
+    ("after", "after auto s", "s"),
+    ("body", "per body s", "s"),
+    ("order", "order", "n"),
     ("reference_order", "reference", "n"),
-)  # fmt: skip
+)
 
 
 def certify(settings: Settings) -> None:
@@ -54,8 +63,10 @@ def measure(spec: dict[str, Any], steel: Callable[[str, int], Any]) -> Row:
 
     model, band = steel("beam", spec["dofs"]), list(BAND_HZ)
     x = model.nodes.xyz[:, 0]
-    faces = [make_interface(model, name=name, nodes=np.flatnonzero(np.abs(x - end) < 1e-9), coupling="rigid")
-             for name, end in (("a", x.min()), ("b", x.max()))]  # fmt: skip
+    faces = [
+        make_interface(model, name=name, nodes=np.flatnonzero(np.abs(x - end) < 1e-9), coupling="rigid")
+        for name, end in (("a", x.min()), ("b", x.max()))
+    ]
     row: Row = {"dofs": model.size}
 
     def timed(name: str, work: Callable[[], Any]) -> Any:

@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse.linalg as spla
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_info
 
+from morembs.base.types import Floats
 from morembs.errors import MorembsError
 from morembs.linalg.dynamic_stiffness import grounded
 from morembs.linalg.sparse.mixed import Mixed
@@ -41,7 +41,6 @@ from morembs.linalg.statics import support_dofs
 from morembs.memory import peak_memory_bytes, resident_bytes
 from morembs.model import ElementBlock, FEModel, Mesh, Nodes
 
-Floats = NDArray[np.float64]
 Row = dict[str, Any]
 Spec = dict[str, Any]
 MESHES = Path(__file__).resolve().parent.parent / "data" / "small_meshes"
@@ -62,10 +61,13 @@ def machine(spec: Spec) -> Row:
     blas = sorted({f"{pool['internal_api']} {pool['version']}" for pool in threadpool_info()})
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
-        "cores": cores, "blas_threads": blas_threads(), "system": platform.system(), "processor": platform.machine(),
+        "cores": cores,
+        "blas_threads": blas_threads(),
+        "system": platform.system(),
+        "processor": platform.machine(),
         "model": processor_model(),
         "versions": {"python": platform.python_version(), **packages, **versions, "blas": blas},
-    }  # fmt: skip
+    }
 
 
 def processor_model() -> str:
@@ -167,13 +169,23 @@ def factor(spec: Spec) -> Row:
         if spec["solver"] == "auto":
             solves["choice"] = stats.backend
     return {
-        "dofs": A.n, "resident_bytes": resident, "analyse_seconds": analysed - start, "factor_seconds": stats.seconds,
-        "factor_cpu_seconds": used, "ready_seconds": ready - start, "factor_peak_bytes": peak - resident,
+        "dofs": A.n,
+        "resident_bytes": resident,
+        "analyse_seconds": analysed - start,
+        "factor_seconds": stats.seconds,
+        "factor_cpu_seconds": used,
+        "ready_seconds": ready - start,
+        "factor_peak_bytes": peak - resident,
         "forecast_bytes": plan.memory,
-        "flops": None if spec["solver"] == "amg" else plan.flops, "factor_entries": stats.factor_entries,
-        "factor_bytes": stats.memory_bytes, "disk_bytes": stats.disk_bytes, "threads": stats.threads,
-        "precision": stats.precision, **solves, "backward_error": backward_error(A, norm, X, B),
-    }  # fmt: skip
+        "flops": None if spec["solver"] == "amg" else plan.flops,
+        "factor_entries": stats.factor_entries,
+        "factor_bytes": stats.memory_bytes,
+        "disk_bytes": stats.disk_bytes,
+        "threads": stats.threads,
+        "precision": stats.precision,
+        **solves,
+        "backward_error": backward_error(A, norm, X, B),
+    }
 
 
 def splu(spec: Spec) -> Row:
@@ -187,10 +199,17 @@ def splu(spec: Spec) -> Row:
     seconds, peak = time.perf_counter() - start, peak_memory_bytes()
     solves, X = solved(lu.solve, B, spec)
     return {
-        "dofs": A.n, "resident_bytes": resident, "factor_seconds": seconds, "ready_seconds": seconds,
-        "factor_peak_bytes": peak - resident, "flops": None, "factor_entries": int(lu.nnz), "threads": 1, **solves,
+        "dofs": A.n,
+        "resident_bytes": resident,
+        "factor_seconds": seconds,
+        "ready_seconds": seconds,
+        "factor_peak_bytes": peak - resident,
+        "flops": None,
+        "factor_entries": int(lu.nnz),
+        "threads": 1,
+        **solves,
         "backward_error": backward_error(A, norm, X, B),
-    }  # fmt: skip
+    }
 
 
 def right_hand_sides(n: int, count: int) -> Floats:
@@ -272,7 +291,7 @@ def same(spec: Spec) -> Row:
     return {
         "frequency_difference": off(first.frequencies_hz, second.frequencies_hz),
         "matrix_difference": max(float(np.linalg.norm(a - b) / np.linalg.norm(a)) for a, b in pairs),
-    }  # fmt: skip
+    }
 
 
 def pivots(spec: Spec) -> Row:
@@ -361,11 +380,25 @@ def part(spec: Spec) -> Row:
 
 
 TASKS: dict[str, Callable[[Spec], Row]] = {
-    "machine": machine, "dgemm": dgemm, "matrix": matrix, "factor": factor, "splu": splu, "modes": modes,
-    "products": products, "job": write_job, "interpolation": interpolation, "frames": frames,
-    "switching": switching, "certify": certificates, "fmu": fmu, "part": part, "startup": startup,
-    "mechanism": mechanism, "same": same, "pivots": pivots,
-}  # fmt: skip
+    "machine": machine,
+    "dgemm": dgemm,
+    "matrix": matrix,
+    "factor": factor,
+    "splu": splu,
+    "modes": modes,
+    "products": products,
+    "job": write_job,
+    "interpolation": interpolation,
+    "frames": frames,
+    "switching": switching,
+    "certify": certificates,
+    "fmu": fmu,
+    "part": part,
+    "startup": startup,
+    "mechanism": mechanism,
+    "same": same,
+    "pivots": pivots,
+}
 
 
 def main() -> None:

@@ -42,8 +42,15 @@ _NOT_IN_SPACE = re.compile(r"TYPE *= *\"?(CPE|CPS|CAX|D[ ,\n]|F3D|DC3D|U\d|T2D|B
 _NOT_LINEAR = re.compile(r"^\*(USER MATERIAL|HYPER|USER ELEMENT|DEFORMATION PLAST)", re.IGNORECASE | re.MULTILINE)
 # What a deck may hold its body with, so that rigid motion is strained by its own will.
 _CONSTRAINED = re.compile(r"^\*(EQUATION|MPC|SPRING|ELEMENT.*TYPE *= *(SPRING|GAP))", re.IGNORECASE | re.MULTILINE)
-_CONTACT = ("*CONTACTPAIR", "*SURFACEINTERACTION", "*SURFACEBEHAVIOR", "*FRICTION", "*CLEARANCE", "*CONTACTDAMPING",
-            "*GAPCONDUCTANCE")  # fmt: skip
+_CONTACT = (
+    "*CONTACTPAIR",
+    "*SURFACEINTERACTION",
+    "*SURFACEBEHAVIOR",
+    "*FRICTION",
+    "*CLEARANCE",
+    "*CONTACTDAMPING",
+    "*GAPCONDUCTANCE",
+)
 
 
 def structural(text: str) -> bool:
@@ -178,8 +185,10 @@ def main(arguments: list[str] | None = None) -> int:
     print(f"{len(taken)} of {len(results)} imported ({100 * len(taken) / max(len(results), 1):.1f} %)")
     for key, most in (("rigid", 1e-9), ("follows", 1e-12), ("mass", 1e-6), ("frequency", 1e-6)):
         values = [result[key] for result in taken if key in result]
-        print(f"{key}: {sum(v <= most for v in values)} of {len(values)} within {most:g}; worst "
-              f"{max(values, default=0):.1e}")  # fmt: skip
+        print(
+            f"{key}: {sum(v <= most for v in values)} of {len(values)} within {most:g}; worst "
+            f"{max(values, default=0):.1e}"
+        )
     return 0
 
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
-from numpy.typing import NDArray
 from stages import Stages
 
+from morembs.base.types import Floats
 from morembs.linalg.eigen import lowest_modes
 from morembs.linalg.slicing import Shifted
 from morembs.linalg.statics import ConstrainedStatics
@@ -25,7 +25,6 @@ from morembs.memory import peak_memory_bytes, resident_bytes
 from morembs.model import FEModel
 from morembs.problem import Problem
 
-Floats = NDArray[np.float64]
 Row = dict[str, Any]
 _TOLERANCE, _RIGID = 1e-9, 6
 # The Python that has slepc4py, if there is one: Debian's packages belong to that of the system.
@@ -75,18 +74,26 @@ def measure_modes(spec: Row, model: FEModel) -> Row:
         row |= {f"{stage}_stage": seconds for stage, seconds in stages.seconds.items()}
         row |= {f"{stage}_stage_processor": seconds for stage, seconds in stages.processor.items()}
         row |= {
-            "resident_bytes": resident, "modes_peak_bytes": peak_memory_bytes() - resident,
-            "factor_seconds": factor.stats.seconds, "ready_seconds": made.seconds,
-            "all_seconds": made.seconds + found.seconds, "count_seconds": counted.seconds + second.seconds,
+            "resident_bytes": resident,
+            "modes_peak_bytes": peak_memory_bytes() - resident,
+            "factor_seconds": factor.stats.seconds,
+            "ready_seconds": made.seconds,
+            "all_seconds": made.seconds + found.seconds,
+            "count_seconds": counted.seconds + second.seconds,
             "lanczos_seconds": found.seconds - counted.seconds - second.seconds,
-            "solve_seconds": solves.seconds + again.seconds, "solve_columns": solves.columns + again.columns,
-            "passes": solves.calls + again.calls, "ready_processor": made.processor,
-            "all_processor": made.processor + found.processor, "modes_processor": found.processor, "flops": None,
-            "factor_entries": factor.stats.factor_entries, "threads": factor.stats.threads,
+            "solve_seconds": solves.seconds + again.seconds,
+            "solve_columns": solves.columns + again.columns,
+            "passes": solves.calls + again.calls,
+            "ready_processor": made.processor,
+            "all_processor": made.processor + found.processor,
+            "modes_processor": found.processor,
+            "flops": None,
+            "factor_entries": factor.stats.factor_entries,
+            "threads": factor.stats.threads,
             "verified_hz": float(np.sqrt(modes.verified_below) / (2 * np.pi)),
             "last_hz": float(modes.frequencies_hz[-1]),
             "residual": residual(problem.K, problem.M, modes.eigenvalues, modes.vectors),
-        }  # fmt: skip
+        }
         first = modes.eigenvalues[0]
         del modes
         return row | arpack(problem, pencil, count) | slepc(problem, count, -first)
@@ -101,11 +108,14 @@ def arpack(problem: Problem, pencil: ConstrainedStatics, count: int) -> Row:
     found = Timed(lambda: spla.eigsh(K, count, M, sigma=0.0, OPinv=operator, v0=v0, tol=_TOLERANCE))
     values, vectors = found()
     return {
-        "arpack_seconds": found.seconds, "arpack_modes_processor": found.processor,
-        "arpack_solve_seconds": solves.seconds, "arpack_solve_columns": solves.columns, "arpack_passes": solves.calls,
+        "arpack_seconds": found.seconds,
+        "arpack_modes_processor": found.processor,
+        "arpack_solve_seconds": solves.seconds,
+        "arpack_solve_columns": solves.columns,
+        "arpack_passes": solves.calls,
         "arpack_last_hz": float(np.sqrt(values.max()) / (2 * np.pi)),
         "arpack_residual": residual(K, M, values, vectors),
-    }  # fmt: skip
+    }
 
 
 def slepc(problem: Problem, count: int, shift: float) -> Row:

@@ -24,9 +24,13 @@ MODES, STEP = 28, 1e-5
 STRUCTURES = ("linear", "floating")
 _STEPS, _QUICK = 200_000, 2_000
 _COLUMNS = (
-    ("steps", "steps", "n"), ("cpu_seconds", "processor s", "s"), ("steps_a_minute", "steps a minute", "n"),
-    ("growth_bytes", "growth MB", "MB"), ("process_peak_bytes", "peak MB", "MB"), ("file_bytes", "FMU MB", "MB"),
-)  # fmt: skip
+    ("steps", "steps", "n"),
+    ("cpu_seconds", "processor s", "s"),
+    ("steps_a_minute", "steps a minute", "n"),
+    ("growth_bytes", "growth MB", "MB"),
+    ("process_peak_bytes", "peak MB", "MB"),
+    ("file_bytes", "FMU MB", "MB"),
+)
 
 
 def fmu(settings: Settings) -> None:
@@ -60,9 +64,12 @@ def measure(spec: dict[str, Any]) -> Row:
         body.step(k * STEP, loads, outputs)
     seconds = time.process_time() - start
     return {
-        "steps": steps, "cpu_seconds": seconds, "steps_a_minute": 60 * steps / seconds,
-        "growth_bytes": resident_bytes() - before, "file_bytes": path.stat().st_size,
-    }  # fmt: skip
+        "steps": steps,
+        "cpu_seconds": seconds,
+        "steps_a_minute": 60 * steps / seconds,
+        "growth_bytes": resident_bytes() - before,
+        "file_bytes": path.stat().st_size,
+    }
 
 
 class _Body:

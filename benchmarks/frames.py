@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sl
 from measure import Report, Row, Settings, child, in_rounds, ratios
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.floating.frame import floating_frame
 from morembs.floating.integrals import ShapeIntegrals
 from morembs.memory import peak_memory_bytes, resident_bytes
@@ -23,16 +23,19 @@ from morembs.model import FEModel
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel, projected
 
-Floats = NDArray[np.float64]
 Spec = dict[str, Any]
 OURS, OTHER = "morembs", "Exudyn"
 # Shapes of the large body, and of those that both can do.
 LARGE, BOTH = 1_000_000, 100_000
 COUNT, FEW = 66, 30
 _COLUMNS = (
-    ("dofs", "dofs", "n"), ("shapes", "shapes", "n"), ("seconds", "seconds", "s"), ("basis_bytes", "basis MB", "MB"),
-    ("peak_rise_bytes", "peak MB", "MB"), ("difference", "difference", "e"),
-)  # fmt: skip
+    ("dofs", "dofs", "n"),
+    ("shapes", "shapes", "n"),
+    ("seconds", "seconds", "s"),
+    ("basis_bytes", "basis MB", "MB"),
+    ("peak_rise_bytes", "peak MB", "MB"),
+    ("difference", "difference", "e"),
+)
 
 
 def frames(settings: Settings) -> None:
@@ -72,16 +75,26 @@ def measure(spec: Spec, steel: Callable[[str, int], FEModel]) -> Row:
     V = polynomials(model.nodes.xyz, spec["shapes"])
     M, K = projected(V, problem.M, problem.budget), projected(V, problem.K, problem.budget)
     reduced = ReducedModel(
-        name="polynomials", M=M, K=K, D=np.zeros_like(K), B=np.zeros((len(K), 0)), C=np.zeros((0, len(K))), V=V,
-        mode_kind=("elastic",) * len(K), rigid_count=6,
-    )  # fmt: skip
+        name="polynomials",
+        M=M,
+        K=K,
+        D=np.zeros_like(K),
+        B=np.zeros((len(K), 0)),
+        C=np.zeros((0, len(K))),
+        V=V,
+        mode_kind=("elastic",) * len(K),
+        rigid_count=6,
+    )
     resident, start = resident_bytes(), time.perf_counter()
     frame = floating_frame(problem, reduced)
     seconds, peak = time.perf_counter() - start, peak_memory_bytes()
     row = {
-        "dofs": model.size, "shapes": spec["shapes"], "seconds": seconds, "basis_bytes": V.nbytes,
+        "dofs": model.size,
+        "shapes": spec["shapes"],
+        "seconds": seconds,
+        "basis_bytes": V.nbytes,
         "peak_rise_bytes": peak - resident,
-    }  # fmt: skip
+    }
     return row if spec["dofs"] > BOTH else {**row, "difference": _difference(model, frame.integrals, V @ frame.elastic)}
 
 
@@ -113,9 +126,12 @@ def _exudyn(model: FEModel, count: int) -> Row:
     resident, start = resident_bytes(), time.perf_counter()
     _exudyn_body(model, shapes)
     return {
-        "dofs": model.size, "shapes": count, "seconds": time.perf_counter() - start, "basis_bytes": shapes.nbytes,
+        "dofs": model.size,
+        "shapes": count,
+        "seconds": time.perf_counter() - start,
+        "basis_bytes": shapes.nbytes,
         "peak_rise_bytes": peak_memory_bytes() - resident,
-    }  # fmt: skip
+    }
 
 
 def _difference(model: FEModel, integrals: ShapeIntegrals, shapes: Floats) -> float | None:
@@ -126,11 +142,12 @@ def _difference(model: FEModel, integrals: ShapeIntegrals, shapes: Floats) -> fl
         return None
     n = integrals.count
     pairs = (
-        (other.mPhitTPsi, integrals.Ct.T), (other.mXRefTildePsi, -integrals.Cr.T),
+        (other.mPhitTPsi, integrals.Ct.T),
+        (other.mXRefTildePsi, -integrals.Cr.T),
         (other.massMatrixReduced, integrals.Me),
         (other.mXRefTildePsiTilde, -integrals.C4.transpose(1, 0, 2).reshape(3, 3 * n)),
         (other.mPsiTildePsiTilde, -integrals.C6.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n)),
-    )  # fmt: skip
+    )
     # Mean axes make some arrays round-off; the mass and the size of the body give what they are small against.
     size = float(np.sqrt(integrals.mass)) * float(np.ptp(model.nodes.xyz, axis=0).max())
     differences = []

@@ -16,9 +16,9 @@ import numpy as np
 import scipy.sparse as sp
 from eigen import Timed
 from models import interfaces
-from numpy.typing import NDArray
 
 from morembs import Problem, full_response, make_interface
+from morembs.base.types import Complexes, Floats
 from morembs.certificate.response import reduced_response
 from morembs.errors import MorembsError
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
@@ -28,8 +28,6 @@ from morembs.model.selection import select_nodes
 from morembs.problem import Damping
 from morembs.reducers.krylov import Krylov
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Row = dict[str, Any]
 Steel = Callable[[str, int], FEModel]
 # Rayleigh damping has its ratio at this part of the highest frequency, and there.
@@ -92,9 +90,14 @@ def direct(spec: Row, steel: Steel) -> Row:
         A = {name: part for key, X in (("K", K), ("M", M)) for name, part in csr(key, X).items()}
         np.savez(spec["file"], H=np.array(H), F=F, **A)
         return {
-            "dofs": K.shape[0], "points": len(omega), "seconds": seconds, "cpu_seconds": cpu,
-            "resident_bytes": resident, "factorisations": len(omega), "solver": backend,
-        }  # fmt: skip
+            "dofs": K.shape[0],
+            "points": len(omega),
+            "seconds": seconds,
+            "cpu_seconds": cpu,
+            "resident_bytes": resident,
+            "factorisations": len(omega),
+            "solver": backend,
+        }
 
 
 def csr(key: str, A: sp.csr_array) -> dict[str, Any]:
@@ -124,10 +127,15 @@ def reference(spec: Row, steel: Steel) -> Row:
         seconds, cpu = (now() - start).tolist()
         H = H / np.outer(problem.motion_scale, problem.motion_scale)
         return {
-            "dofs": problem.K.shape[0], "points": len(H), "seconds": seconds, "cpu_seconds": cpu,
-            "resident_bytes": resident, "factorisations": 1, "solver": problem.solver_name,
+            "dofs": problem.K.shape[0],
+            "points": len(H),
+            "seconds": seconds,
+            "cpu_seconds": cpu,
+            "resident_bytes": resident,
+            "factorisations": 1,
+            "solver": problem.solver_name,
             "response_error": error(H, spec),
-        }  # fmt: skip
+        }
 
 
 def ours(spec: Row, steel: Steel) -> Row:
@@ -140,10 +148,16 @@ def ours(spec: Row, steel: Steel) -> Row:
         (seconds, cpu), peak = (now() - start).tolist(), peak_memory_bytes()
         H = reduced_response(reduced, band(spec)) / np.outer(problem.motion_scale, problem.motion_scale)
         return {
-            "dofs": problem.K.shape[0], "seconds": seconds, "cpu_seconds": cpu, "resident_bytes": resident,
-            "peak_rise_bytes": peak - resident, "factorisations": factorize.calls, "factor_seconds": factorize.seconds,
-            "order": reduced.order - reduced.rigid_count, "response_error": error(H, spec),
-        }  # fmt: skip
+            "dofs": problem.K.shape[0],
+            "seconds": seconds,
+            "cpu_seconds": cpu,
+            "resident_bytes": resident,
+            "peak_rise_bytes": peak - resident,
+            "factorisations": factorize.calls,
+            "factor_seconds": factorize.seconds,
+            "order": reduced.order - reduced.rigid_count,
+            "response_error": error(H, spec),
+        }
 
 
 class Counted(Timed):
@@ -189,19 +203,30 @@ def pymor(spec: Row) -> Row:
     except OutOfTimeError:
         (seconds, cpu), part = (now() - start).tolist(), factorize.calls / planned
         return {
-            "dofs": K.shape[0], "more_than_seconds": seconds, "estimated_seconds": seconds / part,
-            "estimated_cpu_seconds": cpu / part, "resident_bytes": resident, "factorisations": factorize.calls,
-            "planned_factorisations": planned, "peak_rise_bytes": peak_memory_bytes() - resident,
-        }  # fmt: skip
+            "dofs": K.shape[0],
+            "more_than_seconds": seconds,
+            "estimated_seconds": seconds / part,
+            "estimated_cpu_seconds": cpu / part,
+            "resident_bytes": resident,
+            "factorisations": factorize.calls,
+            "planned_factorisations": planned,
+            "peak_rise_bytes": peak_memory_bytes() - resident,
+        }
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
     (seconds, cpu), peak = (now() - start).tolist(), peak_memory_bytes()
     H = np.array([reduced.transfer_function.eval_tf(1j * w) for w in band(spec)])
     return {
-        "dofs": K.shape[0], "seconds": seconds, "cpu_seconds": cpu, "resident_bytes": resident,
-        "peak_rise_bytes": peak - resident, "factorisations": factorize.calls, "factor_seconds": factorize.seconds,
-        "order": reduced.order, "response_error": error(H, spec),
-    }  # fmt: skip
+        "dofs": K.shape[0],
+        "seconds": seconds,
+        "cpu_seconds": cpu,
+        "resident_bytes": resident,
+        "peak_rise_bytes": peak - resident,
+        "factorisations": factorize.calls,
+        "factor_seconds": factorize.seconds,
+        "order": reduced.order,
+        "response_error": error(H, spec),
+    }
 
 
 def _stop(number: int, frame: object) -> None:
@@ -249,10 +274,14 @@ def cost(spec: Row, steel: Steel) -> Row:
         reduced = Krylov(shifts_hz=(np.linspace(0.1, 1.0, 10) * spec["top_hz"]).tolist()).reduce(problem)
         seconds, cpu = (now() - start).tolist()
         return {
-            **row, "ten_seconds": seconds, "ten_cpu_seconds": cpu, "ten_factor_seconds": factorize.seconds,
-            "ten_factorisations": factorize.calls, "ten_analyses": len(pencil.analysed),
+            **row,
+            "ten_seconds": seconds,
+            "ten_cpu_seconds": cpu,
+            "ten_factor_seconds": factorize.seconds,
+            "ten_factorisations": factorize.calls,
+            "ten_analyses": len(pencil.analysed),
             "ten_order": reduced.order - reduced.rigid_count,
-        }  # fmt: skip
+        }
 
 
 def one_point(spec: Row, steel: Steel) -> Row:
@@ -277,9 +306,12 @@ def one_point(spec: Row, steel: Steel) -> Row:
             Krylov(shifts_hz=[float(part + 0.015) * top]).reduce(problem)
             timings["one"].append(now() - start)
         row = {
-            "dofs": len(F), "loads": F.shape[1], "solver": stats.backend, "factor_entries": stats.factor_entries,
+            "dofs": len(F),
+            "loads": F.shape[1],
+            "solver": stats.backend,
+            "factor_entries": stats.factor_entries,
             "resident_bytes": resident,
-        }  # fmt: skip
+        }
         for name, times in timings.items():
             row[f"{name}_seconds"], row[f"{name}_cpu_seconds"] = np.median(times, axis=0).tolist()
         return row

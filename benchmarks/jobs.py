@@ -16,13 +16,16 @@ _GIB = 1 << 30
 # Shape, dofs, budget in bytes, upper frequency in Hz of a certificate, if one is wanted.
 Asked = tuple[str, int, int, float | None]
 MILLION: tuple[Asked, ...] = (
-    ("cube", 1_000_000, 8 * _GIB, None), ("crankshaft", 1_000_000, 4 * _GIB, None),
-    ("crankshaft", 1_000_000, 5 * _GIB // 2, None), ("beam", 2_000_000, 6 * _GIB, 2500.0),
-)  # fmt: skip
+    ("cube", 1_000_000, 8 * _GIB, None),
+    ("crankshaft", 1_000_000, 4 * _GIB, None),
+    ("crankshaft", 1_000_000, 5 * _GIB // 2, None),
+    ("beam", 2_000_000, 6 * _GIB, 2500.0),
+)
 QUICK_MILLION: tuple[Asked, ...] = (
-    ("cube", 20_000, 400_000_000, None), ("crankshaft", 20_000, 300_000_000, None),
+    ("cube", 20_000, 400_000_000, None),
+    ("crankshaft", 20_000, 300_000_000, None),
     ("beam", 20_000, 340_000_000, 2500.0),
-)  # fmt: skip
+)
 SHAPES, SIZES = ("cube", "crankshaft", "beam"), (60_000, 150_000, 300_000)
 # Smaller factors need less than the program itself, and no budget sends them to disk.
 QUICK_SHAPES, QUICK_SIZES = ("crankshaft",), (60_000,)
@@ -37,10 +40,14 @@ def reduced(job: Path, settings: Settings) -> Row:
         return _failed(ended, settings)
     (document,) = json.loads(ended.output)
     return {
-        "dofs": document["dofs"], "solver": document["solver"], "seconds": ended.seconds,
-        "process_peak_bytes": ended.peak, "stage_seconds": document["seconds"],
-        "stage_peak_bytes": document["peak_memory_bytes"], "factor": document["factor"],
-    }  # fmt: skip
+        "dofs": document["dofs"],
+        "solver": document["solver"],
+        "seconds": ended.seconds,
+        "process_peak_bytes": ended.peak,
+        "stage_seconds": document["seconds"],
+        "stage_peak_bytes": document["peak_memory_bytes"],
+        "factor": document["factor"],
+    }
 
 
 def checked(job: Path, settings: Settings) -> Row:
@@ -65,9 +72,16 @@ def written(
     scratch.mkdir(exist_ok=True)
     memory = None if budget is None else f"{budget} B"
     job = required(
-        "job", settings, shape=shape, dofs=dofs, to=str(to), memory=memory, scratch=str(scratch), more=more,
+        "job",
+        settings,
+        shape=shape,
+        dofs=dofs,
+        to=str(to),
+        memory=memory,
+        scratch=str(scratch),
+        more=more,
         reduction=reduction,
-    )  # fmt: skip
+    )
     return Path(job["job"])
 
 
@@ -87,14 +101,20 @@ def million(settings: Settings) -> None:
     report.table(
         "million: whole jobs within a budget, seconds by stage",
         [
-            ("dofs", "dofs", "n"), ("seconds", "all s", "s"),
+            ("dofs", "dofs", "n"),
+            ("seconds", "all s", "s"),
             *((stage, f"{stage.removeprefix('stage: ')} s", "s") for stage in stages),
-            ("process_peak_bytes", "peak MB", "MB"), ("budget_bytes", "budget MB", "MB"), ("share", "share", "%"),
-            ("disk_bytes", "disk MB", "MB"), ("passes", "passes", "n"), ("columns", "columns", "n"),
-            ("over_factorise", "modes and all / factorise", "x"), ("solver", "solver", "text"),
+            ("process_peak_bytes", "peak MB", "MB"),
+            ("budget_bytes", "budget MB", "MB"),
+            ("share", "share", "%"),
+            ("disk_bytes", "disk MB", "MB"),
+            ("passes", "passes", "n"),
+            ("columns", "columns", "n"),
+            ("over_factorise", "modes and all / factorise", "x"),
+            ("solver", "solver", "text"),
             ("precision", "precision", "text"),
         ],
-    )  # fmt: skip
+    )
     for name, row in report.rows.items():
         report.compare(f"{name}: peak memory over the budget", [row["share"]] if "share" in row else [])
     report.write()
@@ -112,19 +132,26 @@ def _within(asked: Asked, settings: Settings) -> Row:
     factor = row["factor"]
     solved = sum(stages.get(f"stage: {name}", 0.0) for name in ("reduce craig-bampton", "certify", "compare"))
     return {
-        **row, **stages, "budget_bytes": budget, "share": row["process_peak_bytes"] / budget,
-        "disk_bytes": factor.get("disk_bytes"), "precision": factor.get("precision"),
+        **row,
+        **stages,
+        "budget_bytes": budget,
+        "share": row["process_peak_bytes"] / budget,
+        "disk_bytes": factor.get("disk_bytes"),
+        "precision": factor.get("precision"),
         # There and back over the factor of the stiffness; a Sturm count is a factorisation of its own.
-        "passes": factor.get("passes"), "columns": factor.get("columns"),
+        "passes": factor.get("passes"),
+        "columns": factor.get("columns"),
         "over_factorise": solved / stages["stage: factorise"],
-    }  # fmt: skip
+    }
 
 
 # Key of the forecast, what is measured, words.
 _PAIRS = (
-    ("factor_entries", "entries", "factor entries"), ("peak_memory_bytes", "peak", "peak memory"),
-    ("scratch_bytes", "scratch", "scratch bytes of the factor"), ("factor_seconds", "seconds", "seconds of the factor"),
-)  # fmt: skip
+    ("factor_entries", "entries", "factor entries"),
+    ("peak_memory_bytes", "peak", "peak memory"),
+    ("scratch_bytes", "scratch", "scratch bytes of the factor"),
+    ("factor_seconds", "seconds", "seconds of the factor"),
+)
 
 
 def forecast(settings: Settings) -> None:
@@ -179,13 +206,19 @@ def _repeated(shape: str, dofs: int, budget: int | None, plan: Row, settings: Se
 def _against(plan: Row, row: Row, budget: int | None) -> Row:
     factor = row["factor"]
     measured: dict[str, Any] = {
-        "entries": factor.get("factor_entries"), "peak": row["process_peak_bytes"],
-        "scratch": factor.get("disk_bytes"), "seconds": factor.get("seconds"),
-    }  # fmt: skip
+        "entries": factor.get("factor_entries"),
+        "peak": row["process_peak_bytes"],
+        "scratch": factor.get("disk_bytes"),
+        "seconds": factor.get("seconds"),
+    }
     compared: Row = {
-        "dofs": row["dofs"], "budget_bytes": budget, "planned": plan["solver"], "solver": row["solver"],
-        "all_seconds": row["seconds"], "threads": factor.get("threads"),
-    }  # fmt: skip
+        "dofs": row["dofs"],
+        "budget_bytes": budget,
+        "planned": plan["solver"],
+        "solver": row["solver"],
+        "all_seconds": row["seconds"],
+        "threads": factor.get("threads"),
+    }
     for name, key, _ in _PAIRS:
         compared[f"forecast_{key}"], compared[f"measured_{key}"] = plan[name], measured[key]
         compared[f"ratio_{key}"] = plan[name] / measured[key] if measured[key] else None

@@ -30,10 +30,15 @@ class Asked(NamedTuple):
     def spec(self, settings: Settings) -> Spec:
         """Options of every measurement of this body."""
         return {
-            "shape": self.shape, "dofs": self.dofs, "top_hz": self.top_hz, "ratio": RATIO, "points": POINTS,
-            "shifts_hz": [part * self.top_hz for part in SHIFTS], "moments": MOMENTS,
+            "shape": self.shape,
+            "dofs": self.dofs,
+            "top_hz": self.top_hz,
+            "ratio": RATIO,
+            "points": POINTS,
+            "shifts_hz": [part * self.top_hz for part in SHIFTS],
+            "moments": MOMENTS,
             "file": str(settings.folder / f"{self.shape}_{self.dofs}_exact.npz"),
-        }  # fmt: skip
+        }
 
     @property
     def others(self) -> tuple[str, ...]:
@@ -44,9 +49,10 @@ class Asked(NamedTuple):
 # The highest frequency takes in about 15 modes of the crankshaft and 25 of the cube. pyMOR's tangential reductor
 # takes 20 minutes and more on the cube, for it factorises 24 times as often.
 BODIES = (
-    Asked("crankshaft", 26_000, 2_000.0, True), Asked("crankshaft", 104_000, 2_000.0, True),
+    Asked("crankshaft", 26_000, 2_000.0, True),
+    Asked("crankshaft", 104_000, 2_000.0, True),
     Asked("cube", 26_000, 40_000.0, False),
-)  # fmt: skip
+)
 SWEPT = Asked("crankshaft", 26_000, 2_000.0, False)
 QUICK = Asked("cube", 2_200, 40_000.0, True)
 # Damping ratio at the highest frequency and at a tenth of it; expansion points as parts of the highest frequency.
@@ -62,17 +68,29 @@ DIRECT, REFERENCE = "direct sweep", "full_response"
 _DAMPING = {"damped": RATIO, "undamped": 0.0}
 _RATIOS = {"seconds": "seconds", "cpu_seconds": "CPU seconds", "peak_rise_bytes": "memory"}
 _COSTS = {
-    "one_ratio": "seconds, analysis known", "one_cpu_ratio": "CPU seconds, analysis known",
+    "one_ratio": "seconds, analysis known",
+    "one_cpu_ratio": "CPU seconds, analysis known",
     "cold_cpu_ratio": "CPU seconds, with the analysis",
-}  # fmt: skip
+}
 _COLUMNS = (
-    ("dofs", "dofs", "n"), ("points", "points", "n"), ("order", "order", "n"), ("seconds", "seconds", "s"),
-    ("cpu_seconds", "CPU s", "s"), ("more_than_seconds", "more than s", "s"), ("factorisations", "factors", "n"),
-    ("peak_rise_bytes", "peak MB", "MB"), ("response_error", "error", "e"), ("factor_seconds", "factor s", "s"),
-    ("solve_seconds", "solve s", "s"), ("one_seconds", "one point s", "s"), ("one_ratio", "ratio", "x"),
-    ("ten_seconds", "ten points s", "s"), ("ten_factorisations", "factors", "n"), ("ten_analyses", "analyses", "n"),
+    ("dofs", "dofs", "n"),
+    ("points", "points", "n"),
+    ("order", "order", "n"),
+    ("seconds", "seconds", "s"),
+    ("cpu_seconds", "CPU s", "s"),
+    ("more_than_seconds", "more than s", "s"),
+    ("factorisations", "factors", "n"),
+    ("peak_rise_bytes", "peak MB", "MB"),
+    ("response_error", "error", "e"),
+    ("factor_seconds", "factor s", "s"),
+    ("solve_seconds", "solve s", "s"),
+    ("one_seconds", "one point s", "s"),
+    ("one_ratio", "ratio", "x"),
+    ("ten_seconds", "ten points s", "s"),
+    ("ten_factorisations", "factors", "n"),
+    ("ten_analyses", "analyses", "n"),
     ("load_average", "load", "f"),
-)  # fmt: skip
+)
 
 
 def krylov(settings: Settings) -> None:
@@ -108,9 +126,12 @@ def _sweeps(body: Asked, settings: Settings) -> dict[str, Callable[[], Row]]:
     measures = {}
     for words, ratio in _DAMPING.items():
         spec = {
-            **body.spec(settings), "points": QUICK_SWEEP if settings.quick else SWEEP, "ratio": ratio,
-            "file": str(settings.folder / f"sweep_{words}.npz"), "tolerance": TOLERANCE,
-        }  # fmt: skip
+            **body.spec(settings),
+            "points": QUICK_SWEEP if settings.quick else SWEEP,
+            "ratio": ratio,
+            "file": str(settings.folder / f"sweep_{words}.npz"),
+            "tolerance": TOLERANCE,
+        }
         measures[f"{body.name}: {DIRECT}, {words}"] = _measure("direct", spec, settings)
         measures[f"{body.name}: {REFERENCE}, {words}"] = _measure("reference", spec, settings)
     return measures

@@ -104,16 +104,18 @@ def coordinate(folder: Path, count: int, workers: int) -> None:
             f"({1e3 * read / count:.2f} of them for reading job files), {time.perf_counter() - wall:.0f} s, "
             f"peak {peak_memory_bytes() / 1e6:.0f} MB, manifest {written / 1e6:.1f} MB",
             flush=True,
-        )  # fmt: skip
+        )
 
 
 def sort(folder: Path, rows: int) -> None:
     """Sort a report with so many rows in Chromium."""
     job = decks.folder(folder)
     subprocess.run(
-        [sys.executable, "-m", "morembs", "reduce", str(job), "--report", str(folder / "one.html"), "-q"], check=True,
-        capture_output=True, stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+        [sys.executable, "-m", "morembs", "reduce", str(job), "--report", str(folder / "one.html"), "-q"],
+        check=True,
+        capture_output=True,
+        stdin=subprocess.DEVNULL,
+    )
     text = (folder / "one.html").read_text()
     row = re.search(r"<tbody>\s*(<tr>.*?</tr>)", text, re.DOTALL)
     if row is None:
@@ -125,10 +127,21 @@ def sort(folder: Path, rows: int) -> None:
     page = folder / "many.html"
     page.write_text(text.replace(row[1], many).replace("</body>", CLICK))
     done = subprocess.run(
-        [str(shutil.which("chromium")), "--headless=new", "--no-sandbox", "--disable-gpu",
-         f"--user-data-dir={folder / 'profile'}", "--timeout=100000", "--dump-dom", page.as_uri()],
-        capture_output=True, text=True, check=True, stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+        [
+            str(shutil.which("chromium")),
+            "--headless=new",
+            "--no-sandbox",
+            "--disable-gpu",
+            f"--user-data-dir={folder / 'profile'}",
+            "--timeout=100000",
+            "--dump-dom",
+            page.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+        stdin=subprocess.DEVNULL,
+    )
     title = re.search(r"<title>(.*?)</title>", done.stdout)
     print(f"report of {rows} rows, {page.stat().st_size / 1e6:.0f} MB: {title[1] if title else 'not shown'}")
 
@@ -143,9 +156,10 @@ def compare(folder: Path, sizes: Sequence[int]) -> None:
             decks.folder(own, {"solver": "threads = 1"}, decks.deck(list(cells))).rename(own / f"p{number}.toml")
         begun = time.perf_counter()
         subprocess.run(
-            [sys.executable, "-m", "morembs", "batch", str(folder / place[-1]), "--cluster", place, "-q"], check=True,
+            [sys.executable, "-m", "morembs", "batch", str(folder / place[-1]), "--cluster", place, "-q"],
+            check=True,
             stdin=subprocess.DEVNULL,
-        )  # fmt: skip
+        )
         taken[place] = time.perf_counter() - begun
         sums[place] = [whole_sum(folder / place[-1] / f"p{number}" / "part.h5") for number in range(len(sizes))]
         parts = _peaks((folder / place[-1] / "batch.manifest").read_text().splitlines())
@@ -153,7 +167,7 @@ def compare(folder: Path, sizes: Sequence[int]) -> None:
             f"{place}: {len(sizes)} jobs in {taken[place]:.1f} s; {sum(part <= 1 for part in parts)} of "
             f"{len(parts)} took no more memory than was asked for, the largest {max(parts):.2f} times as much",
             flush=True,
-        )  # fmt: skip
+        )
     equal = "equal" if sums["local:1"] == sums["local:2"] else "NOT equal"
     print(f"local:2 takes {taken['local:2'] / taken['local:1']:.2f} of the time of local:1; the bodies are {equal}")
 

@@ -208,9 +208,13 @@ class Report:
         if not _same_machine(earlier.get("machine", {}), machine):
             earlier = {}
         document = {
-            "case": self.case, "quick": self.settings.quick, "repeat": self.settings.repeat, "machine": machine,
-            "rows": {**earlier.get("rows", {}), **self.rows}, "ratios": {**earlier.get("ratios", {}), **compared},
-        }  # fmt: skip
+            "case": self.case,
+            "quick": self.settings.quick,
+            "repeat": self.settings.repeat,
+            "machine": machine,
+            "rows": {**earlier.get("rows", {}), **self.rows},
+            "ratios": {**earlier.get("ratios", {}), **compared},
+        }
         path.write_text(json.dumps(_rounded(document), indent=1) + "\n", encoding="utf-8")
         say(f"written: {os.path.relpath(path)}")
 

@@ -21,12 +21,17 @@ STEPS, QUICK_STEPS = 50, 4
 # Elements of crank and rod: those of the study, four times as many, those of the comparison with Exudyn.
 MEDIUM, FINE, COARSE = (80, 160), (320, 640), (16, 32)
 _STEP_COLUMNS = (
-    ("coordinates", "coordinates", "n"), ("step_seconds", "ms per step", "ms"), ("offline_seconds", "offline s", "s"),
-)  # fmt: skip
+    ("coordinates", "coordinates", "n"),
+    ("step_seconds", "ms per step", "ms"),
+    ("offline_seconds", "offline s", "s"),
+)
 _OFFLINE_COLUMNS = (
-    ("points", "points", "n"), ("equilibria", "in tables and checks", "n"), ("solved", "solved", "n"),
-    ("cpu_seconds", "processor s", "s"), ("seconds", "seconds", "s"),
-)  # fmt: skip
+    ("points", "points", "n"),
+    ("equilibria", "in tables and checks", "n"),
+    ("solved", "solved", "n"),
+    ("cpu_seconds", "processor s", "s"),
+    ("seconds", "seconds", "s"),
+)
 
 
 def slider_crank(elements: tuple[int, int], model: str, quick: bool) -> Row:
@@ -86,10 +91,15 @@ def rail(quick: bool) -> Row:
     full = study.with_all_dofs(model, tables, steps)
     count, static = study.with_all_static_modes(reduced, tables, steps)
     return {
-        "dofs": model.model.size, "steps": steps, "offline_seconds": offline, "coordinates": switched.coordinates,
-        "static_coordinates": count, "switched_seconds": switched.seconds, "static_seconds": static,
+        "dofs": model.model.size,
+        "steps": steps,
+        "offline_seconds": offline,
+        "coordinates": switched.coordinates,
+        "static_coordinates": count,
+        "switched_seconds": switched.seconds,
+        "static_seconds": static,
         "full_seconds": full.seconds,
-    }  # fmt: skip
+    }
 
 
 def offline(solid: bool, options: dict[str, Any], quick: bool) -> Row:
@@ -114,9 +124,13 @@ def offline(solid: bool, options: dict[str, Any], quick: bool) -> Row:
     if report is None:
         raise TypeError("the member has no report")
     return {
-        "points": report.points, "equilibria": report.equilibria, "solved": report.solved, "seconds": seconds,
-        "coordinates": component.size if solid else beam.size, "cpu_seconds": sum(after[:4]) - sum(before[:4]),
-    }  # fmt: skip
+        "points": report.points,
+        "equilibria": report.equilibria,
+        "solved": report.solved,
+        "seconds": seconds,
+        "coordinates": component.size if solid else beam.size,
+        "cpu_seconds": sum(after[:4]) - sum(before[:4]),
+    }
 
 
 def _prism(elements: int) -> Any:
@@ -130,21 +144,30 @@ def _prism(elements: int) -> Any:
     length, side = 0.152, 8.862e-3
     mesh = box("hex20", (elements, 2, 2), (length, side, side), lambda x: x - np.array([0, side / 2, side / 2]))
     model, x = assemble(mesh, [isotropic(set="all", young=3e6, poisson=0.3, density=2770.0)]), mesh.nodes.xyz[:, 0]
-    ends = [make_interface(model, name=name, nodes=np.flatnonzero(np.isclose(x, place)), coupling="rigid")
-            for name, place in (("start", 0.0), ("end", length))]  # fmt: skip
+    ends = [
+        make_interface(model, name=name, nodes=np.flatnonzero(np.isclose(x, place)), coupling="rigid")
+        for name, place in (("start", 0.0), ("end", length))
+    ]
     return NonlinearSolid(model, ends)
 
 
 _SLIDER = {
-    "full, 240 elements": (MEDIUM, "full"), "GMP, 240 elements": (MEDIUM, "GMP"), "full, 960 elements": (FINE, "full"),
-    "GMP, 960 elements": (FINE, "GMP"), "Exudyn, 48 elements": (COARSE, "Exudyn"),
-}  # fmt: skip
+    "full, 240 elements": (MEDIUM, "full"),
+    "GMP, 240 elements": (MEDIUM, "GMP"),
+    "full, 960 elements": (FINE, "full"),
+    "GMP, 960 elements": (FINE, "GMP"),
+    "Exudyn, 48 elements": (COARSE, "Exudyn"),
+}
 STEP_ROWS: dict[str, Callable[[bool], Row]] = {
-    **{f"slider-crank: {name}": lambda quick, given=given: slider_crank(*given, quick)
-       for name, given in _SLIDER.items()},
-    "pendulum: mechanism": lambda quick: pendulum(False, quick), "pendulum: body": lambda quick: pendulum(True, quick),
-    "moving load": moving_load, "rail": rail,
-}  # fmt: skip
+    **{
+        f"slider-crank: {name}": lambda quick, given=given: slider_crank(*given, quick)
+        for name, given in _SLIDER.items()
+    },
+    "pendulum: mechanism": lambda quick: pendulum(False, quick),
+    "pendulum: body": lambda quick: pendulum(True, quick),
+    "moving load": moving_load,
+    "rail": rail,
+}
 _ASYMMETRIC, _WORKERS = {"symmetric": False}, {"workers": 2}
 OFFLINE_ROWS: dict[str, Callable[[bool], Row]] = {
     f"{'solid' if solid else 'rod'}{words}": lambda quick, solid=solid, options=options: offline(solid, options, quick)
@@ -176,9 +199,12 @@ def gmp(settings: Settings) -> None:
 def _measured(case: str, names: list[str], settings: Settings) -> Report:
     settings = replace(settings, threads=1)
     report = Report(case, settings)
-    report.add(in_rounds({
-        name: lambda name=name: child("mechanism", settings, row=name, quick=settings.quick) for name in names
-    }, settings.repeat))  # fmt: skip
+    report.add(
+        in_rounds(
+            {name: lambda name=name: child("mechanism", settings, row=name, quick=settings.quick) for name in names},
+            settings.repeat,
+        )
+    )
     return report
 
 

@@ -24,11 +24,10 @@ from typing import NamedTuple
 
 import meshio
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from morembs.base.types import Floats, Ints
+
 CUBE_EDGE = 0.1  # m
 BEAM_LENGTH, BEAM_WIDTH = 1.0, 0.05  # m
 # Points nearer than this are one point: far below any element, far above rounding.
@@ -458,10 +457,15 @@ def interfaces(shape: str) -> dict[str, str]:
 
 
 def job(
-    shape: str, dofs: int, folder: Path, *,
-    memory: str | None = None, scratch: Path | str | None = None, modes: int = 30,
+    shape: str,
+    dofs: int,
+    folder: Path,
+    *,
+    memory: str | None = None,
+    scratch: Path | str | None = None,
+    modes: int = 30,
     reduction: dict[str, object] | None = None,
-) -> Path:  # fmt: skip
+) -> Path:
     """Write the mesh and a job (Craig-Bampton, three rigid interfaces, steel) into ``folder``; the job's path.
 
     Args:

@@ -22,8 +22,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.importers import read_mesh
 from morembs.interface import make_interface
 from morembs.memory import peak_memory_bytes
@@ -41,7 +41,6 @@ from morembs.reducers.parametric import ParametricReducer
 from morembs.responses.direct import elastic_states
 from morembs.units import parse_units
 
-Floats = NDArray[np.float64]
 MESHES = Path(__file__).parents[1] / "data" / "small_meshes"
 YOUNG, DENSITY = (1.5e11, 2.7e11, 2.1e11), (7000.0, 8700.0, 7850.0)
 STEEL = isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)
@@ -75,9 +74,12 @@ def bracket() -> Case:
     d = np.zeros_like(xyz)
     d[:, 2] = 1e-3 * np.where(xyz[:, 1] <= 10 + 1e-9, np.clip((xyz[:, 2] - 10) / 10, 0, 1), 0)
     return Case(
-        mesh=mesh, sets=("FOOT", "TIP"), damping=Damping(), parameters=_parameters((ARM, REST), d, 3.0),
+        mesh=mesh,
+        sets=("FOOT", "TIP"),
+        damping=Damping(),
+        parameters=_parameters((ARM, REST), d, 3.0),
         method=ParametricReducer(band_hz=[0.0, 30000.0], tolerance=1e-3),
-    )  # fmt: skip
+    )
 
 
 def rod(path: Path) -> Case:
@@ -98,10 +100,12 @@ def rod(path: Path) -> Case:
     # Per percent of the distance of the bores.
     d[:, 0] = 0.01 * (centre[1] - centre[0]) * np.clip((x - low) / (high - low), 0, 1)
     return Case(
-        mesh=mesh, sets=("BIGEND", "SMALLEND"), damping=Damping(alpha=5.0, beta=2e-7),
+        mesh=mesh,
+        sets=("BIGEND", "SMALLEND"),
+        damping=Damping(alpha=5.0, beta=2e-7),
         parameters=_parameters((("NEAR",), ("FAR",)), d, 5.0),
         method=ParametricReducer(band_hz=[0.0, 5000.0], tolerance=1e-3),
-    )  # fmt: skip
+    )
 
 
 def _parameters(sets: tuple[tuple[str, ...], tuple[str, ...]], d: Floats, most: float) -> tuple[Parameter, ...]:
@@ -165,13 +169,20 @@ def _compared(rows: list[Floats], finite: list[bool], cpu: list[float], kind: st
     known = np.isfinite(bound)
     ratio = bound[known] / error[known]
     return {
-        "kind": kind, "values": len(rows), "samples": len(error), "violations": int((error > bound).sum()),
-        "finite_values": float(np.mean(finite)), "finite_samples": float(known.mean()),
-        "error_median": float(np.median(error / size)), "error_95": float(np.percentile(error / size, 95)),
-        "error_largest": float((error / size).max()), "least_ratio": float(ratio.min()),
-        "median_ratio": float(np.median(ratio)), "ratio_95": float(np.percentile(ratio, 95)),
+        "kind": kind,
+        "values": len(rows),
+        "samples": len(error),
+        "violations": int((error > bound).sum()),
+        "finite_values": float(np.mean(finite)),
+        "finite_samples": float(known.mean()),
+        "error_median": float(np.median(error / size)),
+        "error_95": float(np.percentile(error / size, 95)),
+        "error_largest": float((error / size).max()),
+        "least_ratio": float(ratio.min()),
+        "median_ratio": float(np.median(ratio)),
+        "ratio_95": float(np.percentile(ratio, 95)),
         "online_ms": 1e3 * float(np.median(cpu)),
-    }  # fmt: skip
+    }
 
 
 def main() -> None:
@@ -192,13 +203,23 @@ def main() -> None:
         basis = replace(case.method, training=arguments.training).search(problem, Lines())
         bound = basis.model.bound
         result: dict[str, object] = {
-            "case": arguments.case, "dofs": model.size, "order": basis.model.order, "collected": basis.collected,
-            "factorisations": basis.factorisations, "counts": basis.counts, "offline_s": time.process_time() - start,
-            "box_bound": basis.box_bound, "kind": basis.kind, "terms": len(problem.K_terms), "eps": problem.eps,
-            "cells": len(bound.cells.alpha), "alpha": float(bound.cells.alpha.min()),
-            "least": float(np.sqrt(bound.cells.least.min()) / bound.highest), "coordinates": len(bound.residual_B),
+            "case": arguments.case,
+            "dofs": model.size,
+            "order": basis.model.order,
+            "collected": basis.collected,
+            "factorisations": basis.factorisations,
+            "counts": basis.counts,
+            "offline_s": time.process_time() - start,
+            "box_bound": basis.box_bound,
+            "kind": basis.kind,
+            "terms": len(problem.K_terms),
+            "eps": problem.eps,
+            "cells": len(bound.cells.alpha),
+            "alpha": float(bound.cells.alpha.min()),
+            "least": float(np.sqrt(bound.cells.least.min()) / bound.highest),
+            "coordinates": len(bound.residual_B),
             "peak_mb": peak_memory_bytes() / 1e6,
-        }  # fmt: skip
+        }
         print(json.dumps(result), flush=True)
         p = np.random.default_rng(99).uniform(problem.box.low, problem.box.high)
         begin = time.process_time()
@@ -220,9 +241,7 @@ def main() -> None:
             times.append(time.process_time() - begin)
         result["online_ms_bound"] = 1e3 * float(np.median(times))
         print(json.dumps(result), flush=True)
-        compared = compare(
-            problem, basis, arguments.values, arguments.frequencies, arguments.seed, case.damping
-        )  # fmt: skip
+        compared = compare(problem, basis, arguments.values, arguments.frequencies, arguments.seed, case.damping)
         print(json.dumps({**result, **compared}, indent=1))
 
 

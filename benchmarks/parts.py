@@ -20,10 +20,15 @@ ROD = ROOT / "pipelines" / "connecting_rod"
 ROD_MAKER = ROOT / "data" / "make_connecting_rod.py"
 _STEEL = {"set": "all", "young": 2.1e11, "poisson": 0.3, "density": 7850.0}
 _COLUMNS = (
-    ("seconds", "seconds", "s"), ("cpu_seconds", "processor s", "s"), ("process_peak_bytes", "peak MB", "MB"),
-    ("dofs", "dofs", "n"), ("bytes_of_K_and_M", "K and M MB", "MB"),
-    ("peak_rise_bytes", "rise MB", "MB"), ("rise_over_matrices", "rise over K and M", "x"), ("last_hz", "last Hz", "f"),
-)  # fmt: skip
+    ("seconds", "seconds", "s"),
+    ("cpu_seconds", "processor s", "s"),
+    ("process_peak_bytes", "peak MB", "MB"),
+    ("dofs", "dofs", "n"),
+    ("bytes_of_K_and_M", "K and M MB", "MB"),
+    ("peak_rise_bytes", "rise MB", "MB"),
+    ("rise_over_matrices", "rise over K and M", "x"),
+    ("last_hz", "last Hz", "f"),
+)
 
 
 @dataclass(frozen=True)
@@ -81,9 +86,13 @@ def assemble_tetrahedra(mesh: Any) -> Row:
     matrices = sum(a.nbytes for A in (model.K, model.M) for a in (A.data, A.indices, A.indptr))
     rise = peak_memory_bytes() - before
     return {
-        "seconds": seconds, "cpu_seconds": used, "dofs": model.size, "bytes_of_K_and_M": matrices,
-        "peak_rise_bytes": rise, "rise_over_matrices": rise / matrices,
-    }  # fmt: skip
+        "seconds": seconds,
+        "cpu_seconds": used,
+        "dofs": model.size,
+        "bytes_of_K_and_M": matrices,
+        "peak_rise_bytes": rise,
+        "rise_over_matrices": rise / matrices,
+    }
 
 
 def assemble_with_scikit_fem(mesh: Any) -> Row:
@@ -107,9 +116,12 @@ def assemble_with_scikit_fem(mesh: Any) -> Row:
     seconds, used = time.perf_counter() - start, time.process_time() - used
     matrices = sum(a.nbytes for A in (K, M) for a in (A.data, A.indices, A.indptr))
     return {
-        "seconds": seconds, "cpu_seconds": used, "dofs": K.shape[0], "bytes_of_K_and_M": matrices,
+        "seconds": seconds,
+        "cpu_seconds": used,
+        "dofs": K.shape[0],
+        "bytes_of_K_and_M": matrices,
         "peak_rise_bytes": peak_memory_bytes() - before,
-    }  # fmt: skip
+    }
 
 
 def couple_beam(mesh: Any, folder: Path | None = None) -> Row:
@@ -121,15 +133,19 @@ def couple_beam(mesh: Any, folder: Path | None = None) -> Row:
     from morembs.budget import Budget
 
     model, z = assemble(mesh, [isotropic(**_STEEL)]), mesh.nodes.xyz[:, 2]
-    ends = [make_interface(model, name=name, nodes=np.flatnonzero(z == place), coupling="rigid")
-            for name, place in (("start", z.min()), ("end", z.max()))]  # fmt: skip
+    ends = [
+        make_interface(model, name=name, nodes=np.flatnonzero(z == place), coupling="rigid")
+        for name, place in (("start", z.min()), ("end", z.max()))
+    ]
     with Budget(scratch=folder, in_memory=None if folder is None else 0) as budget:
         start, used, before = time.perf_counter(), time.process_time(), os.times().system
         with Problem(model, ends, budget=budget):
             return {
-                "dofs": model.size, "seconds": time.perf_counter() - start, "cpu_seconds": time.process_time() - used,
+                "dofs": model.size,
+                "seconds": time.perf_counter() - start,
+                "cpu_seconds": time.process_time() - used,
                 "system_seconds": os.times().system - before,
-            }  # fmt: skip
+            }
 
 
 def read_deck(mesh: Any) -> Row:
@@ -144,9 +160,11 @@ def read_deck(mesh: Any) -> Row:
         start, used = time.perf_counter(), time.process_time()
         read_mesh(path, "m-kg-s")
         return {
-            "seconds": time.perf_counter() - start, "cpu_seconds": time.process_time() - used,
-            "file_bytes": path.stat().st_size, "dofs": 3 * len(mesh.nodes.xyz),
-        }  # fmt: skip
+            "seconds": time.perf_counter() - start,
+            "cpu_seconds": time.process_time() - used,
+            "file_bytes": path.stat().st_size,
+            "dofs": 3 * len(mesh.nodes.xyz),
+        }
 
 
 def assemble_hexahedra(mesh: Any, formulation: str) -> Row:

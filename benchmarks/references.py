@@ -15,14 +15,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 from certificates import Drawn, asked, drawn, exact_modes, long_modes
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.problem import Problem
 from morembs.responses import certified
 from morembs.responses.certified import CertifiedReference, certified_reference
 from morembs.responses.residual_bound import Residual
 
-Floats = NDArray[np.float64]
 TOLERANCES, FREQUENCIES, SAMPLES = 10.0 ** -np.arange(1, 8), 40, 200
 # Smaller errors, as multiples of what round-off may be, are those of the dense solution.
 LEAST = 10.0

@@ -26,17 +26,28 @@ from measure import Settings, required
 # Module -> its cases. It is imported when one of them is run: a child begins with the peak memory of this process, and
 # the cases that come first have small children.
 MODULES = {
-    "startup": ("startup",), "solvers": ("small", "medium", "large", "factor", "modes"), "krylov": ("krylov",),
-    "frames": ("frames",), "jobs": ("million", "forecast"), "switching": ("switching",), "budgets": ("budgets",),
-    "certify": ("certify",), "fmus": ("fmu",), "mechanisms": ("steps", "gmp"), "products": ("products",),
+    "startup": ("startup",),
+    "solvers": ("small", "medium", "large", "factor", "modes"),
+    "krylov": ("krylov",),
+    "frames": ("frames",),
+    "jobs": ("million", "forecast"),
+    "switching": ("switching",),
+    "budgets": ("budgets",),
+    "certify": ("certify",),
+    "fmus": ("fmu",),
+    "mechanisms": ("steps", "gmp"),
+    "products": ("products",),
     "workers": ("workers",),
-}  # fmt: skip
+}
 CASES = {case: module for module, cases in MODULES.items() for case in cases}
 # These are run only if they are named; what a round of them takes on two cores.
 LONG = {
-    "million": "80 minutes", "forecast": "an hour", "krylov": "20 minutes", "budgets": "15 minutes",
+    "million": "80 minutes",
+    "forecast": "an hour",
+    "krylov": "20 minutes",
+    "budgets": "15 minutes",
     "workers": "10 minutes",
-}  # fmt: skip
+}
 ROUNDS = 3
 
 
@@ -45,10 +56,12 @@ def options(arguments: Sequence[str] | None) -> argparse.Namespace:
     known = [*CASES, *parts.NAMES]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "cases", nargs="*", metavar="CASE",
+        "cases",
+        nargs="*",
+        metavar="CASE",
         help=f"{', '.join(known)}; without any: all but the long ones, which are "
         + ", ".join(f"{case} ({time} a round)" for case, time in LONG.items()),
-    )  # fmt: skip
+    )
     parser.add_argument("--quick", action="store_true", help="small sizes, once: a test of the benchmarks themselves")
     parser.add_argument("--repeat", "--runs", type=int, help="rounds (3; 1 with --quick and for the long ones)")
     parser.add_argument("--resume", action="store_true", help="long cases keep the rows that were written before")
@@ -83,9 +96,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         folder = (given.folder or Path(temporary)).resolve()
         folder.mkdir(parents=True, exist_ok=True)
         settings = Settings(
-            folder=folder, results=given.results or (None if given.quick else figures.RESULTS), quick=given.quick,
-            repeat=given.repeat or (1 if given.quick else ROUNDS), threads=given.threads, resume=given.resume,
-        )  # fmt: skip
+            folder=folder,
+            results=given.results or (None if given.quick else figures.RESULTS),
+            quick=given.quick,
+            repeat=given.repeat or (1 if given.quick else ROUNDS),
+            threads=given.threads,
+            resume=given.resume,
+        )
         hardware = required("machine", settings)
         print(f"{hardware['cores']} cores, {hardware['blas_threads']} threads of the BLAS")
         for case in cases:

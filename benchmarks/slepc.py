@@ -54,11 +54,17 @@ def main(folder: Path, count: int, shift: float) -> None:
         vectors[k] = x.array
     np.save(folder / "values.npy", values)
     np.save(folder / "vectors.npy", vectors)
-    print(json.dumps({
-        "ready_seconds": ready[0] - start[0], "ready_processor": ready[1] - start[1],
-        "seconds": done[0] - ready[0], "modes_processor": done[1] - ready[1],
-        "solver": f"SLEPc {'.'.join(map(str, SLEPc.Sys.getVersion()))}",
-    }))  # fmt: skip
+    print(
+        json.dumps(
+            {
+                "ready_seconds": ready[0] - start[0],
+                "ready_processor": ready[1] - start[1],
+                "seconds": done[0] - ready[0],
+                "modes_processor": done[1] - ready[1],
+                "solver": f"SLEPc {'.'.join(map(str, SLEPc.Sys.getVersion()))}",
+            }
+        )
+    )
 
 
 def _matrix(folder: Path, name: str) -> PETSc.Mat:

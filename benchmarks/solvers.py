@@ -17,12 +17,21 @@ DEFAULT = "default"
 # Order of the dense product that the speed of factorisations is compared with.
 ORDER, QUICK_ORDER = 4096, 1024
 _FACTOR = (
-    ("analyse_seconds", "analyse s", "s"), ("factor_seconds", "factor s", "s"), ("ready_seconds", "all s", "s"),
-    ("solve_seconds", "solve s", "s"), ("columns", "columns", "n"), ("gflops", "GF/s", "f"),
-    ("dgemm_gflops", "DGEMM", "f"), ("share_of_dgemm", "share", "%"), ("factor_peak_bytes", "factor MB", "MB"),
-    ("peak_rise_bytes", "peak MB", "MB"), ("factor_entries", "1e9 entries", "G"), ("disk_bytes", "disk MB", "MB"),
-    ("backward_error", "error", "e"), ("choice", "chosen", "text"),
-)  # fmt: skip
+    ("analyse_seconds", "analyse s", "s"),
+    ("factor_seconds", "factor s", "s"),
+    ("ready_seconds", "all s", "s"),
+    ("solve_seconds", "solve s", "s"),
+    ("columns", "columns", "n"),
+    ("gflops", "GF/s", "f"),
+    ("dgemm_gflops", "DGEMM", "f"),
+    ("share_of_dgemm", "share", "%"),
+    ("factor_peak_bytes", "factor MB", "MB"),
+    ("peak_rise_bytes", "peak MB", "MB"),
+    ("factor_entries", "1e9 entries", "G"),
+    ("disk_bytes", "disk MB", "MB"),
+    ("backward_error", "error", "e"),
+    ("choice", "chosen", "text"),
+)
 _NOTE = (
     "all: analysis, factorisation and the check of the factor; factor MB: highest memory until then, peak MB: highest "
     "memory of the process, both less what was resident before"
@@ -90,9 +99,11 @@ def small(settings: Settings) -> None:
     report.add(rounds)
     report.table(f"small: cube of about {dofs:,} dofs, 100 right-hand sides\n{_NOTE}", _FACTOR)
     keys = {
-        "ready_seconds": "seconds until the factor is ready", "factor_peak_bytes": "memory of the factorisation",
-        "factor_entries": "factor entries", "total_100_seconds": "seconds with 100 right-hand sides",
-    }  # fmt: skip
+        "ready_seconds": "seconds until the factor is ready",
+        "factor_peak_bytes": "memory of the factorisation",
+        "factor_entries": "factor entries",
+        "total_100_seconds": "seconds with 100 right-hand sides",
+    }
     for name in scipys:
         for key, words in keys.items():
             report.compare(f"{name} over default, {words}", ratios(rounds, (name, key), (DEFAULT, key)))
@@ -112,9 +123,10 @@ def medium(settings: Settings) -> None:
     # Multigrid has no factor: its work is in the solves.
     direct = [name for name in names if name != "amg"]
     for key, words, others in (
-        ("factor_seconds", "numerical factorisation", direct), ("ready_seconds", "until the factor is ready", direct),
+        ("factor_seconds", "numerical factorisation", direct),
+        ("ready_seconds", "until the factor is ready", direct),
         ("total_100_seconds", "with 100 right-hand sides", names),
-    ):  # fmt: skip
+    ):
         known = {name: report.rows[name][key] for name in others if report.rows[name].get(key)}
         if known:
             best = min(known, key=lambda name: known[name])
@@ -182,21 +194,27 @@ def factor(settings: Settings) -> None:
             report.add(rounds)
             first, second = (f"{name} {size}k, threads: {threads}" for name in ("mumps-embedded", "mumps"))
             key = "factor_cpu_seconds"
-            report.compare(
-                f"{first} over {second}, processor seconds", ratios(rounds, (first, key), (second, key))
-            )
+            report.compare(f"{first} over {second}, processor seconds", ratios(rounds, (first, key), (second, key)))
     columns = (*_FACTOR[:-2], ("factor_cpu_seconds", "processor s", "s"), _FACTOR[-2])
     report.table(f"factor: cubes on one thread and on two\n{_NOTE}", columns)
     report.write()
 
 
 _MODES = (
-    ("ready_seconds", "factor s", "s"), ("lanczos_seconds", "Lanczos s", "s"), ("count_seconds", "count s", "s"),
-    ("all_seconds", "all s", "s"), ("all_processor", "processor s", "s"), ("solve_seconds", "solves s", "s"),
-    ("solve_columns", "columns", "n"), ("passes", "passes", "n"), ("last_hz", "last Hz", "f"),
-    ("residual", "residual", "e"), ("modes_peak_bytes", "peak MB", "MB"), ("dgemm_gflops", "DGEMM", "f"),
+    ("ready_seconds", "factor s", "s"),
+    ("lanczos_seconds", "Lanczos s", "s"),
+    ("count_seconds", "count s", "s"),
+    ("all_seconds", "all s", "s"),
+    ("all_processor", "processor s", "s"),
+    ("solve_seconds", "solves s", "s"),
+    ("solve_columns", "columns", "n"),
+    ("passes", "passes", "n"),
+    ("last_hz", "last Hz", "f"),
+    ("residual", "residual", "e"),
+    ("modes_peak_bytes", "peak MB", "MB"),
+    ("dgemm_gflops", "DGEMM", "f"),
     ("solver", "solver", "text"),
-)  # fmt: skip
+)
 # As stages.py has them, which this process must not import: it stays small.
 STAGES = ("count", "solves", "solves_shifted", "products", "orthogonal", "vectors", "small", "rest")
 # Shape, dofs (the rod has one mesh, and a small one), modes.
@@ -248,11 +266,18 @@ def _of_other(row: Row, name: str) -> Row:
     own = ready | own
     seconds = own.pop("seconds")
     return {
-        **own, "dofs": row["dofs"], "lanczos_seconds": seconds, "all_seconds": own["ready_seconds"] + seconds,
+        **own,
+        "dofs": row["dofs"],
+        "lanczos_seconds": seconds,
+        "all_seconds": own["ready_seconds"] + seconds,
         "all_processor": own["ready_processor"] + own["modes_processor"],
-    }  # fmt: skip
+    }
 
 
 CASES: dict[str, Callable[[Settings], None]] = {
-    "small": small, "medium": medium, "large": large, "factor": factor, "modes": modes,
-}  # fmt: skip
+    "small": small,
+    "medium": medium,
+    "large": large,
+    "factor": factor,
+    "modes": modes,
+}

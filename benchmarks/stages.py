@@ -16,12 +16,18 @@ from morembs.linalg.statics import ConstrainedStatics, Statics
 
 # What counts as which stage: where the function is looked up, its name, the stage.
 _STAGES: tuple[tuple[Any, str, str], ...] = (
-    (Statics, "apply", "solves"), (slicing.Shifted, "apply", "solves_shifted"), (slicing.Shifted, "__init__", "count"),
-    (ConstrainedStatics, "count_below", "count"), (sp.csr_array, "__matmul__", "products"),
-    (Lower, "__matmul__", "products"), (lanczos, "take_out", "orthogonal"),
-    (lanczos, "orthonormal_pair", "orthogonal"), (lanczos, "multiply", "vectors"),
-    (lanczos, "multiply_into", "vectors"), (sl, "eigh", "small"),
-)  # fmt: skip
+    (Statics, "apply", "solves"),
+    (slicing.Shifted, "apply", "solves_shifted"),
+    (slicing.Shifted, "__init__", "count"),
+    (ConstrainedStatics, "count_below", "count"),
+    (sp.csr_array, "__matmul__", "products"),
+    (Lower, "__matmul__", "products"),
+    (lanczos, "take_out", "orthogonal"),
+    (lanczos, "orthonormal_pair", "orthogonal"),
+    (lanczos, "multiply", "vectors"),
+    (lanczos, "multiply_into", "vectors"),
+    (sl, "eigh", "small"),
+)
 NAMES = tuple(dict.fromkeys(stage for *_, stage in _STAGES))
 REST = "rest"
 

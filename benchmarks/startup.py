@@ -24,11 +24,14 @@ def startup(settings: Settings) -> None:
     required("startup", settings, file=str(body))
     job = _job(settings.folder / "bracket.toml")
     commands = {
-        BARE: ["-c", "pass"], LIBRARIES: ["-c", LIBRARIES], "morembs --version": ["-m", "morembs", "--version"],
-        "morembs --help": ["-m", "morembs", "--help"], "morembs info": ["-m", "morembs", "info", str(body)],
+        BARE: ["-c", "pass"],
+        LIBRARIES: ["-c", LIBRARIES],
+        "morembs --version": ["-m", "morembs", "--version"],
+        "morembs --help": ["-m", "morembs", "--help"],
+        "morembs info": ["-m", "morembs", "info", str(body)],
         "morembs info --json": ["-m", "morembs", "info", "--json", str(body)],
         "morembs reduce": ["-m", "morembs", "reduce", "--quiet", str(job)],
-    }  # fmt: skip
+    }
     measures = {name: _measure([sys.executable, *arguments]) for name, arguments in commands.items()}
     rounds = in_rounds(measures, settings.repeat if settings.quick else max(settings.repeat, STARTS))
     report = Report("startup", settings)
@@ -65,8 +68,9 @@ def _job(path: Path) -> Path:
     if not path.exists():
         subprocess.run(
             [sys.executable, "-m", "morembs", "init", str(MESH), "--units", "mm-t-s", "-o", str(path)],
-            stdout=subprocess.DEVNULL, check=True,
-        )  # fmt: skip
+            stdout=subprocess.DEVNULL,
+            check=True,
+        )
     return path
 
 

@@ -33,10 +33,14 @@ MODES, BAND = 20, 24
 _STEEL = {"set": "all", "young": 2.1e11, "poisson": 0.3, "density": 7850.0}
 _HEX = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
 _COLUMNS = (
-    ("dofs", "dofs", "n"), ("candidates", "candidates", "n"), ("basis_seconds", "basis s", "s"),
-    ("table_seconds", "tables s", "s"), ("resident_bytes", "before MB", "MB"), ("process_peak_bytes", "peak MB", "MB"),
+    ("dofs", "dofs", "n"),
+    ("candidates", "candidates", "n"),
+    ("basis_seconds", "basis s", "s"),
+    ("table_seconds", "tables s", "s"),
+    ("resident_bytes", "before MB", "MB"),
+    ("process_peak_bytes", "peak MB", "MB"),
     ("difference", "difference", "e"),
-)  # fmt: skip
+)
 
 
 def switching(settings: Settings) -> None:
@@ -102,11 +106,16 @@ def measure(spec: Spec, steel: Callable[[str, int], FEModel]) -> Row:
         end = time.perf_counter()
         difference = _difference(problem, reduced, tables)
     return {
-        "dofs": model.size, "candidates": tables.count, "band": len(tables.stiffness) - 1,
-        "basis_seconds": middle - start, "table_seconds": end - middle,
-        "resident_bytes": resident, "rise_bytes": peak_memory_bytes() - resident,
-        "table_bytes": tables.stiffness.nbytes + tables.mass.nbytes, "difference": difference,
-    }  # fmt: skip
+        "dofs": model.size,
+        "candidates": tables.count,
+        "band": len(tables.stiffness) - 1,
+        "basis_seconds": middle - start,
+        "table_seconds": end - middle,
+        "resident_bytes": resident,
+        "rise_bytes": peak_memory_bytes() - resident,
+        "table_bytes": tables.stiffness.nbytes + tables.mass.nbytes,
+        "difference": difference,
+    }
 
 
 def _difference(problem: Problem, reduced: ReducedModel, tables: StaticModeTables) -> float:

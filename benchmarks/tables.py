@@ -31,31 +31,48 @@ def _same(*names: str) -> tuple[tuple[str, str], ...]:
 _PEAK: Column = ("peak of the process, MB", "process_peak_bytes", "MB")
 _DOFS: Column = ("dofs", "dofs", "n")
 _FACTOR: tuple[Column, ...] = (
-    _DOFS, ("threads", "threads", "n"), ("analysis, s", "analyse_seconds", "s"),
-    ("factorisation, s", "factor_seconds", "s"), ("GF/s", "gflops", "f"), ("of DGEMM", "share_of_dgemm", "%"),
-    ("with its check, processor s", "factor_cpu_seconds", "s"), ("30 columns, s", "solve_30_seconds", "s"),
-    ("memory, GB", "factor_peak_bytes", "GB"), ("backward error", "backward_error", "e"),
-)  # fmt: skip
+    _DOFS,
+    ("threads", "threads", "n"),
+    ("analysis, s", "analyse_seconds", "s"),
+    ("factorisation, s", "factor_seconds", "s"),
+    ("GF/s", "gflops", "f"),
+    ("of DGEMM", "share_of_dgemm", "%"),
+    ("with its check, processor s", "factor_cpu_seconds", "s"),
+    ("30 columns, s", "solve_30_seconds", "s"),
+    ("memory, GB", "factor_peak_bytes", "GB"),
+    ("backward error", "backward_error", "e"),
+)
 _WAYS: tuple[Column, ...] = (
-    _DOFS, ("factorisation, s", "factor_seconds", "s"), ("100 columns, s", "solve_100_seconds", "s"),
-    ("memory, GB", "factor_peak_bytes", "GB"), ("backward error", "backward_error", "e"),
-)  # fmt: skip
+    _DOFS,
+    ("factorisation, s", "factor_seconds", "s"),
+    ("100 columns, s", "solve_100_seconds", "s"),
+    ("memory, GB", "factor_peak_bytes", "GB"),
+    ("backward error", "backward_error", "e"),
+)
 _MODES: tuple[Column, ...] = (
-    ("analysis and factorisation, s", "ready_seconds", "s"), ("those of the count, s", "count_seconds", "s"),
-    ("all, s", "all_seconds", "s"), ("all, processor s", "all_processor", "s"),
-    ("columns solved", "solve_columns", "n"), ("passes over a factor", "passes", "n"), ("residual", "residual", "e"),
-)  # fmt: skip
+    ("analysis and factorisation, s", "ready_seconds", "s"),
+    ("those of the count, s", "count_seconds", "s"),
+    ("all, s", "all_seconds", "s"),
+    ("all, processor s", "all_processor", "s"),
+    ("columns solved", "solve_columns", "n"),
+    ("passes over a factor", "passes", "n"),
+    ("residual", "residual", "e"),
+)
 _BODIES = ("50 modes, cube", "12 modes, rod", "300 modes, beam")
 _REDUCTIONS = (
-    ("crankshaft", "crankshaft 104,000", "morembs"), ("with pyMOR's parts", "crankshaft 104,000", "pyMOR, block"),
-    ("crankshaft", "crankshaft 26,000", "morembs"), ("with pyMOR's parts", "crankshaft 26,000", "pyMOR, block"),
+    ("crankshaft", "crankshaft 104,000", "morembs"),
+    ("with pyMOR's parts", "crankshaft 104,000", "pyMOR, block"),
+    ("crankshaft", "crankshaft 26,000", "morembs"),
+    ("with pyMOR's parts", "crankshaft 26,000", "pyMOR, block"),
     ("pyMOR's SOBHIReductor", "crankshaft 26,000", "pyMOR, SOBHIReductor"),
-    ("cube", "cube 26,000", "morembs"), ("with pyMOR's parts", "cube 26,000", "pyMOR, block"),
-)  # fmt: skip
+    ("cube", "cube 26,000", "morembs"),
+    ("with pyMOR's parts", "cube 26,000", "pyMOR, block"),
+)
 _SECONDS: Column = ("seconds", "seconds", "s")
 _STEP: Column = ("ms per step", "step_seconds", "ms")
 _OFFLINE: Column = ("offline, s", "offline_seconds", "s")
 
+# fmt: off
 TABLES: dict[str, Table] = {
     "jobs": Table(
         "million", "whole job, mesh to body, 30 modes of Craig-Bampton",
@@ -202,9 +219,10 @@ TABLES: dict[str, Table] = {
         ("mechanism of `morembs.nonlinear`", "pendulum: mechanism"),
         ("body of `morembs.multibody`", "pendulum: body"),
     )),
-}  # fmt: skip
+}
 
 
+# fmt: on
 def _each(row: Row, kind: str) -> str:
     return ", ".join(f"{1e3 * row[f'{kind}_{count}_seconds']:.3g}" for count in (40, 120, 400))
 
@@ -229,9 +247,10 @@ def _one_point(rows: Rows) -> str:
 # Name -> case, and what to make of its rows.
 FIGURES: dict[str, tuple[str, Callable[[Rows], str]]] = {
     "budgets": ("budgets", _budgets),
-    "embedded": ("factor", lambda rows: _ratio(
-        rows, "mumps-embedded 104k, threads: 1", "mumps 104k, threads: 1", "factor_cpu_seconds"
-    )),
+    "embedded": (
+        "factor",
+        lambda rows: _ratio(rows, "mumps-embedded 104k, threads: 1", "mumps 104k, threads: 1", "factor_cpu_seconds"),
+    ),
     "assembly": ("parts", lambda rows: _ratio(rows, "assemble_cube", "assemble_cube_scikit_fem", "cpu_seconds")),
     "one point": ("krylov", _one_point),
-}  # fmt: skip
+}

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sl
 from certificates import Drawn, asked, dense_errors, drawn, exact_modes
-from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.errors import InputError, SolverError
 from morembs.linalg.quadrature import trapezoid
 from morembs.problem import Problem
@@ -29,8 +29,6 @@ from morembs.responses.certified import floor_of
 from morembs.responses.loads import load_scale, unit_loads
 from morembs.responses.measures import MEASURES
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 TOLERANCES, ASKED = (1e-2, 1e-4, 1e-6), ("envelope", "pointwise")
 POWERS, FREQUENCIES = np.linspace(0.0, -1.3, 6), 4000
 # Distances from resonances in half widths, at which the rivals are looked at.
@@ -76,8 +74,13 @@ class Rivals:
         omega = np.sqrt(self.values)
         width = 0.5 * (self.damping.of_modes(self.values) + self.loss * omega)
         top = 2 * np.pi * high
-        w = np.concatenate([np.linspace(0, top, FREQUENCIES // 2), np.geomspace(1e-3 * top, top, FREQUENCIES // 2),
-                            (omega[:, None] + width[:, None] * BESIDE).ravel()])  # fmt: skip
+        w = np.concatenate(
+            [
+                np.linspace(0, top, FREQUENCIES // 2),
+                np.geomspace(1e-3 * top, top, FREQUENCIES // 2),
+                (omega[:, None] + width[:, None] * BESIDE).ravel(),
+            ]
+        )
         self.w = np.unique(w[(w >= 0) & (w <= top)])
         self.full = self._response(self.values, self.F)
         self._add_zeros()
@@ -166,11 +169,16 @@ def judged(case: Drawn) -> list[Delivered]:
                 continue
             seconds = time.process_time() - start
             _, true = dense_errors(problem, body, (0.0, case.high), rivals.w / (2 * np.pi))
-            deliveries.append(Delivered(
-                **named, order=body.order - problem.rigid.shape[1], best=rivals.smallest(measure, tolerance),
-                limit=float(str(body.recipe["certified"])) / tolerance,
-                error=float(true[:, MEASURES.index(measure)].max()) / tolerance, seconds=seconds,
-            ))  # fmt: skip
+            deliveries.append(
+                Delivered(
+                    **named,
+                    order=body.order - problem.rigid.shape[1],
+                    best=rivals.smallest(measure, tolerance),
+                    limit=float(str(body.recipe["certified"])) / tolerance,
+                    error=float(true[:, MEASURES.index(measure)].max()) / tolerance,
+                    seconds=seconds,
+                )
+            )
     return deliveries
 
 

@@ -26,9 +26,12 @@ MODES = {"method": "craig-bampton", "modes": 30}
 ALONE, BOTH, THREADS = "8 shifts, 1 worker", "8 shifts, 2 workers", "8 shifts, 1 worker, 2 threads"
 ONE, TWO = "30 modes, 1 process", "30 modes, 2 ranks"
 RUNS: dict[str, tuple[dict[str, Any], int, tuple[str, ...]]] = {
-    ALONE: (KRYLOV, 1, ()), BOTH: (KRYLOV, 1, ("workers=2",)), THREADS: (KRYLOV, 2, ()),
-    ONE: (MODES, 1, ("name=mumps",)), TWO: (MODES, 1, ("ranks=2",)),
-}  # fmt: skip
+    ALONE: (KRYLOV, 1, ()),
+    BOTH: (KRYLOV, 1, ("workers=2",)),
+    THREADS: (KRYLOV, 2, ()),
+    ONE: (MODES, 1, ("name=mumps",)),
+    TWO: (MODES, 1, ("ranks=2",)),
+}
 # How often processes are looked at, in seconds.
 _PERIOD = 0.02
 _RANK, _MAIN = "morembs.linalg.sparse.rank", "morembs\0reduce"
@@ -79,7 +82,7 @@ class Watch(threading.Thread):
             "each_peak_bytes": max(helpers, default=None),
             "all_peak_bytes": sum(peak for _, peak, _ in self.seen.values()),
             "cpu_seconds": sum(used for *_, used in self.seen.values()),
-        }  # fmt: skip
+        }
 
 
 def _is_helper(words: str) -> bool:
@@ -103,12 +106,21 @@ def workers(settings: Settings) -> None:
         _add(rounds[words][-1], child("pivots", settings, matrix=matrix, ranks=ranks))
     report = Report("workers", settings)
     report.add(rounds)
-    report.table("workers: one body on several processes", (
-        ("dofs", "dofs", "n"), ("seconds", "job s", "s"), ("reduce_seconds", "reduction s", "s"),
-        ("cpu_seconds", "CPU s", "s"), ("process_peak_bytes", "peak MB", "MB"), ("each_peak_bytes", "each MB", "MB"),
-        ("all_peak_bytes", "all MB", "MB"), ("negative_pivots", "negative pivots", "n"),
-        ("frequency_difference", "frequencies", "e"), ("matrix_difference", "matrices", "e"),
-    ))  # fmt: skip
+    report.table(
+        "workers: one body on several processes",
+        (
+            ("dofs", "dofs", "n"),
+            ("seconds", "job s", "s"),
+            ("reduce_seconds", "reduction s", "s"),
+            ("cpu_seconds", "CPU s", "s"),
+            ("process_peak_bytes", "peak MB", "MB"),
+            ("each_peak_bytes", "each MB", "MB"),
+            ("all_peak_bytes", "all MB", "MB"),
+            ("negative_pivots", "negative pivots", "n"),
+            ("frequency_difference", "frequencies", "e"),
+            ("matrix_difference", "matrices", "e"),
+        ),
+    )
     for words, first, second, key in (
         ("2 workers over 1, wall", BOTH, ALONE, "reduce_seconds"),
         ("2 workers over 2 threads, wall", BOTH, THREADS, "reduce_seconds"),
@@ -150,9 +162,12 @@ def _measure(words: str, dofs: int, settings: Settings) -> Callable[[], Row]:
             return {"error": ended.last_error().replace(str(settings.folder), "FOLDER")}
         (document,) = json.loads(ended.output)
         return {
-            "dofs": document["dofs"], "seconds": ended.seconds, "threads": threads, **found,
+            "dofs": document["dofs"],
+            "seconds": ended.seconds,
+            "threads": threads,
+            **found,
             "reduce_seconds": document["seconds"][f"reduce {method['method']}"],
-        }  # fmt: skip
+        }
 
     return measured
 

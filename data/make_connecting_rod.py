@@ -255,11 +255,7 @@ def draw_shank(occ: Any, rod: Rod) -> Entity:
     for sign in (1, -1):
         b = [occ.addPoint(x, sign * y, low) for x, y in big]
         s = [occ.addPoint(x, sign * y, low) for x, y in small]
-        curves = [
-            occ.addCircleArc(b[0], b[1], b[2]),
-            occ.addLine(b[2], s[2]),
-            occ.addCircleArc(s[2], s[1], s[0]),
-        ]
+        curves = [occ.addCircleArc(b[0], b[1], b[2]), occ.addLine(b[2], s[2]), occ.addCircleArc(s[2], s[1], s[0])]
         sides.append((b[0], curves, s[0]))
     (top_start, top, top_end), (bottom_start, bottom, bottom_end) = sides
     loop = [*top, occ.addLine(top_end, bottom_end), *reversed(bottom), occ.addLine(bottom_start, top_start)]

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import meshio
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.model import ElementBlock, FEModel, Mesh, Nodes
 from morembs.model.assembly import assemble
 from morembs.model.grid import grid_cells
@@ -26,8 +26,6 @@ CHAMFER = 0.25e-3  # m below the tip
 STEEL = {"young": 2.06e11, "poisson": 0.3, "density": 7850.0}
 # Elements: across a tooth, in the fillet, along the flank, in the rim, between teeth, over the width.
 CELLS = (6, 3, 8, 3, 1, 6)
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -142,8 +140,13 @@ def sector(gear: Gear, cells: Sequence[int] = CELLS) -> Sector:
     model = assemble(mesh, [isotropic(set="all", **STEEL)])
     # Lines of element edges inside the width: nodes at its sides have normals that lean outwards.
     r, half = gear.radius(roll), gear.half_angle(gear.radius(roll))
-    points = np.array([[[*_polar(a, tooth * pitch + b), h] for h in z[2:-1:2]] for tooth in (-1, 0, 1)
-                       for a, b in zip(r, half, strict=True)]).reshape(3, len(r), -1, 3)  # fmt: skip
+    points = np.array(
+        [
+            [[*_polar(a, tooth * pitch + b), h] for h in z[2:-1:2]]
+            for tooth in (-1, 0, 1)
+            for a, b in zip(r, half, strict=True)
+        ]
+    ).reshape(3, len(r), -1, 3)
     flank = np.array([int(np.argmin(np.sum((xyz - p) ** 2, axis=1))) for p in points.reshape(-1, 3)])
     bore = np.flatnonzero(np.abs(np.hypot(xyz[:, 0], xyz[:, 1]) - inner) < 1e-7)
     return Sector(gear=gear, model=model, flank=flank.reshape(points.shape[:3]), roll=roll, bore=bore)

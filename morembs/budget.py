@@ -13,18 +13,18 @@ import os
 import weakref
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
+from morembs.base.types import Values
 from morembs.closing import Closing
 from morembs.errors import OutputError
 from morembs.memory import resident_bytes, trim
 from morembs.moved import with_old_names
 from morembs.scratch import ScratchFolder
 
-Values = NDArray[Any]
 # Arrays below this size are not worth a file; where the budget is nearly used up those below the second are not.
 _SMALL, _SMALLEST = 16_000_000, 1_000_000
 # Part of the budget that arrays may take in memory before they go to files.

@@ -284,9 +284,11 @@ class Crew(Closing):
             worker.channel.close()
         if self._crew:
             log.info(
-                "%d workers of %d threads, at most %.3g MB each", len(self._crew), self.threads,
+                "%d workers of %d threads, at most %.3g MB each",
+                len(self._crew),
+                self.threads,
                 self.peak_memory_bytes / 1e6,
-            )  # fmt: skip
+            )
         self._crew.clear()
         if self._folder is not None:
             self._folder.close()

@@ -118,9 +118,7 @@ class _Moved(MetaPathFinder, Loader):
     loaded once more.
     """
 
-    def find_spec(
-        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:  # fmt: skip
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         old = name.removeprefix("morembs.")
         return ModuleSpec(name, self, is_package=True) if old != name and old in MOVED else None
 
@@ -173,6 +171,7 @@ def with_old_names(**names: str) -> Callable[[type[Class]], type[Class]]:
             construct(self, *values, **keys)
 
         cls.__init__ = accept  # type: ignore[method-assign]
+
         def reader(old: str) -> Callable[[Any], Any]:
             return lambda self: getattr(self, warned(old))
 

@@ -43,9 +43,16 @@ def known(schema: Callable[..., object]) -> dict[str, bool]:
 
 
 def checked(
-    schema: Callable[..., object], given: Mapping[str, object], owner: str, *, where: str = "", word: str = "option",
-    besides: Iterable[str] = (), hidden: Iterable[str] = (), cure: str = "",
-) -> dict[str, Any]:  # fmt: skip
+    schema: Callable[..., object],
+    given: Mapping[str, object],
+    owner: str,
+    *,
+    where: str = "",
+    word: str = "option",
+    besides: Iterable[str] = (),
+    hidden: Iterable[str] = (),
+    cure: str = "",
+) -> dict[str, Any]:
     """The options ``given`` as ``schema`` takes them.
 
     Args:

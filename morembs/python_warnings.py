@@ -21,9 +21,13 @@ def speak_plainly() -> None:
 
 
 def _say(
-    message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
     line: str | None = None,
-) -> None:  # fmt: skip
+) -> None:
     """The words of a warning and the package that they come from, where it is another one."""
     parts = Path(filename).with_suffix("").parts
     after = parts[parts.index("site-packages") + 1 :] if "site-packages" in parts else ()

@@ -51,9 +51,7 @@ def upwards(value: float) -> str:
     return shown
 
 
-def error_words(
-    measure: str, upper: float, sampled: NDArray[np.float64], band_hz: Sequence[float], kind: str
-) -> str:
+def error_words(measure: str, upper: float, sampled: NDArray[np.float64], band_hz: Sequence[float], kind: str) -> str:
     """``at most 1.3e-04 (envelope, 10 to 2,000 Hz, proven)``; the largest at samples where there is no limit."""
     low, high = (f"{float(f):,.6g}" for f in band_hz)
     if kind == "sampled":
@@ -107,6 +105,7 @@ def _text(instance: Any) -> str:
 def _table(instance: Any) -> str:
     rows = "".join(
         f"<tr><th style='text-align:left'>{html.escape(name)}</th><td style='text-align:left'>{html.escape(words)}</td>"
-        "</tr>" for name, words in _shown(instance).items()
-    )  # fmt: skip
+        "</tr>"
+        for name, words in _shown(instance).items()
+    )
     return f"<table><caption>{html.escape(type(instance).__name__)}</caption>{rows}</table>"

@@ -73,12 +73,15 @@ def linear(times: Floats, amplitude: float) -> Floats:
     masses[[3 * ELEMENTS + 1, 6 * ELEMENTS + 1]] = MASSES
     M = beam.M + sp.diags_array(masses)
     model = FEModel(
-        K=sp.csr_array(beam.tangent(beam.reference)[across][:, across]), M=sp.csr_array(M[across][:, across]),
+        K=sp.csr_array(beam.tangent(beam.reference)[across][:, across]),
+        M=sp.csr_array(M[across][:, across]),
         nodes=Nodes(ids=np.arange(1, len(nodes) + 1), xyz=nodes),
         dofs=DofMap(node=across // 3, component=np.where(across % 3 == 1, 1, 5)),
-    )  # fmt: skip
-    ends = [morembs.make_interface(model, name=name, nodes=np.array([node]), coupling="direct")
-            for name, node in (("base", 0), ("tip", len(nodes) - 1))]  # fmt: skip
+    )
+    ends = [
+        morembs.make_interface(model, name=name, nodes=np.array([node]), coupling="direct")
+        for name, node in (("base", 0), ("tip", len(nodes) - 1))
+    ]
     with morembs.Problem(model, ends) as problem:
         reduced = morembs.Modal(modes=model.size - 2).reduce(problem)
         body = morembs.elastic_body(problem, reduced, morembs.make_part(problem, nodes="interfaces"))
@@ -110,9 +113,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     exact = linear(np.arange(len(coarse)) * 2e-3, SMALL)
     gap = np.abs((4 * fine - coarse) / 3 - exact).max() / np.abs(exact).max()
     print(f"amplitude {SMALL:g} m: {gap:.1e} of the linear response apart")
-    draw(options.folder / "base_excitation.png", "Mast on a moving base", [
-        Panel("Tip against the base, across the mast", "time, s", "m", [Curve(times, deflection)]),
-        Panel("Distance from all coordinates", "time, s", "m", gaps, logarithmic=True)])  # fmt: skip
+    draw(
+        options.folder / "base_excitation.png",
+        "Mast on a moving base",
+        [
+            Panel("Tip against the base, across the mast", "time, s", "m", [Curve(times, deflection)]),
+            Panel("Distance from all coordinates", "time, s", "m", gaps, logarithmic=True),
+        ],
+    )
     return 0
 
 

@@ -50,9 +50,12 @@ def quarter(cell: float, cells: int, growth: float) -> FEModel:
     on_plane = at[np.arange(len(at)), component] == 0
     free = np.flatnonzero(~((component < 2) & on_plane | np.isclose(at[:, 2], -BLOCK)))
     return FEModel(
-        K=model.K[free][:, free], M=model.M[free][:, free], nodes=model.nodes, mesh=model.mesh,
+        K=model.K[free][:, free],
+        M=model.M[free][:, free],
+        nodes=model.nodes,
+        mesh=model.mesh,
         dofs=DofMap(node=model.dofs.node[free], component=component[free]),
-    )  # fmt: skip
+    )
 
 
 def pressed(cell: float, cells: int, growth: float, depth: Floats) -> ContactTable:
@@ -60,9 +63,12 @@ def pressed(cell: float, cells: int, growth: float, depth: Floats) -> ContactTab
     patch = 1.01 * cell * cells
     with morembs.Problem(quarter(cell, cells, growth)) as problem:
         table = contact_table(
-            problem, Sphere((0, 0, RADIUS), RADIUS), surface=f"box:0,0,-1e-9,{patch},{patch},1e-9",
-            penetration=depth.tolist(), push=(0, 0, -1),
-        )  # fmt: skip
+            problem,
+            Sphere((0, 0, RADIUS), RADIUS),
+            surface=f"box:0,0,-1e-9,{patch},{patch},1e-9",
+            penetration=depth.tolist(),
+            push=(0, 0, -1),
+        )
     return ContactTable(depth, 4 * np.asarray(table.forces)).without(-BEYOND)
 
 
@@ -102,13 +108,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"largest ball carries {shares[-1].max() / largest:.4f} of {largest:.0f} N; Stribeck: {4.37 / BALLS:.4f}")
     curve = np.linspace(0, at[-1], 50)
     panels = [
-        Panel("A ball on a steel block", "penetration, um", "N", [
-            Curve(1e6 * curve, np.array([table.force(d) for d in curve]), "table", OURS),
-            Curve(1e6 * at, np.array([HERTZ.force(d) for d in at]), "Hertz", THEIRS, "o")]),
-        Panel("Balls under a radial load", "load, N", "N", [
-            Curve(loads, np.array(shares)[:, k], f"{360 * k // BALLS} degrees", f"C{k}") for k in range(3)]),
+        Panel(
+            "A ball on a steel block",
+            "penetration, um",
+            "N",
+            [
+                Curve(1e6 * curve, np.array([table.force(d) for d in curve]), "table", OURS),
+                Curve(1e6 * at, np.array([HERTZ.force(d) for d in at]), "Hertz", THEIRS, "o"),
+            ],
+        ),
+        Panel(
+            "Balls under a radial load",
+            "load, N",
+            "N",
+            [Curve(loads, np.array(shares)[:, k], f"{360 * k // BALLS} degrees", f"C{k}") for k in range(3)],
+        ),
         Panel("Displacement of the shaft", "load, N", "um", [Curve(loads, 1e6 * np.array(moved))]),
-    ]  # fmt: skip
+    ]
     draw(options.folder / "bearing.png", "A bearing with eight balls", panels)
     return 0
 

@@ -15,8 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.exporters.exudyn_system import ExudynBody, ExudynSystem
 from morembs.jobs.job import load_job
 from morembs.jobs.picture import save
@@ -27,7 +27,6 @@ from morembs.multibody import Result, SlidingSwitch, System, UnfinishedRunError,
 from morembs.nonlinear import Section
 from morembs.storage.safefile import replacing
 
-Floats = NDArray[np.float64]
 OURS, THEIRS, THIRD = "#d1495b", "#2e86ab", "#3d9970"
 STEEL = {"young": 2.1e11, "poisson": 0.3, "density": 7850.0}
 
@@ -109,10 +108,29 @@ def difference(time: Floats, gap: Floats, length: float) -> Panel:
 def hermite_beam(n: int) -> FEModel:
     """Beam of unit length, bending stiffness and mass per length in n elements, held at both ends."""
     h = 1.0 / n
-    k = np.array([[12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
-                  [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h]]) / h**3  # fmt: skip
-    m = h / 420 * np.array([[156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h],
-                            [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h]])  # fmt: skip
+    k = (
+        np.array(
+            [
+                [12, 6 * h, -12, 6 * h],
+                [6 * h, 4 * h * h, -6 * h, 2 * h * h],
+                [-12, -6 * h, 12, -6 * h],
+                [6 * h, 2 * h * h, -6 * h, 4 * h * h],
+            ]
+        )
+        / h**3
+    )
+    m = (
+        h
+        / 420
+        * np.array(
+            [
+                [156, 22 * h, 54, -13 * h],
+                [22 * h, 4 * h * h, 13 * h, -3 * h * h],
+                [54, 13 * h, 156, -22 * h],
+                [-13 * h, -3 * h * h, -22 * h, 4 * h * h],
+            ]
+        )
+    )
     dofs = 2 * np.arange(n)[:, None] + np.arange(4)
     rows, columns = np.repeat(dofs, 4, axis=1).ravel(), np.tile(dofs, (1, 4)).ravel()
     K, M = (sp.csr_array(sp.coo_array((np.tile(e.ravel(), n), (rows, columns)))) for e in (k, m))
@@ -120,10 +138,12 @@ def hermite_beam(n: int) -> FEModel:
     xyz = np.zeros((n + 1, 3))
     xyz[:, 0] = np.linspace(0, 1, n + 1)
     return FEModel(
-        K=sp.csr_array(K[keep][:, keep]), M=sp.csr_array(M[keep][:, keep]),
+        K=sp.csr_array(K[keep][:, keep]),
+        M=sp.csr_array(M[keep][:, keep]),
         nodes=Nodes(ids=np.arange(1, n + 2), xyz=xyz, sets={"BEAM": np.arange(n + 1)}),
-        dofs=DofMap(node=keep // 2, component=np.where(keep % 2, 5, 1)), source="simply supported beam",
-    )  # fmt: skip
+        dofs=DofMap(node=keep // 2, component=np.where(keep % 2, 5, 1)),
+        source="simply supported beam",
+    )
 
 
 def simulate_kept(
@@ -161,11 +181,17 @@ class ExudynBeams:
         places = start[0] + length * np.arange(count + 1) / count
         nodes = [self.mbs.AddNode(self.items.NodeRigidBody2D(referenceCoordinates=[x, start[1], 0])) for x in places]
         for pair in pairwise(nodes):
-            self.mbs.AddObject(self.items.ObjectBeamGeometricallyExact2D(
-                nodeNumbers=list(pair), length=length / count, massPerLength=section.mass,
-                crossSectionInertia=section.rotary, bendingStiffness=section.EI, axialStiffness=section.EA,
-                shearStiffness=section.GA,
-            ))  # fmt: skip
+            self.mbs.AddObject(
+                self.items.ObjectBeamGeometricallyExact2D(
+                    nodeNumbers=list(pair),
+                    length=length / count,
+                    massPerLength=section.mass,
+                    crossSectionInertia=section.rotary,
+                    bendingStiffness=section.EI,
+                    axialStiffness=section.EA,
+                    shearStiffness=section.GA,
+                )
+            )
         return nodes
 
     def _constrain(self, first: int, second: int, **options: object) -> None:
@@ -191,15 +217,21 @@ class ExudynBeams:
 
     def turn(self, node: int, torque: Callable[[float], float]) -> None:
         """A torque over time on a node."""
-        self.mbs.AddLoad(self.items.LoadCoordinate(
-            markerNumber=self.at(node, 2), load=1.0, loadUserFunction=lambda _mbs, t, _load: torque(t)))  # fmt: skip
+        self.mbs.AddLoad(
+            self.items.LoadCoordinate(
+                markerNumber=self.at(node, 2), load=1.0, loadUserFunction=lambda _mbs, t, _load: torque(t)
+            )
+        )
 
     def solve(
         self, end: float, step: float, rho: float, watch: Sequence[int], floor: float = 1e-10
     ) -> tuple[Floats, list[Floats], float]:
         """Times (T,), positions (T, 2) of the watched nodes, processor seconds per step; residuals end at ``floor``."""
         position = self.system.exu.OutputVariableType.Position
-        sensors = [self.mbs.AddSensor(self.items.SensorNode(nodeNumber=n, outputVariableType=position, storeInternal=True)) for n in watch]  # noqa: E501  # fmt: skip
+        sensors = [
+            self.mbs.AddSensor(self.items.SensorNode(nodeNumber=n, outputVariableType=position, storeInternal=True))
+            for n in watch
+        ]
         self.mbs.Assemble()
         settings, count = self.system.exu.SimulationSettings(), round(end / step)
         integration = settings.timeIntegration

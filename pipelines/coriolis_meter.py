@@ -16,12 +16,11 @@ from itertools import pairwise
 
 import numpy as np
 from common import Curve, Floats, Panel, draw, parse
-from numpy.typing import NDArray
 
 import morembs
+from morembs.base.types import Complexes
 from morembs.model import skew
 
-Complexes = NDArray[np.complex128]
 TUBE = morembs.Tube(outer=3e-3, inner=2.6e-3, young=195e9, density=8000.0)
 CORNERS = np.array([[0, -5, 0], [0, -69.25, 0], [92.5, -69.25, 0], [92.5, 69.25, 0], [0, 69.25, 0], [0, 5, 0]]) * 1e-3
 PER_SIDE, SENSORS = 6, (12, 18)  # elements; nodes at the outer corners
@@ -44,7 +43,7 @@ def sensors(model: morembs.FEModel) -> morembs.Interface:
     """The outer corners; their motion across the plane is what the last rows of a body, 2 and 5, have."""
     return morembs.make_interface(
         model, name="sensors", nodes=np.array(SENSORS), coupling="direct", components=[0, 1, 2]
-    )  # fmt: skip
+    )
 
 
 def phase(s: Complexes, motions: Complexes) -> float:
@@ -104,12 +103,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print("mount B: N/m   Ns/m   phase, rad")
     for k, d in ((1e3, 253.9), (2.05e5, 10.0), (1e6, 10.0), (1e3, 1e5)):
         print(f"{k:12.4g} {d:6.4g}   {meter.phase(k, d):.4g}")
-    draw(options.folder / "coriolis_meter.png", "Coriolis meter: phase between the sensors", [
-        Panel("Mount B of 1e3 N/m", "log10 of damping of mount B, Ns/m", "rad", [
-            Curve(np.log10(dampings), soft, "without flow", "C0")]),
-        Panel("Mount B of 10 Ns/m", "log10 of stiffness of mount B, N/m", "rad", [
-            Curve(np.log10(stiffnesses), loose, "without flow", "C1")], logarithmic=True),
-    ])  # fmt: skip
+    draw(
+        options.folder / "coriolis_meter.png",
+        "Coriolis meter: phase between the sensors",
+        [
+            Panel(
+                "Mount B of 1e3 N/m",
+                "log10 of damping of mount B, Ns/m",
+                "rad",
+                [Curve(np.log10(dampings), soft, "without flow", "C0")],
+            ),
+            Panel(
+                "Mount B of 10 Ns/m",
+                "log10 of stiffness of mount B, N/m",
+                "rad",
+                [Curve(np.log10(stiffnesses), loose, "without flow", "C1")],
+                logarithmic=True,
+            ),
+        ],
+    )
     return 0
 
 

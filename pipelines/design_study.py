@@ -78,8 +78,15 @@ def optimum(body: ParametricBody) -> OptimizeResult:
     def slope(x: Floats) -> Floats:
         return chain(x, {k: df[0] / LIMIT for k, df in body.sensitivity(**sintered(x)).frequencies_hz.items()})
 
-    return minimize(mass, [1.0, 0.0], jac=True, method="SLSQP", bounds=[(LEAST, MOST), (-DEEPER, DEEPER)],
-                    constraints={"type": "ineq", "fun": slack, "jac": slope}, options={"ftol": 1e-12})  # fmt: skip
+    return minimize(
+        mass,
+        [1.0, 0.0],
+        jac=True,
+        method="SLSQP",
+        bounds=[(LEAST, MOST), (-DEEPER, DEEPER)],
+        constraints={"type": "ineq", "fun": slack, "jac": slope},
+        options={"ftol": 1e-12},
+    )
 
 
 def full_frequencies(job: Job, table: Floats) -> tuple[Floats, float]:
@@ -126,17 +133,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, value in hidden.items():
         k = body.names.index(name)
         within = sum(abs(each.p[k] - value) < 2 * each.sigma[k] for each in updated)
-        print(f"updated {name} = {updated[0].p[k]:.5g} +- {updated[0].sigma[k]:.2g}, hidden {value:.5g}; "
-              f"{within} of {len(updated)} draws within two sigma")  # fmt: skip
+        print(
+            f"updated {name} = {updated[0].p[k]:.5g} +- {updated[0].sigma[k]:.2g}, hidden {value:.5g}; "
+            f"{within} of {len(updated)} draws within two sigma"
+        )
     depths = np.linspace(-DEEPER, DEEPER, 41)
-    lines = [Curve(depths, np.array([body.at(**sintered(np.array([r, t]))).frequencies_hz[0] for t in depths]),
-                   f"{DENSITY * r:.0f} kg/m3", f"C{k}") for k, r in enumerate((LEAST, 1.0, MOST))]  # fmt: skip
+    lines = [
+        Curve(
+            depths,
+            np.array([body.at(**sintered(np.array([r, t]))).frequencies_hz[0] for t in depths]),
+            f"{DENSITY * r:.0f} kg/m3",
+            f"C{k}",
+        )
+        for k, r in enumerate((LEAST, 1.0, MOST))
+    ]
     lines += [Curve(best.x[1:], np.array([LIMIT]), "optimum", THEIRS, "o")]
     counts, edges = np.histogram(sampled[:, 0], 60)
-    draw(options.folder / "design_study.png", "A connecting rod with four parameters", [
-        Panel("First frequency", "t, mm", "Hz", lines),
-        Panel("Scatter of the first frequency", "Hz", "samples", [Curve((edges[1:] + edges[:-1]) / 2, counts)]),
-    ])  # fmt: skip
+    draw(
+        options.folder / "design_study.png",
+        "A connecting rod with four parameters",
+        [
+            Panel("First frequency", "t, mm", "Hz", lines),
+            Panel("Scatter of the first frequency", "Hz", "samples", [Curve((edges[1:] + edges[:-1]) / 2, counts)]),
+        ],
+    )
     return 0
 
 

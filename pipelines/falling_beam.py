@@ -40,8 +40,10 @@ def reduced_beam() -> tuple[morembs.FEModel, morembs.FloatingFrame, Floats]:
     """The beam from its mesh: model, floating frame, and shapes (nodes, 3, n) per elastic coordinate."""
     model = morembs.assemble(box_mesh(SIZE, CELLS), [morembs.isotropic(set="all", **STEEL)])
     x = model.nodes.xyz[:, 0]
-    ends = [morembs.make_interface(model, name=name, nodes=np.flatnonzero(np.abs(x - at) < 1e-9), coupling="average")
-            for name, at in (("left", 0.0), ("right", SIZE[0]))]  # fmt: skip
+    ends = [
+        morembs.make_interface(model, name=name, nodes=np.flatnonzero(np.abs(x - at) < 1e-9), coupling="average")
+        for name, at in (("left", 0.0), ("right", SIZE[0]))
+    ]
     with morembs.Problem(model, ends) as problem:
         reduced = morembs.Modal(modes=MODES).reduce(problem)
         frame = morembs.floating_frame(problem, reduced)
@@ -79,14 +81,32 @@ def picture(path: Path, fall: Fall) -> None:
     gap, force, energy = 1e3 * result.gap(fall.contact)[:, 0], result.force(fall.contact)[:, 0], result.balance()
     first, last = (1e3 * result.impacts[k].time for k in (0, -1))
     shown = (t >= first - 0.5) & (t <= last + 2)
-    draw(path, "Flexible beam on a rigid stop", [
-        Panel("Height of the ends over the stop", "time, ms", "mm", [
-            Curve(t, left, "left end"), Curve(t, right, "right end", THEIRS), Curve(t, gap, "gap at the stop", THIRD)]),
-        Panel("Force of the stop, after the first touch", "time, ms", "N", [Curve(t[shown] - first, force[shown])]),
-        Panel("Energy", "time, ms", "J", [
-            Curve(t, energy.total - energy.potential[0], "kinetic and potential"),
-            Curve(t, energy.total - energy.work - energy.potential[0], "with losses of impacts", THEIRS, "--")]),
-    ])  # fmt: skip
+    draw(
+        path,
+        "Flexible beam on a rigid stop",
+        [
+            Panel(
+                "Height of the ends over the stop",
+                "time, ms",
+                "mm",
+                [
+                    Curve(t, left, "left end"),
+                    Curve(t, right, "right end", THEIRS),
+                    Curve(t, gap, "gap at the stop", THIRD),
+                ],
+            ),
+            Panel("Force of the stop, after the first touch", "time, ms", "N", [Curve(t[shown] - first, force[shown])]),
+            Panel(
+                "Energy",
+                "time, ms",
+                "J",
+                [
+                    Curve(t, energy.total - energy.potential[0], "kinetic and potential"),
+                    Curve(t, energy.total - energy.work - energy.potential[0], "with losses of impacts", THEIRS, "--"),
+                ],
+            ),
+        ],
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

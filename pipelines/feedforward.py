@@ -29,10 +29,31 @@ SMOOTH = 10  # derivatives that vanish at both ends of the turn
 def arm(elements: int) -> FEModel:
     """Beam elements in a plane from a hub, where it only turns; displacement y and rotation z at each node."""
     h, EI, mass = LENGTH / elements, YOUNG * WIDTH * HEIGHT**3 / 12, DENSITY * WIDTH * HEIGHT
-    k = EI / h**3 * np.array([[12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
-                              [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h]])  # fmt: skip
-    m = mass * h / 420 * np.array([[156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h],
-                                   [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h]])  # fmt: skip
+    k = (
+        EI
+        / h**3
+        * np.array(
+            [
+                [12, 6 * h, -12, 6 * h],
+                [6 * h, 4 * h * h, -6 * h, 2 * h * h],
+                [-12, -6 * h, 12, -6 * h],
+                [6 * h, 2 * h * h, -6 * h, 4 * h * h],
+            ]
+        )
+    )
+    m = (
+        mass
+        * h
+        / 420
+        * np.array(
+            [
+                [156, 22 * h, 54, -13 * h],
+                [22 * h, 4 * h * h, 13 * h, -3 * h * h],
+                [54, 13 * h, 156, -22 * h],
+                [-13 * h, -3 * h * h, -22 * h, 4 * h * h],
+            ]
+        )
+    )
     K, M = (np.zeros((2 * elements + 2,) * 2) for _ in range(2))
     for e in range(elements):
         at = slice(2 * e, 2 * e + 4)
@@ -42,9 +63,11 @@ def arm(elements: int) -> FEModel:
     xyz = np.column_stack([np.linspace(0, LENGTH, elements + 1), *np.zeros((2, elements + 1))])
     keep = np.arange(1, 2 * elements + 2)
     return FEModel(
-        K=sp.csr_array(K[1:, 1:]), M=sp.csr_array(M[1:, 1:]), nodes=Nodes(ids=np.arange(1, elements + 2), xyz=xyz),
+        K=sp.csr_array(K[1:, 1:]),
+        M=sp.csr_array(M[1:, 1:]),
+        nodes=Nodes(ids=np.arange(1, elements + 2), xyz=xyz),
         dofs=DofMap(node=keep // 2, component=np.where(keep % 2, 5, 1)),
-    )  # fmt: skip
+    )
 
 
 def coefficients(body: morembs.ReducedModel, terms: int) -> Floats:
@@ -99,9 +122,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = [f"{2 * k + 2} derivatives" for k in range(4)]
     panels = [
         Panel("Moment at the hub", "time, s", "Nm", [Curve(time, torques[k], words[k], f"C{k}") for k in (0, 3)]),
-        Panel("Error of the tip", "time, s", "rad", [
-            Curve(time, np.maximum(np.abs(errors[k]), 1e-8), words[k], f"C{k}") for k in range(4)], logarithmic=True),
-    ]  # fmt: skip
+        Panel(
+            "Error of the tip",
+            "time, s",
+            "rad",
+            [Curve(time, np.maximum(np.abs(errors[k]), 1e-8), words[k], f"C{k}") for k in range(4)],
+            logarithmic=True,
+        ),
+    ]
     draw(options.folder / "feedforward.png", "Feedforward of a flexible arm", panels)
     return 0
 

@@ -76,17 +76,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     member = ReducedMember(rod(E), modes=MODES, formulation="membrane", reach=REACH, points_per_angle=9)
     reduced = fall(member, end=end, offline=time.process_time() - begin)
     error, (x, y), (full_x, full_y) = reduced.error(full), reduced.tip[-1], full.tip[-1]
-    print(f"tip at t = {end:g} s: ({x:.5f}, {y:.5f}) m, all coordinates ({full_x:.5f}, {full_y:.5f}) m; "
-          f"error / length {rms(error):.5f} rms, {error.max():.5f} at most")  # fmt: skip
-    print(f"drift of the energy {reduced.drift:.1e}; {reduced.offline:.2f} s offline, {reduced.seconds:.2f} s online, "
-          f"all coordinates {full.seconds:.2f} s")  # fmt: skip
-    draw(options.folder / "flexible_pendulum.png", "Very flexible pendulum", [
-        Panel(f"Path of the tip, E = {E:g} Pa", "m", "m", [
-            Curve(*full.tip.T, "all coordinates", THEIRS, width=3.5),
-            Curve(*reduced.tip.T, f"GMP, {MODES} modes", width=1.2)]),
-        Panel("Error of the tip", "time, s", "part of the length",
-              [Curve(reduced.motion.times, np.maximum(error, 1e-7))], logarithmic=True),
-    ])  # fmt: skip
+    print(
+        f"tip at t = {end:g} s: ({x:.5f}, {y:.5f}) m, all coordinates ({full_x:.5f}, {full_y:.5f}) m; "
+        f"error / length {rms(error):.5f} rms, {error.max():.5f} at most"
+    )
+    print(
+        f"drift of the energy {reduced.drift:.1e}; {reduced.offline:.2f} s offline, {reduced.seconds:.2f} s online, "
+        f"all coordinates {full.seconds:.2f} s"
+    )
+    draw(
+        options.folder / "flexible_pendulum.png",
+        "Very flexible pendulum",
+        [
+            Panel(
+                f"Path of the tip, E = {E:g} Pa",
+                "m",
+                "m",
+                [
+                    Curve(*full.tip.T, "all coordinates", THEIRS, width=3.5),
+                    Curve(*reduced.tip.T, f"GMP, {MODES} modes", width=1.2),
+                ],
+            ),
+            Panel(
+                "Error of the tip",
+                "time, s",
+                "part of the length",
+                [Curve(reduced.motion.times, np.maximum(error, 1e-7))],
+                logarithmic=True,
+            ),
+        ],
+    )
     return 0
 
 

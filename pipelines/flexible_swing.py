@@ -87,8 +87,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"tip at t = {swing.time[-1]:g} s: ({x:.7f}, {z:.7f}) m; largest bending {np.abs(swing.bending).max():.3g} m")
     if swing.theirs is not None:
         x, _, z = swing.theirs[-1]
-        print(f"the same in Exudyn:  ({x:.7f}, {z:.7f}) m; largest difference "
-              f"{swing.gap.max() / SIZE[0]:.2g} of the length")  # fmt: skip
+        print(
+            f"the same in Exudyn:  ({x:.7f}, {z:.7f}) m; largest difference "
+            f"{swing.gap.max() / SIZE[0]:.2g} of the length"
+        )
     else:
         print(f"{exudyn_missing()}. One simulator is shown alone.")
     picture(options.folder / "flexible_swing.png", swing)

@@ -44,16 +44,26 @@ def linear(hose: PlanarBeam, x: Floats) -> FEModel:
     xyz, number = x.reshape(-1, 3).copy(), np.arange(hose.size)
     xyz[:, 2] = 0
     return FEModel(
-        K=sp.csr_array(hose.tangent(x)), M=sp.csr_array(hose.M), nodes=Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz),
+        K=sp.csr_array(hose.tangent(x)),
+        M=sp.csr_array(hose.M),
+        nodes=Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz),
         dofs=DofMap(node=number // 3, component=np.array([0, 1, 5])[number % 3]),
-    )  # fmt: skip
+    )
 
 
 def ring(square: complex, loss: float = 0.0) -> Floats:
     """From one end to the other, exact, at a frequency squared: tangential and normal motion, turn, moment, forces."""
     k, inertia = 1 / RADIUS, MASS * square
-    rates = np.array([[0, k, 0, 0, 0, 0], [-k, 0, 1, 0, 0, 0], [0, 0, 0, 1 / (EI * (1 + 1j * loss)), 0, 0],
-                      [0, 0, 0, 0, 0, -1], [-inertia, 0, 0, 0, 0, k], [0, -inertia, 0, 0, -k, 0]])  # fmt: skip
+    rates = np.array(
+        [
+            [0, k, 0, 0, 0, 0],
+            [-k, 0, 1, 0, 0, 0],
+            [0, 0, 0, 1 / (EI * (1 + 1j * loss)), 0, 0],
+            [0, 0, 0, 0, 0, -1],
+            [-inertia, 0, 0, 0, 0, k],
+            [0, -inertia, 0, 0, -k, 0],
+        ]
+    )
     return np.asarray(sl.expm(rates * LENGTH))
 
 
@@ -88,15 +98,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stretch in (1.0, 100.0):
         hose, x = bent(stretch)
         model, forces = linear(hose, x), hose.resultants(x)
-        ends = [morembs.make_interface(model, name=name, nodes=np.array([node]), coupling="direct")
-                for name, node in (("base", 0), ("far", ELEMENTS))]  # fmt: skip
+        ends = [
+            morembs.make_interface(model, name=name, nodes=np.array([node]), coupling="direct")
+            for name, node in (("base", 0), ("far", ELEMENTS))
+        ]
         with morembs.Problem(model, ends) as problem:
             reduced = morembs.CraigBampton(modes=MODES).reduce(problem)
             body = morembs.elastic_body(problem, reduced, morembs.make_part(problem, nodes="interfaces"))
         space = morembs.state_space(body, ["base:displacement:x+y"], ["far:reaction:rz"], held=["base:rz", "far"])
         f = np.sort(np.abs(space.poles().imag))[1::2][: len(exact)] / (2 * np.pi)
-        print(f"{stretch:3g} times EA, {len(space.A)} states: {'  '.join(f'{value:9.3f}' for value in f)} Hz, "
-              f"moment {forces[:, 2].mean():.6f} Nm (EI / R {EI / RADIUS:.6f}), force {np.abs(forces[:, :2]).max():.1e} N")  # noqa: E501  # fmt: skip
+        print(
+            f"{stretch:3g} times EA, {len(space.A)} states: {'  '.join(f'{value:9.3f}' for value in f)} Hz, "
+            f"moment {forces[:, 2].mean():.6f} Nm (EI / R {EI / RADIUS:.6f}), force {np.abs(forces[:, :2]).max():.1e} N"
+        )
     print("largest gap of frequencies: " + ", ".join(f"{100 * gap:.2f} %" for gap in f / exact - 1))
     print("rad/s   moment of the far end by a tangential and a normal motion of the base, Nm/m   gap to the ring")
     for w in (1.0, 400.0):
@@ -105,13 +119,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{w:5g}   {'  '.join(f'{value.real:.5f} {value.imag:+.5f}i' for value in ours)}   {100 * gap:.3f} %")
     w = np.linspace(1, 900, 120 if options.quick else 600)
     ours, theirs = (np.abs([f(v) for v in w]) for f in (lambda v: moments(space, v), ring_moments))
-    curves = [Curve(w, ours[:, k], words, color) for k, (words, color) in enumerate((("tangential", OURS), ("normal", THIRD)))]  # noqa: E501  # fmt: skip
+    curves = [
+        Curve(w, ours[:, k], words, color) for k, (words, color) in enumerate((("tangential", OURS), ("normal", THIRD)))
+    ]
     curves += [Curve(w, theirs[:, k], "" if k else "inextensional ring", THEIRS, "--") for k in range(2)]
     shape = x.reshape(-1, 3)
-    draw(options.folder / "hose.png", "Hose in a half circle", [
-        Panel("Equilibrium", "x, m", "y, m", [Curve(shape[:, 0], shape[:, 1])]),
-        Panel("Moment at the far end by the motion of the base", "rad/s", "Nm/m", curves, logarithmic=True),
-    ])  # fmt: skip
+    draw(
+        options.folder / "hose.png",
+        "Hose in a half circle",
+        [
+            Panel("Equilibrium", "x, m", "y, m", [Curve(shape[:, 0], shape[:, 1])]),
+            Panel("Moment at the far end by the motion of the base", "rad/s", "Nm/m", curves, logarithmic=True),
+        ],
+    )
     return 0
 
 

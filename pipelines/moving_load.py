@@ -44,9 +44,15 @@ class Passage:
 
 
 def cross(
-    beam: tuple[ReducedModel, StaticModeTables], speed: float, steps: int, *, variant: str = "quasi-static",
-    start: float = 0.0, end: float = 1.0, keep: Path | None = None,
-) -> Passage:  # fmt: skip
+    beam: tuple[ReducedModel, StaticModeTables],
+    speed: float,
+    steps: int,
+    *,
+    variant: str = "quasi-static",
+    start: float = 0.0,
+    end: float = 1.0,
+    keep: Path | None = None,
+) -> Passage:
     """A unit load goes from ``start`` to ``end``. What there is of a run that fails goes to ``keep``."""
     reduced, tables = beam
     body = SwitchingBody(LinearBody(reduced.M, reduced.K), tables, at=start, variant=variant)

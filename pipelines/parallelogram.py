@@ -86,7 +86,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print("rigid links   what is said")
     for count in (3, 2, 1):
         try:
-            print(f"{count:11d}   {'  '.join(f'{force:.3f}' for force in stand([None] * count + [stiff] * (3 - count))[1])} N")  # noqa: E501  # fmt: skip
+            forces = stand([None] * count + [stiff] * (3 - count))[1]
+            print(f"{count:11d}   {'  '.join(f'{force:.3f}' for force in forces)} N")
         except morembs.MorembsError as error:
             print(f"{count:11d}   {error}")
     shares = np.array([stand([stiff, stiff, link(ratio * YOUNG)])[1] for ratio in ratios])

@@ -64,12 +64,35 @@ class Rod:
         at, axle, far, fast = self.model.at(p), mb.ground.marker_at(), self.chord - [CRANK, 0, 0], SPEED * CRANK
         slopes = self.terms.derivatives(at, **self.frame) if sensitivities else None
         spin, system, motion = fast / self.chord[0], mb.System(), mb.Motion.steady(SPEED)
-        crank = system.add(mb.RigidBody(2.0, (1e-3, 1e-3, 2e-3), name="crank", angular_velocity=(0, 0, SPEED),
-                                        markers={"axle": (0, 0, 0), "pin": (-CRANK, 0, 0)}))  # fmt: skip
-        rod = system.add(mb.FlexibleBody(self.terms.frame(at, **self.frame), name="rod", derivatives=slopes,
-                         position=(-CRANK, 0, 0), velocity=(0, -fast, 0), angular_velocity=(0, 0, spin)))
-        slider = system.add(mb.RigidBody(SLIDER, (1e-4, 1e-4, 1e-4), position=far, markers={"pin": (0, 0, 0)},
-                                         velocity=(-spin * self.chord[1], 0, 0), name="slider"))  # fmt: skip
+        crank = system.add(
+            mb.RigidBody(
+                2.0,
+                (1e-3, 1e-3, 2e-3),
+                name="crank",
+                angular_velocity=(0, 0, SPEED),
+                markers={"axle": (0, 0, 0), "pin": (-CRANK, 0, 0)},
+            )
+        )
+        rod = system.add(
+            mb.FlexibleBody(
+                self.terms.frame(at, **self.frame),
+                name="rod",
+                derivatives=slopes,
+                position=(-CRANK, 0, 0),
+                velocity=(0, -fast, 0),
+                angular_velocity=(0, 0, spin),
+            )
+        )
+        slider = system.add(
+            mb.RigidBody(
+                SLIDER,
+                (1e-4, 1e-4, 1e-4),
+                position=far,
+                markers={"pin": (0, 0, 0)},
+                velocity=(-spin * self.chord[1], 0, 0),
+                name="slider",
+            )
+        )
         system.add(mb.RevoluteJoint(axle, crank.marker("axle")))
         system.add(mb.DrivenAngle(axle, crank.marker("axle"), motion=motion))
         pin = system.add(mb.RevoluteJoint(crank.marker("pin"), rod.marker("BIGEND")))
@@ -115,10 +138,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     mass = rod.ranges @ rod.model.law_M.derivative(p).T @ rod.terms.mass
     move = linprog(slopes[0], A_ub=[mass, -slopes[2]], b_ub=[0, 0], bounds=(-TRUST, TRUST)).x
     better, changed = rod.goals(p + move @ rod.ranges)
-    print("one step over the box: " + ", ".join(f"{n} {m:+.3f}" for n, m in zip(names, move, strict=True)),
-          f"\nits stress: {(goals[0] + slopes[0] @ move) / 1e6:.3f} MPa expected, {better[0] / 1e6:.3f} MPa in the run")
-    curves = [Curve(np.linspace(0, 1, len(values)), values.max(axis=1) / 1e6, *look)
-              for values, *look in ((stress, "nominal"), (changed, "after one step", THEIRS))]  # fmt: skip
+    print(
+        "one step over the box: " + ", ".join(f"{n} {m:+.3f}" for n, m in zip(names, move, strict=True)),
+        f"\nits stress: {(goals[0] + slopes[0] @ move) / 1e6:.3f} MPa expected, {better[0] / 1e6:.3f} MPa in the run",
+    )
+    curves = [
+        Curve(np.linspace(0, 1, len(values)), values.max(axis=1) / 1e6, *look)
+        for values, *look in ((stress, "nominal"), (changed, "after one step", THEIRS))
+    ]
     panel = Panel("Largest stress of the shank", "turns of the crank", "MPa", curves)
     draw(options.folder / "rod_design.png", "A connecting rod before and after one step of its design", [panel])
     return 0

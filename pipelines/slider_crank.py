@@ -27,8 +27,11 @@ TURN = 2 * np.pi / SPEED
 STEP, RHO = TURN / 1600, 0.9
 FAR_END, POINTS = (CRANK + LENGTH, 0, 0), ("crank_pin", "middle", "wrist_pin")
 SPIN = {"angular_velocity": (0, 0, SPEED)}
-SWEEP = {"position": (CRANK, 0, 0), "velocity": (0, SPEED * CRANK, 0),
-         "angular_velocity": (0, 0, -SPEED * CRANK / LENGTH)}  # fmt: skip
+SWEEP = {
+    "position": (CRANK, 0, 0),
+    "velocity": (0, SPEED * CRANK, 0),
+    "angular_velocity": (0, 0, -SPEED * CRANK / LENGTH),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +64,13 @@ class Run:
 def run_ours(source: ExudynBody, end: float, step: float, *, stiffening: bool = False) -> Run:
     """The mechanism in morembs.multibody."""
     system, axle = mb.System(), mb.ground.marker_at()
-    crank = system.add(mb.RigidBody(
-        CRANK_MASS, CRANK_INERTIA, name="crank", **SPIN, markers={"axle": (0, 0, 0), "pin": (CRANK, 0, 0)}))
+    crank = system.add(
+        mb.RigidBody(CRANK_MASS, CRANK_INERTIA, name="crank", **SPIN, markers={"axle": (0, 0, 0), "pin": (CRANK, 0, 0)})
+    )
     rod = system.add(mb.FlexibleBody(source.floating, stiffening=stiffening, name="rod", **SWEEP))
-    slider = system.add(mb.RigidBody(
-        SLIDER_MASS, SLIDER_INERTIA, position=FAR_END, name="slider", markers={"pin": (0, 0, 0)}))  # fmt: skip
+    slider = system.add(
+        mb.RigidBody(SLIDER_MASS, SLIDER_INERTIA, position=FAR_END, name="slider", markers={"pin": (0, 0, 0)})
+    )
     system.add(mb.RevoluteJoint(axle, crank.marker("axle"), axis=AXIS))
     system.add(mb.DrivenAngle(axle, crank.marker("axle"), axis=AXIS, motion=mb.Motion.steady(SPEED)))
     system.add(mb.RevoluteJoint(crank.marker("pin"), rod.marker("crank_pin"), axis=AXIS))
@@ -103,15 +108,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"largest deflection {largest:.4f} mm ({1e-3 * largest / LENGTH:.2%} of the length)")
     print(f"with geometric stiffening {with_stiffening:.4f} mm. {exudyn_missing()}")
     if theirs is not None:
-        print(f"in Exudyn {1e3 * np.abs(theirs.deflection).max():.4f} mm; largest difference of pins and middle "
-              f"{ours.gap(theirs).max() / LENGTH:.2g} of the length")  # fmt: skip
+        print(
+            f"in Exudyn {1e3 * np.abs(theirs.deflection).max():.4f} mm; largest difference of pins and middle "
+            f"{ours.gap(theirs).max() / LENGTH:.2g} of the length"
+        )
         runs.insert(1, (theirs, "Exudyn", THEIRS, "--"))
         gap = [difference(ours.time, ours.gap(theirs), LENGTH)]
     deflection = [Curve(run.time / TURN, 1e3 * run.deflection, *look) for run, *look in runs]
     lead = [Curve(run.time / TURN, 1e6 * run.lead, *look) for run, *look in runs]
-    draw(options.folder / "slider_crank.png", "Slider-crank with a flexible connecting rod", [
-        Panel("Middle of the rod off the line of its pins", "turns of the crank", "mm", deflection),
-        Panel("Slider ahead of that of a rigid rod", "turns of the crank", "µm", lead), *gap])  # fmt: skip
+    draw(
+        options.folder / "slider_crank.png",
+        "Slider-crank with a flexible connecting rod",
+        [
+            Panel("Middle of the rod off the line of its pins", "turns of the crank", "mm", deflection),
+            Panel("Slider ahead of that of a rigid rod", "turns of the crank", "µm", lead),
+            *gap,
+        ],
+    )
     return 0
 
 

@@ -91,8 +91,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _, other, cost = move(Chain(full.links, V[:, :modes]), step)
         w = deflection(times, other)
         gap, name = np.linalg.norm(other - tip, axis=0), f"{modes} mode{'s' * (modes > 1)}"
-        print(f"{modes:5d}   {2 / np.sqrt(squares[modes - 1]):24.2g}   {gap.max():.2e}   "
-              f"{np.abs(w - across).max() / most:22.2e}   {cost:11.2f}")  # fmt: skip
+        print(
+            f"{modes:5d}   {2 / np.sqrt(squares[modes - 1]):24.2g}   {gap.max():.2e}   "
+            f"{np.abs(w - across).max() / most:22.2e}   {cost:11.2f}"
+        )
         curves.append(Curve(times, 1e3 * w, name, color, width=1.2))
         errors.append(Curve(times, np.maximum(gap, 1e-10), name, color, width=1.2))
     print(f"all     {2 / np.sqrt(squares[-1]):24.2g}")
@@ -102,10 +104,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{words}, steps of {COARSE:g} s: tip within {gap:.1e} m: longer steps gain nothing")
     exact = np.abs(deflection(*exact_beams(elements, step)) - deflection(*move(arm(elements), step)[:2])).max()
     print(f"{elements} elements per link differ from geometrically exact beams by {exact / most:.1e} of the deflection")
-    draw(options.folder / "two_link_manipulator.png", "Two-link manipulator", [
-        Panel("Deflection across the second link", "time, s", "mm", curves),
-        Panel(f"Tip, against {len(squares)} end angles", "time, s", "m", errors, logarithmic=True),
-    ])  # fmt: skip
+    draw(
+        options.folder / "two_link_manipulator.png",
+        "Two-link manipulator",
+        [
+            Panel("Deflection across the second link", "time, s", "mm", curves),
+            Panel(f"Tip, against {len(squares)} end angles", "time, s", "m", errors, logarithmic=True),
+        ],
+    )
     return 0
 
 

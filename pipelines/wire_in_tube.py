@@ -43,8 +43,10 @@ def ends(play: float) -> tuple[float, float]:
 def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(arguments, __doc__, __file__)
     elements = QUICK_ELEMENTS if options.quick else ELEMENTS
-    print("play, mm   force at the tip, N, per analytic   distance of the other, mm, per analytic   sum   "
-          "moment inside per EI / R   forces inside per tip")  # fmt: skip
+    print(
+        "play, mm   force at the tip, N, per analytic   distance of the other, mm, per analytic   sum   "
+        "moment inside per EI / R   forces inside per tip"
+    )
     shown, bending = [], []
     for play, color in zip(PLAYS, (THIRD, THEIRS, OURS), strict=True):
         wire, x = settle(play, elements)
@@ -54,16 +56,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         inside = np.abs(force[(s > 2 * distance) & (s < LENGTH - 2 * distance)]).sum()
         moment = np.abs(wire.beam.resultants(x)[:, 2])
         middle = moment[elements // 2 - elements // 8 : elements // 2 + elements // 8].mean() * RADIUS / SECTION.EI
-        print(f"{1e3 * play:8.2f}   {force[tip].sum():15.5f} {force[tip].sum() / size:17.4f}   {1e3 * at:22.3f} "
-              f"{at / distance:16.4f}   {-force[other].sum() / force[tip].sum():5.3f}   {middle:23.4f}   "
-              f"{inside / force[tip].sum():.4f}")  # fmt: skip
+        print(
+            f"{1e3 * play:8.2f}   {force[tip].sum():15.5f} {force[tip].sum() / size:17.4f}   {1e3 * at:22.3f} "
+            f"{at / distance:16.4f}   {-force[other].sum() / force[tip].sum():5.3f}   {middle:23.4f}   "
+            f"{inside / force[tip].sum():.4f}"
+        )
         shown.append(Curve(1e3 * s, force, f"play {1e3 * play:g} mm", color, width=1.2))
         centres = (s[:-1:2] + s[2::2]) / 2
         bending.append(Curve(1e3 * centres, moment * RADIUS / SECTION.EI, f"play {1e3 * play:g} mm", color, width=1.2))
-    draw(options.folder / "wire_in_tube.png", "Wire in a curved tube", [
-        Panel("Forces of the walls at Simpson's points, positive by the outer one", "along the wire, mm", "N", shown),
-        Panel("Bending moment", "along the wire, mm", "per EI / R", bending),
-    ])  # fmt: skip
+    draw(
+        options.folder / "wire_in_tube.png",
+        "Wire in a curved tube",
+        [
+            Panel(
+                "Forces of the walls at Simpson's points, positive by the outer one", "along the wire, mm", "N", shown
+            ),
+            Panel("Bending moment", "along the wire, mm", "per EI / R", bending),
+        ],
+    )
     return 0
 
 

@@ -20,13 +20,27 @@ Edges = dict[str, set[str]]
 # Names of the package that tests may replace, each a door to the world outside.
 OUTSIDE = {
     # Libraries and packages, and what their headers say.
-    "find_library", "find_spec", "metis_library", "metis_ordering", "mkl_file", "casadi_folder", "cholmod_library",
-    "fill_of", "parse_header", "fcntl",
+    "find_library",
+    "find_spec",
+    "metis_library",
+    "metis_ordering",
+    "mkl_file",
+    "casadi_folder",
+    "cholmod_library",
+    "fill_of",
+    "parse_header",
+    "fcntl",
     # The clock, and the size and speed of the machine.
-    "LineProgress", "blas_threads", "shortest_time",
+    "LineProgress",
+    "blas_threads",
+    "shortest_time",
     # Tables that users extend, a size of files that no test can write, and an eigensolver that misses a mode.
-    "COUPLINGS", "FORMULATIONS", "LARGE", "largest", "Shifted",
-}  # fmt: skip
+    "COUPLINGS",
+    "FORMULATIONS",
+    "LARGE",
+    "largest",
+    "Shifted",
+}
 REPLACING = {"setattr", "delattr", "setitem", "delitem"}
 
 
@@ -68,8 +82,10 @@ def replaced(file: Path) -> Iterator[str]:
     # Package that each imported name comes from.
     origin = {
         name.asname or name.name.partition(".")[0]: (getattr(node, "module", None) or name.name).partition(".")[0]
-        for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom) for name in node.names
-    }  # fmt: skip
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for name in node.names
+    }
     for node in ast.walk(tree):
         called = node.func if isinstance(node, ast.Call) else None
         if called is None or getattr(called, "attr", getattr(called, "id", "")) not in REPLACING:

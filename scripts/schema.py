@@ -33,7 +33,9 @@ SHOWN = {
     "recovery": [("", tables.RECOVERY)],
     "switching": [("", tables.SWITCHING)],
     "parametric": [
-        ("", tables.PARAMETRIC), ("frame/", tables.FRAME_TERMS), ("bound/", tables.BOUND),
+        ("", tables.PARAMETRIC),
+        ("frame/", tables.FRAME_TERMS),
+        ("bound/", tables.BOUND),
         ("bound/cells/", tables.CELLS),
     ],
     "member": [("", MEMBER)],

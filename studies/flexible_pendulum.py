@@ -24,8 +24,11 @@ from morembs.nonlinear import FullMember
 # Ranges (rad) of the tables, at least 1.4 times what the full model does: per Young's modulus and number of members.
 REACH = {3e6: {1: 0.83, 2: 0.56}, 1.5e7: {1: 0.26, 2: 0.18}, 1e6: {1: 1.3, 2: 0.75}}
 NAMES: dict[Formulation, str] = {
-    "linear": "linear shapes", "foreshortened": "foreshortened", "tangent": "GMP, tangent", "membrane": "GMP, membrane",
-}  # fmt: skip
+    "linear": "linear shapes",
+    "foreshortened": "foreshortened",
+    "tangent": "GMP, tangent",
+    "membrane": "GMP, membrane",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,9 +50,12 @@ def reduced(case: Case, *, end: float = END, step: float = STEP, elements: int =
     """The same mesh, reduced."""
     begin = time.process_time()
     member = ReducedMember(
-        rod(case.E, LENGTH / case.members, elements // case.members), modes=case.modes,
-        formulation=case.formulation, reach=REACH[case.E][case.members], points_per_angle=9,
-    )  # fmt: skip
+        rod(case.E, LENGTH / case.members, elements // case.members),
+        modes=case.modes,
+        formulation=case.formulation,
+        reach=REACH[case.E][case.members],
+        points_per_angle=9,
+    )
     return fall(member, case.members, end=end, step=step, offline=time.process_time() - begin)
 
 
@@ -71,8 +77,10 @@ def table(end: float, moduli: Sequence[float]) -> dict[Case | float, Fall]:
                     continue
                 done[case] = run
                 gap = run.error(reference)
-                print(f"{line}       {rms(gap):8.5f} {gap.max():8.5f}         {run.drift:.1e} "
-                      f"{run.offline:6.2f} {run.seconds:6.2f}")  # fmt: skip
+                print(
+                    f"{line}       {rms(gap):8.5f} {gap.max():8.5f}         {run.drift:.1e} "
+                    f"{run.offline:6.2f} {run.seconds:6.2f}"
+                )
                 for warning in run.motion.warnings:
                     print(f"         warning: {warning}")
     return done
@@ -81,9 +89,12 @@ def table(end: float, moduli: Sequence[float]) -> dict[Case | float, Fall]:
 def panels(done: dict[Case | float, Fall], E: float) -> list[Panel]:
     """Paths of the tip and errors over time for one stiffness."""
     looks: dict[tuple[int, Formulation], tuple[str, str]] = {
-        (1, "linear"): ("#9aa5b1", "-"), (1, "foreshortened"): (THIRD, "-"), (1, "membrane"): (OURS, "-"),
-        (2, "foreshortened"): (THIRD, "--"), (2, "membrane"): (OURS, "--"),
-    }  # fmt: skip
+        (1, "linear"): ("#9aa5b1", "-"),
+        (1, "foreshortened"): (THIRD, "-"),
+        (1, "membrane"): (OURS, "-"),
+        (2, "foreshortened"): (THIRD, "--"),
+        (2, "membrane"): (OURS, "--"),
+    }
     reference = done[E]
     paths = [Curve(x=reference.tip[:, 0], y=reference.tip[:, 1], label="full model", color=THEIRS, width=3.5)]
     errors = []

@@ -87,9 +87,7 @@ def ramp(t: float) -> float:
 def reduce(rail: Rail) -> tuple[ReducedModel, StaticModeTables, float]:
     """Modes, static modes of all nodes of the path, and the seconds that took."""
     begin = time.process_time()
-    reducer = StaticModesSwitching(
-        base_options={"modes": MODES}, candidates="set:RAIL", directions=[2], stress=True
-    )
+    reducer = StaticModesSwitching(base_options={"modes": MODES}, candidates="set:RAIL", directions=[2], stress=True)
     with Problem(rail.model) as problem:
         reduced = reducer.reduce(problem)
         tables = reducer.switching(problem, reduced)
@@ -120,9 +118,12 @@ def with_switching(
     seconds = time.process_time() - begin
     local = local_response(result, body, load, stress=True)
     crossing = Crossing(
-        time=result.time, deflection=local.displacement[:, 2], stress=local.stress[:, 0],
-        coordinates=body.size + 1, seconds=seconds,
-    )  # fmt: skip
+        time=result.time,
+        deflection=local.displacement[:, 2],
+        stress=local.stress[:, 0],
+        coordinates=body.size + 1,
+        seconds=seconds,
+    )
     return crossing, switch
 
 
@@ -159,8 +160,12 @@ def with_all_dofs(rail: Rail, tables: StaticModeTables, steps: int) -> Crossing:
     table[model.dofs.node[down]] = np.flatnonzero(down)
     dofs, pick = table[rail.path], _StressAt(rail)
     begin = time.process_time()
-    factor = spl.splu(sp.csc_matrix(model.M + h * h / 4 * model.K), permc_spec="MMD_AT_PLUS_A",
-                      diag_pivot_thresh=0.0, options={"SymmetricMode": True})  # fmt: skip
+    factor = spl.splu(
+        sp.csc_matrix(model.M + h * h / 4 * model.K),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
     u, rate, a = (np.zeros(model.size) for _ in range(3))
     rows, watching = [], 0.0
     for k in range(steps + 1):
@@ -242,9 +247,7 @@ def ride(reduced: ReducedModel, tables: StaticModeTables, steps: int, keep: Path
     rider: Marker = mass.marker("c")
     support = system.add(PathSupport(path, rider, name="wheel"))
     system.add(
-        DrivenPosition(
-            ground.marker_at(start), rider, axis=(1, 0, 0), motion=Motion.steady(SPEED), name="drive"
-        )
+        DrivenPosition(ground.marker_at(start), rider, axis=(1, 0, 0), motion=Motion.steady(SPEED), name="drive")
     )
     duration = (END - BEGIN) / SPEED
     result = simulate_kept(system, switch, duration, duration / steps, keep, RHO)
@@ -252,9 +255,11 @@ def ride(reduced: ReducedModel, tables: StaticModeTables, steps: int, keep: Path
     write_run(keep, result)
     z = result.position(rider)[:, 2]
     return Ride(
-        position=local.position, drop=z - start[2], force=_forces(result, support) / (MASS * GRAVITY),
+        position=local.position,
+        drop=z - start[2],
+        force=_forces(result, support) / (MASS * GRAVITY),
         switches=len(switch.log),
-    )  # fmt: skip
+    )
 
 
 def _forces(result: Result, support: PathSupport) -> Floats:
@@ -279,10 +284,13 @@ def picture(path: Path, full: Crossing, switched: Crossing, modes: Floats, trave
     """Deflection and stress under the load, drop and force of the mass."""
     s, every = BEGIN + SPEED * switched.time, BEGIN + SPEED * full.time
     draw(
-        path, "A flexible rail: moving load and travelling mass",
+        path,
+        "A flexible rail: moving load and travelling mass",
         [
             Panel(
-                title=f"Deflection under a load of {LOAD / 1e3:g} kN at {SPEED:g} m/s", x="position, m", y="mm",
+                title=f"Deflection under a load of {LOAD / 1e3:g} kN at {SPEED:g} m/s",
+                x="position, m",
+                y="mm",
                 curves=[
                     Curve(x=every, y=1e3 * full.deflection, label=f"all {full.coordinates} dofs", color=THEIRS),
                     Curve(x=s, y=1e3 * modes, label=f"{MODES} modes alone", color=THIRD, width=1.0),
@@ -290,22 +298,28 @@ def picture(path: Path, full: Crossing, switched: Crossing, modes: Floats, trave
                 ],
             ),
             Panel(
-                title="Stress along the rail at its top, under the load", x="position, m", y="MPa",
+                title="Stress along the rail at its top, under the load",
+                x="position, m",
+                y="MPa",
                 curves=[
                     Curve(x=every, y=1e-6 * full.stress, label="all dofs", color=THEIRS, width=1.0),
                     Curve(x=s, y=1e-6 * switched.stress, label="with switched static modes", style="--", width=1.0),
                 ],
             ),
             Panel(
-                title=f"A mass of {MASS:g} kg rides over the rail", x="position, m", y="drop, mm",
+                title=f"A mass of {MASS:g} kg rides over the rail",
+                x="position, m",
+                y="drop, mm",
                 curves=[Curve(x=travel.position, y=1e3 * travel.drop)],
             ),
             Panel(
-                title="Force under the mass", x="position, m", y="parts of its weight",
+                title="Force under the mass",
+                x="position, m",
+                y="parts of its weight",
                 curves=[Curve(x=travel.position, y=travel.force)],
             ),
         ],
-    )  # fmt: skip
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -327,8 +341,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"{fewer:.0f} times fewer coordinates than with all static modes, {faster:.0f} times faster")
     print(f"{than_all:.0f} times faster than all dofs")
     travel = ride(reduced, tables, steps, file)
-    print(f"mass: largest drop {-1e3 * travel.drop.min():.3f} mm, force {travel.force.min():.3f} to "
-          f"{travel.force.max():.3f} of the weight, {travel.switches} switches")  # fmt: skip
+    print(
+        f"mass: largest drop {-1e3 * travel.drop.min():.3f} mm, force {travel.force.min():.3f} to "
+        f"{travel.force.max():.3f} of the weight, {travel.switches} switches"
+    )
     picture(options.folder / "flexible_rail.png", full, switched, _alone(switched, reduced, tables), travel)
     return 0
 

@@ -29,8 +29,10 @@ QUICK_ELEMENTS, QUICK_END = (6, 12), 0.1
 REACH_CRANK, REACH_ROD, POINTS = 0.3, 0.7, 7
 # Formulation, modes of crank and rod.
 MODELS: dict[str, tuple[Formulation, tuple[int, int]]] = {
-    "linear, 10 modes": ("linear", (10, 10)), "foreshortened": ("foreshortened", (2, 3)), "GMP": ("membrane", (2, 3)),
-}  # fmt: skip
+    "linear, 10 modes": ("linear", (10, 10)),
+    "foreshortened": ("foreshortened", (2, 3)),
+    "GMP": ("membrane", (2, 3)),
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,9 +90,14 @@ def run(crank: Member, rod: Member, *, end: float, step: float, offline: float =
     nodes = rod.nodes(motion.x[1]).reshape(-1, 3, len(motion.times))[:, :2]
     first, middle, last = (nodes[k].T for k in (0, len(nodes) // 2, -1))
     return Run(
-        time=motion.times, slider=motion.q[:, c.numbers[0]], deflection=across(first, middle, last),
-        coordinates=mechanism.size, step=seconds / (len(motion.times) - 1), offline=offline, motion=motion,
-    )  # fmt: skip
+        time=motion.times,
+        slider=motion.q[:, c.numbers[0]],
+        deflection=across(first, middle, last),
+        coordinates=mechanism.size,
+        step=seconds / (len(motion.times) - 1),
+        offline=offline,
+        motion=motion,
+    )
 
 
 def full(factor: float = 1.0, *, elements: tuple[int, int] = ELEMENTS, end: float = END, step: float = STEP) -> Run:
@@ -125,9 +132,12 @@ def exudyn(factor: float = 1.0, *, elements: tuple[int, int] = ELEMENTS, end: fl
     times, points, seconds = beams.solve(end, step, 0.9, [rod[0], rod[len(rod) // 2], rod[-1]])
     first, middle, last = points
     return Run(
-        time=times, slider=last[:, 0], deflection=across(first, middle, last), coordinates=3 * (sum(elements) + 2) + 2,
+        time=times,
+        slider=last[:, 0],
+        deflection=across(first, middle, last),
+        coordinates=3 * (sum(elements) + 2) + 2,
         step=seconds,
-    )  # fmt: skip
+    )
 
 
 def compare(factor: float, *, elements: tuple[int, int], end: float) -> dict[str, Run]:
@@ -141,8 +151,10 @@ def compare(factor: float, *, elements: tuple[int, int], end: float) -> dict[str
     print("                    coordinates   rms error: deflection, slider   ms per step (gain)      offline, s")
     for name, run in done.items():
         deflection, slider = run.errors(reference)
-        print(f"  {name:18} {run.coordinates:8d}       {deflection:12.5f}  {slider:12.6f}   {1e3 * run.step:10.3f} "
-              f"({reference.step / run.step:5.1f}) {run.offline:12.2f}")  # fmt: skip
+        print(
+            f"  {name:18} {run.coordinates:8d}       {deflection:12.5f}  {slider:12.6f}   {1e3 * run.step:10.3f} "
+            f"({reference.step / run.step:5.1f}) {run.offline:12.2f}"
+        )
         for warning in run.motion.warnings if run.motion else ():
             print(f"    warning: {warning}")
     return done
@@ -159,8 +171,10 @@ def check(elements: tuple[int, int], end: float) -> None:
     ours, theirs = (model(elements=elements, end=end) for model in (full, exudyn))
     deflection, slider = theirs.errors(ours)
     version = importlib.import_module("exudyn").__version__
-    print(f"Exudyn {version}, {sum(elements)} elements: rms difference of deflection {deflection:.5f}, "
-          f"slider {slider:.6f}; {1e3 * theirs.step:.3f} ms per step, here {1e3 * ours.step:.3f}")  # fmt: skip
+    print(
+        f"Exudyn {version}, {sum(elements)} elements: rms difference of deflection {deflection:.5f}, "
+        f"slider {slider:.6f}; {1e3 * theirs.step:.3f} ms per step, here {1e3 * ours.step:.3f}"
+    )
 
 
 def large(steps: int = 50) -> None:
@@ -168,8 +182,10 @@ def large(steps: int = 50) -> None:
     elements = 4 * ELEMENTS[0], 4 * ELEMENTS[1]
     whole = full(elements=elements, end=steps * STEP)
     other = reduced("GMP", elements=elements, end=steps * STEP)
-    print(f"{sum(elements)} elements: full {1e3 * whole.step:.3f} ms per step, GMP {1e3 * other.step:.3f} "
-          f"({whole.step / other.step:.1f}), offline {other.offline:.2f} s")  # fmt: skip
+    print(
+        f"{sum(elements)} elements: full {1e3 * whole.step:.3f} ms per step, GMP {1e3 * other.step:.3f} "
+        f"({whole.step / other.step:.1f}), offline {other.offline:.2f} s"
+    )
 
 
 def panels(soft: dict[str, Run], stiff: dict[str, Run]) -> list[Panel]:

@@ -102,7 +102,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     touches = [touch((driver, driven), float(place)) for place in places]
     switched, whole = (turn(gears, touches, every) for every in (False, True))
     for words, (error, _, coordinates, cost) in (("switched", switched), ("all active", whole)):
-        print(f"{words:10}  {coordinates:4d} coordinates, transmission error {1e6 * error.min():.3f} to {1e6 * error.max():.3f} micrometres, {cost:.3f} ms per step")  # noqa: E501  # fmt: skip
+        print(
+            f"{words:10}  {coordinates:4d} coordinates, transmission error {1e6 * error.min():.3f} to "
+            f"{1e6 * error.max():.3f} micrometres, {cost:.3f} ms per step"
+        )
     error, force = (np.abs(ours - theirs) for ours, theirs in zip(switched[:2], whole[:2], strict=True))
     print(
         f"switched differ by {error.max() / np.abs(whole[0]).max():.1e} of the transmission error and "

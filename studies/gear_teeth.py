@@ -19,9 +19,9 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
-from numpy.typing import NDArray
 
 from data.make_spur_gear import CELLS, MODULE, PRESSURE, TEETH, WIDTH, Gear, Sector, pair, sector
+from morembs.base.types import Ints
 from morembs.interface import make_interface
 from morembs.multibody.contact.lemke import lemke
 from morembs.problem import Problem
@@ -33,7 +33,6 @@ FORCE = 4000.0  # N along the line of action, 200 N/mm
 RELIEF, RELIEVED = 20e-6, 3e-3  # m at the ends of the path of contact, m of roll
 PLACES, QUICK_PLACES, QUICK_CELLS = 81, 13, (2, 1, 4, 1, 1, 4)
 STRIP = 8  # samples over the width of an element
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,9 +69,12 @@ def reduce(gear: Gear, modes: int = MODES, cells: Sequence[int] = CELLS) -> Redu
     teeth = sector(gear, cells)
     ids = ",".join(map(str, teeth.model.nodes.ids[np.sort(teeth.flank.ravel())]))
     reducer = StaticModesSwitching(
-        base="craig-bampton", base_options={"modes": modes}, candidates=f"ids:{ids}", directions="normals",
+        base="craig-bampton",
+        base_options={"modes": modes},
+        candidates=f"ids:{ids}",
+        directions="normals",
         kind="surface",
-    )  # fmt: skip
+    )
     with Problem(teeth.model, [make_interface(teeth.model, name="hub", nodes=teeth.bore, point=(0, 0, 0))]) as problem:
         reduced = reducer.reduce(problem)
         return Reduced(sector=teeth, reduced=reduced, tables=reducer.switching(problem, reduced))
@@ -131,9 +133,11 @@ def touch(gears: tuple[Reduced, Reduced], place: float) -> Touch:
         weights.append(W)
     lines = gears[0].sector.flank.shape[2]
     return Touch(
-        pair=np.repeat(pairs, lines), gap=np.repeat(gaps, lines), active=(active[0], active[1]),
+        pair=np.repeat(pairs, lines),
+        gap=np.repeat(gaps, lines),
+        active=(active[0], active[1]),
         weights=(weights[0], weights[1]),
-    )  # fmt: skip
+    )
 
 
 def _weights(gear: Reduced, teeth: Sequence[int], rolls: Sequence[float]) -> tuple[Ints, Floats]:
@@ -198,9 +202,8 @@ def cycle(gears: tuple[Reduced, Reduced], places: Floats, whole: Sequence[Floats
         load.append([f[at.pair == k].sum() for k in (-1, 0, 1)])
         active.append(sum(map(len, at.active)))
     return Cycle(
-        approach=np.array(approach), load=np.array(load), active=np.array(active),
-        seconds=time.process_time() - begin,
-    )  # fmt: skip
+        approach=np.array(approach), load=np.array(load), active=np.array(active), seconds=time.process_time() - begin
+    )
 
 
 def standard() -> float:
@@ -213,13 +216,18 @@ def standard() -> float:
 def picture(path: Path, places: Floats, switched: Cycle, full: Cycle, modes: Cycle, candidates: int) -> None:
     """Transmission error, sharing of the load, active candidates."""
     x = places / base_pitch()
-    shares = [Curve(x=x, y=switched.load[:, k] / FORCE, label=f"{name} pair", color=color)
-              for k, name, color in ((0, "following", THIRD), (1, "middle", OURS), (2, "leading", THEIRS))]  # fmt: skip
+    shares = [
+        Curve(x=x, y=switched.load[:, k] / FORCE, label=f"{name} pair", color=color)
+        for k, name, color in ((0, "following", THIRD), (1, "middle", OURS), (2, "leading", THEIRS))
+    ]
     draw(
-        path, f"Meshing teeth of spur gears, {TEETH[0]} : {TEETH[1]}",
+        path,
+        f"Meshing teeth of spur gears, {TEETH[0]} : {TEETH[1]}",
         [
             Panel(
-                title=f"Transmission error under {FORCE / 1e3:g} kN", x="rotation, pitches", y="micrometres",
+                title=f"Transmission error under {FORCE / 1e3:g} kN",
+                x="rotation, pitches",
+                y="micrometres",
                 curves=[
                     Curve(x=x, y=1e6 * full.approach, label="all of the model", color=THEIRS),
                     Curve(x=x, y=1e6 * switched.approach, label=f"{MODES} modes, switched static modes", style="--"),
@@ -228,11 +236,13 @@ def picture(path: Path, places: Floats, switched: Cycle, full: Cycle, modes: Cyc
             ),
             Panel(title="Sharing of the load", x="rotation, pitches", y="parts of the load", curves=shares),
             Panel(
-                title=f"Active candidates of {candidates}", x="rotation, pitches", y="candidates",
+                title=f"Active candidates of {candidates}",
+                x="rotation, pitches",
+                y="candidates",
                 curves=[Curve(x=x, y=switched.active.astype(float))],
             ),
         ],
-    )  # fmt: skip
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -247,15 +257,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     full = cycle(gears, places, [whole_compliance(g) for g in gears])
     modes = cycle(gears, places, None, static=False)
     error = float(np.abs(switched.approach - full.approach).max() / full.approach.max())
-    print(f"transmission error: {1e6 * full.approach.min():.2f} to {1e6 * full.approach.max():.2f} micrometres; "
-          f"switched static modes differ from all of the model by {error:.1e} of it")  # fmt: skip
+    print(
+        f"transmission error: {1e6 * full.approach.min():.2f} to {1e6 * full.approach.max():.2f} micrometres; "
+        f"switched static modes differ from all of the model by {error:.1e} of it"
+    )
     lost = float(np.abs(modes.approach - full.approach).max() / full.approach.max())
     print(f"{MODES} modes alone differ by {100 * lost:.0f} %")
-    print(f"active candidates: {switched.active.min()} to {switched.active.max()} of {candidates}, "
-          f"{1e3 * switched.seconds / len(places):.2f} ms for each place")  # fmt: skip
+    print(
+        f"active candidates: {switched.active.min()} to {switched.active.max()} of {candidates}, "
+        f"{1e3 * switched.seconds / len(places):.2f} ms for each place"
+    )
     stiffness = FORCE / WIDTH / full.approach * 1e-9
-    print(f"stiffness of the mesh: {stiffness.min():.1f} (one pair) to {stiffness.max():.1f} N/(mm micrometre); "
-          f"ISO 6336 gives {standard():.1f} for one pair")  # fmt: skip
+    print(
+        f"stiffness of the mesh: {stiffness.min():.1f} (one pair) to {stiffness.max():.1f} N/(mm micrometre); "
+        f"ISO 6336 gives {standard():.1f} for one pair"
+    )
     picture(options.folder / "gear_teeth.png", places, switched, full, modes, candidates)
     return 0
 

@@ -82,7 +82,8 @@ def panels(
     ratio = np.array(sizes) / sizes[0]
     return [
         Panel(
-            f"Bending moment under the load at {SPEED:g} of the critical speed", "position of the load",
+            f"Bending moment under the load at {SPEED:g} of the critical speed",
+            "position of the load",
             "moment / (load x length)",
             [
                 Curve(s, want, "Fryba", THEIRS),
@@ -91,7 +92,8 @@ def panels(
             ],
         ),
         Panel(
-            f"Cost of a step ({PER_NODE} steps from node to node, switches included)", f"times {sizes[0]} elements",
+            f"Cost of a step ({PER_NODE} steps from node to node, switches included)",
+            f"times {sizes[0]} elements",
             "ms",
             [
                 Curve(ratio, times[0], "all nodes are candidates", OURS, "o-"),
@@ -99,7 +101,7 @@ def panels(
                 Curve(np.array([1.0]), np.zeros(1), color="white", width=0.0),
             ],
         ),
-    ]  # fmt: skip
+    ]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -77,9 +77,16 @@ def in_ours(source: ExudynBody, speed: float, end: float, *, stiffening: bool) -
     """Times and flapping of the tip in morembs.multibody."""
     frame = source.floating
     system = System()
-    blade = system.add(FlexibleBody(
-        frame, position=frame.origin, angular_velocity=(0, 0, speed), elastic=first_flap(source), stiffening=stiffening,
-        name="blade"))  # fmt: skip
+    blade = system.add(
+        FlexibleBody(
+            frame,
+            position=frame.origin,
+            angular_velocity=(0, 0, speed),
+            elastic=first_flap(source),
+            stiffening=stiffening,
+            name="blade",
+        )
+    )
     shaft = ground.marker_at()
     system.add(RevoluteJoint(shaft, blade.marker("root"), axis=(0, 0, 1)))
     system.add(DrivenAngle(shaft, blade.marker("root"), axis=(0, 0, 1), motion=Motion.steady(speed)))
@@ -122,9 +129,12 @@ def simulated(blade: ExudynBody, parts: Sequence[float] = SIMULATED, periods: in
 
 
 def picture(
-    path: Path, blade: ExudynBody, lines: dict[tuple[int, bool], Floats], parts: Sequence[float],
+    path: Path,
+    blade: ExudynBody,
+    lines: dict[tuple[int, bool], Floats],
+    parts: Sequence[float],
     dots: dict[str, Floats],
-) -> None:  # fmt: skip
+) -> None:
     """Coefficients of flap and lag over the speed, and the flap frequency that follows from them."""
     speeds, few = np.array(SPEEDS), np.array(parts)
     x = "speed, as a part of the first flap frequency at rest"
@@ -152,8 +162,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     dots = simulated(blade, parts, 3 if options.quick else PERIODS)
     for axis, name in ((FLAP, "flap"), (LAG, "lag")):
         right, wrong = lines[axis, True], lines[axis, False]
-        print(f"{name}, linearised: c = {right.min():.4f} to {right.max():.4f} with stiffening, {wrong.min():.4f} to "
-              f"{wrong.max():.4f} without; beam theory {SOUTHWELL[axis]}")  # fmt: skip
+        print(
+            f"{name}, linearised: c = {right.min():.4f} to {right.max():.4f} with stiffening, {wrong.min():.4f} to "
+            f"{wrong.max():.4f} without; beam theory {SOUTHWELL[axis]}"
+        )
     for name, c in dots.items():
         print(f"flap, simulated, {name}: c = {', '.join(f'{value:.4f}' for value in c)}")
     if exudyn_missing():

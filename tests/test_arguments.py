@@ -42,7 +42,7 @@ WRONG = [
     (nonlinear.follow_equilibrium, {"component": LINE, "held": np.arange(3)}, "expected Conservative"),
     (gmp.Plan, {"workers": "two"}, "workers = 'two' was given"),
     (gmp.bending_modes, {"component": nonlinear.PlanarBeam(LINE, SECTION), "count": 2}, "give its section a rotary"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("call", "given", "message"), WRONG)

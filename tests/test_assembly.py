@@ -181,7 +181,7 @@ def test_a_job_reduces_an_assembly_and_keeps_its_shapes(make_piece: Make, tmp_pa
     for k in range(len(place)):
         same = moved[:, group.ravel() == k]
         assert np.ptp(same, axis=1).max() < 1e-5 * np.abs(moved).max()
-    again = CliRunner().invoke(app, ["reduce", str(job), "--set", "couple.between=[\"upper:R\", \"lower:X\"]"])
+    again = CliRunner().invoke(app, ["reduce", str(job), "--set", 'couple.between=["upper:R", "lower:X"]'])
     assert again.exit_code == 2 and "there is no 'lower:X'; did you mean 'lower:R'" in again.stderr
     for verb in ("check", "reduce"):
         hinged = CliRunner().invoke(app, [verb, str(job), "--set", "couple.components=[0, 1, 2, 3, 5]"])
@@ -232,18 +232,18 @@ def test_a_part_with_one_interface_hangs_at_another(make_piece: Make, piece: Sto
         frequencies, problem = lowest(joined, count=8, cut="b:L", left="a:L")
         assert frequencies == pytest.approx(expected, rel=1e-8) and problem.rigid.shape[1] == 6
         # The interface that follows the other is the other.
-        assert lowest(joined, count=8, cut="a:R")[0] == pytest.approx(
-            lowest(joined, count=8, cut="b:L")[0], rel=1e-12
-        )
+        assert lowest(joined, count=8, cut="a:R")[0] == pytest.approx(lowest(joined, count=8, cut="b:L")[0], rel=1e-12)
 
 
 @pytest.mark.parametrize(
     "joint",
     [
-        [{}], [{"stiffness": (1e9,) * 3 + (1e5,) * 3}], [{"stiffness": (5e11,) * 3 + (5e9,) * 3}],
+        [{}],
+        [{"stiffness": (1e9,) * 3 + (1e5,) * 3}],
+        [{"stiffness": (5e11,) * 3 + (5e9,) * 3}],
         [{"components": (0, 1, 2)}, {"components": (3, 4, 5), "stiffness": (1e5,) * 6}],
     ],
-)  # fmt: skip
+)
 def test_places_of_few_digits_strain_nothing_as_the_assembly_turns(piece: StoredBodies, joint: list[dict]) -> None:
     """Frames up to 1e-7 m apart, far from the origin: a chain whose middle part follows by way of another."""
     rng = np.random.default_rng(11)
@@ -254,10 +254,13 @@ def test_places_of_few_digits_strain_nothing_as_the_assembly_turns(piece: Stored
     couples = [Couple(between=pair, **options) for pair in pairs for options in joint]
 
     def model(digits: int) -> FEModel:
-        return assemble_bodies([
-            Substructure(name=f"p{k}", bodies=piece, position=np.round(place, digits), rotation=turn)
-            for k, place in enumerate(places)
-        ], couples)  # fmt: skip
+        return assemble_bodies(
+            [
+                Substructure(name=f"p{k}", bodies=piece, position=np.round(place, digits), rotation=turn)
+                for k, place in enumerate(places)
+            ],
+            couples,
+        )
 
     exact, rounded = model(16), model(7)
     assert np.linalg.norm(rounded.nodes.xyz - exact.nodes.xyz, axis=1).max() > 3e-8

@@ -16,7 +16,8 @@ import pytest
 import scipy.sparse as sp
 
 from morembs import scratch as scratches
-from morembs.budget import Budget, Values
+from morembs.base.types import Values
+from morembs.budget import Budget
 from morembs.errors import InputError, OutputError
 from morembs.linalg.columns import dot, multiply_into, subtract
 from morembs.linalg.congruence import congruence, magnitudes
@@ -111,7 +112,7 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 import numpy as np
-from morembs.budget import Budget, Values
+from morembs.budget import (Budget)
 from morembs.memory import resident_bytes
 memory = resident_bytes() + int(sys.argv[2])
 budget = Budget(memory, Path(sys.argv[1]), in_memory=16_000_000)
@@ -132,8 +133,7 @@ def test_rest_gives_memory_back_and_keeps_the_values(tmp_path: Path, more: int, 
     """In a process of its own, whose resident memory nothing else changes."""
     if not Path("/proc/self/statm").exists():
         pytest.skip("the resident memory is read from /proc")
-    done = subprocess.run([sys.executable, "-c", REST, tmp_path, str(more)], capture_output=True, text=True,
-                          check=True)  # fmt: skip
+    done = subprocess.run([sys.executable, "-c", REST, tmp_path, str(more)], capture_output=True, text=True, check=True)
     empty, full, relaxed, rested, same, off = map(int, done.stdout.split())
     assert full - empty > 75e6 and rested - empty < 5e6 and same and abs(off) < MB
     # In loops the pages go only when the budget is nearly used up.
@@ -201,8 +201,9 @@ sys.stdin.readline()
 
 
 def _owner(parent: Path) -> tuple[subprocess.Popen[str], Path]:
-    process = subprocess.Popen([sys.executable, "-c", SCRATCH, parent], stdin=subprocess.PIPE,
-                               stdout=subprocess.PIPE, text=True)  # fmt: skip
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRATCH, parent], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
     return process, Path(process.stdout.readline().strip())
 
 
@@ -263,8 +264,7 @@ folder.close()
 
 
 @pytest.mark.parametrize(
-    ("event", "when"),
-    [("fcntl.flock", "made"), ("os.rename", "made"), ("os.rmdir", "closed"), ("os.remove", "closed")],
+    ("event", "when"), [("fcntl.flock", "made"), ("os.rename", "made"), ("os.rmdir", "closed"), ("os.remove", "closed")]
 )
 def test_what_was_cut_off_while_it_was_made_or_removed_goes_with_the_next(
     tmp_path: Path, event: str, when: str

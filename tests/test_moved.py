@@ -106,10 +106,12 @@ def test_old_names_work_in_a_process_of_their_own() -> None:
 @pytest.mark.parametrize(
     ("module", "old", "new"),
     [
-        ("body.build", "Delivery", "BodyOptions"), ("body.build", "deliver", "build_body"),
-        ("exporters", "Task", "ExportContext"), ("nonlinear", "Settled", "EquilibriumPath"),
+        ("body.build", "Delivery", "BodyOptions"),
+        ("body.build", "deliver", "build_body"),
+        ("exporters", "Task", "ExportContext"),
+        ("nonlinear", "Settled", "EquilibriumPath"),
     ],
-)  # fmt: skip
+)
 def test_an_old_name_warns_and_gives_the_new_one(module: str, old: str, new: str) -> None:
     holder = importlib.import_module(f"morembs.{module}")
     with pytest.warns(DeprecationWarning, match=f"morembs.{module}.{old} is now {new}"):

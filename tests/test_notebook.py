@@ -18,34 +18,58 @@ from morembs.optional import optional
 MESH = Path(__file__).parents[1] / "data" / "small_meshes" / "beam.msh"
 # The last line of each is shown; then what it has to say, in its text and in its table.
 CELLS = (
-    ("""
+    (
+        """
 import numpy as np
 import morembs as mo
 mesh = mo.read_mesh(MESH)
-mesh""", ("Mesh: nodes", "hex")),
-    ("""
+mesh""",
+        ("Mesh: nodes", "hex"),
+    ),
+    (
+        """
 model = mo.assemble(mesh, [mo.isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)])
-model""", ("FEModel: dofs", "matrices K, M")),
-    ("""
+model""",
+        ("FEModel: dofs", "matrices K, M"),
+    ),
+    (
+        """
 low, high = (np.flatnonzero(np.isclose(mesh.nodes.xyz[:, 0], f(mesh.nodes.xyz[:, 0]))) for f in (np.min, np.max))
 ends = [mo.make_interface(model, name=name, nodes=rows) for name, rows in (("left", low), ("right", high))]
-ends[0]""", ("Interface: name left", "rigid")),
-    ("""
+ends[0]""",
+        ("Interface: name left", "rigid"),
+    ),
+    (
+        """
 problem = mo.Problem(model, ends, damping=mo.Damping(modal=0.01))
-problem""", ("Problem: model", "left, right")),
-    ("""
+problem""",
+        ("Problem: model", "left, right"),
+    ),
+    (
+        """
 reduced = mo.CraigBampton(modes=8).reduce(problem)
-reduced""", ("ReducedModel: name craig-bampton; order 20", "Hz")),
-    ("""
+reduced""",
+        ("ReducedModel: name craig-bampton; order 20", "Hz"),
+    ),
+    (
+        """
 certificate, = mo.certify(problem, [reduced], [0.0, 1000.0])
-certificate""", ("Certificate: error at most", "proven")),
-    ("""
+certificate""",
+        ("Certificate: error at most", "proven"),
+    ),
+    (
+        """
 body = mo.elastic_body(problem, reduced, mo.make_part(problem), certificate=certificate)
-body""", ("ElasticBody: name craig-bampton; order 20; elastic frequencies", "at most", "Hz")),
-    ("""
+body""",
+        ("ElasticBody: name craig-bampton; order 20; elastic frequencies", "at most", "Hz"),
+    ),
+    (
+        """
 stored = mo.read_body(mo.write_body("beam.h5", [body]))
-stored.bodies["craig-bampton"]""", ("StoredBody: name craig-bampton; order 20; elastic frequencies", "at most", "Hz")),
-)  # fmt: skip
+stored.bodies["craig-bampton"]""",
+        ("StoredBody: name craig-bampton; order 20; elastic frequencies", "at most", "Hz"),
+    ),
+)
 
 
 def shown(cell: str, names: dict[str, Any]) -> Any:
@@ -171,9 +195,12 @@ def test_matrices_of_scikit_fem_are_a_model() -> None:
     component = np.empty(len(node), dtype=int)
     component[order] = np.tile(np.arange(3), len(places))
     model = morembs.FEModel(
-        K=K, M=M, nodes=morembs.Nodes(ids=np.arange(len(places)), xyz=places),
-        dofs=morembs.DofMap(node=node.ravel(), component=component), source="scikit-fem",
-    )  # fmt: skip
+        K=K,
+        M=M,
+        nodes=morembs.Nodes(ids=np.arange(len(places)), xyz=places),
+        dofs=morembs.DofMap(node=node.ravel(), component=component),
+        source="scikit-fem",
+    )
     ends = [
         morembs.make_interface(model, name=name, nodes=np.flatnonzero(np.isclose(places[:, 0], x)), coupling="average")
         for name, x in (("left", 0.0), ("right", 0.5))

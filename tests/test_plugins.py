@@ -69,16 +69,16 @@ def test_a_package_adds_a_reducer_a_solver_an_exporter_and_an_importer(place: Pa
     (tmp_path / "part.brick").write_text(deck(BEAM))
     model = tmp_path / "part.model.h5"
     steel = "young=210e3,poisson=0.3,density=7.85e-9"
-    arguments = [
-        "import", str(tmp_path / "part.brick"), "-o", str(model), "--units", "mm-t-s", "--material", steel,
-    ]  # fmt: skip
+    arguments = ["import", str(tmp_path / "part.brick"), "-o", str(model), "--units", "mm-t-s", "--material", steel]
     done = run(app, [*arguments, "--set", "dialekt=x"])
     assert done.exit_code == 2 and "did you mean 'dialect'" in done.output
     assert run(app, [*arguments, "--set", "dialect=calculix"]).exit_code == 0
     tables = {
-        "model": f'file = "{model}"\nunits = "mm-t-s"', "material": None, "reduce": REDUCE + "\ncount = 8",
+        "model": f'file = "{model}"\nunits = "mm-t-s"',
+        "material": None,
+        "reduce": REDUCE + "\ncount = 8",
         "solver": 'name = "dense"',
-    }  # fmt: skip
+    }
     (tmp_path / "job").mkdir()
     job = folder(tmp_path / "job", tables)
     done = run(app, ["reduce", str(job)])
@@ -98,10 +98,14 @@ def test_a_package_adds_a_reducer_a_solver_an_exporter_and_an_importer(place: Pa
     assert done.exit_code == 2 and "expected 1 to 12" in done.output
 
 
-@pytest.mark.parametrize(("code", "words"), [
-    ("raise RuntimeError('no licence')", "RuntimeError: no licence"), ("StaticResponses = 5", "5 is no subclass"),
-    ("", "has no attribute"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("raise RuntimeError('no licence')", "RuntimeError: no licence"),
+        ("StaticResponses = 5", "5 is no subclass"),
+        ("", "has no attribute"),
+    ],
+)
 def test_a_package_that_cannot_be_used_is_named_once(
     place: Path, tmp_path: Path, recwarn: pytest.WarningsRecorder, code: str, words: str
 ) -> None:

@@ -38,8 +38,10 @@ def test_python_example(tmp_path):
 def blocks(document):
     """Python of a page of docs."""
     text = (ROOT / "docs" / document).read_text()
-    return [block.replace("data/small_meshes", str(ROOT / "data" / "small_meshes"))
-            for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL)]  # fmt: skip
+    return [
+        block.replace("data/small_meshes", str(ROOT / "data" / "small_meshes"))
+        for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    ]
 
 
 def printed(code, folder):

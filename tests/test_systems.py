@@ -63,9 +63,13 @@ def test_commands_without_what_only_linux_has(tmp_path: Path, system: str) -> No
     # A factor on disk compares with no frequencies unless it is asked to, and warns of it.
     tables = {"solver": solver, "check": "full_modes = 10"}
     job = decks.folder(tmp_path, tables, decks.deck(decks.BEAM))
-    done = run(system, tmp_path, COMMANDS.format(
-        commands=[["reduce", job.name], ["info", "part.h5"], ["export", "part.h5", "--to", "exudyn"]], more=ARRAYS,
-    ))  # fmt: skip
+    done = run(
+        system,
+        tmp_path,
+        COMMANDS.format(
+            commands=[["reduce", job.name], ["info", "part.h5"], ["export", "part.h5", "--to", "exudyn"]], more=ARRAYS
+        ),
+    )
     assert "error" not in done and "warning" not in done, done
     assert read_body(tmp_path / "part.h5").bodies["cb"].rigid_count == 6
     assert all(f"{verb} done" in done for verb in ("reduce", "info", "export"))

@@ -50,9 +50,17 @@ def link(folder: Path, name: str = "link", *, cells: int = 3, **tables: str) -> 
 
 
 def arm(
-    folder: Path, jobs: list[Path], *, couple: str = "", turned: bool = False, swapped: bool = False, more: str = "",
-    modes: int = 6, certified: bool = True, name: str = "arm",
-) -> Path:  # fmt: skip
+    folder: Path,
+    jobs: list[Path],
+    *,
+    couple: str = "",
+    turned: bool = False,
+    swapped: bool = False,
+    more: str = "",
+    modes: int = 6,
+    certified: bool = True,
+    name: str = "arm",
+) -> Path:
     """The job of two parts one behind the other."""
     R = turn(turned)
     tables = []
@@ -119,10 +127,12 @@ CASES = {
     "springs": (SPRINGS, [SPRUNG], {}, {}),
     "ball joint with springs": (
         f"\ncomponents = [0, 1, 2]+\ncomponents = [3, 4, 5]{SPRINGS}",
-        [(*RIGID[:2], (0, 1, 2), None, None), (*SPRUNG[:2], (3, 4, 5), *SPRUNG[3:])], {}, {},
+        [(*RIGID[:2], (0, 1, 2), None, None), (*SPRUNG[:2], (3, 4, 5), *SPRUNG[3:])],
+        {},
+        {},
     ),
     "means": ("", [RIGID], {"coupling": "average"}, {"average": True}),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(
@@ -169,9 +179,10 @@ def test_the_error_against_the_unreduced_parts_is_that_of_dense_solutions(
 
 
 DAMPINGS: dict[str, list[dict[str, float]]] = {
-    "equal beta": [{"beta": 1e-6}] * 2, "unequal": [{"alpha": 300.0, "beta": 1e-6}, {"beta": 3e-6}],
+    "equal beta": [{"beta": 1e-6}] * 2,
+    "unequal": [{"alpha": 300.0, "beta": 1e-6}, {"beta": 3e-6}],
     "modal": [{"modal": 0.02}, {"modal": 0.05}],
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", DAMPINGS)
@@ -317,9 +328,9 @@ def test_beams_with_rotations_are_parts(tmp_path: Path) -> None:
     turn = Rotation.from_rotvec([0.3, 0.8, -0.5]).as_matrix()
     with morembs.Problem(model, ends) as single:
         reduced = morembs.CraigBampton(modes=4).reduce(single)
-        bodies = read_body(write_body(tmp_path / "tube.h5", [
-            morembs.elastic_body(single, reduced, morembs.make_part(single))
-        ]))  # fmt: skip
+        bodies = read_body(
+            write_body(tmp_path / "tube.h5", [morembs.elastic_body(single, reduced, morembs.make_part(single))])
+        )
         # The tubes meet at their ends B: the second goes on from there.
         place = line[6] - turn @ line[6]
         parts = [

@@ -109,5 +109,8 @@ def hdf5_items(path: Path, dice: Dice) -> str:
 
 # Files whose arrays are damaged one by one, besides their bytes.
 INSIDE: dict[str, Callable[[Path, Dice], str]] = {
-    ".npz": npz_arrays, ".mat": mat_arrays, ".h5": hdf5_items, ".med": hdf5_items
-}  # fmt: skip
+    ".npz": npz_arrays,
+    ".mat": mat_arrays,
+    ".h5": hdf5_items,
+    ".med": hdf5_items,
+}

@@ -50,9 +50,12 @@ def sums(folder: Path) -> dict[str, str]:
 def begin(folder: Path, *options: str) -> subprocess.Popen[str]:
     """A batch of the folder in a process of its own."""
     return subprocess.Popen(
-        [sys.executable, "-m", "morembs", "batch", str(folder), *options], stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-    )  # fmt: skip
+        [sys.executable, "-m", "morembs", "batch", str(folder), *options],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
 
 
 def _worker(started: Cluster) -> subprocess.Popen[bytes]:

@@ -84,8 +84,11 @@ def table(outcomes: list[Outcome]) -> str:
 
 def main() -> int:
     """The command line; 1 where something failed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.attack jobs", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.attack jobs",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int, help="the job with this number")

@@ -154,9 +154,14 @@ class Target:
             self.alone = time.perf_counter() - start
             shutil.rmtree(spare)
         with subprocess.Popen(
-            command(*self.scenario.cli), cwd=place, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-            text=True, start_new_session=True,
-        ) as process:  # fmt: skip
+            command(*self.scenario.cli),
+            cwd=place,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        ) as process:
             time.sleep(trial.instant * self.alone)
             for _ in range(1 + trial.twice):
                 with contextlib.suppress(ProcessLookupError):

@@ -17,9 +17,31 @@ Dice = random.Random
 _NUMBER = re.compile(rb"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?(?![\w.])")
 _WORD = re.compile(rb"[A-Za-z_]{3,}")
 _MARKS = b"0123456789+-.,;:=*$'\"/\\#%&<>[]{}() \t\r\0abcdeEDXYZ\x1a\x7f\x80\xc3\xff"
-_ODD = (b"nan", b"NaN", b"inf", b"-inf", b"1e400", b"1e308", b"-1e30", b"1e80", b"99999999999", b"-1", b"0", b"1e-320",
-        b"0x10", b"1_000", b"1,5", b"1.0.0", b"--1", b"1e", b"+", "\u0661".encode(), b"1d3", b"1+3",
-        b"2147483648")  # fmt: skip
+_ODD = (
+    b"nan",
+    b"NaN",
+    b"inf",
+    b"-inf",
+    b"1e400",
+    b"1e308",
+    b"-1e30",
+    b"1e80",
+    b"99999999999",
+    b"-1",
+    b"0",
+    b"1e-320",
+    b"0x10",
+    b"1_000",
+    b"1,5",
+    b"1.0.0",
+    b"--1",
+    b"1e",
+    b"+",
+    "\u0661".encode(),
+    b"1d3",
+    b"1+3",
+    b"2147483648",
+)
 
 
 def _lines(data: bytes) -> list[bytes]:
@@ -182,28 +204,47 @@ def _exchange(data: bytes, dice: Dice) -> bytes:
 
 
 _COMMON: dict[str, Callable[[bytes, Dice], bytes]] = {
-    "cut": _cut, "bytes": _bytes, "nothing": _nothing, "twice": lambda data, dice: data + data,
+    "cut": _cut,
+    "bytes": _bytes,
+    "nothing": _nothing,
+    "twice": lambda data, dice: data + data,
     "parts exchanged": _exchange,
-}  # fmt: skip
+}
 TEXT: dict[str, Callable[[bytes, Dice], bytes]] = {
     **_COMMON,
-    "cut at a line": _cut_at_line, "line swapped": _of_lines(_swap), "line doubled": _of_lines(_double),
-    "line moved": _of_lines(_move), "line deleted": _of_lines(_delete), "line added": _of_lines(_blank),
-    "lines joined": _of_lines(_join), "line split": _of_lines(_split),
-    "digit": _of_match(_NUMBER, _digit), "sign": _of_match(_NUMBER, _sign), "exponent": _of_match(_NUMBER, _exponent),
-    "odd number": _of_match(_NUMBER, lambda _, dice: dice.choice(_ODD)), "typo": _of_match(_WORD, _typo),
-    "word lost": _of_match(_WORD, lambda _, dice: b""), "separator": _field,
+    "cut at a line": _cut_at_line,
+    "line swapped": _of_lines(_swap),
+    "line doubled": _of_lines(_double),
+    "line moved": _of_lines(_move),
+    "line deleted": _of_lines(_delete),
+    "line added": _of_lines(_blank),
+    "lines joined": _of_lines(_join),
+    "line split": _of_lines(_split),
+    "digit": _of_match(_NUMBER, _digit),
+    "sign": _of_match(_NUMBER, _sign),
+    "exponent": _of_match(_NUMBER, _exponent),
+    "odd number": _of_match(_NUMBER, lambda _, dice: dice.choice(_ODD)),
+    "typo": _of_match(_WORD, _typo),
+    "word lost": _of_match(_WORD, lambda _, dice: b""),
+    "separator": _field,
     "line ends": lambda data, dice: data.replace(b"\n", dice.choice((b"\r\n", b"\r", b"\n\r", b"\r\r\n"))),
-    "not UTF-8": _insert(b"\xff", b"\xc3\x28", b"\xe4", b"\x80\x80"), "NUL": _insert(b"\0", b"\0\0\0\0"),
+    "not UTF-8": _insert(b"\xff", b"\xc3\x28", b"\xe4", b"\x80\x80"),
+    "NUL": _insert(b"\0", b"\0\0\0\0"),
     "UTF-16": lambda data, dice: data.decode("latin-1").encode(dice.choice(("utf-16", "utf-16-le", "utf-32"))),
     "byte order mark": lambda data, dice: b"\xef\xbb\xbf" + data,
     "no last line end": lambda data, dice: data.rstrip(b"\r\n"),
-    "tabs": lambda data, dice: data.replace(b" ", b"\t"), "upper case": lambda data, dice: data.upper(),
-}  # fmt: skip
+    "tabs": lambda data, dice: data.replace(b" ", b"\t"),
+    "upper case": lambda data, dice: data.upper(),
+}
 BINARY: dict[str, Callable[[bytes, Dice], bytes]] = {
-    **_COMMON, "bit": _bit, "filled": _fill, "removed": _remove, "head": _head, "integer": _integer,
+    **_COMMON,
+    "bit": _bit,
+    "filled": _fill,
+    "removed": _remove,
+    "head": _head,
+    "integer": _integer,
     "inserted": _insert(b"\0", b"\xff\xff\xff\xff", b"0000", b"\r\n"),
-}  # fmt: skip
+}
 
 
 _OTHER_NUMBER = "another number in its place is as valid as the one before"
@@ -213,26 +254,69 @@ _OTHER_NAME = "a name or an option that is free to be chosen, or text that is a 
 # Kind of damage -> why a reader may take it without a word.
 REASONS: dict[str, str] = {
     **dict.fromkeys(
-        ("digit", "sign", "exponent", "odd number", "bit", "filled", "integer", "bytes", "head", "array value small",
-         "array value huge", "array scalar", "array kind", "array reversed", "array transposed", "array other's"),
+        (
+            "digit",
+            "sign",
+            "exponent",
+            "odd number",
+            "bit",
+            "filled",
+            "integer",
+            "bytes",
+            "head",
+            "array value small",
+            "array value huge",
+            "array scalar",
+            "array kind",
+            "array reversed",
+            "array transposed",
+            "array other's",
+        ),
         _OTHER_NUMBER,
     ),
     **dict.fromkeys(
-        ("cut at a line", "line deleted", "cut", "nothing", "removed", "array lost", "array group lost",
-         "array renamed", "line doubled", "line added"), _NO_COUNT,
+        (
+            "cut at a line",
+            "line deleted",
+            "cut",
+            "nothing",
+            "removed",
+            "array lost",
+            "array group lost",
+            "array renamed",
+            "line doubled",
+            "line added",
+        ),
+        _NO_COUNT,
     ),
     **dict.fromkeys(
         ("line swapped", "line moved", "parts exchanged", "lines joined", "line split", "separator"), _OTHER_ORDER
     ),
     **dict.fromkeys(("typo", "word lost", "upper case"), _OTHER_NAME),
-}  # fmt: skip
+}
 
 
 # Formats that announce how much there is, so that no part of them may be missing or there twice without a word.
-COUNTED = frozenset((
-    "msh", "vtk", "vtu", "mesh", "xdmf", "med", "matrix-market", "op4", "ansys-full", "npz", "matlab", "hdf5", "exudyn",
-    "native", "body", "gmp",
-))  # fmt: skip
+COUNTED = frozenset(
+    (
+        "msh",
+        "vtk",
+        "vtu",
+        "mesh",
+        "xdmf",
+        "med",
+        "matrix-market",
+        "op4",
+        "ansys-full",
+        "npz",
+        "matlab",
+        "hdf5",
+        "exudyn",
+        "native",
+        "body",
+        "gmp",
+    )
+)
 
 
 def reason(kind: str, format: str) -> str | None:

@@ -7,9 +7,17 @@ import importlib
 import pkgutil
 
 MODULES = (
-    "h5py", "matplotlib.backends.backend_agg", "matplotlib.pyplot", "meshio", "scipy.io", "morembs.cli.commands",
-    "morembs.gmp.stored", "morembs.nonlinear", "rich.table", "casadi",
-)  # fmt: skip
+    "h5py",
+    "matplotlib.backends.backend_agg",
+    "matplotlib.pyplot",
+    "meshio",
+    "scipy.io",
+    "morembs.cli.commands",
+    "morembs.gmp.stored",
+    "morembs.nonlinear",
+    "rich.table",
+    "casadi",
+)
 
 
 def everything() -> None:

@@ -42,14 +42,26 @@ def killed(settings: Settings, count: int, seed: int, kinds: Sequence[str], only
     examples: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
     for outcome in until_stopped(kill.attacks(settings.folder, count=count, seed=seed, kinds=kinds, only=only)):
         row = rows[outcome.trial.kind]
-        row.update(runs=1, whole=outcome.trial.whole, ended=outcome.ended_before, left=outcome.left > 0,
-                   failed=bool(outcome.failures), **{outcome.trial.signal.name: 1})  # fmt: skip
+        row.update(
+            runs=1,
+            whole=outcome.trial.whole,
+            ended=outcome.ended_before,
+            left=outcome.left > 0,
+            failed=bool(outcome.failures),
+            **{outcome.trial.signal.name: 1},
+        )
         for failure, words in outcome.failures:
             repeat = again("kill", outcome.trial.kind, seed, outcome.trial.number)
             examples[failure, outcome.trial.kind].append((f"{outcome.trial}: {words}", repeat))
     table = Report("attack-kill", settings, rows={kind: dict(row) for kind, row in rows.items()})
-    columns = (("runs", "runs"), *((column.name, column.name) for column in kill.SIGNALS), ("whole", "whole processes"),
-               ("ended", "ended before"), ("left", "left files for a moment"), ("failed", "failed"))  # fmt: skip
+    columns = (
+        ("runs", "runs"),
+        *((column.name, column.name) for column in kill.SIGNALS),
+        ("whole", "whole processes"),
+        ("ended", "ended before"),
+        ("left", "left files for a moment"),
+        ("failed", "failed"),
+    )
     table.rows["all"] = {key: sum(row[key] for row in rows.values()) for key, _ in columns}
     table.table(f"kill: seed {seed}, {time.perf_counter() - start:.0f} s", [(k, h, "n") for k, h in columns])
     table.rows["all"]["seed"] = seed

@@ -15,7 +15,7 @@ from benchmarks.attack.forked import program
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
-from tests.support import decks  # noqa: E402  (the tests' own tiny decks and jobs)
+from tests.support import decks  # noqa: E402
 
 # A part that takes some tenths of a second.
 PART = tuple(itertools.product(range(6), range(1), range(1)))
@@ -62,11 +62,7 @@ def _jobs(tables: Mapping[str, Mapping[str, str]]) -> Callable[[Path], None]:
     return inputs
 
 
-CERTIFIED = {
-    "certify": "band_hz = [0, 4000]\npoints = 3",
-    "reduce2": 'name = "guyan"\nmethod = "guyan"',
-    "stress": "",
-}
+CERTIFIED = {"certify": "band_hz = [0, 4000]\npoints = 3", "reduce2": 'name = "guyan"\nmethod = "guyan"', "stress": ""}
 DRAWN = {**CERTIFIED, "picture": '\npicture = "drawn.png"'}
 
 
@@ -130,20 +126,35 @@ SCENARIOS: dict[str, Scenario] = {
     "recover": _verb(_motion, ("motion.vtkhdf",), "recover", "body.h5", "motion.csv", "-o", "motion.vtkhdf"),
     "info": _verb(_body, (), "info", "body.h5"),
     "batch": _verb(
-        _jobs({"a": {}, "b": {"stress": ""}, "c": {"reduce": 'method = "guyan"'}}), ("a.h5", "b.h5", "c.h5"), "reduce",
-        "a.toml", "b.toml", "c.toml",
+        _jobs({"a": {}, "b": {"stress": ""}, "c": {"reduce": 'method = "guyan"'}}),
+        ("a.h5", "b.h5", "c.h5"),
+        "reduce",
+        "a.toml",
+        "b.toml",
+        "c.toml",
     ),
     "beside": replace(
         _verb(
-            _jobs({"a": {}, "b": {"stress": ""}, "c": {"reduce": 'method = "guyan"'}}), ("a.h5", "b.h5", "c.h5"),
-            "batch", "a.toml", "b.toml", "c.toml",
-        ), checkpoint="batch.manifest",
+            _jobs({"a": {}, "b": {"stress": ""}, "c": {"reduce": 'method = "guyan"'}}),
+            ("a.h5", "b.h5", "c.h5"),
+            "batch",
+            "a.toml",
+            "b.toml",
+            "c.toml",
+        ),
+        checkpoint="batch.manifest",
     ),
     "out-of-core": _verb(_spilled, ("big.h5",), "reduce", "big.toml", "-q"),
     "gmp": Scenario(_nothing, offline(1), ("member.h5",), "kept.h5", library=True),
     "gmp-crew": Scenario(_nothing, offline(2), ("member.h5",), "kept.h5", library=True),
-}  # fmt: skip
+}
 # Parts of all trials; the other kinds share what is left.
 SHARES = {
-    "out-of-core": 0.1, "batch": 0.1, "gmp": 0.07, "gmp-crew": 0.03, "draw": 0.05, "compare": 0.05, "beside": 0.02,
-}  # fmt: skip
+    "out-of-core": 0.1,
+    "batch": 0.1,
+    "gmp": 0.07,
+    "gmp-crew": 0.03,
+    "draw": 0.05,
+    "compare": 0.05,
+    "beside": 0.02,
+}

@@ -83,8 +83,10 @@ class _Workshop:
         for form in ("small", "large", "free"):
             nastran.append(grids + mesh_decks.nastran_mesh(hexes, form) + "ENDDATA\n")
         nastran += [nastran_decks.WEIGHTED + ",UM,600,123,10,1,20,23\n", nastran_decks.TIED]
-        archives = [mesh_decks.ansys_archive(hexes, form=form, plain=plain) for form, plain in
-                    (("(3i9,6e21.13e3)", False), ("(3i8,6e20.13)", True))]  # fmt: skip
+        archives = [
+            mesh_decks.ansys_archive(hexes, form=form, plain=plain)
+            for form, plain in (("(3i9,6e21.13e3)", False), ("(3i8,6e20.13)", True))
+        ]
         universal = [universal_files.universal(mesh, old=old) for mesh, old in ((hexes, False), (tets, True))]
         seeds = {
             "unv": [_imported({"part.unv": text.encode()}, "part.unv", "--material", STEEL) for text in universal],
@@ -110,9 +112,13 @@ class _Workshop:
         plain = meshio.Mesh(mesh.nodes.xyz, [("hexahedron", mesh.blocks[0].nodes)])
         seeds: dict[str, list[Seed]] = {}
         formats: list[tuple[str, str, dict[str, Any]]] = [
-            ("msh", "gmsh", {"binary": False}), ("msh", "gmsh22", {"binary": False}), ("msh", "gmsh", {"binary": True}),
-            ("vtk", "vtk", {"binary": False}), ("vtu", "vtu", {}), ("mesh", "medit", {}),
-        ]  # fmt: skip
+            ("msh", "gmsh", {"binary": False}),
+            ("msh", "gmsh22", {"binary": False}),
+            ("msh", "gmsh", {"binary": True}),
+            ("vtk", "vtk", {"binary": False}),
+            ("vtu", "vtu", {}),
+            ("mesh", "medit", {}),
+        ]
         for ending, form, options in formats:
             name = f"part.{ending}"
             data = self.written(name, lambda path, f=form, o=options: meshio.write(path, plain, f, **o))
@@ -151,8 +157,11 @@ class _Workshop:
         symmetric = {"rows": labels, "columns": labels, "form": 6}
         dmig = {name: DmigMatrix(matrix=A, **symmetric) for name, A in (("KAAX", K), ("MAAX", M))}
         rows = "node,dof\n" + "".join(f"{a},{b}\n" for a, b in labels)
-        calculix = {"job.sti": upper(K), "job.mas": upper(M),
-                    "job.dof": "".join(f"{a}.{b}\n" for a, b in labels).encode()}  # fmt: skip
+        calculix = {
+            "job.sti": upper(K),
+            "job.mas": upper(M),
+            "job.dof": "".join(f"{a}.{b}\n" for a, b in labels).encode(),
+        }
         deck = mesh_decks.abaqus_mesh(self.model.mesh).encode()
 
         def labelled(files: Files, *arguments: str) -> Seed:
@@ -162,17 +171,26 @@ class _Workshop:
         packed = {"k.mtx.gz": gzip.compress(both["k.mtx"], mtime=0), "m.mtx": both["m.mtx"]}
         named = [{"binary": True}, {"binary": False}, {"binary": True, "sparse": "dense", "bits": 64}]
         seeds = {
-            "matrix-market": [
-                _imported(both, *two), _imported(packed, "--stiffness", "k.mtx.gz", "--mass", "m.mtx"),
+            "matrix-market": [_imported(both, *two), _imported(packed, "--stiffness", "k.mtx.gz", "--mass", "m.mtx")],
+            "dofs": [
+                _imported(
+                    {**both, "n.inp": deck, "d.csv": rows.encode()},
+                    *two,
+                    "--nodes",
+                    "n.inp",
+                    "--dofs",
+                    "d.csv",
+                    targets=("d.csv",),
+                )
             ],
-            "dofs": [_imported({**both, "n.inp": deck, "d.csv": rows.encode()}, *two, "--nodes", "n.inp", "--dofs",
-                               "d.csv", targets=("d.csv",))],
             "abaqus-matrix": [labelled({"k.mtx": abaqus(K), "m.mtx": abaqus(M)}, *two)],
             "calculix-matrix": [labelled(calculix, "job.sti")],
-            "op4": [_imported({"a.op4": self.written("a.op4", lambda p, o=o: write_op4(p, self.names, **o))}, "a.op4")
-                    for o in named],
+            "op4": [
+                _imported({"a.op4": self.written("a.op4", lambda p, o=o: write_op4(p, self.names, **o))}, "a.op4")
+                for o in named
+            ],
             "dmig": [labelled({"a.pch": self.written("a.pch", lambda path: write_dmig(path, dmig))}, "a.pch")],
-        }  # fmt: skip
+        }
         return seeds
 
     def ansys(self) -> dict[str, list[Seed]]:
@@ -189,8 +207,9 @@ class _Workshop:
         files = {
             "K": self.written("K", lambda path: ansys_files.boeing(path, self.model.K)),
             "M": self.written("M", lambda path: ansys_files.market(path, self.model.M)),
-            "K.mapping": mapping.encode(), "n.lis": nodes,
-        }  # fmt: skip
+            "K.mapping": mapping.encode(),
+            "n.lis": nodes,
+        }
         options = ("--set", "mass=M", "--set", "mapping=K.mapping", "--set", "nodes=n.lis")
         return {
             "ansys-full": [_imported({"a.full": full, "n.lis": nodes}, "a.full", "--set", "nodes=n.lis")],
@@ -231,20 +250,29 @@ class _Workshop:
         system = from_matrices(K, M, D=1e-5 * K, B=B, C=C, names={"B": ["drive", "brake"], "C": ["path"]})
         named = ("--set", "B=B", "--set", "C=C", "--set", "B_names=drive,brake")
         return {
-            "npz": [imported("a.npz", lambda path: np.savez(path, **dense)),
-                    _imported(archives, "--stiffness", "k.npz", "--mass", "m.npz")],
+            "npz": [
+                imported("a.npz", lambda path: np.savez(path, **dense)),
+                _imported(archives, "--stiffness", "k.npz", "--mass", "m.npz"),
+            ],
             "matlab": [imported("a.mat", saved(**options)) for options in versions],
-            "hdf5": [imported("a.h5", groups)], "exudyn": [imported("fem.h5", exudyn, "--format", "exudyn")],
+            "hdf5": [imported("a.h5", groups)],
+            "exudyn": [imported("fem.h5", exudyn, "--format", "exudyn")],
             "native": [imported("a.model.h5", lambda path: write_model(path, self.model))],
-            "inputs": [imported("a.model.h5", lambda path: write_model(path, system)),
-                       imported("a.mat", lambda path: scipy.io.savemat(path, {**dense, "B": B, "C": C}), *named)],
-        }  # fmt: skip
+            "inputs": [
+                imported("a.model.h5", lambda path: write_model(path, system)),
+                imported("a.mat", lambda path: scipy.io.savemat(path, {**dense, "B": B, "C": C}), *named),
+            ],
+        }
 
     def bodies(self) -> dict[str, list[Seed]]:
         """Job files, body files, motions."""
         deck = decks.deck(tuple(itertools.product(range(3), range(1), range(1)))).encode()
-        more = {"certify": "band_hz = [0, 20000]\npoints = 3", "stress": "", "damping": "modal = 0.02",
-                "reduce2": 'name = "guyan"\nmethod = "guyan"'}  # fmt: skip
+        more = {
+            "certify": "band_hz = [0, 20000]\npoints = 3",
+            "stress": "",
+            "damping": "modal = 0.02",
+            "reduce2": 'name = "guyan"\nmethod = "guyan"',
+        }
         texts = [decks.job(), decks.job(more)]
         reduce = program(["reduce", "job.toml", "--json"])
         jobs = [Seed({"job.toml": text.encode(), "part.inp": deck}, ("job.toml",), reduce, "part.h5") for text in texts]
@@ -277,12 +305,23 @@ class _Workshop:
             "body": [
                 verb("info", "part.h5", "--json", output=None, files={"part.h5": body}, target="part.h5"),
                 verb(*exported, "op4", "-o", "out.op4", output="out.op4", files={"part.h5": body}, target="part.h5"),
-                verb(*exported, "sid", "-o", "out.SID_FEM", output="out.SID_FEM", files={"part.h5": body},
-                     target="part.h5"),
-                verb(*recover["m.csv"], output="out.vtkhdf", files={"part.h5": body, "m.csv": motions["m.csv"]},
-                     target="part.h5"),
+                verb(
+                    *exported,
+                    "sid",
+                    "-o",
+                    "out.SID_FEM",
+                    output="out.SID_FEM",
+                    files={"part.h5": body},
+                    target="part.h5",
+                ),
+                verb(
+                    *recover["m.csv"],
+                    output="out.vtkhdf",
+                    files={"part.h5": body, "m.csv": motions["m.csv"]},
+                    target="part.h5",
+                ),
             ],
-        }  # fmt: skip
+        }
 
     def gmp(self) -> dict[str, list[Seed]]:
         """Members with large deflections, and the checkpoint of their offline stage."""

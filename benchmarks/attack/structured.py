@@ -25,6 +25,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.certificate.certify import certify
 from morembs.errors import MorembsError
 from morembs.interface import make_interface
@@ -34,7 +35,6 @@ from morembs.reducers import AutoReducer, CraigBampton, Modal
 from morembs.reducers.base import ReducedModel
 from morembs.responses.certified import FLOOR
 
-Floats = NDArray[np.float64]
 Long = NDArray[np.longdouble]
 EPS = float(np.finfo(float).eps)
 DECADES = 12
@@ -64,9 +64,11 @@ class Case:
     def model(self) -> FEModel:
         """What the program gets."""
         return FEModel(
-            K=sp.csr_array(self.K.astype(float)), M=sp.csr_array(self.M), dofs=self.dofs,
+            K=sp.csr_array(self.K.astype(float)),
+            M=sp.csr_array(self.M),
+            dofs=self.dofs,
             nodes=Nodes(ids=np.arange(1, len(self.xyz) + 1), xyz=self.xyz),
-        )  # fmt: skip
+        )
 
 
 def random_case(rng: np.random.Generator, largest: int = 200) -> Case:
@@ -288,7 +290,7 @@ def _jacobi(T: Long) -> Long:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """"right", "refused" or "wrong", and why; ``error`` is the largest relative one, ``allowed`` its limit."""
+    """ "right", "refused" or "wrong", and why; ``error`` is the largest relative one, ``allowed`` its limit."""
 
     kind: str
     words: str
@@ -332,8 +334,9 @@ def check(case: Case, rng: np.random.Generator, *, automatic: bool) -> Verdict:
             worst = max(worst, float(off.max()))
             if not (off <= limit).all():
                 k = int(np.argmax(off / limit))
-                return Verdict(kind="wrong", error=worst,
-                               words=f"{body.name}: mode {k} off by {off[k]:.1e}, limit {limit[k]:.1e}")  # fmt: skip
+                return Verdict(
+                    kind="wrong", error=worst, words=f"{body.name}: mode {k} off by {off[k]:.1e}, limit {limit[k]:.1e}"
+                )
         if body.recipe["method"] == "modal":
             continue
         reduced = _responses(body.K, body.M, body.B, body.C, omega)
@@ -342,8 +345,9 @@ def check(case: Case, rng: np.random.Generator, *, automatic: bool) -> Verdict:
         worst = max(worst, float(off.max()))
         if not (off <= limit).all():
             k = int(np.argmax(off / limit))
-            return Verdict(kind="wrong", error=worst,
-                           words=f"{body.name}: H off by {off[k]:.1e} at {k}, limit {limit[k]:.1e}")  # fmt: skip
+            return Verdict(
+                kind="wrong", error=worst, words=f"{body.name}: H off by {off[k]:.1e} at {k}, limit {limit[k]:.1e}"
+            )
     return Verdict(kind="right", words="", error=worst)
 
 

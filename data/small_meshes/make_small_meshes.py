@@ -73,9 +73,7 @@ def finish(gmsh: Any, output: Path) -> None:
     report(output, summary)
 
 
-def grid_block(
-    gmsh: Any, size: tuple[float, float, float], cells: tuple[int, int, int], recombine: bool
-) -> None:
+def grid_block(gmsh: Any, size: tuple[float, float, float], cells: tuple[int, int, int], recombine: bool) -> None:
     """A box with one corner at the origin, meshed along its edges; with hexahedra if `recombine`."""
     geo = gmsh.model.geo
     line = geo.extrude([(0, geo.addPoint(0, 0, 0))], size[0], 0, 0, [cells[0]])[1]
@@ -148,10 +146,7 @@ def bracket(output: Path) -> None:
         gmsh.option.setNumber("Mesh.SaveGroupsOfNodes", -100)
         draw_bracket(gmsh)
         bore = inside(gmsh, 2, (-10.0, 0.0, 20.0, 10.0, 10.0, 40.0))
-        groups = {
-            "FOOT": (2, inside(gmsh, 2, (-20.0, 0.0, 0.0, 20.0, 50.0, 0.0))),
-            "TIP": (2, bore),
-        }
+        groups = {"FOOT": (2, inside(gmsh, 2, (-20.0, 0.0, 0.0, 20.0, 50.0, 0.0))), "TIP": (2, bore)}
         name_groups(gmsh, groups)
         finish(gmsh, output)
     if output.suffix == ".inp":

@@ -39,7 +39,7 @@ rows = [f"{label},0,0,{dz!r}" for label, dz in zip(mesh.nodes.ids.tolist(), long
 
 (folder / "bracket.toml").write_text(f"""
 [model]
-mesh = "{Path('../../data/small_meshes/bracket.inp').resolve()}"
+mesh = "{Path("../../data/small_meshes/bracket.inp").resolve()}"
 units = "mm-t-s"
 [[material]]
 young = 2.1e5
@@ -93,7 +93,8 @@ print(f"first frequency {at.frequencies_hz[0]:.2f} Hz, {slopes['t'][0]:.1f} Hz p
 
 moved = np.column_stack([0 * longer, 0 * longer, 2e-3 * longer])
 there = morembs.Mesh(
-    nodes=morembs.Nodes(ids=mesh.nodes.ids, xyz=mesh.nodes.xyz + moved, sets=mesh.nodes.sets), blocks=mesh.blocks,
+    nodes=morembs.Nodes(ids=mesh.nodes.ids, xyz=mesh.nodes.xyz + moved, sets=mesh.nodes.sets),
+    blocks=mesh.blocks,
     element_sets=mesh.element_sets,
 )
 steel = {"poisson": 0.3, "density": 7850.0}

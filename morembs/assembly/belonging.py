@@ -6,15 +6,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.assembly.parts import Substructure
+from morembs.base.types import Floats
 from morembs.body.stored import StoredBody
 from morembs.errors import InputError
 from morembs.interface.base import Elimination
 from morembs.problem import Problem
 
-Floats = NDArray[np.float64]
 MEND = "run the job that made the body again, or name that job"
 # Parts by which mass and places, and products of reduced matrices, may differ.
 SAME, ALIKE = 1e-8, 1e-5
@@ -108,8 +107,9 @@ def refuse_other_matrices(part: Substructure, body: StoredBody, problem: Problem
     damped = problem.damping.matrix(body.mass_matrix, body.stiffness_matrix, rigid)
     products: dict[str, tuple[Any, Floats, Floats]] = {
         "stiffness": (problem.K, body.stiffness_matrix, np.zeros((n, n))),
-        "mass": (problem.M, body.mass_matrix, np.zeros((n, n))), "damping": (problem.D, body.damping_matrix, damped),
-    }  # fmt: skip
+        "mass": (problem.M, body.mass_matrix, np.zeros((n, n))),
+        "damping": (problem.D, body.damping_matrix, damped),
+    }
     x = np.random.default_rng(7).standard_normal((n, 2))
     for name, (A, stored, more) in products.items():
         scale = _scale(stored)

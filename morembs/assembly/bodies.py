@@ -77,7 +77,7 @@ def assemble_bodies(
     own = {item.name: getattr(model, item.name) for item in fields(FEModel)} | {
         "warnings": (*model.warnings, *told, *([REDUCED] if without else []), TURNING),
         "notes": (f"{len(parts)} bodies, {len(couples)} couplings",),
-    }  # fmt: skip
+    }
     owner = np.repeat(np.arange(len(placed)), [len(part.xyz) for part in placed])
     free = _joints(placed, couples).free_motions(owner)
     return AssembledModel(**own, parts=tuple(parts), couples=tuple(couples), free_motions=tuple(free))
@@ -96,7 +96,13 @@ def joined(placed: Sequence[Placed], couples: Sequence[Couple], name: str) -> FE
     K, M, D = (sp.block_diag([part.matrices[key] for part in placed], "csr") for key in ("K", "M", "D"))
     K, D = K + joints.springs("stiffness"), D + joints.springs("damping")
     model = FEModel(
-        K=K, M=M, D=D if D.nnz else None, nodes=nodes, dofs=dofs, source=name, equations=tuple(joints.equations()),
+        K=K,
+        M=M,
+        D=D if D.nnz else None,
+        nodes=nodes,
+        dofs=dofs,
+        source=name,
+        equations=tuple(joints.equations()),
         warnings=tuple(joints.warnings),
     )
     model = replace(model, dependent=_dependent(model, placed))
@@ -109,8 +115,9 @@ def _joints(placed: Sequence[Placed], couples: Sequence[Couple]) -> Joints:
     xyz = np.vstack([part.xyz for part in placed])
     sets = {
         f"{part.name}:{key}": rows + first
-        for part, first in zip(placed, ends.tolist(), strict=False) for key, rows in part.sets.items()
-    }  # fmt: skip
+        for part, first in zip(placed, ends.tolist(), strict=False)
+        for key, rows in part.sets.items()
+    }
     nodes = Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz, sets=sets)
     dofs = DofMap(
         node=np.concatenate([part.node + first for part, first in zip(placed, ends, strict=False)]),
@@ -143,10 +150,14 @@ def _dependent(model: FEModel, placed: Sequence[Placed]) -> DependentDofs | None
     if known is None:
         known = DependentDofs(S=sp.eye_array(model.size, format="csr"), owner=np.full(model.size, -1), names=())
     seen = np.concatenate([np.repeat([False, True], part.basis.T.shape) for part in placed])
-    shapes = sp.block_diag([
-        sp.block_array([[sp.csr_array((n, n)), None], [part.basis, sp.csr_array((rows, rows))]])
-        for part in placed for rows, n in [part.basis.shape]
-    ], "csr")  # fmt: skip
+    shapes = sp.block_diag(
+        [
+            sp.block_array([[sp.csr_array((n, n)), None], [part.basis, sp.csr_array((rows, rows))]])
+            for part in placed
+            for rows, n in [part.basis.shape]
+        ],
+        "csr",
+    )
     S = sp.csr_array((sp.diags_array((~seen).astype(float)) + shapes) @ known.S)
     S.eliminate_zeros()
     owner = np.where(seen, len(known.names), known.owner)

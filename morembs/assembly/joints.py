@@ -11,15 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError, nearest
 from morembs.model import DofMap, Nodes, rigid_motion
 from morembs.model.constraints import Equations
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Distance of two interfaces that are coupled, and that which is round-off, as parts of the size of the assembly.
 APART, TOGETHER = 1e-6, 1e-13
 ALL = (0, 1, 2, 3, 4, 5)
@@ -147,12 +145,15 @@ class Joints:
             terms = np.array([term for row in led.values() for term in row], dtype=np.int64)
             equations.append(
                 Equations(
-                    name=" - ".join(couple.between), nodes=self.dofs.node[dofs], components=self.dofs.component[dofs],
-                    offsets=np.cumsum([0, *(len(row) for row in led.values())]), term_nodes=self.dofs.node[terms],
+                    name=" - ".join(couple.between),
+                    nodes=self.dofs.node[dofs],
+                    components=self.dofs.component[dofs],
+                    offsets=np.cumsum([0, *(len(row) for row in led.values())]),
+                    term_nodes=self.dofs.node[terms],
                     term_components=self.dofs.component[terms],
                     coefficients=np.array([value for row in led.values() for value in row.values()]),
                 )
-            )  # fmt: skip
+            )
         return equations
 
     def free_motions(self, part: Ints) -> list[str]:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from morembs.base.types import Floats, Ints
 from morembs.body.stored import StoredBodies, StoredBody, choose_body
 from morembs.errors import InputError
 from morembs.exporters.ports import ports_of_file
@@ -17,8 +18,6 @@ from morembs.linalg.columns import symmetric
 from morembs.model.fe_model import SCALAR, rigid_motion
 from morembs.problem import STRUCTURAL, Problem
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Force of rigid motion, part of what cancels in it and of the largest entry, that is round-off of a reduction.
 STRAINED, NOTHING = 1e-6, 1e-10
 SIX = 6
@@ -103,12 +102,20 @@ class PlacedBody(Placed):
             ready["K"] = sp.csr_array(free @ ready["K"] @ free)
         seen = np.arange(len(inside) - len(shown), len(inside))
         return cls(
-            name=part.name, matrices=ready, xyz=xyz, node=np.concatenate([node, np.repeat(seen, 3)]),
+            name=part.name,
+            matrices=ready,
+            xyz=xyz,
+            node=np.concatenate([node, np.repeat(seen, 3)]),
             component=np.concatenate([component, np.tile([0, 1, 2], len(seen))]),
             sets={name: np.array([k for k, key in enumerate(keys) if key[0] == name]) for name in source.interfaces},
-            basis=(turn @ basis).reshape(-1, n), body=body, turn=turn, place=place, coordinates=T, inputs=m,
+            basis=(turn @ basis).reshape(-1, n),
+            body=body,
+            turn=turn,
+            place=place,
+            coordinates=T,
+            inputs=m,
             shown=source.node_ids[shown],
-        )  # fmt: skip
+        )
 
 
 def _rotation(part: Substructure) -> Floats:

@@ -15,11 +15,11 @@ from itertools import accumulate
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from morembs.assembly.belonging import basis_of, eliminations, refuse_other_matrices
 from morembs.assembly.bodies import AssembledModel, joined
 from morembs.assembly.parts import Placed, PlacedBody, Substructure
+from morembs.base.types import Floats, Ints
 from morembs.body.stored import StoredBody
 from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, enough_megabytes
@@ -29,8 +29,6 @@ from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 from morembs.responses.direct import why_no_response
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Dofs of a part up to which its damping may be a full matrix.
 WHOLE = 2000
 # Matrices of a part that exist at once, and bytes of an entry.
@@ -77,14 +75,16 @@ class Unreduced(Closing):
         if reason:
             raise InputError(f"the unreduced parts have a damping matrix; {reason}")
         firsts = [0, *accumulate(len(part.placed.xyz) for part in self._parts)]
-        own = np.concatenate([
-            first + np.arange(len(body.xyz)) for first, body in zip(firsts, placed, strict=False)
-        ])  # fmt: skip
+        own = np.concatenate([first + np.arange(len(body.xyz)) for first, body in zip(firsts, placed, strict=False)])
         self.problem = Problem(
-            whole, [replace(interface, nodes=own[interface.nodes]) for interface in given.interfaces],
-            solver=given.solver, damping=given.damping, budget=given.budget, progress=given.progress,
+            whole,
+            [replace(interface, nodes=own[interface.nodes]) for interface in given.interfaces],
+            solver=given.solver,
+            damping=given.damping,
+            budget=given.budget,
+            progress=given.progress,
             workers=given.workers,
-        )  # fmt: skip
+        )
 
     @property
     def note(self) -> str:
@@ -135,17 +135,21 @@ class _Full:
         kept = coupling.kept[rest[rest < len(coupling.kept)]]
         others = np.delete(np.arange(len(raw)), kept)
         places = np.concatenate([len(chosen) + np.arange(len(kept)), len(node) + np.arange(len(others))])
-        pick = sp.csr_array((np.ones(len(raw)), (places, np.concatenate([kept, others]))),
-                            shape=(len(node) + len(others), len(raw)))  # fmt: skip
+        pick = sp.csr_array(
+            (np.ones(len(raw)), (places, np.concatenate([kept, others]))), shape=(len(node) + len(others), len(raw))
+        )
         pick = sp.csr_array(pick @ Q_raw)
         matrices = {name: _symmetric(pick @ getattr(problem.model, name) @ pick.T) for name in ("K", "M")}
         xyz, at = _nodes(problem, body)
         placed = Placed(
-            name=part.name, matrices=matrices | {"D": _damping(part.name, problem, pick, C)}, xyz=xyz, sets=body.sets,
+            name=part.name,
+            matrices=matrices | {"D": _damping(part.name, problem, pick, C)},
+            xyz=xyz,
+            sets=body.sets,
             node=np.concatenate([body.node[: body.inputs], at[node[rest]], at[raw.node[others]]]),
             component=np.concatenate([body.component[: body.inputs], component[rest], raw.component[others]]),
             basis=sp.csr_array((Q_raw @ coupling.T @ C)[others]),
-        )  # fmt: skip
+        )
         return cls(placed=placed, body=body, V=V, turned=Q, rest=rest)
 
     def motions(self, u: Floats) -> Floats:

@@ -139,9 +139,12 @@ def _room(probes: Mapping[str, str], dask_worker: Any) -> dict[str, Any]:
 
     answers = {path: answer(Path(path), text) for path, text in probes.items()}
     return {
-        "version": VERSION, "host": platform.node(), "memory": psutil.virtual_memory().total, "answers": answers,
+        "version": VERSION,
+        "host": platform.node(),
+        "memory": psutil.virtual_memory().total,
+        "answers": answers,
         "limit": dask_worker.memory_manager.memory_limit,
-    }  # fmt: skip
+    }
 
 
 async def _declare(size: float, cores: int, dask_worker: Any) -> None:

@@ -76,10 +76,16 @@ class Children(Closing):
         # A signal that came between would leave a process that nobody ends.
         with stopping.whole_step():
             process = subprocess.Popen(
-                [*self._program, *task.arguments, "--json", "--attached"], text=True, encoding="utf-8",
-                errors="replace", stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                env={**os.environ, **dict.fromkeys(_THREADS, str(task.threads))}, **apart,
-            )  # fmt: skip
+                [*self._program, *task.arguments, "--json", "--attached"],
+                text=True,
+                encoding="utf-8",
+                errors="replace",
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                env={**os.environ, **dict.fromkeys(_THREADS, str(task.threads))},
+                **apart,
+            )
             child = _Child(task, process, time.monotonic())
             self._children.append(child)
             Thread(target=self._listen, args=(child,), daemon=True).start()
@@ -133,7 +139,7 @@ class Children(Closing):
 def _wait(process: subprocess.Popen[str]) -> int:
     """Peak memory in bytes of a process that has ended, as the system counts it, 0 where that does not say it."""
     try:
-        import resource  # noqa: F401  (what wait4 gives its counts in)
+        import resource  # noqa: F401
     except ImportError:
         process.wait()
         return 0
@@ -168,10 +174,13 @@ def _send(process: subprocess.Popen[str], number: signal.Signals) -> None:
 def _finished(child: _Child, printed: str) -> Finished:
     code = child.process.returncode
     return Finished(
-        number=child.task.number, code=code, printed=printed,
-        message=_last_words(child.lines) or _how_it_ended(code), seconds=time.monotonic() - child.begun,
+        number=child.task.number,
+        code=code,
+        printed=printed,
+        message=_last_words(child.lines) or _how_it_ended(code),
+        seconds=time.monotonic() - child.begun,
         peak_memory_bytes=child.peak,
-    )  # fmt: skip
+    )
 
 
 def _last_words(lines: Sequence[str]) -> str:

@@ -93,9 +93,15 @@ class DaskWorkers(Closing):
     limits = True
 
     def __init__(
-        self, client: Any, folders: Iterable[Path], tell: Callable[[str], None], *, own: bool = False,
-        cluster: Any = None, place: Place | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        client: Any,
+        folders: Iterable[Path],
+        tell: Callable[[str], None],
+        *,
+        own: bool = False,
+        cluster: Any = None,
+        place: Place | None = None,
+    ) -> None:
         self._client, self._tell, self._own, self._cluster, self._place = client, tell, own, cluster, place
         self._batch = secrets.token_hex(8)
         self._news: queue.Queue[Heard | Finished] = queue.Queue()
@@ -161,9 +167,16 @@ class DaskWorkers(Closing):
         """Begin a task on the worker of that address."""
         resources = {"MB": task.bytes / 1e6, "cores": task.cores}
         future = self._client.submit(
-            _work, asdict(task), self._batch, key=f"morembs-{self._batch}-{task.number}", workers=[worker],
-            allow_other_workers=False, resources=resources, retries=0, pure=False,
-        )  # fmt: skip
+            _work,
+            asdict(task),
+            self._batch,
+            key=f"morembs-{self._batch}-{task.number}",
+            workers=[worker],
+            allow_other_workers=False,
+            resources=resources,
+            retries=0,
+            pure=False,
+        )
         self._tasks[task.number] = worker, future
         future.add_done_callback(lambda done: self._ended(task.number, done))
 
@@ -263,9 +276,7 @@ class DaskWorkers(Closing):
 
 
 def _lost(number: int, worker: str) -> Finished:
-    return Finished(
-        number=number, code=-9, printed="", message=f"its worker {worker} is gone", seconds=0.0, lost=True
-    )
+    return Finished(number=number, code=-9, printed="", message=f"its worker {worker} is gone", seconds=0.0, lost=True)
 
 
 # What runs on workers.

@@ -62,9 +62,8 @@ class Coordinator:
     """
 
     def __init__(
-        self, parts: Sequence[Part], options: Sequence[str], manifest: Manifest | None, listener: Listener,
-        retries: int,
-    ) -> None:  # fmt: skip
+        self, parts: Sequence[Part], options: Sequence[str], manifest: Manifest | None, listener: Listener, retries: int
+    ) -> None:
         self._parts = {part.number: part for part in parts}
         self._options, self._manifest, self._listener, self._retries = list(options), manifest, listener, retries
         self._records: dict[int, Record] = {}
@@ -167,18 +166,24 @@ class Coordinator:
         else:
             if self._manifest is not None:
                 work.token = self._manifest.started(
-                    part.loaded.output, part.key, worker=worker, MB=round(work.needs.bytes / 1e6),
+                    part.loaded.output,
+                    part.key,
+                    worker=worker,
+                    MB=round(work.needs.bytes / 1e6),
                     cores=work.needs.cores,
-                )  # fmt: skip
+                )
             arguments = ["reduce", *paths, *self._options, "--attempt", work.token]
             if work.tries == 1:
                 self._listener.began(part, len(self._parts))
         work.worker = worker
         self._running[number] = work
         task = Task(
-            number=number, arguments=tuple(arguments), threads=work.threads, cores=work.needs.cores,
+            number=number,
+            arguments=tuple(arguments),
+            threads=work.threads,
+            cores=work.needs.cores,
             bytes=work.needs.bytes,
-        )  # fmt: skip
+        )
         self._workers.start(task, worker)
 
     def _finished(self, work: _Work, end: Finished) -> None:
@@ -204,9 +209,12 @@ class Coordinator:
         if not work.checks and self._manifest is not None:
             self._manifest.lost(work.parts[0].loaded.output, worker=work.worker, message=end.message)
         again = _Work(
-            parts=work.parts, needs=_with_bytes(work.needs, min(needs, most)), threads=work.threads,
-            checks=work.checks, tries=work.tries + 1,
-        )  # fmt: skip
+            parts=work.parts,
+            needs=_with_bytes(work.needs, min(needs, most)),
+            threads=work.threads,
+            checks=work.checks,
+            tries=work.tries + 1,
+        )
         insort(self._waiting, again)
 
     def _has_checked(self, part: Part, document: Mapping[str, Any], code: int) -> None:
@@ -219,15 +227,17 @@ class Coordinator:
         seconds = float(document["factor_seconds"] + sum(document["reduction_seconds"].values()))
         if self._workers.limits and forecast > most.bytes:
             self._fail(
-                part, f"{part.path.name} needs {forecast / 1e9:.2g} GB by forecast; the largest worker has "
+                part,
+                f"{part.path.name} needs {forecast / 1e9:.2g} GB by forecast; the largest worker has "
                 f"{most.bytes / 1e9:.2g} GB: give [solver] memory, or a larger worker",
-            )  # fmt: skip
+            )
             return
         if seconds > most.seconds:
             self._fail(
-                part, f"{part.path.name} needs {seconds / 3600:.2g} h by forecast; a worker lives for "
+                part,
+                f"{part.path.name} needs {seconds / 3600:.2g} h by forecast; a worker lives for "
                 f"{most.seconds / 3600:.2g} h: give [solver] threads, or a longer walltime",
-            )  # fmt: skip
+            )
             return
         threads = self._workers.threads(part.loaded.tables.solver.threads, self._count)
         needs = Worker(
@@ -259,9 +269,12 @@ class Coordinator:
         inputs = {Path(name): Content.from_plain(values) for name, values in document["inputs"].items()}
         if self._manifest:
             self._manifest.ended(
-                part.loaded.output, Ended(key=part.key, inputs=inputs, outputs=outputs, facts=facts),
-                worker=work.worker, token=work.token, seconds=round(end.seconds, 3),
-            )  # fmt: skip
+                part.loaded.output,
+                Ended(key=part.key, inputs=inputs, outputs=outputs, facts=facts),
+                worker=work.worker,
+                token=work.token,
+                seconds=round(end.seconds, 3),
+            )
         self._end(part, state="done", facts=facts, seconds=end.seconds)
 
     def _fail(self, part: Part, message: str, code: int = 2, seconds: float = 0.0) -> None:

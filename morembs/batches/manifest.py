@@ -105,10 +105,14 @@ class Manifest(Closing):
     def ended(self, output: Path, end: Ended, **values: object) -> None:
         """Remember a job that ended well, with ``values`` for people."""
         event = {
-            "event": "ended", "output": self._name(output), "key": end.key, "facts": end.facts, **values,
+            "event": "ended",
+            "output": self._name(output),
+            "key": end.key,
+            "facts": end.facts,
+            **values,
             "inputs": {self._opened(path): vars(content) for path, content in end.inputs.items()},
             "outputs": {self._name(path): vars(content) for path, content in end.outputs.items()},
-        }  # fmt: skip
+        }
         self._write(event)
         self._ended[event["output"]] = event
 

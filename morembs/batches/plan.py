@@ -22,9 +22,10 @@ from morembs.version import VERSION
 
 # Tables and keys that do not change what is in a body.
 _BESIDE = {
-    "solver": {"threads", "memory", "scratch", "workers", "ranks"}, "output": {"path", "picture"},
+    "solver": {"threads", "memory", "scratch", "workers", "ranks"},
+    "output": {"path", "picture"},
     "state_space": {"path"},
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,9 +48,10 @@ class Part:
         tables = self.loaded.tables.model_dump(mode="json")
         asked = {
             table: {key: value for key, value in values.items() if key not in _BESIDE.get(table, ())}
-            if isinstance(values, dict) else values
+            if isinstance(values, dict)
+            else values
             for table, values in tables.items()
-        }  # fmt: skip
+        }
         text = json.dumps([asked, VERSION, FORMAT_VERSION], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -93,11 +95,15 @@ def parts_of(given: Iterable[str | Path], changes: Sequence[str] = ()) -> tuple[
     names = _names(list(paths))
     return tuple(
         Part(
-            number=at + 1, name=names[at], path=path, job=None if at in faults else jobs[at], fault=faults.get(at, ""),
+            number=at + 1,
+            name=names[at],
+            path=path,
+            job=None if at in faults else jobs[at],
+            fault=faults.get(at, ""),
             takes=() if at in faults else tuple(number + 1 for number in order.parts.get(at, ())),
         )
         for at, path in enumerate(paths.values())
-    )  # fmt: skip
+    )
 
 
 def unchanged(part: Part, manifest: Manifest) -> Ended | None:

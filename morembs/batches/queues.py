@@ -29,16 +29,22 @@ def queue_of(place: Place) -> Any:
     if walltime is not None and place.kind == "lsf":
         walltime = walltime.rpartition(":")[0]
     given = {
-        "cores": place.cores, "processes": 1, "memory": f"{place.bytes}B", "walltime": walltime, "queue": place.queue,
-        "job_script_prologue": place.prologue, "job_extra_directives": place.directives,
+        "cores": place.cores,
+        "processes": 1,
+        "memory": f"{place.bytes}B",
+        "walltime": walltime,
+        "queue": place.queue,
+        "job_script_prologue": place.prologue,
+        "job_extra_directives": place.directives,
         # Behind its own limit of memory, which would not see the processes of the jobs.
-        "worker_extra_args": [
-            "--memory-limit", "0", "--resources", f"MB={int(room.bytes / 1e6)},cores={place.cores}",
-        ],
-        **place.options, "scheduler_options": {
-            "dashboard": False, "dashboard_address": ":0", **place.options.get("scheduler_options", {})
+        "worker_extra_args": ["--memory-limit", "0", "--resources", f"MB={int(room.bytes / 1e6)},cores={place.cores}"],
+        **place.options,
+        "scheduler_options": {
+            "dashboard": False,
+            "dashboard_address": ":0",
+            **place.options.get("scheduler_options", {}),
         },
-    }  # fmt: skip
+    }
     try:
         return getattr(dask_jobqueue, _QUEUES[place.kind])(**given)
     except (TypeError, ValueError, OSError, RuntimeError) as error:

@@ -32,11 +32,18 @@ _MANY = 1 << 20
 
 @keeping_ledger()
 def batch(
-    jobs: Iterable[str | Path], *, changes: Sequence[str] = (), workers: int | None = None,
-    cluster: str | Path | None = None, client: Client | None = None, retries: int = 2,
-    manifest: str | Path | None = None, fresh: bool = False, check_only: bool = False,
+    jobs: Iterable[str | Path],
+    *,
+    changes: Sequence[str] = (),
+    workers: int | None = None,
+    cluster: str | Path | None = None,
+    client: Client | None = None,
+    retries: int = 2,
+    manifest: str | Path | None = None,
+    fresh: bool = False,
+    check_only: bool = False,
     listener: Listener | None = None,
-) -> tuple[Record, ...]:  # fmt: skip
+) -> tuple[Record, ...]:
     """Run jobs beside each other, those whose results are there and up to date left out.
 
     A job that fails does not stop the others. Each runs in a process of its own, which ends with this one.

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.body.stress_shapes import Recovery
 from morembs.body.view import Viewed, refuse_no_modes
 from morembs.body.vtkhdf import VTK_VERTEX, Cells
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from morembs.body.parametric_parts import ParametricParts
     from morembs.certificate.certify import Certificate
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 NODE_CHOICES = ("all", "skin", "interfaces")
 
 
@@ -63,9 +61,12 @@ class Part:
 
     def _facts(self) -> dict[str, object]:
         return {
-            "mass": f"{self.mass:.4g} kg", "centre of mass": self.center_of_mass, "nodes": len(self.nodes),
-            "interfaces": [each.name for each in self.interfaces], "source": self.source,
-        }  # fmt: skip
+            "mass": f"{self.mass:.4g} kg",
+            "centre of mass": self.center_of_mass,
+            "nodes": len(self.nodes),
+            "interfaces": [each.name for each in self.interfaces],
+            "source": self.source,
+        }
 
     def grid(self) -> Grid:
         """The cells as VTK keeps them."""
@@ -73,10 +74,11 @@ class Part:
         types = [np.full(len(cells.connectivity), cells.vtk, dtype=np.uint8) for cells in self.cells]
         links = [cells.connectivity.ravel() for cells in self.cells]
         return Grid(
-            points=self.nodes.xyz, connectivity=np.concatenate([np.zeros(0, dtype=np.int64), *links]),
+            points=self.nodes.xyz,
+            connectivity=np.concatenate([np.zeros(0, dtype=np.int64), *links]),
             offsets=np.cumsum(np.concatenate([[0], *sizes]), dtype=np.int64),
             types=np.concatenate([np.zeros(0, dtype=np.uint8), *types]),
-        )  # fmt: skip
+        )
 
 
 @summarised
@@ -124,12 +126,14 @@ class ElasticBody(Viewed):
     def _facts(self) -> dict[str, object]:
         certificate, floating = self.certificate, self.floating
         return {
-            "name": self.name, "order": self.reduced.order,
+            "name": self.name,
+            "order": self.reduced.order,
             "elastic frequencies": hertz(self.frequencies_hz[self.reduced.rigid_count :]),
             "error": "not certified" if certificate is None else certificate.words,
-            "coordinates": kinds_words(self.reduced.mode_kind), "mass": f"{self.part.mass:.4g} kg",
+            "coordinates": kinds_words(self.reduced.mode_kind),
+            "mass": f"{self.part.mass:.4g} kg",
             "frame": None if floating is None else floating.kind,
-        }  # fmt: skip
+        }
 
     def basis(self, columns: slice = slice(None)) -> Floats:
         """Displacements (3 n, k) of the chosen nodes for some coordinates; allocates only these."""
@@ -154,10 +158,13 @@ class ElasticBody(Viewed):
             raise InputError(f'{self.name} keeps no nodes; keep nodes = "all", "skin" or "interfaces"')
         motion = self.modes(modes)
         return View(
-            body=self.name, grid=part.grid(), node_ids=part.nodes.ids, motion=motion,
+            body=self.name,
+            grid=part.grid(),
+            node_ids=part.nodes.ids,
+            motion=motion,
             frequencies_hz=self.frequencies_hz[first : first + len(motion)],
             interfaces={interface.name: interface.point for interface in part.interfaces},
-        )  # fmt: skip
+        )
 
     def to_pymor(self) -> Any:
         """The reduced model as a ``pymor.models.iosys.SecondOrderModel``; see ``morembs.to_pymor``."""
@@ -198,10 +205,18 @@ def make_part(problem: Problem, nodes: str = "all") -> Part:
     mass, center, inertia = problem.mass_properties
     chosen = Nodes(ids=model.nodes.ids[rows], xyz=model.nodes.xyz[rows])
     return Part(
-        mass=mass, center_of_mass=center, inertia=inertia, nodes=chosen, cells=cells, transformation=picked,
-        interfaces=problem.interfaces, columns=problem.coupling.columns, node_ids=model.nodes.ids,
-        source=model.source, warnings=model.warnings,
-    )  # fmt: skip
+        mass=mass,
+        center_of_mass=center,
+        inertia=inertia,
+        nodes=chosen,
+        cells=cells,
+        transformation=picked,
+        interfaces=problem.interfaces,
+        columns=problem.coupling.columns,
+        node_ids=model.nodes.ids,
+        source=model.source,
+        warnings=model.warnings,
+    )
 
 
 def _chosen(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tuple[Ints, tuple[Cells, ...]]:
@@ -228,9 +243,12 @@ def _chosen(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tupl
 
 
 def elastic_body(
-    problem: Problem, reduced: ReducedModel, part: Part, certificate: Certificate | None = None,
+    problem: Problem,
+    reduced: ReducedModel,
+    part: Part,
+    certificate: Certificate | None = None,
     floating: FloatingFrame | None = None,
-) -> ElasticBody:  # fmt: skip
+) -> ElasticBody:
     """Body of a reduced model: its frequencies and what it shares with others of the same part.
 
     ``floating`` by default has mean axes.
@@ -244,6 +262,11 @@ def elastic_body(
     omega = np.sqrt(np.maximum(eigenvalues, 0.0))
     omega[: reduced.rigid_count] = 0.0
     return ElasticBody(
-        part=part, reduced=reduced, frequencies_hz=omega / (2 * np.pi), certificate=certificate,
-        floating=floating, full_frequencies_hz=problem.known_frequencies_hz(), recipe=reduced.recipe,
-    )  # fmt: skip
+        part=part,
+        reduced=reduced,
+        frequencies_hz=omega / (2 * np.pi),
+        certificate=certificate,
+        floating=floating,
+        full_frequencies_hz=problem.known_frequencies_hz(),
+        recipe=reduced.recipe,
+    )

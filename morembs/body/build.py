@@ -68,11 +68,18 @@ class BodyOptions:
 
 
 def build_body(
-    problem: Problem, reduced: ReducedModel, part: Part, options: BodyOptions, *,
-    certificate: Certificate | None = None, operator: StressOperator | None = None,
-    switching: StaticModeTables | None = None, variation: ParametricModel | None = None,
-    spin: ReducedSpin | None = None, progress: Progress = SILENT,
-) -> ElasticBody:  # fmt: skip
+    problem: Problem,
+    reduced: ReducedModel,
+    part: Part,
+    options: BodyOptions,
+    *,
+    certificate: Certificate | None = None,
+    operator: StressOperator | None = None,
+    switching: StaticModeTables | None = None,
+    variation: ParametricModel | None = None,
+    spin: ReducedSpin | None = None,
+    progress: Progress = SILENT,
+) -> ElasticBody:
     """The body of ``reduced`` with all that the ``options`` want; ``operator`` is that of the wanted stress,
     ``switching`` what its reducer made of candidate loads, ``variation`` its reduced model of all values of parameters.
     A body with ``spin`` has no floating frame, in which a simulator would count what spin does again.
@@ -87,19 +94,25 @@ def build_body(
     floating = None if reason else _frame(problem, reduced, options, progress)
     return replace(
         elastic_body(problem, reduced, part, certificate=certificate, floating=floating),
-        floating=floating, switching=switching, spin=spin,
+        floating=floating,
+        switching=switching,
+        spin=spin,
         parametric=None if variation is None else _parametric(problem, reduced, part, variation),
         ranking=() if floating is None or options.envelope is None else ranked_terms(floating, options.envelope),
-        recovery=None if options.stress is None or operator is None else stress_recovery(
-            problem, reduced, single=options.stress.single, correction=options.stress.correction, operator=operator,
+        recovery=None
+        if options.stress is None or operator is None
+        else stress_recovery(
+            problem,
+            reduced,
+            single=options.stress.single,
+            correction=options.stress.correction,
+            operator=operator,
             progress=progress,
         ),
-    )  # fmt: skip
+    )
 
 
-def _parametric(
-    problem: Problem, reduced: ReducedModel, part: Part, variation: ParametricModel
-) -> ParametricParts:
+def _parametric(problem: Problem, reduced: ReducedModel, part: Part, variation: ParametricModel) -> ParametricParts:
     # Not at the top: most bodies have no parameters.
     from morembs.body.parametric_parts import parametric_parts
 

@@ -6,11 +6,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.diagnostics.findings import Finding
 
-Floats = NDArray[np.float64]
 # Frequencies of the curve that are computed again, spread over the band.
 SAMPLES = 3
 # Difference of the size of H; change of K, of itself, that round-off and solvers leave; step that measures its effect.

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.body.curve_check import Curve
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.body.tables import SKEW_PARTS
@@ -21,9 +21,6 @@ from morembs.model.fe_model import SCALAR, STRUCTURAL, WITHOUT_MASS
 if TYPE_CHECKING:
     from morembs.body import ElasticBody, Part
     from morembs.reducers.base import ReducedModel
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,20 +92,40 @@ def _of_body(body: ElasticBody, part: Part) -> Delivered:
         for column, which in zip(columns.tolist(), motions.tolist(), strict=True):
             names[column] = f"{interface.name} {MOTIONS[which]}"
     return Delivered(
-        M=r.M, K=r.K, D=r.D, B=r.B, C=r.C, frame=None if np.isnan(frame).any() else frame, motions=tuple(names),
-        rigid=_about_model(body.floating), rigid_count=r.rigid_count, symmetric=r.symmetric,
-        hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
-        mass=part.mass, center=part.center_of_mass, inertia=part.inertia, floating=body.floating,
+        M=r.M,
+        K=r.K,
+        D=r.D,
+        B=r.B,
+        C=r.C,
+        frame=None if np.isnan(frame).any() else frame,
+        motions=tuple(names),
+        rigid=_about_model(body.floating),
+        rigid_count=r.rigid_count,
+        symmetric=r.symmetric,
+        hz=body.frequencies_hz,
+        full_hz=body.full_frequencies_hz,
+        mass=part.mass,
+        center=part.center_of_mass,
+        inertia=part.inertia,
+        floating=body.floating,
         without_mass=str(r.recipe.get(WITHOUT_MASS, "")),
-        curve=None if certificate is None else _curve(
-            certificate.frequencies_hz, certificate.reduced, certificate.damping_floor, motion, r.structural,
-            part.mass, part.inertia,
+        curve=None
+        if certificate is None
+        else _curve(
+            certificate.frequencies_hz,
+            certificate.reduced,
+            certificate.damping_floor,
+            motion,
+            r.structural,
+            part.mass,
+            part.inertia,
         ),
         markers={
             interface.name: np.arange(r.B.shape[1])[part.columns[interface.name]]
-            for interface in part.interfaces if interface.kind.framed and tuple(interface.components) == tuple(range(6))
+            for interface in part.interfaces
+            if interface.kind.framed and tuple(interface.components) == tuple(range(6))
         },
-    )  # fmt: skip
+    )
 
 
 def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
@@ -126,21 +143,40 @@ def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
     frame[file.input_component == SCALAR] = np.nan
     M, K, B, C = body.mass_matrix, body.stiffness_matrix, body.input_matrix, body.output_matrix
     return Delivered(
-        M=M, K=K, D=body.damping_matrix, B=B, C=C, frame=None if np.isnan(frame).any() else frame,
-        motions=tuple(names), rigid=_about_model(body.floating), rigid_count=body.rigid_count,
-        symmetric=_meant_symmetric(body, file), hz=body.frequencies_hz, full_hz=body.full_frequencies_hz,
-        mass=file.mass, center=file.center_of_mass, inertia=file.inertia, floating=body.floating,
+        M=M,
+        K=K,
+        D=body.damping_matrix,
+        B=B,
+        C=C,
+        frame=None if np.isnan(frame).any() else frame,
+        motions=tuple(names),
+        rigid=_about_model(body.floating),
+        rigid_count=body.rigid_count,
+        symmetric=_meant_symmetric(body, file),
+        hz=body.frequencies_hz,
+        full_hz=body.full_frequencies_hz,
+        mass=file.mass,
+        center=file.center_of_mass,
+        inertia=file.inertia,
+        floating=body.floating,
         without_mass=str(body.recipe.get(WITHOUT_MASS, "")),
-        curve=None if known is None or not {"reduced", "damping_floor"} <= set(known) else _curve(
-            known["frequencies_hz"], known["reduced"], float(known["damping_floor"]), file.input_component,
-            float(body.recipe.get(STRUCTURAL, 0.0)), file.mass, file.inertia,
+        curve=None
+        if known is None or not {"reduced", "damping_floor"} <= set(known)
+        else _curve(
+            known["frequencies_hz"],
+            known["reduced"],
+            float(known["damping_floor"]),
+            file.input_component,
+            float(body.recipe.get(STRUCTURAL, 0.0)),
+            file.mass,
+            file.inertia,
         ),
         markers={
             name: np.flatnonzero(file.input_interface == which)
             for which, (name, interface) in enumerate(kept)
             if interface.kind.framed and tuple(interface.components) == tuple(range(6))
         },
-    )  # fmt: skip
+    )
 
 
 def _meant_symmetric(body: StoredBody, file: StoredBodies) -> bool:

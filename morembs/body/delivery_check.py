@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body.curve_check import curve_findings
 from morembs.body.delivered import Delivered, delivered
 from morembs.body.frame_check import frame_findings
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from morembs.body import ElasticBody, Part
     from morembs.reducers.base import ReducedModel
 
-Floats = NDArray[np.float64]
 # Difference of two entries against the diagonal; negative part of an eigenvalue of the scaled matrix.
 SYMMETRIC, NEGATIVE = 1e-9, 1e-8
 # Frequencies of the body against those that come with it.

@@ -14,9 +14,9 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body.shapes import Shapes
 
-Floats = NDArray[np.float64]
 # Largest displacement drawn, as a part of the longest side of the body.
 EXAGGERATION = 0.07
 # Slant of the view against the flat side of the body, degrees upwards and sideways.

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body import tables, vtkhdf
 from morembs.body.delivery_check import refuse_unsound, stored_findings
 from morembs.body.stored import StoredBodies, StoredBody, StoredInterface, basis_columns, stored_bodies
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from morembs.body.vtkhdf_series import View
     from morembs.storage.writer import Writer
 
-Floats = NDArray[np.float64]
 # What is compared with its checksums when it is read.
 _LATER = re.compile(r"VTKHDF|bodies/[^/]+/(recovery|switching|parametric|basis/)")
 
@@ -53,10 +52,15 @@ def check_names(names: Sequence[str], what: str = "body") -> None:
 
 
 def write_body(
-    path: str | Path, bodies: Sequence[ElasticBody], *, recipe: Mapping[str, object] | None = None,
-    provenance: Mapping[str, object] | None = None, warnings: Sequence[str] = (), progress: Progress = SILENT,
+    path: str | Path,
+    bodies: Sequence[ElasticBody],
+    *,
+    recipe: Mapping[str, object] | None = None,
+    provenance: Mapping[str, object] | None = None,
+    warnings: Sequence[str] = (),
+    progress: Progress = SILENT,
     block_bytes: int = BLOCK_BYTES,
-) -> Path:  # fmt: skip
+) -> Path:
     """Write bodies of one part; an interrupted or failed run leaves the old file or none.
 
     Holds one block of basis columns (``block_bytes``, at least one column) besides the bodies themselves.
@@ -119,13 +123,22 @@ def _shared(part: Part, bodies: Sequence[ElasticBody], recipe: Mapping[str, obje
     # symmetric matrices for granted.
     version = max(1 if body.reduced.symmetric else SKEW_PARTS if body.reduced.congruent else 2 for body in bodies)
     return {
-        "format": FORMAT, "format_version": version, "unit_system": "SI",
-        "body_names": [body.name for body in bodies], "mode_kinds": MODE_KINDS, "recipe": recipe,
+        "format": FORMAT,
+        "format_version": version,
+        "unit_system": "SI",
+        "body_names": [body.name for body in bodies],
+        "mode_kinds": MODE_KINDS,
+        "recipe": recipe,
         "interface_names": [interface.name for interface in part.interfaces],
-        "mass": part.mass, "center_of_mass": part.center_of_mass, "inertia": part.inertia,
-        "node_ids": part.nodes.ids, "coordinates": part.nodes.xyz,
-        "input_interface": index, "input_component": component, "input_node_id": node,
-    }  # fmt: skip
+        "mass": part.mass,
+        "center_of_mass": part.center_of_mass,
+        "inertia": part.inertia,
+        "node_ids": part.nodes.ids,
+        "coordinates": part.nodes.xyz,
+        "input_interface": index,
+        "input_component": component,
+        "input_node_id": node,
+    }
 
 
 def _write_one(out: Writer, body: ElasticBody, progress: Progress, block_bytes: int) -> None:
@@ -144,20 +157,32 @@ def _write_one(out: Writer, body: ElasticBody, progress: Progress, block_bytes: 
             yield body.basis(slice(start, stop))
             progress.update(f"{body.name}: {stop} of {count} modes written")
 
-    out.rows(at, tables.BODY if reduced.symmetric else tables.UNSYMMETRIC, {
-        "mass_matrix": reduced.M, "stiffness_matrix": reduced.K, "damping_matrix": reduced.D,
-        "input_matrix": reduced.B, "output_matrix": None if reduced.symmetric else reduced.C,
-        "basis": Columns((rows, count), np.float64, basis()),
-        "frequencies_hz": body.frequencies_hz, "full_frequencies_hz": body.full_frequencies_hz,
-        "mode_kind": [MODE_KINDS.index(kind) for kind in reduced.mode_kind],
-        "rigid_count": reduced.rigid_count, "recipe": body.recipe,
-        "certificate": body.certificate, "floating": body.floating, "ranking": body.ranking or None,
-        "recovery": body.recovery and recovery_parts(body.recovery, body.part.transformation),
-        "switching": body.switching, "parametric": body.parametric,
-        "spin": None if body.spin is None else replace(
-            body.spin, elongation=body.part.transformation @ body.spin.elongation
-        ),
-    })  # fmt: skip
+    out.rows(
+        at,
+        tables.BODY if reduced.symmetric else tables.UNSYMMETRIC,
+        {
+            "mass_matrix": reduced.M,
+            "stiffness_matrix": reduced.K,
+            "damping_matrix": reduced.D,
+            "input_matrix": reduced.B,
+            "output_matrix": None if reduced.symmetric else reduced.C,
+            "basis": Columns((rows, count), np.float64, basis()),
+            "frequencies_hz": body.frequencies_hz,
+            "full_frequencies_hz": body.full_frequencies_hz,
+            "mode_kind": [MODE_KINDS.index(kind) for kind in reduced.mode_kind],
+            "rigid_count": reduced.rigid_count,
+            "recipe": body.recipe,
+            "certificate": body.certificate,
+            "floating": body.floating,
+            "ranking": body.ranking or None,
+            "recovery": body.recovery and recovery_parts(body.recovery, body.part.transformation),
+            "switching": body.switching,
+            "parametric": body.parametric,
+            "spin": None
+            if body.spin is None
+            else replace(body.spin, elongation=body.part.transformation @ body.spin.elongation),
+        },
+    )
     out.doing(f"mode shapes of {body.name} for ParaView")
     modes = vtkhdf.shown_modes(reduced)
     shown = body.frequencies_hz[reduced.rigid_count :][: modes.shape[1]]
@@ -216,10 +241,13 @@ def read_unexamined(path: str | Path, *, whole: bool = False) -> StoredBodies:
 
         grid, motion = read_grid(place), stored_modes(place, body.name, modes)
         return View(
-            body=body.name, grid=grid, node_ids=stored.node_ids, motion=motion,
+            body=body.name,
+            grid=grid,
+            node_ids=stored.node_ids,
+            motion=motion,
             frequencies_hz=body.frequencies_hz[body.rigid_count :][: len(motion)],
             interfaces={name: interface.point for name, interface in stored.interfaces.items()},
-        )  # fmt: skip
+        )
 
     with opened() as file:
         check_file(place, file)
@@ -227,13 +255,22 @@ def read_unexamined(path: str | Path, *, whole: bool = False) -> StoredBodies:
         if "provenance" in file:
             checksums.Checksums(place, file["provenance"]).verify()
         stored = stored_bodies(
-            file, read_basis=read_basis, read_view=view, read_parametric=parametric,
+            file,
+            read_basis=read_basis,
+            read_view=view,
+            read_parametric=parametric,
             read_switching=partial(part, kind="switching", table=tables.SWITCHING),
-        )  # fmt: skip
+        )
     return stored
 
 
 __all__ = [
-    "FORMAT", "FORMAT_VERSION", "StoredBodies", "StoredBody", "StoredInterface", "check_names",
-    "read_body", "write_body",
-]  # fmt: skip
+    "FORMAT",
+    "FORMAT_VERSION",
+    "StoredBodies",
+    "StoredBody",
+    "StoredInterface",
+    "check_names",
+    "read_body",
+    "write_body",
+]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body.delivered import Delivered
 from morembs.diagnostics.findings import Finding
 
-Floats = NDArray[np.float64]
 # Difference against what cancels in a product.
 AGREES = 1e-6
 
@@ -31,9 +30,10 @@ def frame_findings(given: Delivered) -> list[Finding]:
         ("integrals/mass, first and inertia", integrals.rigid, R, given.M, R),
     ]
     wrong = [
-        name for name, held, left, A, right in pairs
+        name
+        for name, held, left, A, right in pairs
         if not _agree(held, left.T @ A @ right, np.outer(_size(left, A), _size(right, A)))
-    ]  # fmt: skip
+    ]
     # A frame that follows an interface holds it still: motions are measured by those of the whole body.
     usual = _size(E, given.M) / np.sqrt(given.mass)
     radius = float(np.sqrt(np.trace(given.inertia) / (2 * given.mass)))

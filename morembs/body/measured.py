@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body.parametric import ParametricBody
 from morembs.errors import InputError
 from morembs.parametric.update import SIGMA, Measured
 from morembs.storage.csv_table import read_table
-
-Floats = NDArray[np.float64]
 
 
 def read_measured(path: Path, parametric: ParametricBody, shapes: Path | None = None) -> Measured:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.body.parametric_parts import ParametricParts
 from morembs.body.stored import ByName, StoredBodies, StoredBody
 from morembs.errors import InputError
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from morembs.floating.frame import FloatingFrame
     from morembs.parametric.update import Measured, Updated
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 # Difference of the nominal matrices, which are computed in two ways, against the largest entry.
 AGREES = 1e-9
 
@@ -166,7 +164,7 @@ class BodyAt:
 
     @property
     def bound_kind(self) -> str:
-        """"bound" where ``bound`` is proven in exact arithmetic, "estimate" or "none"."""
+        """ "bound" where ``bound`` is proven in exact arithmetic, "estimate" or "none"."""
         return self.model.bound_kind
 
     @cached_property
@@ -180,22 +178,35 @@ class BodyAt:
             floating = terms.frame(self.model, **_frame_of(known))
             about = floating.integrals.center
             changed = {
-                "mass": floating.integrals.mass, "center_of_mass": floating.origin + about,
+                "mass": floating.integrals.mass,
+                "center_of_mass": floating.origin + about,
                 "inertia": floating.integrals.about(about).inertia,
-            }  # fmt: skip
+            }
             places = {name: replace(i, point=terms.point(name, self.model)) for name, i in interfaces.items()}
             interfaces = ByName("interface", places)
         rigid = np.zeros(self.model.rigid.shape[1])
         here = replace(
-            body, mass_matrix=self.M, stiffness_matrix=self.K, damping_matrix=self.D,
-            frequencies_hz=np.concatenate([rigid, self.frequencies_hz]), full_frequencies_hz=None, certificate=None,
-            floating=floating, ranking=(), has_recovery=False, has_switching=False, has_parameters=False,
+            body,
+            mass_matrix=self.M,
+            stiffness_matrix=self.K,
+            damping_matrix=self.D,
+            frequencies_hz=np.concatenate([rigid, self.frequencies_hz]),
+            full_frequencies_hz=None,
+            certificate=None,
+            floating=floating,
+            ranking=(),
+            has_recovery=False,
+            has_switching=False,
+            has_parameters=False,
             recipe={**body.recipe, "at": self.values},
-        )  # fmt: skip
+        )
         return replace(
-            source, coordinates=self._coordinates(), interfaces=interfaces, bodies=ByName("body", {body.name: here}),
+            source,
+            coordinates=self._coordinates(),
+            interfaces=interfaces,
+            bodies=ByName("body", {body.name: here}),
             **changed,
-        )  # fmt: skip
+        )
 
     def frame_derivatives(self) -> dict[str, FloatingFrame]:
         """Derivatives of the floating frame of ``body`` by each parameter, in the fields of a frame, per unit of the

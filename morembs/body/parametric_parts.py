@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.floating.parametric import FrameTerms, frame_terms
 from morembs.parametric.law import Law
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from morembs.problem import Problem
     from morembs.reducers.base import ReducedModel
 
-Floats = NDArray[np.float64]
 # Fields of the damping of a body.
 DAMPING = ("alpha", "beta", "modal", "modal_table", "structural")
 
@@ -44,20 +44,48 @@ class ParametricParts:
 
         given = {key: value for key, value in asdict(model.damping).items() if key in DAMPING}
         return {
-            "names": box.names, "kinds": box.kinds, "units": box.units, "low": box.low, "high": box.high,
-            "nominal": box.nominal, "points_K": points(model.law_K), "points_M": points(model.law_M), "K": model.K,
-            "M": model.M, "rigid": model.rigid, "scale": model.scale, "damping": given, "frame": self.frame,
-            "displacement": self.displacement, "bound": model.bound, "box_bound": model.box_bound,
-            "floor": model.floor, "law_K": model.law_K.factors, "law_M": model.law_M.factors,
-        }  # fmt: skip
+            "names": box.names,
+            "kinds": box.kinds,
+            "units": box.units,
+            "low": box.low,
+            "high": box.high,
+            "nominal": box.nominal,
+            "points_K": points(model.law_K),
+            "points_M": points(model.law_M),
+            "K": model.K,
+            "M": model.M,
+            "rigid": model.rigid,
+            "scale": model.scale,
+            "damping": given,
+            "frame": self.frame,
+            "displacement": self.displacement,
+            "bound": model.bound,
+            "box_bound": model.box_bound,
+            "floor": model.floor,
+            "law_K": model.law_K.factors,
+            "law_M": model.law_M.factors,
+        }
 
     @classmethod
     def of_rows(
-        cls, *, names: tuple[str, ...], kinds: tuple[str, ...], low: Floats, high: Floats, nominal: Floats,
-        law_K: Any, law_M: Any, points_K: Mapping[str, Floats], points_M: Mapping[str, Floats], damping: dict[str, Any],
-        displacement: Mapping[str, Floats], box_bound: float, frame: dict[str, Any] | None = None,
-        bound: dict[str, Any] | None = None, **matrices: Any,
-    ) -> ParametricParts:  # fmt: skip
+        cls,
+        *,
+        names: tuple[str, ...],
+        kinds: tuple[str, ...],
+        low: Floats,
+        high: Floats,
+        nominal: Floats,
+        law_K: Any,
+        law_M: Any,
+        points_K: Mapping[str, Floats],
+        points_M: Mapping[str, Floats],
+        damping: dict[str, Any],
+        displacement: Mapping[str, Floats],
+        box_bound: float,
+        frame: dict[str, Any] | None = None,
+        bound: dict[str, Any] | None = None,
+        **matrices: Any,
+    ) -> ParametricParts:
         """Of the fields that a file has."""
         box = Box(names=names, kinds=kinds, low=low, high=high, nominal=nominal)
         laws = [
@@ -65,9 +93,15 @@ class ParametricParts:
             for factors, points in ((law_K, points_K), (law_M, points_M))
         ]
         model = ParametricModel(
-            box=box, law_K=laws[0], law_M=laws[1], damping=Damping(**damping), box_bound=box_bound,
-            B=np.zeros((0, 0)), bound=None if bound is None else _bound(laws, bound), **matrices,
-        )  # fmt: skip
+            box=box,
+            law_K=laws[0],
+            law_M=laws[1],
+            damping=Damping(**damping),
+            box_bound=box_bound,
+            B=np.zeros((0, 0)),
+            bound=None if bound is None else _bound(laws, bound),
+            **matrices,
+        )
         for name in ("K", "M"):
             refuse_not_finite("the body file", f"parametric/{name}", getattr(model, name))
         return cls(model=model, frame=None if frame is None else FrameTerms(**frame), displacement=displacement)

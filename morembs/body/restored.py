@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body import tables, vtkhdf
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.body.tables import BLOCK_BYTES, FORMAT
@@ -19,8 +19,6 @@ from morembs.reducers.base import MODE_KINDS
 from morembs.storage.safefile import one_file
 from morembs.storage.writer import Columns, writing
 from morembs.version import VERSION
-
-Floats = NDArray[np.float64]
 
 
 def write_stored(path: str | Path, bodies: StoredBodies, body: StoredBody, source: Path) -> Path:
@@ -51,10 +49,18 @@ def write_stored(path: str | Path, bodies: StoredBodies, body: StoredBody, sourc
         out.doing("the mesh for ParaView")
         vtkhdf.write_grid(out.file.create_group("VTKHDF"), out.file["nodes/coordinates"], _cells(read_grid(source)))
         at, empty = f"bodies/{body.name}/", dict.fromkeys(("certificate", "recovery", "switching", "parametric"))
-        out.rows(at, tables.BODY, vars(body) | empty | {
-            "output_matrix": None, "basis": Columns((rows, count), np.float64, basis()),
-            "mode_kind": [MODE_KINDS.index(kind) for kind in body.mode_kind], "ranking": body.ranking or None,
-        })  # fmt: skip
+        out.rows(
+            at,
+            tables.BODY,
+            vars(body)
+            | empty
+            | {
+                "output_matrix": None,
+                "basis": Columns((rows, count), np.float64, basis()),
+                "mode_kind": [MODE_KINDS.index(kind) for kind in body.mode_kind],
+                "ranking": body.ranking or None,
+            },
+        )
         out.doing(f"mode shapes of {body.name} for ParaView")
         modes = vtkhdf.shown_modes(body.reduced())
         shown = body.frequencies_hz[body.rigid_count :][: modes.shape[1]]
@@ -67,9 +73,13 @@ def write_stored(path: str | Path, bodies: StoredBodies, body: StoredBody, sourc
 def _shared(bodies: StoredBodies, body: StoredBody) -> Mapping[str, Any]:
     """Values of everything but the body, by the fields of ``tables.FILE``."""
     return vars(bodies) | {
-        "format": FORMAT, "format_version": 1, "unit_system": "SI", "body_names": [body.name],
-        "mode_kinds": MODE_KINDS, "interface_names": list(bodies.interfaces),
-    }  # fmt: skip
+        "format": FORMAT,
+        "format_version": 1,
+        "unit_system": "SI",
+        "body_names": [body.name],
+        "mode_kinds": MODE_KINDS,
+        "interface_names": list(bodies.interfaces),
+    }
 
 
 def _cells(grid: Grid) -> list[vtkhdf.Cells]:
@@ -83,4 +93,4 @@ def _cells(grid: Grid) -> list[vtkhdf.Cells]:
             connectivity=grid.connectivity[grid.offsets[first] : grid.offsets[last]].reshape(last - first, -1),
         )
         for first, last in zip(starts.tolist(), ends.tolist(), strict=True)
-    ]  # fmt: skip
+    ]

@@ -14,15 +14,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.body.delivered import Delivered
 from morembs.diagnostics.findings import MOTIONS, Finding, listed
 from morembs.model import skew
 from morembs.model.mass import mass_properties
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Against the largest eigenvalue, in units of the mass.
 ROUND_OFF = 1e-12
 # Energy of rigid motion as a frequency, against the first elastic one: warning and error.
@@ -137,11 +135,13 @@ def _ground(given: Delivered, way: str, q: Floats, hz: float, first: float, find
     )
     findings.append(
         Finding(
-            code="grounded", severity="error" if hz > GROUNDED * first else "warning", sentence=sentence,
+            code="grounded",
+            severity="error" if hz > GROUNDED * first else "warning",
+            sentence=sentence,
             cure="look for springs to the ground in the model, or for interface points that are not where K has them",
             where=tuple(MOTIONS[k] for k in motions),
         )
-    )  # fmt: skip
+    )
 
 
 def _mass(given: Delivered, way: str, q: Floats, findings: list[Finding], facts: dict[str, Any]) -> None:

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.body.vtkhdf_series import Grid, View
 from morembs.model import ElementBlock, Mesh, Nodes
 from morembs.model.elements import FACES, TYPES
@@ -16,8 +16,6 @@ from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 from morembs.summary import summarised
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 SHOWN_MODES = 4
 
 
@@ -50,10 +48,13 @@ def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:
     dofs = problem.model.dofs.of_nodes(rows).ravel()
     motion = problem.coupling.T[dofs] @ (reduced.V @ Y[:, shown])
     return Shapes(
-        body=reduced.name, points=mesh.nodes.xyz[rows], triangles=np.searchsorted(rows, triangles),
-        motion=motion.T.reshape(-1, len(rows), 3), frequencies_hz=np.sqrt(np.maximum(values[shown], 0)) / (2 * np.pi),
+        body=reduced.name,
+        points=mesh.nodes.xyz[rows],
+        triangles=np.searchsorted(rows, triangles),
+        motion=motion.T.reshape(-1, len(rows), 3),
+        frequencies_hz=np.sqrt(np.maximum(values[shown], 0)) / (2 * np.pi),
         interfaces={interface.name: interface.point for interface in problem.interfaces},
-    )  # fmt: skip
+    )
 
 
 def shapes_on(view: View) -> Shapes | None:
@@ -63,9 +64,13 @@ def shapes_on(view: View) -> Shapes | None:
         return None
     rows, renumbered = np.unique(triangles, return_inverse=True)
     return Shapes(
-        body=view.body, points=view.grid.points[rows], triangles=renumbered.reshape(-1, 3),
-        motion=view.motion[:, rows], frequencies_hz=view.frequencies_hz, interfaces=view.interfaces,
-    )  # fmt: skip
+        body=view.body,
+        points=view.grid.points[rows],
+        triangles=renumbered.reshape(-1, 3),
+        motion=view.motion[:, rows],
+        frequencies_hz=view.frequencies_hz,
+        interfaces=view.interfaces,
+    )
 
 
 def _faces(grid: Grid) -> dict[str, Ints]:

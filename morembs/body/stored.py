@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.body.tables import BODY, FILE, INTERFACE
 from morembs.body.view import Viewed, refuse_no_modes
 from morembs.errors import InputError, nearest
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from morembs.reducers.base import ReducedModel
     from morembs.reducers.switching_tables import StaticModeTables
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 T = TypeVar("T")
 # Part of the largest entry by which round-off may make the matrices of a file differ from their transposes.
 SYMMETRIC = 1e-9
@@ -107,10 +105,13 @@ class StoredBody(Viewed):
 
     def _facts(self) -> dict[str, object]:
         return {
-            "name": self.name, "order": len(self.stiffness_matrix),
-            "elastic frequencies": hertz(self.frequencies_hz[self.rigid_count :]), "error": self._error(),
-            "coordinates": kinds_words(self.mode_kind), "frame": None if self.floating is None else self.floating.kind,
-        }  # fmt: skip
+            "name": self.name,
+            "order": len(self.stiffness_matrix),
+            "elastic frequencies": hertz(self.frequencies_hz[self.rigid_count :]),
+            "error": self._error(),
+            "coordinates": kinds_words(self.mode_kind),
+            "frame": None if self.floating is None else self.floating.kind,
+        }
 
     def _error(self) -> str:
         known = self.certificate
@@ -163,11 +164,19 @@ class StoredBody(Viewed):
         n = len(self.stiffness_matrix)
         V = np.zeros((0, n))
         return ReducedModel(
-            name=self.name, M=self.mass_matrix, K=self.stiffness_matrix, D=self.damping_matrix, B=self.input_matrix,
-            C=self.output_matrix, V=V, W=None if self.symmetric else V if self._one_sided else np.zeros((0, n)),
-            mode_kind=self.mode_kind, rigid_count=self.rigid_count, recipe=self.recipe,
+            name=self.name,
+            M=self.mass_matrix,
+            K=self.stiffness_matrix,
+            D=self.damping_matrix,
+            B=self.input_matrix,
+            C=self.output_matrix,
+            V=V,
+            W=None if self.symmetric else V if self._one_sided else np.zeros((0, n)),
+            mode_kind=self.mode_kind,
+            rigid_count=self.rigid_count,
+            recipe=self.recipe,
             structural=float(self.recipe.get(STRUCTURAL, 0.0)),
-        )  # fmt: skip
+        )
 
     def switching(self) -> StaticModeTables:
         """Static modes of candidate loads, read from the file at each call.
@@ -228,9 +237,12 @@ class StoredBodies:
     def _facts(self) -> dict[str, object]:
         orders = ", ".join(f"{name} (order {len(body.stiffness_matrix)})" for name, body in self.bodies.items())
         return {
-            "bodies": orders, "mass": f"{self.mass:.4g} kg", "nodes": len(self.node_ids),
-            "interfaces": list(self.interfaces), "warnings": len(self.warnings) or None,
-        }  # fmt: skip
+            "bodies": orders,
+            "mass": f"{self.mass:.4g} kg",
+            "nodes": len(self.node_ids),
+            "interfaces": list(self.interfaces),
+            "warnings": len(self.warnings) or None,
+        }
 
 
 def choose_body(bodies: StoredBodies, name: str | None, place: Path | str = "the file") -> StoredBody:
@@ -255,9 +267,11 @@ def stored_bodies(file: Any, **readers: Callable[..., Any]) -> StoredBodies:
     bodies = {name: _body(name, file[f"bodies/{name}"], kinds, readers) for name in names}
     shown = {name: StoredInterface(**read_rows(file[f"interfaces/{name}"], INTERFACE)) for name in interfaces}
     return StoredBodies(
-        interfaces=ByName("interface", shown), bodies=ByName("body", bodies),
-        provenance={name: item for name, item in _tree(file.get("provenance", {})).items() if name != GROUP}, **values,
-    )  # fmt: skip
+        interfaces=ByName("interface", shown),
+        bodies=ByName("body", bodies),
+        provenance={name: item for name, item in _tree(file.get("provenance", {})).items() if name != GROUP},
+        **values,
+    )
 
 
 def _tree(group: Any, array: Callable[[Any], Any] = np.ndarray.tolist) -> dict[str, Any]:
@@ -298,7 +312,11 @@ def _body(name: str, group: Any, kinds: Sequence[str], readers: Mapping[str, Any
     if certificate is not None and "proof" in certificate:
         certificate["proof"] = [asdict(lemma) for lemma in read_lemmas(json.loads(certificate["proof"]))]
     return StoredBody(
-        name=name, has_recovery="recovery" in group, has_switching="switching" in group,
+        name=name,
+        has_recovery="recovery" in group,
+        has_switching="switching" in group,
         has_parameters="parametric" in group,
-        certificate=certificate, **values, **readers,
-    )  # fmt: skip
+        certificate=certificate,
+        **values,
+        **readers,
+    )

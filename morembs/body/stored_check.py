@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.body.tables import BODY, FILE, INTERFACE
 from morembs.errors import InputError
 from morembs.floating.frame import FRAMES
@@ -18,8 +19,6 @@ from morembs.model.fe_model import SCALAR
 from morembs.storage.table import KINDS
 from morembs.storage.table_check import TableCheck, refuse_not_finite
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # By how much axes may miss a rotation.
 ORTHONORMAL = 1e-6
 

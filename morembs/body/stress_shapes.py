@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints, Reals
 from morembs.body.tables import RECOVERY
 from morembs.model import frozen
 from morembs.model.stress_operator import StressOperator, stress_operator, von_mises
@@ -28,9 +28,6 @@ from morembs.storage.table import Table, read_rows
 from morembs.storage.writer import Columns
 from morembs.summary import summarised
 
-Floats = NDArray[np.float64]
-Reals = NDArray[np.float64] | NDArray[np.float32]
-Ints = NDArray[np.int64]
 # Columns of length N that one block of shapes costs, in addition to the gradients at the points.
 _COPIES = 6
 
@@ -110,9 +107,16 @@ class Recovery:
 
 
 def stress_recovery(
-    problem: Problem, reduced: ReducedModel, *, nodes: str | Ints = "skin", single: bool = True,
-    correction: bool = True, jump: bool = True, operator: StressOperator | None = None, progress: Progress = SILENT,
-) -> Recovery:  # fmt: skip
+    problem: Problem,
+    reduced: ReducedModel,
+    *,
+    nodes: str | Ints = "skin",
+    single: bool = True,
+    correction: bool = True,
+    jump: bool = True,
+    operator: StressOperator | None = None,
+    progress: Progress = SILENT,
+) -> Recovery:
     """Stress recovery of ``reduced`` at ``nodes`` ("skin", "all" or rows), in ``single`` or double precision.
 
     ``operator`` saves making that of ``nodes`` again for the next reduction; its ``elements``, or ``jump`` without it,
@@ -146,11 +150,16 @@ def stress_recovery(
     progress.update(f"{reduced.name}: stress of {reduced.order} coordinates at {len(operator.nodes)} points")
     missed = _missed(problem, reduced, operator, shapes_of) if correction and problem.B.shape[1] else {}
     return Recovery(
-        points=model.nodes.ids[operator.nodes], coordinates=model.nodes.xyz[operator.nodes],
-        material=operator.material, deformation=_deformation(problem, reduced), stress=stress, jump=jumps,
+        points=model.nodes.ids[operator.nodes],
+        coordinates=model.nodes.xyz[operator.nodes],
+        material=operator.material,
+        deformation=_deformation(problem, reduced),
+        stress=stress,
+        jump=jumps,
         jump_point=None if elements is None else elements.point,
-        jump_element=None if elements is None else elements.element, **missed,
-    )  # fmt: skip
+        jump_element=None if elements is None else elements.element,
+        **missed,
+    )
 
 
 def _missed(
@@ -219,9 +228,15 @@ def recovery_parts(recovery: Recovery, at_nodes: sp.csr_array | None = None) -> 
     """
     values, missing = dict(vars(recovery)), recovery.missing
     if at_nodes is not None:
-        values["displacement"] = missing if missing is None else Columns(
-            (at_nodes.shape[0], missing.shape[1]), missing.dtype, (at_nodes @ column[:, None] for column in missing.T)
-        )  # fmt: skip
+        values["displacement"] = (
+            missing
+            if missing is None
+            else Columns(
+                (at_nodes.shape[0], missing.shape[1]),
+                missing.dtype,
+                (at_nodes @ column[:, None] for column in missing.T),
+            )
+        )
     return values
 
 

@@ -86,6 +86,8 @@ _OLD = "files of earlier versions lack it"
 _MAYBE = "may be absent"
 _JUMPS = "only where jumps are wanted"
 
+# A row a dataset.
+# fmt: off
 CERTIFICATE = Table((
     Row("version", "whole", "", "2: limits on every frequency of the band", when=_OLD),
     Row("band_hz", "real", "2", "the limits hold from here to there", "Hz", when=_OLD),
@@ -133,7 +135,7 @@ CERTIFICATE = Table((
         "versions", doc="JSON, `lemmas` is a list of those that the limits rest on: `name` (a section of methods.md), "
         "`statement`, `numbers` by name, `kind` (`proven` or `estimate`)"),
     Row("notes", "notes", doc="what there is to say about them", when=_MAYBE),
-), parts=_certificate_parts)  # fmt: skip
+), parts=_certificate_parts)
 
 
 def certificate_values(certificate: Certificate) -> dict[str, Any]:
@@ -164,12 +166,12 @@ INTEGRALS = Table((
             ("Oe1", "ne 6 ne", "[i, ab, l]: Oe per coordinate l", ""),
         )
     ),
-), build=ShapeIntegrals)  # fmt: skip
+), build=ShapeIntegrals)
 
 MARKER = Table((
     Row("point", "real", "3", "undeformed, from the origin", "m"),
     Row("motion", "real", "6 ne", "displacement and small rotation per coordinate"),
-), build=InterfaceMarker)  # fmt: skip
+), build=InterfaceMarker)
 
 STIFFENING = Table((
     Row("acceleration", "real", "3 ne ne", "geometric stiffness per acceleration of the frame", "s2/m"),
@@ -182,7 +184,7 @@ STIFFENING = Table((
     Row("load", "any", "loads", "of each term: its largest value in use, or one", when="where there are any"),
     Row("dropped", "text", "any", "terms that were left out", when="where there are any",
         doc="terms that were left out, which are zero"),
-), build=_stiffening, parts=_stiffening_parts)  # fmt: skip
+), build=_stiffening, parts=_stiffening_parts)
 
 FRAME = Table((
     Row("kind", "text", "", "conditions that the frame follows",
@@ -198,7 +200,7 @@ FRAME = Table((
     Row("markers/*", MARKER),
     Row("notes", "notes", doc="what is not exact"),
     Row("stiffening", STIFFENING, doc="geometric stiffening, if that was asked for: see below", when="if"),
-), build=FloatingFrame, parts=_frame_parts)  # fmt: skip
+), build=FloatingFrame, parts=_frame_parts)
 
 RANKING = Table((
     Row("terms", "text", "terms", "inertia terms, those that matter most first"),
@@ -206,7 +208,7 @@ RANKING = Table((
         "term is largest"),
     Row("share", "any", "terms", "in all magnitudes of that equation", doc="of the term in the magnitudes of that "
         "equation, an upper estimate"),
-), build=_ranking, parts=_ranking_parts)  # fmt: skip
+), build=_ranking, parts=_ranking_parts)
 
 RECOVERY = Table((
     Row("points", "whole", "np", "labels of the nodes; a node where materials meet comes once for each"),
@@ -226,7 +228,7 @@ RECOVERY = Table((
     Row("jump_correction", "later", "6nj m", "what jump lacks, per unit of each interface load; rows as jump", "Pa",
         columns=True, when=_JUMPS),
     Row("markers/*", "real", "6 m", "displacement and small rotation of the interface in displacement"),
-))  # fmt: skip
+))
 
 SWITCHING = Table((
     Row("kind", "text", "", "path: loads slide from node to node; surface: any of them may be loaded"),
@@ -248,7 +250,7 @@ SWITCHING = Table((
         "Pa/N", when="where stress is wanted"),
     Row("stress_first", "whole", "nc", "first candidate in static_stress, per node", when="where stress is wanted"),
     Row("notes", "json", "", "what was found on the way, as JSON"),
-), build=_switching)  # fmt: skip
+), build=_switching)
 
 # Sizes: P parameters, Q and J terms of stiffness and mass, 1 + morphs of them affine in morphs, q coordinates of
 # residuals, c cells of the box, k deflated columns.
@@ -258,7 +260,7 @@ CELLS = Table((
     Row("alpha", "any", "c", "part of the stiffness at the anchor that is left at least"),
     Row("least", "any", "c", "eigenvalue below which only deflated motions are", "1/s2"),
     Row("proven", "flag", "c", "1 where counts of eigenvalues prove both"),
-))  # fmt: skip
+))
 
 BOUND = Table((
     Row("anchor", "real", "P", "values whose supported stiffness measures loads"),
@@ -280,7 +282,7 @@ BOUND = Table((
     Row("rounding_M", "later", "J n n", "the same of the terms of M", when=_OLD),
     Row("rigid", "later", "n 6 f", "rigid motions, constant and per morph",
         when="where springs alone hold a body with a morph, and are not in the norm of loads"),
-))  # fmt: skip
+))
 
 FRAME_TERMS = Table((
     Row("pole", "real", "3", "about which the integrals are", "m"),
@@ -292,7 +294,7 @@ FRAME_TERMS = Table((
     Row("phi_phi", "later", "J 3 3 n n", "[j, a, b, k, l]: int phi_a,k phi_b,l dm"),
     Row("markers/*", "real", "6 n", "displacement and small rotation of the interface per coordinate"),
     Row("points/*", "real", "f 3", "place of the interface, and its displacement by each morph", "m"),
-))  # fmt: skip
+))
 
 PARAMETRIC = Table((
     Row("names", "text", "P", "names of the parameters"),
@@ -320,7 +322,7 @@ PARAMETRIC = Table((
         doc="largest bound over the band at all sampled values, relative to the envelope of the response: a maximum "
         "over samples"),
     Row("floor", "real", "", "damping ratio that box_bound gives to models without damping"),
-), build=_parametric, parts=_parametric_parts)  # fmt: skip
+), build=_parametric, parts=_parametric_parts)
 
 SPIN = Table((
     Row("C", "real", "n n", "Coriolis matrix per rad/s: add 2 W C to damping_matrix; skew", doc="Coriolis matrix per "
@@ -335,7 +337,7 @@ SPIN = Table((
     Row("point", "real", "3", "a point of the axis", "m"),
     Row("speeds", "real", "speeds", "with modes compared to those of the full model", "rad/s", doc="speeds at which "
         "modes were compared with those of the full model; the recipe has the deviations"),
-), build=ReducedSpin)  # fmt: skip
+), build=ReducedSpin)
 
 BODY = Table((
     Row("mass_matrix", "real", "n n", "reduced matrix, symmetric", doc="M, symmetric"),
@@ -366,12 +368,12 @@ BODY = Table((
     Row("recovery", RECOVERY, doc="stress shapes, if they were asked for: see below", when="if", read=False),
     Row("basis", "later", "3N n", "row 3 i + c: displacement of node i along axis c per unit of each coordinate",
         doc="Phi: displacements of the nodes, see below", columns=True, read=False),
-))  # fmt: skip
+))
 # What is said of matrices that are not symmetric.
 UNSYMMETRIC = Table(tuple(
     replace(row, about=row.about.replace("matrix, symmetric", "matrix, not symmetric").partition("; the transpose")[0])
     for row in BODY
-))  # fmt: skip
+))
 
 INTERFACE = Table((
     Row("coupling", "text", doc="`rigid`, `average`, `direct`, `matrix`, or a kind that [another "
@@ -388,7 +390,7 @@ INTERFACE = Table((
     Row("node_ids", "whole", "s", "labels of the nodes", doc="labels of the nodes that follow the frame"),
     Row("weights", "real", "s", "share of each node (area in m2, or 1)", doc="share of each node: area in m² of the "
         "whole faces between the nodes, 0 for nodes on none; 1 for all if there are no whole faces"),
-))  # fmt: skip
+))
 
 FILE = Table((
     Row("format", "text", doc="`morembs-body`", read=False),
@@ -412,4 +414,4 @@ FILE = Table((
         field="input_component"),
     Row("inputs/node_id", "whole", "m", "label of the node of a direct interface, -1 for a frame",
         field="input_node_id"),
-))  # fmt: skip
+))

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from morembs.base.types import Floats, Ints
 
 if TYPE_CHECKING:
     from morembs.reducers.base import ReducedModel
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 VTK_VERTEX = 1
 # ParaView 5.11 refuses any other number; 1.0 has all that a static grid needs.
 VERSION = (1, 0)

@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body.stress_shapes import Recovery, read_recovery
 from morembs.body.vtkhdf import write_head
 from morembs.errors import InputError
@@ -24,7 +25,6 @@ from morembs.storage.hdf5 import reading
 from morembs.storage.storable import text
 from morembs.storage.writer import writing
 
-Floats = NDArray[np.float64]
 # Temporal data came with 2.0.
 VERSION = (2, 0)
 
@@ -62,9 +62,11 @@ def read_grid(path: Path) -> Grid:
         Checksums(path, file).verify(lambda name: re.fullmatch("VTKHDF(/[^/]+)?", name) is not None)
         group = file["VTKHDF"]
         grid = Grid(
-            points=group["Points"][()], connectivity=group["Connectivity"][()], offsets=group["Offsets"][()],
+            points=group["Points"][()],
+            connectivity=group["Connectivity"][()],
+            offsets=group["Offsets"][()],
             types=group["Types"][()],
-        )  # fmt: skip
+        )
     if not len(grid.points):
         raise InputError(f"{path} keeps no nodes, so there is nothing to show; write it again with nodes = 'skin'")
     return grid
@@ -108,9 +110,15 @@ def read_arrays(path: Path) -> dict[str, Any]:
 
 
 def write_series(
-    path: str | Path, grid: Grid, times: Floats, fields: Mapping[str, int], steps: Iterable[Mapping[str, Any]],
-    progress: Progress = SILENT, *, notes: Callable[[], Sequence[str]] = tuple,
-) -> Path:  # fmt: skip
+    path: str | Path,
+    grid: Grid,
+    times: Floats,
+    fields: Mapping[str, int],
+    steps: Iterable[Mapping[str, Any]],
+    progress: Progress = SILENT,
+    *,
+    notes: Callable[[], Sequence[str]] = tuple,
+) -> Path:
     """Write the point ``fields`` (name -> number of components) at ``times`` (nt,) in s, in single precision.
 
     ``steps`` gives for each time the values (n, components) of each field, and is asked for one after the other;

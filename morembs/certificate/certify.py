@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.certificate.limits import ErrorLimits, body_response, checked_sharpness, error_limits, sampled
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.proof import proof_of
@@ -28,8 +29,6 @@ from morembs.responses.measures import SHARPNESS, Limit, checked_measure
 from morembs.storage.lemma import Lemma, kind_of
 from morembs.summary import error_words, summarised
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 # A mode whose MAC is below this is missing.
 MISSING = 0.5
 # Part of the upper frequency below which rigid-body motion leaves too few digits to hold an interface afterwards.
@@ -122,16 +121,26 @@ class Certificate(ErrorLimits):
 
     def _facts(self) -> dict[str, object]:
         return {
-            "error": self.words, "static error": f"{self.static_error:.1e}", "modes in the band":
-            len(self.mode_frequencies_hz), "damping floor": self.damping_floor or None, "notes": "; ".join(self.notes),
-        }  # fmt: skip
+            "error": self.words,
+            "static error": f"{self.static_error:.1e}",
+            "modes in the band": len(self.mode_frequencies_hz),
+            "damping floor": self.damping_floor or None,
+            "notes": "; ".join(self.notes),
+        }
 
 
 def certify(
-    problem: Problem, bodies: Sequence[ReducedModel], band_hz: Sequence[float] | Floats, *,
-    measure: str = "envelope", damping_floor: float | None = None, sharpness: float = SHARPNESS, points: int = POINTS,
-    bound: bool = True, progress: Progress = SILENT,
-) -> tuple[Certificate, ...]:  # fmt: skip
+    problem: Problem,
+    bodies: Sequence[ReducedModel],
+    band_hz: Sequence[float] | Floats,
+    *,
+    measure: str = "envelope",
+    damping_floor: float | None = None,
+    sharpness: float = SHARPNESS,
+    points: int = POINTS,
+    bound: bool = True,
+    progress: Progress = SILENT,
+) -> tuple[Certificate, ...]:
     """Certificate of each of ``bodies`` over ``band_hz`` (low, high), both ends included.
 
     The full model is that of ``certified_reference``, whose own error counts. Limits are proven in exact arithmetic,
@@ -157,8 +166,9 @@ def certify(
     if len(band_hz) != 2:
         warnings.warn(
             "certify takes the band, [LOW, HIGH] in Hz; a list of frequencies will not be taken any more",
-            DeprecationWarning, stacklevel=2,
-        )  # fmt: skip
+            DeprecationWarning,
+            stacklevel=2,
+        )
         given, band_hz = np.asarray(band_hz, dtype=float), (float(band_hz[0]), float(band_hz[-1]))
     low, high = checked_band([float(f) for f in band_hz])
     if not problem.symmetric:
@@ -179,9 +189,14 @@ def certify(
 
 
 def _certificate(
-    reference: CertifiedReference, reduced: ReducedModel, hz: Floats, H: Complexes, known: ErrorLimits, measure: str,
+    reference: CertifiedReference,
+    reduced: ReducedModel,
+    hz: Floats,
+    H: Complexes,
+    known: ErrorLimits,
+    measure: str,
     bound: bool,
-) -> Certificate:  # fmt: skip
+) -> Certificate:
     problem, omega = reference.problem, 2 * np.pi * hz
     layout = Layout(problem.B.shape[1], list(problem.coupling.columns.values()), symmetric=False)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -194,24 +209,43 @@ def _certificate(
     poles = poles_of(reference, reduced)
     proof = proof_of(reference, known) if bound else ()
     return Certificate(
-        limits=known.limits, block_limit=known.block_limit, cells_hz=known.cells_hz, cell_limit=known.cell_limit,
-        band_hz=reference.band_hz, measure=measure, damping_floor=reference.floor,
-        proof=proof, kind=kind_of(proof) if bound else "sampled",
-        frequencies_hz=hz, full=norm, reduced=np.linalg.norm(H_r, axis=(1, 2)), error=error,
-        bound=error + unsure + own if bound else np.full(len(hz), np.inf), reference_error=unsure,
-        block_error=_block_errors(problem, H_r - H, H), held_error=_held_errors(problem, H_r, H, omega),
+        limits=known.limits,
+        block_limit=known.block_limit,
+        cells_hz=known.cells_hz,
+        cell_limit=known.cell_limit,
+        band_hz=reference.band_hz,
+        measure=measure,
+        damping_floor=reference.floor,
+        proof=proof,
+        kind=kind_of(proof) if bound else "sampled",
+        frequencies_hz=hz,
+        full=norm,
+        reduced=np.linalg.norm(H_r, axis=(1, 2)),
+        error=error,
+        bound=error + unsure + own if bound else np.full(len(hz), np.inf),
+        reference_error=unsure,
+        block_error=_block_errors(problem, H_r - H, H),
+        held_error=_held_errors(problem, H_r, H, omega),
         static_error=_static_error(problem, reduced),
-        mode_frequencies_hz=poles.frequencies_hz, mode_enclosure_hz=poles.enclosure_hz,
-        mode_deviation=poles.deviation, mode_mac=poles.mac, residue_deviation=poles.residue,
+        mode_frequencies_hz=poles.frequencies_hz,
+        mode_enclosure_hz=poles.enclosure_hz,
+        mode_deviation=poles.deviation,
+        mode_mac=poles.mac,
+        residue_deviation=poles.residue,
         verified_below_hz=float(np.sqrt(reference.cut) / (2 * np.pi)),
         notes=(*known.notes, *_on_damping(reference, reduced, poles), *_missing(poles)),
-    )  # fmt: skip
+    )
 
 
 def _measured(
-    problem: Problem, bodies: Sequence[ReducedModel], hz: Floats, band_hz: tuple[float, float], measure: str,
-    floor: float | None, progress: Progress,
-) -> tuple[Certificate, ...]:  # fmt: skip
+    problem: Problem,
+    bodies: Sequence[ReducedModel],
+    hz: Floats,
+    band_hz: tuple[float, float],
+    measure: str,
+    floor: float | None,
+    progress: Progress,
+) -> tuple[Certificate, ...]:
     """Certificates of bodies of a model that is not symmetric: errors at ``hz`` (nf,), without a limit between them."""
     if floor:
         raise InputError("a damping floor was given for a model with a gyroscopic or circulatory matrix; leave it out")
@@ -223,18 +257,37 @@ def _measured(
         H_r = reduced_response(body, 2 * np.pi * hz) * S
         static = reduced_response(body, np.zeros(1))[0] * S
         known, error = sampled(len(problem.coupling.columns)), np.linalg.norm(H_r - H, axis=(1, 2)) / norm
-        certificates.append(Certificate(
-            limits=known.limits, block_limit=known.block_limit, cells_hz=known.cells_hz, cell_limit=known.cell_limit,
-            band_hz=band_hz, measure=measure, damping_floor=0.0, kind="sampled", frequencies_hz=hz, full=norm,
-            reduced=np.linalg.norm(H_r, axis=(1, 2)), error=error, bound=np.full(len(hz), np.inf),
-            reference_error=np.zeros(len(hz)), block_error=_block_errors(problem, H_r - H, H),
-            held_error=_held_errors(problem, H_r, H, 2 * np.pi * hz),
-            static_error=float(np.linalg.norm(static - statics) / np.linalg.norm(statics)),
-            mode_frequencies_hz=nothing, mode_enclosure_hz=np.empty((0, 2)), mode_deviation=nothing, mode_mac=nothing,
-            residue_deviation=nothing, verified_below_hz=0.0,
-            notes=("no limit is proven of a model with a gyroscopic or circulatory matrix: errors are those at the "
-                   "sampled frequencies; modes are not compared",),
-        ))  # fmt: skip
+        certificates.append(
+            Certificate(
+                limits=known.limits,
+                block_limit=known.block_limit,
+                cells_hz=known.cells_hz,
+                cell_limit=known.cell_limit,
+                band_hz=band_hz,
+                measure=measure,
+                damping_floor=0.0,
+                kind="sampled",
+                frequencies_hz=hz,
+                full=norm,
+                reduced=np.linalg.norm(H_r, axis=(1, 2)),
+                error=error,
+                bound=np.full(len(hz), np.inf),
+                reference_error=np.zeros(len(hz)),
+                block_error=_block_errors(problem, H_r - H, H),
+                held_error=_held_errors(problem, H_r, H, 2 * np.pi * hz),
+                static_error=float(np.linalg.norm(static - statics) / np.linalg.norm(statics)),
+                mode_frequencies_hz=nothing,
+                mode_enclosure_hz=np.empty((0, 2)),
+                mode_deviation=nothing,
+                mode_mac=nothing,
+                residue_deviation=nothing,
+                verified_below_hz=0.0,
+                notes=(
+                    "no limit is proven of a model with a gyroscopic or circulatory matrix: errors are those at the "
+                    "sampled frequencies; modes are not compared",
+                ),
+            )
+        )
     return tuple(certificates)
 
 

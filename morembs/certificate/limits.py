@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.reducers.base import ReducedModel
 from morembs.responses.cells import MOST, Cells
@@ -19,7 +19,6 @@ from morembs.responses.rational import Terms
 from morembs.responses.rounding import Response
 from morembs.summary import summarised, upwards
 
-Floats = NDArray[np.float64]
 # Neighbouring cells whose limits differ by less than this are stored as one, at most so many of them.
 ALIKE, STORED = 0.05, 5000
 # Steps of limits beyond this factor say nothing any more.
@@ -72,10 +71,17 @@ def body_response(reference: CertifiedReference, reduced: ReducedModel, layout: 
     """The transfer matrix of ``reduced``, scaled, with the damping floor of ``reference``."""
     scale = reference.problem.motion_scale
     return response_of(
-        reduced.M, reduced.D, reduced.K, reduced.B * scale, scale[:, None] * reduced.C, layout,
-        structural=reduced.structural + 2 * reference.floor, highest=2 * np.pi * reference.band_hz[1],
-        rigid=reduced.rigid_count, symmetric=reduced.symmetric,
-    )  # fmt: skip
+        reduced.M,
+        reduced.D,
+        reduced.K,
+        reduced.B * scale,
+        scale[:, None] * reduced.C,
+        layout,
+        structural=reduced.structural + 2 * reference.floor,
+        highest=2 * np.pi * reference.band_hz[1],
+        rigid=reduced.rigid_count,
+        symmetric=reduced.symmetric,
+    )
 
 
 def error_limits(
@@ -102,18 +108,24 @@ def error_limits(
     low, high = (2 * np.pi * f for f in reference.band_hz)
     standard = reference.standard(reduced.symmetric)
     body = body_response(reference, reduced, standard.layout)
-    sharp = {whose: at for whose, terms in (("the full model", standard.H), ("the body", body.terms))
-             if (at := _undamped_pole(terms, low, high)) is not None}  # fmt: skip
+    sharp = {
+        whose: at
+        for whose, terms in (("the full model", standard.H), ("the body", body.terms))
+        if (at := _undamped_pole(terms, low, high)) is not None
+    }
     if sharp:
         at_hz, n = min(sharp.values()) / (2 * np.pi), len(problem.coupling.columns)
         return ErrorLimits(
             limits={name: Limit(lower=0.0, upper=np.inf, at_hz=at_hz) for name in MEASURES},
-            block_limit=np.full((n, n), np.inf), cells_hz=np.array([reference.band_hz]),
+            block_limit=np.full((n, n), np.inf),
+            cells_hz=np.array([reference.band_hz]),
             cell_limit=np.full((1, 3), np.inf),
-            notes=(f"no limit: there is an undamped resonance at {at_hz:,.6g} Hz, a pole of {' and of '.join(sharp)}, "
-                   "where a transfer error has none; "
-                   "give damping, or a damping_floor such as 0.01",),
-        )  # fmt: skip
+            notes=(
+                f"no limit: there is an undamped resonance at {at_hz:,.6g} Hz, a pole of {' and of '.join(sharp)}, "
+                "where a transfer error has none; "
+                "give damping, or a damping_floor such as 0.01",
+            ),
+        )
     limits, blocks, cells = compare(standard, body, low, high, sharpness, most_cells=most_cells)
     hz, upper = merge_cells(cells.edges / (2 * np.pi), cells.upper)
     # The ends as they were given.
@@ -121,8 +133,11 @@ def error_limits(
     notes: tuple[str, ...] = ()
     if not cells.whole:
         notes = (f"limits could be sharper: the search ended at {len(cells.upper):,} cells",)
-    loose = [name for name, limit in limits.items()
-             if limit.upper == np.inf or (cells.whole and 2 * sharpness * limit.lower < limit.upper)]  # fmt: skip
+    loose = [
+        name
+        for name, limit in limits.items()
+        if limit.upper == np.inf or (cells.whole and 2 * sharpness * limit.lower < limit.upper)
+    ]
     notes += tuple(_causes(standard, body, cells, loose))
     return ErrorLimits(limits=limits, block_limit=blocks, cells_hz=hz, cell_limit=upper, notes=notes)
 
@@ -139,11 +154,15 @@ def _causes(standard: Standard, body: Response, cells: Cells, loose: Sequence[st
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             inverse = standard.modes.moduli(omega)[0]
             e = inverse @ standard.sizes[:, 0]
-            parts = np.nan_to_num([
-                standard.uncertain(omega, omega),
-                standard.rounding.at(inverse).size()[:, 0] / e + standard.floor,
-                body.rounding.at(body.terms.moduli(omega)[0]).size()[:, 0] / e,
-            ], nan=np.inf, posinf=np.inf)  # fmt: skip
+            parts = np.nan_to_num(
+                [
+                    standard.uncertain(omega, omega),
+                    standard.rounding.at(inverse).size()[:, 0] / e + standard.floor,
+                    body.rounding.at(body.terms.moduli(omega)[0]).size()[:, 0] / e,
+                ],
+                nan=np.inf,
+                posinf=np.inf,
+            )
             size = standard.layout.norms(standard.H.at(omega))[:, 0] / e
         worst = int(parts.max(axis=1).argmax())
         lost = float(parts[worst].max())
@@ -190,5 +209,7 @@ def sampled(blocks: int) -> ErrorLimits:
     """No limits."""
     return ErrorLimits(
         limits={name: Limit(lower=0.0, upper=np.inf, at_hz=np.nan) for name in MEASURES},
-        block_limit=np.full((blocks, blocks), np.inf), cells_hz=np.zeros((0, 2)), cell_limit=np.zeros((0, 3)),
-    )  # fmt: skip
+        block_limit=np.full((blocks, blocks), np.inf),
+        cells_hz=np.zeros((0, 2)),
+        cell_limit=np.zeros((0, 3)),
+    )

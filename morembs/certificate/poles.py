@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from morembs.base.types import Floats, Ints
 from morembs.linalg.columns import dot, map_columns
 from morembs.reducers.base import ReducedModel
 from morembs.responses.certified import CertifiedReference
 from morembs.responses.pencils import modes_of
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Modes this close to each other are compared as one subspace.
 CLUSTER = 1e-3
 # A mode whose share in the static energy of unit loads is below this is not excited by any.
@@ -91,9 +90,13 @@ def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
             off = np.linalg.norm(outputs[held].T @ inputs[held] - true)
             residue[first:last] = off / np.linalg.norm(true)
     return Poles(
-        frequencies_hz=omega[band] / (2 * np.pi), enclosure_hz=limits[band], excited=excited[band],
-        deviation=deviation[band], mac=mac[band], residue=residue[band],
-    )  # fmt: skip
+        frequencies_hz=omega[band] / (2 * np.pi),
+        enclosure_hz=limits[band],
+        excited=excited[band],
+        deviation=deviation[band],
+        mac=mac[band],
+        residue=residue[band],
+    )
 
 
 def _partners(reduced: ReducedModel, seen: Floats, omega: Floats) -> tuple[Ints, Floats, Floats]:

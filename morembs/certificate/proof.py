@@ -16,9 +16,14 @@ def proof_of(reference: CertifiedReference, known: ErrorLimits) -> tuple[Lemma, 
     own = reference.problem.D is not None
     complement = () if own else (_complement(reference),)
     return (
-        _count(reference), _enclosures(reference), *complement, _residual(reference), _damping(reference),
-        _round_off(reference), _cells(reference, known),
-    )  # fmt: skip
+        _count(reference),
+        _enclosures(reference),
+        *complement,
+        _residual(reference),
+        _damping(reference),
+        _round_off(reference),
+        _cells(reference, known),
+    )
 
 
 def _hz(value: float) -> float:
@@ -34,9 +39,10 @@ def _lemma(name: str, statement: str, kind: str = PROVEN, **numbers: float) -> L
 def _count(reference: CertifiedReference) -> Lemma:
     count, below = len(reference.sigma), _hz(reference.cut)
     name, how = (
-        ("sturm-count", "by the negative pivots of K - sigma M") if reference.counted
+        ("sturm-count", "by the negative pivots of K - sigma M")
+        if reference.counted
         else ("dense-spectrum", "as LAPACK has all eigenvalues of this small model")
-    )  # fmt: skip
+    )
     return _lemma(name, f"{count} elastic modes lie below {below:,.6g} Hz, {how}", modes=count, below_hz=below)
 
 
@@ -75,8 +81,11 @@ def _damping(reference: CertifiedReference) -> Lemma:
         if not reference.proven and len(damping.jumps):
             kind, statement = ESTIMATE, "; ".join(reference.doubts)
     else:
-        statement = "damping is a function of K and M, and diagonal in the modes" if damping.is_viscous or (
-            damping.structural) else "there is no damping"  # fmt: skip
+        statement = (
+            "damping is a function of K and M, and diagonal in the modes"
+            if damping.is_viscous or (damping.structural)
+            else "there is no damping"
+        )
     return _lemma("damping", statement, kind, damping_floor=reference.floor)
 
 

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.errors import InputError
 from morembs.interface import Interface
 from morembs.optional import optional
@@ -21,8 +21,6 @@ from morembs.reducers.base import ReducedModel
 from morembs.responses.direct import direct_response
 from morembs.responses.reference import reference_model
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 MOTIONS = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
 
 
@@ -99,6 +97,8 @@ def to_xarray(H: Complexes, frequencies_hz: Floats, interfaces: Sequence[Interfa
     if np.shape(H) != expected:
         raise InputError(f"H has the shape {np.shape(H)}; expected {expected} of these frequencies and interfaces")
     return xarray.DataArray(
-        H, dims=("frequency_hz", "motion", "load"), name="H",
+        H,
+        dims=("frequency_hz", "motion", "load"),
+        name="H",
         coords={"frequency_hz": np.asarray(frequencies_hz), "motion": names, "load": names},
-    )  # fmt: skip
+    )

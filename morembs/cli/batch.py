@@ -53,18 +53,29 @@ def batch(
         check_report(report)
         with _shown(quiet) as listener:
             records = run(
-                jobs, changes=changes or (), workers=workers, cluster=cluster, retries=retries, manifest=manifest,
-                fresh=fresh, check_only=check_only, listener=listener,
-            )  # fmt: skip
+                jobs,
+                changes=changes or (),
+                workers=workers,
+                cluster=cluster,
+                retries=retries,
+                manifest=manifest,
+                fresh=fresh,
+                check_only=check_only,
+                listener=listener,
+            )
         if report is not None:
             entries = [
                 Entry(
-                    name=record.name, job=record.job, state=record.state, message=record.message, output=record.output,
+                    name=record.name,
+                    job=record.job,
+                    state=record.state,
+                    message=record.message,
+                    output=record.output,
                     seconds=record.seconds or sum(record.facts.get("seconds", {}).values()) or None,
                     peak_memory_bytes=record.facts.get("job_peak_memory_bytes"),
                 )
                 for record in records
-            ]  # fmt: skip
+            ]
             write_report(report, entries, ", ".join(job.resolve().name for job in jobs))
         with printing([record.output for record in records if record.state == "done"]):
             if as_json:

@@ -86,9 +86,15 @@ def export(
 
     def write(file: Path, documents: Documents) -> None:
         done = export_body(
-            file, to, path=out, body=body, options=pairs(option or []), frame=frame, taken=taken,
+            file,
+            to,
+            path=out,
+            body=body,
+            options=pairs(option or []),
+            frame=frame,
+            taken=taken,
             at=None if at is None else values_of(at),
-        )  # fmt: skip
+        )
         taken.extend(done.paths)
         paths = [str(path) for path in done.paths]
         if documents is not None:
@@ -190,10 +196,19 @@ def _print_recovered(done: Recovered, as_json: bool) -> None:
     if as_json:
         if peak is not None:
             peak["jump_pa"] = done.peak_jump
-        print_json([{
-            "written": str(done.path), "body": done.body, "steps": done.steps, "nodes": done.nodes, "peak": peak,
-            "worst_jump": worst, "notes": list(done.notes),
-        }])  # fmt: skip
+        print_json(
+            [
+                {
+                    "written": str(done.path),
+                    "body": done.body,
+                    "steps": done.steps,
+                    "nodes": done.nodes,
+                    "peak": peak,
+                    "worst_jump": worst,
+                    "notes": list(done.notes),
+                }
+            ]
+        )
         return
     typer.echo(f"written: {done.path}, {done.steps} steps of body {done.body} at {done.nodes:,} nodes")
     if done.peak is not None:

@@ -57,8 +57,9 @@ def print_certificates(console: Console, known: Sequence[Certified], interfaces:
             console.print(
                 f"  damping of {100 * floor:.3g} % of critical assumed in both beside their own; poles are compared "
                 "without it",
-                highlight=False, soft_wrap=True,
-            )  # fmt: skip
+                highlight=False,
+                soft_wrap=True,
+            )
         for certified in group:
             for note in (*_does_not_serve(certified, interfaces), *_notes(certified)):
                 console.print(f"  {certified.name}: {note}", highlight=False, soft_wrap=True)
@@ -66,9 +67,17 @@ def print_certificates(console: Console, known: Sequence[Certified], interfaces:
 
 def _table(known: Sequence[Certified]) -> Any:
     table = plain_table(
-        "body", "order", *(f"{name} <=" for name in MEASURES), "worst at Hz", "block <=", "static", "modes off by",
-        "residues off by", "MAC", "kind",
-    )  # fmt: skip
+        "body",
+        "order",
+        *(f"{name} <=" for name in MEASURES),
+        "worst at Hz",
+        "block <=",
+        "static",
+        "modes off by",
+        "residues off by",
+        "MAC",
+        "kind",
+    )
     for certified in known:
         values = certified.values
         kind = KINDS[certified.text("bound_kind")]
@@ -80,13 +89,17 @@ def _table(known: Sequence[Certified]) -> Any:
             np.asarray(values[name], dtype=float)[np.isfinite(residue)] for name in ("mode_mac", "mode_deviation")
         )
         table.add_row(
-            certified.name, str(certified.order),
+            certified.name,
+            str(certified.order),
             *("-" if kind == "sampled" else upwards(limit[1]) for limit in limits),
             "-" if kind == "sampled" else f"{worst[2]:,.6g}",
             "-" if kind == "sampled" else upwards(np.max(values["block_limit"], initial=0.0)),
-            f"{float(values['static_error']):.1e}", _largest(moved), _largest(residue),
-            f"{mac.min():.4f}" if len(mac) else "-", kind,
-        )  # fmt: skip
+            f"{float(values['static_error']):.1e}",
+            _largest(moved),
+            _largest(residue),
+            f"{mac.min():.4f}" if len(mac) else "-",
+            kind,
+        )
     return table
 
 
@@ -136,5 +149,6 @@ def _at_samples(console: Console, certified: Certified) -> None:
     console.print(
         f"  {certified.name}: certificate at samples: error at most {error.max():.1e}{known} at {len(hz)} frequencies "
         f"from {hz[0]:,.6g} to {hz[-1]:,.6g} Hz",
-        highlight=False, soft_wrap=True,
-    )  # fmt: skip
+        highlight=False,
+        soft_wrap=True,
+    )

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from morembs.jobs.job import Job
     from morembs.jobs.order import Order
 
+
 class _Verbs(TyperGroup):
     """The verbs, each with a ledger of its own: none of its results takes the place of what it has read."""
 
@@ -53,16 +54,26 @@ class _Verbs(TyperGroup):
 
 
 app = typer.Typer(
-    name="morembs", cls=_Verbs, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
-    epilog=EPILOG, help="Reduces finite-element models to small elastic bodies for multibody simulation.",
-)  # fmt: skip
+    name="morembs",
+    cls=_Verbs,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    epilog=EPILOG,
+    help="Reduces finite-element models to small elastic bodies for multibody simulation.",
+)
 
 
 @app.command(epilog=EPILOG)
 def reduce(
-    jobs: Jobs, changes: Changes = None, report: Report = None, as_json: AsJson = False, quiet: Quiet = False,
-    attached: Attached = False, attempt: Annotated[str, typer.Option(hidden=True, help="Token of an attempt.")] = "",
-) -> None:  # fmt: skip
+    jobs: Jobs,
+    changes: Changes = None,
+    report: Report = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    attached: Attached = False,
+    attempt: Annotated[str, typer.Option(hidden=True, help="Token of an attempt.")] = "",
+) -> None:
     """Reduce the models of job files and write their bodies."""
     from morembs.cli.report import print_result, result_json
     from morembs.jobs.job import load_job

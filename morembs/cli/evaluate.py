@@ -138,9 +138,14 @@ def _evaluate_one(
 
 
 def _evaluate_table(
-    parametric: ParametricBody, table: Path, out: Path | None, count: int, at_hz: list[float], matrices: bool,
+    parametric: ParametricBody,
+    table: Path,
+    out: Path | None,
+    count: int,
+    at_hz: list[float],
+    matrices: bool,
     as_json: bool,
-) -> None:  # fmt: skip
+) -> None:
     # Not at the top: help needs no numbers.
     import numpy as np
 
@@ -159,10 +164,17 @@ def _evaluate_table(
     with printing(written):
         if as_json:
             known = {"bound_hz": at_hz, "bound": without_nan(bounds), "bound_kind": kinds} if at_hz else {}
-            print_json([{
-                "table": str(table), "written": written, "values": values.tolist(), "frequencies_hz": hz.tolist(),
-                **known,
-            }])  # fmt: skip
+            print_json(
+                [
+                    {
+                        "table": str(table),
+                        "written": written,
+                        "values": values.tolist(),
+                        "frequencies_hz": hz.tolist(),
+                        **known,
+                    }
+                ]
+            )
         elif out is None:
             typer.echo(_csv(result), nl=False)
         else:

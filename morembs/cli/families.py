@@ -60,9 +60,15 @@ def read_values(path: Path, parametric: ParametricBody) -> NDArray[np.float64]:
 
 
 def export_family(
-    file: Path, table: Path, to: str, out: Path | None, body: str | None, options: Mapping[str, object],
-    frame: str | None, as_json: bool,
-) -> None:  # fmt: skip
+    file: Path,
+    table: Path,
+    to: str,
+    out: Path | None,
+    body: str | None,
+    options: Mapping[str, object],
+    frame: str | None,
+    as_json: bool,
+) -> None:
     """Write the body at each row of ``table`` for another program: numbered files beside ``out`` and ``index.csv``.
 
     Raises:

@@ -81,15 +81,25 @@ def import_model(
             return
         named = {"K": stiffness, "M": mass, "D": damping, "G": gyroscopic, "N": circulatory}
         job = ImportJob(
-            out=_model_file(Path("dry.model.h5") if dry_run and out is None else out), file=_only_file(files or []),
-            format=format, units=parse_units(units), nodes=nodes, dofs=dofs,
+            out=_model_file(Path("dry.model.h5") if dry_run and out is None else out),
+            file=_only_file(files or []),
+            format=format,
+            units=parse_units(units),
+            nodes=nodes,
+            dofs=dofs,
             matrices={role: path for role, path in named.items() if path is not None},
-            materials=tuple(material_of(text) for text in material or []), mass_integration=mass_integration,
-            dialect=dialect, density=density_of(density or []), contact=contact,
+            materials=tuple(material_of(text) for text in material or []),
+            mass_integration=mass_integration,
+            dialect=dialect,
+            density=density_of(density or []),
+            contact=contact,
             skip=tuple(word.strip() for text in skip or [] for word in text.split(",") if word.strip()),
-            engine=engine, engine_options=_engine_options(boundary, preload, engine_timeout, keep_files),
-            options=pairs(option or []), allow_includes_outside=allow_includes_outside, split=split,
-        )  # fmt: skip
+            engine=engine,
+            engine_options=_engine_options(boundary, preload, engine_timeout, keep_files),
+            options=pairs(option or []),
+            allow_includes_outside=allow_includes_outside,
+            split=split,
+        )
         if dry_run:
             _dry_run(job, check=check, strict=strict, as_json=as_json)
             return
@@ -122,8 +132,12 @@ def _only_file(files: list[Path]) -> Path | None:
 
 def _engine_options(boundary: str, preload: int, timeout: float, keep: Path | None) -> dict[str, Any]:
     """The options of engines that are not as they are by default."""
-    given = {"boundary": (boundary, "drop"), "preload": (preload, 0), "timeout": (timeout, 600.0),
-             "keep_files": ("" if keep is None else str(keep), "")}  # fmt: skip
+    given = {
+        "boundary": (boundary, "drop"),
+        "preload": (preload, 0),
+        "timeout": (timeout, 600.0),
+        "keep_files": ("" if keep is None else str(keep), ""),
+    }
     return {name: value for name, (value, default) in given.items() if value != default}
 
 
@@ -143,13 +157,24 @@ def _dry_run(job: ImportJob, *, check: bool, strict: bool, as_json: bool) -> Non
         command = answered_by(error.source, error.problems, error.given)
         with printing():
             if as_json:
-                print_json([{
-                    "importable": False, "command": command,
-                    "problems": [
-                        {"what": p.what, "file": p.file, "line": p.line, "keyword": p.keyword, "flags": list(p.flags)}
-                        for p in error.problems
-                    ],
-                }])  # fmt: skip
+                print_json(
+                    [
+                        {
+                            "importable": False,
+                            "command": command,
+                            "problems": [
+                                {
+                                    "what": p.what,
+                                    "file": p.file,
+                                    "line": p.line,
+                                    "keyword": p.keyword,
+                                    "flags": list(p.flags),
+                                }
+                                for p in error.problems
+                            ],
+                        }
+                    ]
+                )
             else:
                 lines = [f"problem: {problem.what}" for problem in error.problems]
                 lines += [f"all of it is answered by: {command}"] if command else []
@@ -173,17 +198,25 @@ def _document(done: ImportResult) -> dict[str, Any]:
 
     model = done.model
     return {
-        "written": str(done.path), "format": done.format, "dofs": model.size, "nodes": len(model.nodes),
+        "written": str(done.path),
+        "format": done.format,
+        "dofs": model.size,
+        "nodes": len(model.nodes),
         "elements": 0 if model.mesh is None else sum(len(block.ids) for block in model.mesh.blocks),
         "matrices": [name for name in ("K", "M", "D", "G", "N") if getattr(model, name) is not None],
-        "body": None if done.outlook is None else {
-            "extent": list(done.outlook.extent), "mass": without_nan(done.outlook.mass),
+        "body": None
+        if done.outlook is None
+        else {
+            "extent": list(done.outlook.extent),
+            "mass": without_nan(done.outlook.mass),
             "first_hz": without_nan(done.outlook.first_hz),
         },
         "warnings": list(done.warnings),
-        "sets": sorted(model.nodes.sets), "couplings": list(model.couplings), "notes": list(model.notes),
+        "sets": sorted(model.nodes.sets),
+        "couplings": list(model.couplings),
+        "notes": list(model.notes),
         "findings": findings_json(done.diagnosis),
-    }  # fmt: skip
+    }
 
 
 def _lines(done: ImportResult) -> list[str]:

@@ -28,9 +28,7 @@ if TYPE_CHECKING:
 
 FREQUENCIES = 5
 # Stages of a job in the order in which they run; files keep them by name.
-STAGES = (
-    "read", "assemble", "couple", "preload", "factorise", "reduce", "certify", "compare", "response", "deliver",
-)  # fmt: skip
+STAGES = ("read", "assemble", "couple", "preload", "factorise", "reduce", "certify", "compare", "response", "deliver")
 # Width, height in inches and dots per inch: of the small picture in a row, of shapes and of responses.
 SMALL, SHAPES, RESPONSE = (1.6, 1.0, 80), (9.0, 4.0, 90), (9.0, 4.6, 90)
 
@@ -73,9 +71,12 @@ def write_report(path: Path, entries: Sequence[Entry], title: str) -> None:
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
     environment = Environment(
-        loader=PackageLoader("morembs.cli", "."), autoescape=select_autoescape(default=True), undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
+        loader=PackageLoader("morembs.cli", "."),
+        autoescape=select_autoescape(default=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     parts = [_part(number, entry, path) for number, entry in enumerate(entries, start=1)]
     text = environment.get_template("page.html").render(title=title, parts=parts, version=VERSION, measures=MEASURES)
     with replacing(path) as file:
@@ -85,10 +86,20 @@ def write_report(path: Path, entries: Sequence[Entry], title: str) -> None:
 def _part(number: int, entry: Entry, report: Path) -> dict[str, Any]:
     """What the page says of a part; a body file that cannot be read is a failure of its own."""
     said: dict[str, Any] = {
-        "number": number, "name": entry.name, "state": entry.state, "message": entry.message, "bodies": [],
-        "job": _link(entry.job, report), "small": "", "pictures": [], "warnings": [], "row": {}, "interfaces": {},
-        "stages": [], "inputs": [],
-    }  # fmt: skip
+        "number": number,
+        "name": entry.name,
+        "state": entry.state,
+        "message": entry.message,
+        "bodies": [],
+        "job": _link(entry.job, report),
+        "small": "",
+        "pictures": [],
+        "warnings": [],
+        "row": {},
+        "interfaces": {},
+        "stages": [],
+        "inputs": [],
+    }
     if entry.state == "failed":
         return said
     place = Path(entry.output)
@@ -102,28 +113,35 @@ def _part(number: int, entry: Entry, report: Path) -> dict[str, Any]:
     origin = stored.provenance
     memory = entry.peak_memory_bytes
     said["row"] = {
-        "dofs": _number(stored.recipe.get("dofs")), "order": _number(shown["order"]),
+        "dofs": _number(stored.recipe.get("dofs")),
+        "order": _number(shown["order"]),
         "error": (shown["value"], shown["limits"][shown["measure"]] if shown["limits"] else "-"),
-        "frequencies": shown["frequencies"][:FREQUENCIES], "lowest": shown["lowest"],
+        "frequencies": shown["frequencies"][:FREQUENCIES],
+        "lowest": shown["lowest"],
         "mass": (stored.mass, f"{stored.mass:.4g} kg"),
         "seconds": (-1, "-") if entry.seconds is None else (entry.seconds, duration_words(entry.seconds)),
         "memory": (-1, "-") if memory is None else (memory, bytes_words(memory)),
-    }  # fmt: skip
+    }
     seconds, peaks = dict(origin.get("seconds") or {}), dict(origin.get("peak_memory_bytes") or {})
     inputs = origin.get("inputs") or {}
     return said | {
-        "shown": shown["name"], "body": _link(place, report), "warnings": list(stored.warnings),
+        "shown": shown["name"],
+        "body": _link(place, report),
+        "warnings": list(stored.warnings),
         "interfaces": {name: (each.coupling, len(each.node_ids)) for name, each in stored.interfaces.items()},
         "stages": [
             (name, f"{seconds[name]:.2f} s", bytes_words(peaks.get(name, 0))) for name in sorted(seconds, key=_in_turn)
         ],
         "inputs": list(zip(*(_texts(inputs.get(key, [])) for key in ("file", "sha256")), strict=True)),
         "origin": [
-            ("source", str(stored.recipe.get("source") or "model")), ("solver", str(origin.get("solver", "-"))),
-            ("written by", f"morembs {origin.get('morembs_version', '-')}"), ("at", str(origin.get("created", "-"))),
+            ("source", str(stored.recipe.get("source") or "model")),
+            ("solver", str(origin.get("solver", "-"))),
+            ("written by", f"morembs {origin.get('morembs_version', '-')}"),
+            ("at", str(origin.get("created", "-"))),
         ],
-        "center": ", ".join(f"{x:.4g}" for x in stored.center_of_mass), "file": place.name,
-    }  # fmt: skip
+        "center": ", ".join(f"{x:.4g}" for x in stored.center_of_mass),
+        "file": place.name,
+    }
 
 
 def _body(name: str, stored: StoredBodies) -> dict[str, Any]:
@@ -131,10 +149,18 @@ def _body(name: str, stored: StoredBodies) -> dict[str, Any]:
     body = stored.bodies[name]
     elastic = body.frequencies_hz[body.rigid_count :]
     said: dict[str, Any] = {
-        "name": name, "order": len(body.mass_matrix), "method": str(body.recipe.get("method", "-")), "limits": {},
-        "frequencies": [f"{f:,.6g}" for f in elastic[: 2 * FREQUENCIES]], "lowest": min(elastic, default=-1.0),
-        "kind": "none", "band": "", "measure": "", "value": float("inf"), "notes": "",
-    }  # fmt: skip
+        "name": name,
+        "order": len(body.mass_matrix),
+        "method": str(body.recipe.get("method", "-")),
+        "limits": {},
+        "frequencies": [f"{f:,.6g}" for f in elastic[: 2 * FREQUENCIES]],
+        "lowest": min(elastic, default=-1.0),
+        "kind": "none",
+        "band": "",
+        "measure": "",
+        "value": float("inf"),
+        "notes": "",
+    }
     known = body.certificate
     if known is None:
         return said

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from morembs.base.types import Floats
 from morembs.body import ElasticBody
 from morembs.body.tables import certificate_values
 from morembs.cli.certificates import Certified, print_certificates
@@ -27,7 +27,7 @@ from morembs.cli.tables import (
     ranking_words,
     titled,
     words,
-)  # fmt: skip
+)
 from morembs.jobs.forecast import JobForecast
 from morembs.jobs.pareto import Contender
 from morembs.jobs.run import JobResult
@@ -37,19 +37,28 @@ from morembs.storage.checksums import whole_sum
 if TYPE_CHECKING:
     from morembs.certificate.certify import Certificate
 
-Floats = NDArray[np.float64]
 SHOWN_FREQUENCIES = 10
 BODIES_PER_TABLE = 2
 # Rows of a forecast that their keys do not explain.
 LABELS = {
-    "stiffness_nonzeros": "nonzeros of K", "mass_nonzeros": "nonzeros of M", "matrices_bytes": "memory of K and M",
-    "factor_entries": "nonzeros of the factor", "factor_flops": "operations of the factorisation",
-    "factor_bytes": "memory of the factor", "scratch_bytes": "scratch files", "columns_bytes": "memory of the bases",
-    "peak_memory_bytes": "peak memory", "factor_seconds": "factorisation in s", "reduction_seconds": "reductions",
-    "shift_factor_entries": "nonzeros of the largest factor at a shift", "shift_factor_bytes": "memory of that factor",
-    "shift_seconds": "factorisations at shifts in s", "processes": "workers or ranks beside it",
-    "process_bytes": "memory of each of them", "all_processes_bytes": "peak memory of all processes",
-}  # fmt: skip
+    "stiffness_nonzeros": "nonzeros of K",
+    "mass_nonzeros": "nonzeros of M",
+    "matrices_bytes": "memory of K and M",
+    "factor_entries": "nonzeros of the factor",
+    "factor_flops": "operations of the factorisation",
+    "factor_bytes": "memory of the factor",
+    "scratch_bytes": "scratch files",
+    "columns_bytes": "memory of the bases",
+    "peak_memory_bytes": "peak memory",
+    "factor_seconds": "factorisation in s",
+    "reduction_seconds": "reductions",
+    "shift_factor_entries": "nonzeros of the largest factor at a shift",
+    "shift_factor_bytes": "memory of that factor",
+    "shift_seconds": "factorisations at shifts in s",
+    "processes": "workers or ranks beside it",
+    "process_bytes": "memory of each of them",
+    "all_processes_bytes": "peak memory of all processes",
+}
 # Left out where there is nothing beside the one factorisation and the one process.
 BESIDE = ("shift_factor_entries", "shift_factor_bytes", "shift_seconds", "processes", "process_bytes")
 # Coordinates that follow responses. A mode of theirs is listed beside one of the full model within this part of it.
@@ -102,9 +111,11 @@ def _certificate_json(certificate: Certificate) -> dict[str, Any]:
     values = {name: value for name, value in asdict(certificate).items() if name != "notes"}
     values = {name: without_nan(value) for name, value in values.items()}
     return {
-        **values, "absolute_error": certificate.absolute_error, "bound_kind": certificate.bound_kind,
+        **values,
+        "absolute_error": certificate.absolute_error,
+        "bound_kind": certificate.bound_kind,
         "notes": list(certificate.notes),
-    }  # fmt: skip
+    }
 
 
 def print_result(console: Console, result: JobResult, told: Sequence[str] = ()) -> None:
@@ -196,10 +207,13 @@ def print_contenders(console: Console, job: str, compared: Sequence[Contender], 
     for contender in compared:
         known = contender.bound, contender.mean_error, contender.static_error, contender.held_error
         table.add_row(
-            ("* " if contender.best else "  ") + contender.name, str(contender.order), f"{contender.error:.1e}",
+            ("* " if contender.best else "  ") + contender.name,
+            str(contender.order),
+            f"{contender.error:.1e}",
             *("-" if value is None else f"{value:.1e}" for value in known),
-            f"{contender.seconds:.2f}", bytes_words(contender.peak_memory_bytes),
-        )  # fmt: skip
+            f"{contender.seconds:.2f}",
+            bytes_words(contender.peak_memory_bytes),
+        )
     titled(console, f"{job}: reductions compared, * on the Pareto front of order and error", table)
     measures = " and ".join(sorted({contender.measure for contender in compared}))
     console.print(
@@ -207,8 +221,9 @@ def print_contenders(console: Console, job: str, compared: Sequence[Contender], 
         "pointwise: of |E(f)| / |H(f)| at the stored frequencies; held: the same with one interface held still, median "
         "over the band, worst interface; seconds: what reductions share (modes, the reference model) counts for the "
         "first that needs it; peak memory: of the process during it",
-        highlight=False, soft_wrap=True,
-    )  # fmt: skip
+        highlight=False,
+        soft_wrap=True,
+    )
     _print_written(console, written)
 
 
@@ -229,8 +244,10 @@ def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
     rows = SHOWN_FREQUENCIES if elastic is None else len(elastic)
     frequencies = [body.frequencies_hz[body.reduced.rigid_count :] for body in bodies]
     if elastic is not None:
-        frequencies = [beside(elastic, own) if RESPONSES.intersection(body.reduced.mode_kind) else own
-                       for body, own in zip(bodies, frequencies, strict=True)]  # fmt: skip
+        frequencies = [
+            beside(elastic, own) if RESPONSES.intersection(body.reduced.mode_kind) else own
+            for body, own in zip(bodies, frequencies, strict=True)
+        ]
     for number in range(rows):
         row = [str(number + 1)] + ([] if elastic is None else [f"{elastic[number]:,.2f}"])
         for body, own in zip(bodies, frequencies, strict=True):

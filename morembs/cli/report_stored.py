@@ -129,9 +129,11 @@ def print_proofs(console: Console, stored: StoredBodies) -> None:
         known = body.certificate
         lemmas = [] if known is None else known.get("proof", [])
         if not lemmas:
-            why = "has no certificate" if known is None else (
-                "is certified without a proof: by samples alone, or by an earlier version; certify it again"
-            )  # fmt: skip
+            why = (
+                "has no certificate"
+                if known is None
+                else ("is certified without a proof: by samples alone, or by an earlier version; certify it again")
+            )
             console.print(f"proof: {name} {why}", highlight=False, soft_wrap=True, markup=False)
             continue
         console.print(f"proof: limits of {name}, each lemma by its section in {PROOFS}", highlight=False, markup=False)
@@ -139,8 +141,10 @@ def print_proofs(console: Console, stored: StoredBodies) -> None:
             numbers = ", ".join(f"{key} = {value:.6g}" for key, value in lemma["numbers"].items())
             console.print(
                 f"  {lemma['name']} ({lemma['kind']}): {lemma['statement']}\n    {numbers}",
-                highlight=False, soft_wrap=True, markup=False,
-            )  # fmt: skip
+                highlight=False,
+                soft_wrap=True,
+                markup=False,
+            )
 
 
 def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnosis]) -> None:
@@ -155,8 +159,9 @@ def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: M
         f"[bold]{path}[/]: {values['source'] or 'model'}, "
         + (f"{values['dofs']:,} degrees of freedom, " if values["dofs"] else "")
         + f"{values['stored_nodes']:,} nodes stored",
-        highlight=False, soft_wrap=True,
-    )  # fmt: skip
+        highlight=False,
+        soft_wrap=True,
+    )
     for name, interface in values["interfaces"].items():
         console.print(f"  interface {name}: {interface['coupling']}, {interface['nodes']:,} nodes", highlight=False)
     for name, body in stored.bodies.items():
@@ -178,8 +183,9 @@ def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: M
             console.print(f"    {escape(str(finding))}", highlight=False, soft_wrap=True)
     known = [
         Certified(name=name, order=len(body.stiffness_matrix), values=flat(body.certificate))
-        for name, body in stored.bodies.items() if body.certificate is not None
-    ]  # fmt: skip
+        for name, body in stored.bodies.items()
+        if body.certificate is not None
+    ]
     print_certificates(console, known, list(stored.interfaces))
     titled(console, "mass properties", mass_table(stored.mass, stored.center_of_mass, stored.inertia))
     for warning in stored.warnings:

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
+from morembs.base.types import Floats
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.ranking import RankedTerm
 
-Floats = NDArray[np.float64]
 # Terms of a ranking that are shown.
 SHOWN_TERMS = 8
 # No table is wider, in columns.

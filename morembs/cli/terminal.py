@@ -74,9 +74,12 @@ class LineProgress:
     """
 
     def __init__(
-        self, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic, *,
+        self,
+        write: Callable[[str], object],
+        clock: Callable[[], float] = time.monotonic,
+        *,
         patience: float = PATIENCE_OF_LINES,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._write, self._clock, self._patience = write, clock, patience
         self._start = clock()
         self._stage, self._news, self._told = "", "", ""
@@ -180,9 +183,13 @@ def messages(failed: list[Failure] | None = None, prefix: str = "") -> Iterator[
 
 
 def each_job(
-    jobs: Sequence[Path], as_json: bool, work: Work, quiet: bool = False, order: Order | None = None,
+    jobs: Sequence[Path],
+    as_json: bool,
+    work: Work,
+    quiet: bool = False,
+    order: Order | None = None,
     report: Path | None = None,
-) -> None:  # fmt: skip
+) -> None:
     """Do ``work`` for each job, assemblies after their parts, but for those that ``order`` refuses."""
     if report is not None:
         from morembs.cli.page import check_report
@@ -236,12 +243,16 @@ def _write_report(report: Path, documents: Sequence[Mapping[str, Any]]) -> None:
 
     entries = [
         Entry(
-            name=Path(document["job"]).stem, job=document["job"], state="failed" if "error" in document else "done",
-            message=document.get("error", ""), output=document.get("output", ""),
-            seconds=sum(document.get("seconds", {}).values()), peak_memory_bytes=document.get("job_peak_memory_bytes"),
+            name=Path(document["job"]).stem,
+            job=document["job"],
+            state="failed" if "error" in document else "done",
+            message=document.get("error", ""),
+            output=document.get("output", ""),
+            seconds=sum(document.get("seconds", {}).values()),
+            peak_memory_bytes=document.get("job_peak_memory_bytes"),
         )
         for document in documents
-    ]  # fmt: skip
+    ]
     write_report(report, entries, ", ".join(entry.name for entry in entries))
 
 

@@ -61,12 +61,19 @@ def update(
 
 def _document(result: Updated, written: list[str]) -> dict[str, object]:
     return {
-        "values": result.values, "sigma": [x if math.isfinite(x) else None for x in result.sigma.tolist()],
-        "correlation": result.correlation.tolist(), "singular_values": result.singular_values.tolist(),
-        "untold": [dict(each) for each in result.untold], "at_end": list(result.at_end), "misfit": result.misfit,
-        "modes": result.measured.modes.tolist(), "measured_hz": result.measured.frequencies_hz.tolist(),
-        "frequencies_hz": result.frequencies_hz.tolist(), "above_band": list(result.above), "written": written,
-    }  # fmt: skip
+        "values": result.values,
+        "sigma": [x if math.isfinite(x) else None for x in result.sigma.tolist()],
+        "correlation": result.correlation.tolist(),
+        "singular_values": result.singular_values.tolist(),
+        "untold": [dict(each) for each in result.untold],
+        "at_end": list(result.at_end),
+        "misfit": result.misfit,
+        "modes": result.measured.modes.tolist(),
+        "measured_hz": result.measured.frequencies_hz.tolist(),
+        "frequencies_hz": result.frequencies_hz.tolist(),
+        "above_band": list(result.above),
+        "written": written,
+    }
 
 
 def _print(result: Updated, units: tuple[str, ...], written: list[str]) -> None:
@@ -77,9 +84,12 @@ def _print(result: Updated, units: tuple[str, ...], written: list[str]) -> None:
         typer.echo(f"{name} = {value:.6g} {unit}".rstrip() + f"  {spread}")
     typer.echo("mode   measured, Hz   body, Hz       difference in standard deviations")
     rows = zip(
-        result.measured.modes, result.measured.frequencies_hz, result.frequencies_hz, result.measured.sigma_hz,
+        result.measured.modes,
+        result.measured.frequencies_hz,
+        result.frequencies_hz,
+        result.measured.sigma_hz,
         strict=True,
-    )  # fmt: skip
+    )
     for mode, wanted, value, sigma in rows:
         typer.echo(f"{mode:4d}   {wanted:12.6g}   {value:12.6g}   {(value - wanted) / sigma:+.2f}")
     for direction in result.untold:

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics import matrices
 from morembs.diagnostics.dof_map import map_findings
@@ -31,8 +31,6 @@ from morembs.model import DofMap, FEModel, Mesh, Nodes
 from morembs.model.material import Material
 from morembs.model.rigid_residual import MOST, mounted, residual
 from morembs.units import Units
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(eq=False)
@@ -54,11 +52,21 @@ class _Case:
 
 
 def examine(
-    K: sp.sparray, M: sp.sparray, D: sp.sparray | None = None, nodes: Nodes | None = None, dofs: DofMap | None = None,
-    mesh: Mesh | None = None, materials: Sequence[Material] = (), *, deep: bool = False, units: Units | None = None,
-    declared: Units | None = None, solver: LinearSolver | None = None, up_to_hz: float | None = None,
+    K: sp.sparray,
+    M: sp.sparray,
+    D: sp.sparray | None = None,
+    nodes: Nodes | None = None,
+    dofs: DofMap | None = None,
+    mesh: Mesh | None = None,
+    materials: Sequence[Material] = (),
+    *,
+    deep: bool = False,
+    units: Units | None = None,
+    declared: Units | None = None,
+    solver: LinearSolver | None = None,
+    up_to_hz: float | None = None,
     budget: Budget = UNLIMITED,
-) -> Diagnosis:  # fmt: skip
+) -> Diagnosis:
     """What is wrong with a model, and what it is.
 
     Args:
@@ -97,9 +105,18 @@ def examine(
         _geometry(case, mesh, tuple(materials), units, declared)
     if deep and not any(finding.severity == "error" and finding.code in _BLOCKING for finding in case.findings):
         of_modes, facts = mode_findings(
-            case.K, case.M, nodes=case.nodes, dofs=case.dofs, solver=solver, up_to_hz=up_to_hz, time=units.time,
-            expected=case.facts.get("free_motions"), parts=case.facts["parts"], rounding=_rounding(case), budget=budget,
-        )  # fmt: skip
+            case.K,
+            case.M,
+            nodes=case.nodes,
+            dofs=case.dofs,
+            solver=solver,
+            up_to_hz=up_to_hz,
+            time=units.time,
+            expected=case.facts.get("free_motions"),
+            parts=case.facts["parts"],
+            rounding=_rounding(case),
+            budget=budget,
+        )
         case.findings += of_modes
         case.facts |= facts
     return Diagnosis(findings=tuple(case.findings), facts=case.facts)
@@ -158,9 +175,14 @@ def _refuse_shape(A: Any, name: str) -> None:
 
 
 def _opened(
-    K: sp.sparray, M: sp.sparray, D: sp.sparray | None, nodes: Nodes | None, dofs: DofMap | None, mesh: Mesh | None,
+    K: sp.sparray,
+    M: sp.sparray,
+    D: sp.sparray | None,
+    nodes: Nodes | None,
+    dofs: DofMap | None,
+    mesh: Mesh | None,
     budget: Budget,
-) -> _Case | Diagnosis:  # fmt: skip
+) -> _Case | Diagnosis:
     """The case, or what is so wrong with it that nothing more can be said."""
     named: dict[str, Any] = {name: A for name, A in (("K", K), ("M", M), ("D", D)) if name != "D" or A is not None}
     for name, A in named.items():

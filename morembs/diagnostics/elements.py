@@ -7,12 +7,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.types import Floats, Ints
 from morembs.diagnostics.findings import KEPT, Finding, listed
 from morembs.model import Mesh
 from morembs.model.elements import TYPES
 
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
 # Nodes closer than this part of the model are at one place.
 COINCIDENT = 1e-6
 

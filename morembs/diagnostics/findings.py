@@ -8,13 +8,12 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.model import DofMap, Nodes
 from morembs.summary import summarised
 
-Ints = NDArray[np.int64]
 SEVERITIES = ("error", "warning", "note")
 MOTIONS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "scalar")
 # Labels written into a sentence, and kept with a finding.

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.diagnostics.findings import Finding, Names
 from morembs.diagnostics.readings import orders
 from morembs.model import DofMap, Mesh, Nodes
@@ -19,7 +19,6 @@ from morembs.model.mass import mass_properties
 from morembs.model.material import Material
 from morembs.model.rigid_residual import motion
 
-Floats = NDArray[np.float64]
 # Difference of the masses along x, y, z and of mass between them; of M against the mesh; of its centre.
 ISOTROPIC, GEOMETRY, OUTSIDE = 1e-4, 1e-3, 0.1
 

@@ -12,12 +12,11 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.findings import Finding, Names, listed
 from morembs.linalg.congruence import magnitudes
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 WORDS = {"K": "the stiffness matrix K", "M": "the mass matrix M", "D": "the damping matrix D"}
 ROWS = 1 << 15
 # Difference of two entries, and of two products with a random vector, beyond round-off and printing of the numbers.

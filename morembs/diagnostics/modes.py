@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Bools, Floats, Ints
 from morembs.budget import UNLIMITED, Budget
 from morembs.diagnostics.findings import Finding, Names, listed
 from morembs.diagnostics.matrices import WORDS
@@ -18,9 +18,6 @@ from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import DofMap, Nodes, rigid_motion
 from morembs.model.rigid_residual import motion
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 # Shift against the largest K_ii / M_ii: far below elastic modes of sound parts, far above round-off.
 SHIFT = 1e-12
 BLOCK, STEPS = 8, 7
@@ -31,10 +28,19 @@ ALIKE, TRIES, PIECES = 1e-4, 30, 6
 
 
 def mode_findings(
-    K: sp.csr_array, M: sp.csr_array, *, nodes: Nodes | None, dofs: DofMap | None, solver: LinearSolver | None,
-    up_to_hz: float | None, time: float, expected: int | None, parts: int, rounding: float = 0.0,
+    K: sp.csr_array,
+    M: sp.csr_array,
+    *,
+    nodes: Nodes | None,
+    dofs: DofMap | None,
+    solver: LinearSolver | None,
+    up_to_hz: float | None,
+    time: float,
+    expected: int | None,
+    parts: int,
+    rounding: float = 0.0,
     budget: Budget = UNLIMITED,
-) -> tuple[list[Finding], dict[str, Any]]:  # fmt: skip
+) -> tuple[list[Finding], dict[str, Any]]:
     """Zero-energy motions beyond the ``expected`` rigid ones, and how many modes to expect.
 
     ``time``: seconds in the unit of time of the matrices; ``rounding`` of the entries of K, relative.

@@ -7,11 +7,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.types import Ints
 from morembs.diagnostics.elements import bodies_of_nodes, close_pairs, seam_finding
 from morembs.diagnostics.findings import Finding, Names, listed
 from morembs.model import DofMap, Mesh, Nodes
-
-Ints = NDArray[np.int64]
 
 
 def part_of_dofs(K: sp.csr_array, dofs: DofMap | None) -> Ints:

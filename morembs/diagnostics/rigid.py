@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.diagnostics.findings import Finding, Names, listed
 from morembs.diagnostics.matrices import pieces
 from morembs.linalg.congruence import magnitudes
 from morembs.model import DofMap, Nodes
 from morembs.model.rigid_residual import FEW_DIGITS, MOST, ROUNDED, STRAINED, Residual, mounted
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Largest dense system in the search for nodes with wrong coordinates.
 DENSE = 4_000_000
 

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.diagnostics.findings import Finding
 from morembs.model import DofMap, Nodes
 from morembs.model.material import Material
 from morembs.units import Units, parse_units
 
-Floats = NDArray[np.float64]
 # Beyond these the units are wrong, as wide as the estimates are rough: m/s and kg/m3.
 SPEED, DENSITY = (8.0, 1e5), (1e-5, 1e6)
 # Narrower for materials, which are exact.
@@ -135,9 +134,13 @@ def wave_speed(material: Material) -> float:
 
 
 def unit_findings(
-    estimated: tuple[float, float] | None, materials: Sequence[Material], extent: Floats, units: Units,
-    declared: Units | None = None, mass: float = np.nan,
-) -> list[Finding]:  # fmt: skip
+    estimated: tuple[float, float] | None,
+    materials: Sequence[Material],
+    extent: Floats,
+    units: Units,
+    declared: Units | None = None,
+    mass: float = np.nan,
+) -> list[Finding]:
     """Whether numbers in ``units`` can be those of an elastic body of ``extent`` (3,) and ``mass`` (in the same units).
 
     ``declared`` are the units that the numbers were taken for before they were converted to ``units``, where they were.

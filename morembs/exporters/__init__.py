@@ -84,10 +84,16 @@ def make_exporter(to: str, options: Mapping[str, object] | None = None) -> Expor
 
 @keeping_ledger()
 def export_body(
-    source: str | Path, to: str, *, path: str | Path | None = None, body: str | None = None,
-    options: Mapping[str, object] | None = None, frame: str | None = None, at: Mapping[str, float] | None = None,
+    source: str | Path,
+    to: str,
+    *,
+    path: str | Path | None = None,
+    body: str | None = None,
+    options: Mapping[str, object] | None = None,
+    frame: str | None = None,
+    at: Mapping[str, float] | None = None,
     taken: Collection[Path] = (),
-) -> Exported:  # fmt: skip
+) -> Exported:
     """Write one body of a body file in the format of another program.
 
     Args:
@@ -154,7 +160,14 @@ def default_path(place: Path, exporter: Exporter, body: str, *, several: bool, f
 
 
 __all__ = [
-    "EXPORTERS", "ExportContext", "Exported", "Exporter", "choose_body", "default_path", "export_body", "make_exporter",
-]  # fmt: skip
+    "EXPORTERS",
+    "ExportContext",
+    "Exported",
+    "Exporter",
+    "choose_body",
+    "default_path",
+    "export_body",
+    "make_exporter",
+]
 
 __getattr__ = renamed(__name__, {"Task": "ExportContext"})

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
 from morembs.exporters.read_back import ReadBack
@@ -18,7 +19,6 @@ from morembs.exporters.reduced import body_transfer, on_interfaces
 from morembs.importers.abaqus_matrices import read_abaqus_matrix
 from morembs.storage.safefile import replacing, replacing_all
 
-Ints = NDArray[np.int64]
 Layout = Literal["matrix input", "labels", "coordinate"]
 # Abaqus takes labels below a billion.
 _LARGEST = 999_999_999
@@ -29,9 +29,12 @@ _ENDING = "_abaqus_{}.mtx"
 
 
 def write_abaqus_matrix(
-    path: str | Path, matrix: sp.csr_array | NDArray[np.float64], node: Ints | None = None, dof: Ints | None = None,
+    path: str | Path,
+    matrix: sp.csr_array | NDArray[np.float64],
+    node: Ints | None = None,
+    dof: Ints | None = None,
     layout: Layout = "matrix input",
-) -> None:  # fmt: skip
+) -> None:
     """Write a matrix (N, N) with ``node`` label and ``dof`` (N,) of each row, in a format of *MATRIX OUTPUT.
 
     "matrix input" holds the lower triangle of a symmetric matrix, the others all entries; "coordinate" has row
@@ -135,10 +138,7 @@ class AbaqusExporter(Exporter):
                     file.write(piece)
                     file.check()
         stale = context.left_from_before([context.beside(_ENDING.format("D"))] if "D" not in paths else ())
-        return Exported(
-            paths=(context.path, *paths.values()),
-            notes=("numbers have 16 digits", *body.notes, *stale),
-        )  # fmt: skip
+        return Exported(paths=(context.path, *paths.values()), notes=("numbers have 16 digits", *body.notes, *stale))
 
     def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
         body = on_interfaces(context, self.first_label, component_of_rest=1, largest_label=_LARGEST)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.errors import InputError, OutputError
 from morembs.exporters.read_back import ReadBack, frequencies_between
@@ -22,7 +22,6 @@ from morembs.storage.safefile import looked_at
 if TYPE_CHECKING:
     from morembs.floating.frame import FloatingFrame, InterfaceMarker
 
-Floats = NDArray[np.float64]
 # Columns of a basis that are in memory at a time.
 BLOCK_BYTES = 16 * 2**20
 # Numbers with exponents of two digits.

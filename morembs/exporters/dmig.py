@@ -143,8 +143,11 @@ class DmigExporter(Exporter):
             fields = "".join(sixteen(x) for x in point)
             lines.append(f"{'GRID*':8}{label:16}{'':16}{fields[:32]}\n{'*':8}{fields[32:]}")
         if body.rest:
-            lines.append(f"{'SPOINT':8}{body.rest[0]:8}{'THRU':>8}{body.rest[-1]:8}" if len(body.rest) > 1
-                         else f"{'SPOINT':8}{body.rest[0]:8}")  # fmt: skip
+            lines.append(
+                f"{'SPOINT':8}{body.rest[0]:8}{'THRU':>8}{body.rest[-1]:8}"
+                if len(body.rest) > 1
+                else f"{'SPOINT':8}{body.rest[0]:8}"
+            )
         matrices = {
             _NAMES[key]: DmigMatrix(
                 matrix=sp.csr_array(A[np.ix_(order, order)]), rows=labels[order], columns=labels[order], form=6
@@ -155,7 +158,7 @@ class DmigExporter(Exporter):
         return Exported(
             paths=(context.path,),
             notes=("numbers have 11 digits or more, as fields of 16 characters hold", *body.notes),
-        )  # fmt: skip
+        )
 
     def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
         body = on_interfaces(context, self.first_label, component_of_rest=0, largest_label=_LARGEST)

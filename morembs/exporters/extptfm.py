@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
 from morembs.exporters.simscape import framed_rows, interfaces_first, refuse_not_symmetric
 from morembs.storage.safefile import replacing
 
-Floats = NDArray[np.float64]
 # Degrees of freedom of the platform.
 PLATFORM = 6
 
@@ -81,4 +80,3 @@ def _lines(matrices: list[tuple[str, str, Floats]], duration: float) -> Iterator
     yield f"!Loading and Wave Elevation (Units (N,m))\n!Dimension: 1 time column - {n} force columns - 1 wave column\n"
     for time in (0.0, duration):
         yield f"{time!r}{' 0.0' * (n + 1)}\n"
-

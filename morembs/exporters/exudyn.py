@@ -13,6 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.body.stored import StoredBodies
 from morembs.body.stored_check import check_grid
 from morembs.body.vtkhdf_series import read_grid
@@ -24,8 +25,6 @@ from morembs.model.elements import FACES, TYPES
 from morembs.model.surface import outer_faces
 from morembs.storage.writer import writing
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Coordinates of the frame: three of position, four Euler parameters.
 RIGID_COORDINATES = 7
 # Columns of the mode basis are made in blocks of this size; each block reads the whole basis once.

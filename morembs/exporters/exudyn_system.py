@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body.file import read_body
 from morembs.body.stored import StoredBodies, StoredBody, choose_body
 from morembs.errors import InputError
@@ -27,7 +27,6 @@ from morembs.exporters import export_body
 from morembs.exporters.exudyn import exudyn_marker
 from morembs.floating.frame import FloatingFrame
 
-Floats = NDArray[np.float64]
 Point = Sequence[float] | Floats
 
 
@@ -112,17 +111,25 @@ class ExudynSystem:
         self.ground = ExudynPart({"body": self.mbs.AddObject(self.items.ObjectGround())})
 
     def elastic(
-        self, body: ExudynBody, *, position: Point = (0, 0, 0), rotation: Floats | None = None,
-        velocity: Point = (0, 0, 0), angular_velocity: Point = (0, 0, 0), elastic: Floats | None = None,
-    ) -> ExudynPart:  # fmt: skip
+        self,
+        body: ExudynBody,
+        *,
+        position: Point = (0, 0, 0),
+        rotation: Floats | None = None,
+        velocity: Point = (0, 0, 0),
+        angular_velocity: Point = (0, 0, 0),
+        elastic: Floats | None = None,
+    ) -> ExudynPart:
         """The elastic body with its damping, which the file cannot hold. ``elastic`` (k,): where it starts."""
         cms = self.fem.ObjectFFRFreducedOrderInterface()
         cms.LoadFromFile(str(body.file))
         items: dict[str, Any] = cms.AddObjectFFRFreducedOrder(
-            self.mbs, positionRef=list(position), initialVelocity=list(velocity),
+            self.mbs,
+            positionRef=list(position),
+            initialVelocity=list(velocity),
             rotationMatrixRef=np.eye(3) if rotation is None else rotation,
             initialAngularVelocity=list(angular_velocity),
-        )  # fmt: skip
+        )
         part = ExudynPart(items, body)
         if any(self.gravity):
             self._weigh(part, body)
@@ -141,27 +148,36 @@ class ExudynSystem:
         """
         weights = body.mass_weights()
         marker = self.items.MarkerSuperElementPosition(
-            bodyNumber=part.items["oFFRFreducedOrder"], meshNodeNumbers=np.arange(len(weights)),
+            bodyNumber=part.items["oFFRFreducedOrder"],
+            meshNodeNumbers=np.arange(len(weights)),
             weightingFactors=weights,
-        )  # fmt: skip
+        )
         force = list(body.floating.integrals.mass * np.array(self.gravity))
         self.mbs.AddLoad(self.items.LoadForceVector(markerNumber=self.mbs.AddMarker(marker), loadVector=force))
 
     def rigid(
-        self, mass: float, inertia: Point, *, position: Point, velocity: Point = (0, 0, 0),
+        self,
+        mass: float,
+        inertia: Point,
+        *,
+        position: Point,
+        velocity: Point = (0, 0, 0),
         angular_velocity: Point = (0, 0, 0),
-    ) -> ExudynPart:  # fmt: skip
+    ) -> ExudynPart:
         """A rigid body with its origin in its centre of mass and its axes along the inertial ones.
 
         Its coordinates are angles (about x, y, z), so that a steady turn about z is exact; Euler parameters lag behind
         by errors of the steps.
         """
         items = self.mbs.CreateRigidBody(
-            referencePosition=list(position), initialVelocity=list(velocity),
-            initialAngularVelocity=list(angular_velocity), gravity=self.gravity, returnDict=True,
+            referencePosition=list(position),
+            initialVelocity=list(velocity),
+            initialAngularVelocity=list(angular_velocity),
+            gravity=self.gravity,
+            returnDict=True,
             inertia=self.utilities.RigidBodyInertia(mass, np.diag(inertia)),
             nodeType=self.exu.NodeType.RotationRxyz,
-        )  # fmt: skip
+        )
         return ExudynPart({"nRigidBody": items["nodeNumber"], "body": items["bodyNumber"]})
 
     def at_ground(self, point: Point = (0, 0, 0)) -> int:
@@ -179,9 +195,11 @@ class ExudynSystem:
             raise InputError(f"a rigid body was given; only elastic ones have interfaces such as {name!r}")
         nodes = exudyn_marker(elastic.body.source, name)
         marker = self.items.MarkerSuperElementRigid(
-            bodyNumber=elastic.items["oFFRFreducedOrder"], meshNodeNumbers=nodes.numbers,
-            weightingFactors=nodes.weights, offset=nodes.offset,
-        )  # fmt: skip
+            bodyNumber=elastic.items["oFFRFreducedOrder"],
+            meshNodeNumbers=nodes.numbers,
+            weightingFactors=nodes.weights,
+            offset=nodes.offset,
+        )
         return int(self.mbs.AddMarker(marker))
 
     def joint(self, first: int, second: int, held: Sequence[int]) -> None:

@@ -14,14 +14,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits, names_without_blanks
 from morembs.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.linalg.columns import symmetric
 from morembs.storage.safefile import replacing
 
-Floats = NDArray[np.float64]
 _LONGEST_NAME = 255
 _REVISION = "REV0"
 
@@ -91,9 +90,10 @@ def _inertia(frame: FloatingFrame) -> list[str]:
     center = integrals.center
     about_center = integrals.about(center).inertia
     return [
-        _line(np.array([integrals.mass]), "the mass"), _line(center, "the centre of mass"),
+        _line(np.array([integrals.mass]), "the mass"),
+        _line(center, "the centre of mass"),
         _rows(symmetric(about_center), "the inertia"),
-    ]  # fmt: skip
+    ]
 
 
 def _invariants(frame: FloatingFrame) -> Iterator[tuple[int, str, Floats]]:

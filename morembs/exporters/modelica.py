@@ -12,9 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.ports import Port, ports_of_file
@@ -22,15 +20,17 @@ from morembs.exporters.state_space import StateSpace, state_space
 from morembs.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.storage.safefile import replacing
 
-Floats = NDArray[np.float64]
 # Modelica 3.6, section 2.3.3.
-KEYWORDS = frozenset(re.findall(
-    r"\w+",
-    "algorithm and annotation block break class connect connector constant constrainedby der discrete each else elseif "
-    "elsewhen encapsulated end enumeration equation expandable extends external false final flow for function if "
-    "import impure in initial inner input loop model not operator or outer output package parameter partial protected "
-    "public pure record redeclare replaceable return stream then true type when while within time",
-))  # fmt: skip
+KEYWORDS = frozenset(
+    re.findall(
+        r"\w+",
+        "algorithm and annotation block break class connect connector constant constrainedby der discrete each "
+        "else elseif elsewhen encapsulated end enumeration equation expandable extends external false final flow "
+        "for function if import impure in initial inner input loop model not operator or outer output package "
+        "parameter partial protected public pure record redeclare replaceable return stream then true type when "
+        "while within time",
+    )
+)
 AXES = tuple((i, j) for i in (1, 2, 3) for j in (1, 2, 3))
 # Names that the models have themselves.
 OWN = frozenset(("Linear", "Floating", "MultiBody", "Modelica"))
@@ -74,8 +74,11 @@ class Modelica(Exporter):
         system = state_space(
             source, [f"{name}:force" for name in rows], [f"{name}:displacement" for name in rows], name=body.name
         )
-        notes = [f"{name!r} is no Modelica identifier; it is {ident} in the file"
-                 for name, ident in (*names.items(), (given, known)) if name != ident]  # fmt: skip
+        notes = [
+            f"{name!r} is no Modelica identifier; it is {ident} in the file"
+            for name, ident in (*names.items(), (given, known))
+            if name != ident
+        ]
         if context.path.name != f"{known}.mo":
             notes.append(f"a tool wants the package {known} in the file {known}.mo; rename it, or load it by its path")
         parts = [_linear(system, ports, names)]
@@ -104,9 +107,9 @@ def _linear(system: StateSpace, ports: Sequence[Port], names: dict[str, str]) ->
     """Normal coordinates of the whole body under the forces on its interfaces."""
     n = len(system.A) // 2
     yield 'model Linear "Small motion about the place at rest"'
-    yield f"  parameter Integer n = {n} \"Number of coordinates\";"
-    yield f"  parameter Real K[n, n] = {_matrix(-system.A[n:, :n])} \"Stiffness by mass\";"
-    yield f"  parameter Real D[n, n] = {_matrix(-system.A[n:, n:])} \"Damping by mass\";"
+    yield f'  parameter Integer n = {n} "Number of coordinates";'
+    yield f'  parameter Real K[n, n] = {_matrix(-system.A[n:, :n])} "Stiffness by mass";'
+    yield f'  parameter Real D[n, n] = {_matrix(-system.A[n:, n:])} "Damping by mass";'
     at = 0
     terms, outputs = [], []
     for name in dict.fromkeys(port.interface for port in ports):
@@ -120,7 +123,7 @@ def _linear(system: StateSpace, ports: Sequence[Port], names: dict[str, str]) ->
         yield f'  output Real {ident}_motion[{len(words)}] "{about} in m, rad";'
         terms.append(f"{ident}_B*{ident}_force")
         outputs.append(f"  {ident}_motion = {ident}_C*q;")
-    yield "  Real q[n](each start = 0, each fixed = true) \"Coordinates\";"
+    yield '  Real q[n](each start = 0, each fixed = true) "Coordinates";'
     yield "  Real dq[n](each start = 0, each fixed = true);"
     yield "equation"
     yield "  der(q) = dq;"
@@ -133,16 +136,21 @@ def _floating(frame: FloatingFrame, markers: dict[str, InterfaceMarker], names: 
     """Newton and Euler for the frame, Lagrange for the elastic coordinates."""
     integrals, n = frame.integrals, frame.count
     values = {
-        "first[3]": integrals.first, "inertia[3, 3]": integrals.inertia, "Ct[n, 3]": integrals.Ct,
-        "Cr[n, 3]": integrals.Cr, "Me[n, n]": integrals.Me, "Ke[n, n]": frame.Ke, "De[n, n]": frame.De,
+        "first[3]": integrals.first,
+        "inertia[3, 3]": integrals.inertia,
+        "Ct[n, 3]": integrals.Ct,
+        "Cr[n, 3]": integrals.Cr,
+        "Me[n, n]": integrals.Me,
+        "Ke[n, n]": frame.Ke,
+        "De[n, n]": frame.De,
         **{f"x{i}{j}[n]": integrals.x_phi[i - 1, j - 1] for i, j in AXES},
         # [l, k] of int phi_a,k phi_b,l; those of (b, a) are transposed.
         **{f"F{i}{j}[n, n]": integrals.phi_phi[i - 1, j - 1].T for i, j in AXES if i <= j},
-    }  # fmt: skip
+    }
     yield 'model Floating "Large rotations of a body whose deflections are small"'
-    yield f"  parameter Integer n = {n} \"Number of elastic coordinates\";"
+    yield f'  parameter Integer n = {n} "Number of elastic coordinates";'
     yield f"  parameter Real mass = {integrals.mass!r};"
-    yield "  parameter Real g[3] = {0, 0, 0} \"Gravity along the inertial axes\";"
+    yield '  parameter Real g[3] = {0, 0, 0} "Gravity along the inertial axes";'
     for name, value in values.items():
         yield f"  parameter Real {name} = {_matrix(value)};"
     for name, marker in markers.items():
@@ -179,11 +187,15 @@ def _floating(frame: FloatingFrame, markers: dict[str, InterfaceMarker], names: 
         share = f"({ident}_t - 0.5*cross({ident}_turn, {ident}_t))/(1 + 0.25*({ident}_turn*{ident}_turn))"
         work.append(f"transpose({ident}_phi)*{ident}_f + transpose({ident}_psi)*({share})")
     yield f"  mass*a + cross(z, mu) + transpose(Ct)*der(dq) + 2*cross(w, drift) + spin*mu = {' + '.join(force)};"
-    yield ("  cross(mu, a) + Jq*z + turned*der(dq) + 2*((N[1, 1] + N[2, 2] + N[3, 3])*w - transpose(N)*w) + "
-           f"cross(w, Jq*w) = {' + '.join(moment)};")  # fmt: skip
+    yield (
+        "  cross(mu, a) + Jq*z + turned*der(dq) + 2*((N[1, 1] + N[2, 2] + N[3, 3])*w - transpose(N)*w) + "
+        f"cross(w, Jq*w) = {' + '.join(moment)};"
+    )
     turning = " + ".join(f"spin[{i}, {j}]*p{i}{j}" for i, j in AXES)
-    yield ("  Ct*a + transpose(turned)*z + Me*der(dq) + 2*((d23 - d32)*w[1] + (d31 - d13)*w[2] + (d12 - d21)*w[3]) + "
-           f"{turning} + Ke*q + De*dq = {' + '.join(work)};")  # fmt: skip
+    yield (
+        "  Ct*a + transpose(turned)*z + Me*der(dq) + 2*((d23 - d32)*w[1] + (d31 - d13)*w[2] + (d12 - d21)*w[3]) + "
+        f"{turning} + Ke*q + De*dq = {' + '.join(work)};"
+    )
     yield "end Floating;"
 
 
@@ -232,9 +244,9 @@ def _multibody(markers: dict[str, InterfaceMarker], axes: dict[str, Floats], nam
     for name in markers:
         ident = names[name]
         yield f"  Modelica.Mechanics.MultiBody.Interfaces.Frame_a {ident}_frame;"
-        yield f"  parameter Real {ident}_axes[3, 3] = {_matrix(axes[name])} \"Axes of the interface as rows\";"
-        yield f"  Real {ident}_T[3, 3] \"From the inertial frame to the interface\";"
-        yield f"  Real {ident}_w[3] \"Its angular velocity, own axes\";"
+        yield f'  parameter Real {ident}_axes[3, 3] = {_matrix(axes[name])} "Axes of the interface as rows";'
+        yield f'  Real {ident}_T[3, 3] "From the inertial frame to the interface";'
+        yield f'  Real {ident}_w[3] "Its angular velocity, own axes";'
     yield "equation"
     yield f"  Connections.root({idents[0]}_frame.R);"
     for ident in idents[1:]:

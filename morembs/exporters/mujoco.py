@@ -15,8 +15,8 @@ from typing import ClassVar
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.sid import normal_coordinates
@@ -25,7 +25,6 @@ from morembs.floating.frame import FloatingFrame
 from morembs.model import skew
 from morembs.storage.safefile import replacing
 
-Floats = NDArray[np.float64]
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 DIRECTIONS = ("1 0 0", "0 1 0", "0 0 1")
 # Steps in a radian of the fastest mode; explicit steps are stable from half a step on.
@@ -152,8 +151,10 @@ def _lines(context: ExportContext, frame: FloatingFrame, kept: list[int], step: 
         yield f"      <body name={quoteattr(f'{name}:{at}')} pos={_text(marker.point)}>"
         for number, axis in enumerate(AXES):
             kind = "slide" if number < 3 else "hinge"
-            yield (f"        <joint name={quoteattr(f'{name}:{at}:{axis}')} type=\"{kind}\" "
-                   f'axis="{DIRECTIONS[number % 3]}"/>')  # fmt: skip
+            yield (
+                f'        <joint name={quoteattr(f"{name}:{at}:{axis}")} type="{kind}" '
+                f'axis="{DIRECTIONS[number % 3]}"/>'
+            )
         yield f'        <inertial pos="0 0 0" mass="{mass!r}" diaginertia="{_numbers([turning] * 3)}"/>'
         turn = quaternion(context.source.interfaces[at].axes.T)
         yield f"        <site name={quoteattr(f'{name}:{at}:frame')} quat={_text(turn)}/>"
@@ -161,8 +162,8 @@ def _lines(context: ExportContext, frame: FloatingFrame, kept: list[int], step: 
     yield "    </body>"
     for mode in kept:
         spring = f'stiffness="{float(frame.Ke[mode, mode])!r}" damping="{max(float(frame.De[mode, mode]), 0.0)!r}"'
-        yield f"    <body name={quoteattr(f'{name}:mode:{mode + 1}')} gravcomp=\"1\">"
-        yield f"      <joint name={quoteattr(f'{name}:mode:{mode + 1}')} type=\"slide\" axis=\"1 0 0\" {spring}/>"
+        yield f'    <body name={quoteattr(f"{name}:mode:{mode + 1}")} gravcomp="1">'
+        yield f'      <joint name={quoteattr(f"{name}:mode:{mode + 1}")} type="slide" axis="1 0 0" {spring}/>'
         yield '      <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
         yield "    </body>"
     yield "  </worldbody>"
@@ -170,11 +171,11 @@ def _lines(context: ExportContext, frame: FloatingFrame, kept: list[int], step: 
     for at, marker in frame.markers.items():
         for row, axis in enumerate(AXES):
             yield f"    <fixed name={quoteattr(f'{name}:{at}:{axis}')}>"
-            yield f"      <joint joint={quoteattr(f'{name}:{at}:{axis}')} coef=\"-1\"/>"
+            yield f'      <joint joint={quoteattr(f"{name}:{at}:{axis}")} coef="-1"/>'
             for mode in kept:
                 if marker.motion[row, mode]:
                     coefficient = float(marker.motion[row, mode])
-                    yield f"      <joint joint={quoteattr(f'{name}:mode:{mode + 1}')} coef=\"{coefficient!r}\"/>"
+                    yield f'      <joint joint={quoteattr(f"{name}:mode:{mode + 1}")} coef="{coefficient!r}"/>'
             yield "    </fixed>"
     yield "  </tendon>"
     yield "  <equality>"

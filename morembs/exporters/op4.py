@@ -30,9 +30,14 @@ _FORMAT, _WIDTH, _PER_LINE, _DIGITS = "%23.16E", 23, 3, 17
 
 
 def write_op4(
-    path: str | Path, matrices: Mapping[str, Any], *, binary: bool = True, sparse: Storage = "bigmat",
-    byteorder: Literal["little", "big"] = "little", bits: Literal[32, 64] = 32,
-) -> None:  # fmt: skip
+    path: str | Path,
+    matrices: Mapping[str, Any],
+    *,
+    binary: bool = True,
+    sparse: Storage = "bigmat",
+    byteorder: Literal["little", "big"] = "little",
+    bits: Literal[32, 64] = 32,
+) -> None:
     """Write matrices (arrays, sparse arrays or OP4Matrix, real or complex, single or double precision) by name.
 
     ``sparse`` is how columns are stored: "dense" (first to last entry), "bigmat" or "nonbigmat" (up to 65,535

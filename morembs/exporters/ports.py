@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.body.body import ElasticBody, input_columns
 from morembs.body.stored import StoredBodies
 from morembs.errors import InputError, nearest
@@ -15,16 +15,17 @@ from morembs.interface import Interface
 from morembs.model import Nodes
 from morembs.model.fe_model import SCALAR, rigid_motion
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 # Ratio of singular values, rows scaled to one, below which supports leave a rigid-body motion.
 HELD = 1e-8
 # Quantity -> unit of a translation, of a rotation.
 UNITS = {
-    "displacement": ("m", "rad"), "velocity": ("m/s", "rad/s"), "acceleration": ("m/s2", "rad/s2"),
-    "force": ("N", "N m"), "reaction": ("N", "N m"),
-}  # fmt: skip
+    "displacement": ("m", "rad"),
+    "velocity": ("m/s", "rad/s"),
+    "acceleration": ("m/s2", "rad/s2"),
+    "force": ("N", "N m"),
+    "reaction": ("N", "N m"),
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

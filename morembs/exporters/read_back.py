@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.errors import OutputError
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 # Round-off of double precision in sums of n terms, and of changes of coordinates before the file was written, per n.
 EPS, CHANGED = float(np.finfo(float).eps), 1e-12
 # Half a unit of the last digit of each number adds up to at most the bound; solving adds its own round-off.

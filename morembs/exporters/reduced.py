@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext
@@ -18,8 +18,6 @@ from morembs.exporters.read_back import SecondOrder
 from morembs.linalg.columns import symmetric
 from morembs.model.fe_model import SCALAR
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Ratio of singular values of C, rows scaled to one, below which interface degrees of freedom depend on each other.
 _INDEPENDENT = 1e-9
 # Ratio of eigenvalues below which the held body still has rigid-body modes.
@@ -120,10 +118,13 @@ def on_interfaces(
     grids, node, free = _grids(source, label)
     rest = tuple(range(free, free + others))
     return InterfaceBody(
-        matrices=matrices, grids=grids, rest=rest, notes=(*notes, *note),
+        matrices=matrices,
+        grids=grids,
+        rest=rest,
+        notes=(*notes, *note),
         node=np.concatenate([node, np.array(rest, dtype=np.int64)]),
         dof=np.concatenate([source.input_component + 1, np.full(len(rest), component_of_rest, dtype=np.int64)]),
-    )  # fmt: skip
+    )
 
 
 def refuse_two_sided(body: StoredBody) -> None:

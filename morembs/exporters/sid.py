@@ -13,8 +13,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits, names_without_blanks
 from morembs.exporters.read_back import ReadBack, SecondOrder
@@ -23,7 +23,6 @@ from morembs.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.model import skew
 from morembs.storage.safefile import replacing
 
-Floats = NDArray[np.float64]
 MOST_NODES = 99999
 DIGITS = 12
 LONGEST_NAME = 60
@@ -122,9 +121,11 @@ class SidFem(Exporter):
             shapes = context.shapes().reshape(-1, 3, frame.count)
             for point, phi in zip(context.coordinates, shapes, strict=True):
                 yield SidNode(
-                    origin=Taylor(M0=point[:, None], M1=phi[:, :, None]), phi=Taylor(M0=phi),
-                    psi=Taylor(M0=np.zeros_like(phi)), AP=Taylor(M0=np.eye(3)),
-                )  # fmt: skip
+                    origin=Taylor(M0=point[:, None], M1=phi[:, :, None]),
+                    phi=Taylor(M0=phi),
+                    psi=Taylor(M0=np.zeros_like(phi)),
+                    AP=Taylor(M0=np.eye(3)),
+                )
 
     def _notes(self, context: ExportContext, markers: dict[str, InterfaceMarker], changed: bool) -> tuple[str, ...]:
         notes = ["numbers have twelve digits"]
@@ -173,15 +174,22 @@ def normal_coordinates(frame: FloatingFrame) -> tuple[FloatingFrame, bool]:
     stiff = frame.stiffening
     if stiff is not None:
         stiff = replace(
-            stiff, acceleration=_both(T, stiff.acceleration), rotation=_both(T, stiff.rotation),
+            stiff,
+            acceleration=_both(T, stiff.acceleration),
+            rotation=_both(T, stiff.rotation),
             angular_acceleration=_both(T, stiff.angular_acceleration),
             wrench={name: _both(T, G) for name, G in stiff.wrench.items()},
-        )  # fmt: skip
+        )
     markers = {name: replace(marker, motion=marker.motion @ T) for name, marker in frame.markers.items()}
     return replace(
-        frame, elastic=frame.elastic @ T, integrals=integrals, Ke=_both(T, Ke), De=_both(T, frame.De),
-        markers=markers, stiffening=stiff,
-    ), True  # fmt: skip
+        frame,
+        elastic=frame.elastic @ T,
+        integrals=integrals,
+        Ke=_both(T, Ke),
+        De=_both(T, frame.De),
+        markers=markers,
+        stiffening=stiff,
+    ), True
 
 
 def _both(T: Floats, A: Floats) -> Floats:
@@ -199,13 +207,21 @@ def _sid(frame: FloatingFrame) -> Sid:
     omega = np.sqrt(np.maximum(np.diag(frame.Ke) / np.diag(integrals.Me), 0.0))
     J1 = np.array([integrals.J1[:, a, b] for a, b in INERTIA])
     return Sid(
-        mass=integrals.mass, frequencies_hz=omega / (2 * np.pi), nodes={},
+        mass=integrals.mass,
+        frequencies_hz=omega / (2 * np.pi),
+        nodes={},
         mdCM=Taylor(M0=integrals.first[:, None], M1=integrals.Ct.T[:, :, None]),
         J=Taylor(M0=np.array([[integrals.inertia[a, b]] for a, b in INERTIA]), M1=J1[:, :, None]),
-        Ct=Taylor(M0=integrals.Ct, M1=Ct1), Cr=Taylor(M0=integrals.Cr, M1=Cr1), Me=Taylor(M0=integrals.Me),
-        Gr=integrals.Gr, Ge=integrals.Ge, Oe=Taylor(M0=integrals.Oe, M1=Oe1), ksigma=Taylor(M0=np.zeros((n, 1))),
-        Ke=Taylor(M0=frame.Ke), De=Taylor(M0=frame.De),
-    )  # fmt: skip
+        Ct=Taylor(M0=integrals.Ct, M1=Ct1),
+        Cr=Taylor(M0=integrals.Cr, M1=Cr1),
+        Me=Taylor(M0=integrals.Me),
+        Gr=integrals.Gr,
+        Ge=integrals.Ge,
+        Oe=Taylor(M0=integrals.Oe, M1=Oe1),
+        ksigma=Taylor(M0=np.zeros((n, 1))),
+        Ke=Taylor(M0=frame.Ke),
+        De=Taylor(M0=frame.De),
+    )
 
 
 def _by_coordinate(G: Floats) -> Floats:

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 
-Floats = NDArray[np.float64]
 TERMS = ("mdCM", "J", "Ct", "Cr", "Me", "Gr", "Ge", "Oe", "ksigma", "Ke", "De")
 NODE_TERMS = ("origin", "phi", "psi", "AP")
 # Rows and columns of J: 11, 22, 33, 12, 13, 23 (other than those of Oe: 11, 22, 33, 12, 23, 13).
@@ -108,9 +107,14 @@ def read_sid(path: str | Path) -> Sid:
             raise InputError(f"{path}: node {label} has no {lacking[0]}; write the file again")
         nodes[label] = SidNode(**parts)
     return Sid(
-        mass=parsed.mass, frequencies_hz=np.array(parsed.frequencies), Gr=Gr, Ge=Ge, dialect=dialect, nodes=nodes,
+        mass=parsed.mass,
+        frequencies_hz=np.array(parsed.frequencies),
+        Gr=Gr,
+        Ge=Ge,
+        dialect=dialect,
+        nodes=nodes,
         **plain,
-    )  # fmt: skip
+    )
 
 
 class _Parser:
@@ -158,9 +162,7 @@ class _Parser:
                 raise InputError(f"{self.path}, line {number}: {line.strip()[:60]!r} is no entry of {name}; mend it")
         raise InputError(f"{self.path} ends within {name}; write it again")
 
-    def _filled(
-        self, name: str, sizes: dict[str, int], entries: list[tuple[int, re.Match[str]]], last: int
-    ) -> Taylor:  # fmt: skip
+    def _filled(self, name: str, sizes: dict[str, int], entries: list[tuple[int, re.Match[str]]], last: int) -> Taylor:
         lacking = [key for key in ("order", "nrow", "ncol", "nq") if key not in sizes]
         if lacking:
             raise InputError(f"{self.path}, before line {last}: {name} has no {lacking[0]}; write the file again")
@@ -197,9 +199,18 @@ class _Parser:
 def _refuse_shapes(path: Path, terms: Mapping[str, Taylor]) -> None:
     n = len(terms["Me"].M0)
     shapes = {
-        "mdCM": (3, 1), "J": (6, 1), "Ct": (n, 3), "Cr": (n, 3), "Me": (n, n), "Gr": (3, 3 * n), "Ge": (n, 3 * n),
-        "Oe": (n, 6), "ksigma": (n, 1), "Ke": (n, n), "De": (n, n),
-    }  # fmt: skip
+        "mdCM": (3, 1),
+        "J": (6, 1),
+        "Ct": (n, 3),
+        "Cr": (n, 3),
+        "Me": (n, n),
+        "Gr": (3, 3 * n),
+        "Ge": (n, 3 * n),
+        "Oe": (n, 6),
+        "ksigma": (n, 1),
+        "Ke": (n, n),
+        "De": (n, n),
+    }
     for name, shape in shapes.items():
         term = terms[name]
         if term.M0.shape != shape or (term.M1 is not None and term.M1.shape[1] != n):
@@ -228,8 +239,10 @@ def _layout(path: Path, terms: Mapping[str, Taylor]) -> tuple[Floats, Floats, st
     # Schwarz's inequality on the integrals.
     modal = np.abs(np.diag(terms["Me"].M0)).max(initial=0.0)
     least_gr, least_ge = NOISE * 2 * np.sqrt(np.abs(J.M0[:3]).sum() * modal), NOISE * 2 * modal
-    off_gr = {key: _off(np.stack([(G[:, a, b] + G[:, b, a]) / 2 for a, b in INERTIA], axis=1), J1, least_gr)
-              for key, G in gr.items()}  # fmt: skip
+    off_gr = {
+        key: _off(np.stack([(G[:, a, b] + G[:, b, a]) / 2 for a, b in INERTIA], axis=1), J1, least_gr)
+        for key, G in gr.items()
+    }
     off_ge = {key: _off(G, twice, least_ge) for key, G in ge.items()}
     for name, off in (("Gr", off_gr), ("Ge", off_ge)):
         if min(off.values()) > AGREES:

@@ -18,6 +18,7 @@ import scipy.io as sio
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body.stored import StoredBody
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter
@@ -26,7 +27,6 @@ from morembs.exporters.reduced import body_transfer, held_and_free, interface_tr
 from morembs.linalg.columns import symmetric
 from morembs.storage.safefile import replacing
 
-Floats = NDArray[np.float64]
 # Text at the start of a .mat file, always the same.
 HEADER = b"MATLAB 5.0 MAT-file, written by morembs"
 HEADER_BYTES = 116
@@ -81,9 +81,11 @@ class Simscape(Exporter):
         rows = np.concatenate(list(framed_rows(context, BLOCK).values()))
         read = sio.loadmat(files[context.path], variable_names=("K", "M", "D"))
         return ReadBack(
-            found=interface_transfer(read, len(rows)), expected=body_transfer(context.body, rows), digits=DIGITS,
+            found=interface_transfer(read, len(rows)),
+            expected=body_transfer(context.body, rows),
+            digits=DIGITS,
             changed=True,
-        )  # fmt: skip
+        )
 
 
 def write_mat(path: Path, values: Mapping[str, object]) -> None:

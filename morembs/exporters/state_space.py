@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body.body import ElasticBody
 from morembs.body.stored import StoredBodies, choose_body
 from morembs.errors import InputError
@@ -24,7 +25,6 @@ from morembs.problem.damping import frequency_domain_only
 from morembs.reducers.base import ReducedModel
 from morembs.summary import summarised
 
-Floats = NDArray[np.float64]
 # Quantity and row of each degree of freedom that was named.
 Named = Sequence[tuple[str, int]]
 INPUTS, OUTPUTS = ("force", "acceleration", "displacement"), ("displacement", "velocity", "acceleration", "reaction")
@@ -54,8 +54,12 @@ class StateSpace:
     dt: float = 0.0
 
     def _facts(self) -> dict[str, object]:
-        return {"states": len(self.A), "inputs": list(self.names["inputs"]), "outputs": list(self.names["outputs"]),
-                "step": f"{self.dt:g} s" if self.dt else None}  # fmt: skip
+        return {
+            "states": len(self.A),
+            "inputs": list(self.names["inputs"]),
+            "outputs": list(self.names["outputs"]),
+            "step": f"{self.dt:g} s" if self.dt else None,
+        }
 
     def discrete(self, step: float) -> StateSpace:
         """The same at multiples of ``step`` in s, exact for inputs that are constant between them (zero-order hold).
@@ -87,9 +91,13 @@ class StateSpace:
 
 
 def state_space(
-    body: ElasticBody | StoredBodies, inputs: Sequence[str], outputs: Sequence[str], *, held: Sequence[str] = (),
+    body: ElasticBody | StoredBodies,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    held: Sequence[str] = (),
     name: str | None = None,
-) -> StateSpace:  # fmt: skip
+) -> StateSpace:
     """State space of a body, in SI units.
 
     Args:
@@ -217,7 +225,7 @@ class _Held:
 
 def _assembled(
     reduced: ReducedModel, ports: Sequence[Port], wanted: Mapping[str, Named], supports: Mapping[int, str]
-) -> StateSpace:  # fmt: skip
+) -> StateSpace:
     """Every signal is a row over [states; inputs]; states are those of moving supports, then of the free motion."""
     rows = sorted(supports)
     body = _Held.of(reduced, rows)
@@ -245,22 +253,33 @@ def _assembled(
     reaction = Y.T @ (M @ (N @ dde) + D @ (N @ de) + K @ (N @ e) + body.KX @ x - load)
     q, dq, ddq = X @ x + N @ e, X @ v + N @ de, X @ a + N @ dde
     motion = {"displacement": C @ q, "velocity": C @ dq, "acceleration": C @ ddq}
-    output = np.array([
-        reaction[rows.index(row)] if quantity == "reaction" else motion[quantity][row]
-        for quantity, row in wanted["outputs"]
-    ])  # fmt: skip
+    output = np.array(
+        [
+            reaction[rows.index(row)] if quantity == "reaction" else motion[quantity][row]
+            for quantity, row in wanted["outputs"]
+        ]
+    )
     derivative = np.vstack([signal[k : 2 * k], a[[rows.index(row) for row in moving]], de, dde])
     pairs = [(ports[row], quantity) for quantity in ("displacement", "velocity") for row in moving]
     state_names = [(port.name(quantity), port.unit(quantity)) for port, quantity in pairs]
     state_names += [(f"{mark}q{i + 1}", "") for mark in ("", "d") for i in range(n)]
     kept = _observed(derivative, output, k)
     return StateSpace(
-        A=derivative[np.ix_(kept, kept)], B=derivative[kept, states:], C=output[:, kept], D=output[:, states:],
-        names={"states": tuple(state_names[i][0] for i in kept), "inputs": tuple(name for _, name, _ in inputs),
-               "outputs": tuple(ports[row].name(quantity) for quantity, row in wanted["outputs"])},
-        units={"states": tuple(state_names[i][1] for i in kept), "inputs": tuple(unit for *_, unit in inputs),
-               "outputs": tuple(ports[row].unit(quantity) for quantity, row in wanted["outputs"])},
-    )  # fmt: skip
+        A=derivative[np.ix_(kept, kept)],
+        B=derivative[kept, states:],
+        C=output[:, kept],
+        D=output[:, states:],
+        names={
+            "states": tuple(state_names[i][0] for i in kept),
+            "inputs": tuple(name for _, name, _ in inputs),
+            "outputs": tuple(ports[row].name(quantity) for quantity, row in wanted["outputs"]),
+        },
+        units={
+            "states": tuple(state_names[i][1] for i in kept),
+            "inputs": tuple(unit for *_, unit in inputs),
+            "outputs": tuple(ports[row].unit(quantity) for quantity, row in wanted["outputs"]),
+        },
+    )
 
 
 def _input_names(ports: Sequence[Port], wanted: Named) -> list[tuple[tuple[str, int], str, str]]:

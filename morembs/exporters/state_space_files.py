@@ -72,8 +72,11 @@ def read_state_space(path: str | Path) -> StateSpace:
     try:
         if place.suffix == ".mat":
             values = {key: np.asarray(value) for key, value in sio.loadmat(place).items()}
-            texts = {key: [str(cell[0]) if len(cell) else "" for cell in value.ravel()]
-                     for key, value in values.items() if value.dtype == object}  # fmt: skip
+            texts = {
+                key: [str(cell[0]) if len(cell) else "" for cell in value.ravel()]
+                for key, value in values.items()
+                if value.dtype == object
+            }
         else:
             with np.load(place, allow_pickle=False) as file:
                 values = dict(file)
@@ -82,10 +85,12 @@ def read_state_space(path: str | Path) -> StateSpace:
         return StateSpace(
             A=A.reshape(len(texts["states"]), -1) if A.size else np.zeros((0, 0)),
             B=B.reshape(len(texts["states"]), len(texts["inputs"])),
-            C=C.reshape(len(texts["outputs"]), len(texts["states"])), D=D, dt=float(values["dt"].item()),
+            C=C.reshape(len(texts["outputs"]), len(texts["states"])),
+            D=D,
+            dt=float(values["dt"].item()),
             names={kind: tuple(texts[kind]) for kind in KINDS},
             units={kind: tuple(texts[f"{kind[:-1]}_units"]) for kind in KINDS},
-        )  # fmt: skip
+        )
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise InputError(f"{place} cannot be read as a state space ({error}); expected one of export") from error
 
@@ -122,9 +127,12 @@ class StateSpaceExporter(Exporter):
         if not names and not (self.inputs and self.outputs):
             raise InputError(f"body {context.body.name!r} has no interface, so that nothing goes in or comes out")
         return state_space(
-            context.source, self.inputs or [f"{name}:force" for name in names if name not in self.held],
-            self.outputs or [f"{name}:displacement" for name in names], held=self.held, name=context.body.name,
-        )  # fmt: skip
+            context.source,
+            self.inputs or [f"{name}:force" for name in names if name not in self.held],
+            self.outputs or [f"{name}:displacement" for name in names],
+            held=self.held,
+            name=context.body.name,
+        )
 
     def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
         system = self._system(context)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.floating.static_state import NOISE
 from morembs.problem import Problem
 from morembs.progress import Progress
 
-Floats = NDArray[np.float64]
 # Steps of the eigensolver, its accuracy, and the factor that is far enough away.
 STEPS, TOLERANCE, FAR = 120, 1e-4, 20.0
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.floating.integrals import ShapeIntegrals, shape_integrals
 from morembs.floating.stiffening import Stiffening
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from morembs.problem import Problem
     from morembs.reducers.base import ReducedModel
 
-Floats = NDArray[np.float64]
 # Kinds of frames, and how many interfaces each needs.
 FRAMES = {"mean-axes": 0, "center-of-mass": 1, "tangent": 1, "chord": 2}
 RIGID_MOTIONS = 6
@@ -84,10 +83,14 @@ class FloatingFrame:
 
     def _facts(self) -> dict[str, object]:
         return {
-            "kind": self.kind, "interfaces": list(self.interfaces), "elastic coordinates": self.count,
-            "mass": float(self.integrals.mass), "markers": list(self.markers),
-            "geometric stiffening": None if self.stiffening is None else "yes", "notes": "; ".join(self.notes),
-        }  # fmt: skip
+            "kind": self.kind,
+            "interfaces": list(self.interfaces),
+            "elastic coordinates": self.count,
+            "mass": float(self.integrals.mass),
+            "markers": list(self.markers),
+            "geometric stiffening": None if self.stiffening is None else "yes",
+            "notes": "; ".join(self.notes),
+        }
 
     def in_frame(self, kind: str, interfaces: Sequence[str] = ()) -> FloatingFrame:
         """The same body seen from another frame. Geometric stiffening is left out: it belongs to the loads of a frame.
@@ -102,9 +105,14 @@ class FloatingFrame:
             for name, marker in self.markers.items()
         }
         return replace(
-            self, kind=kind, interfaces=tuple(interfaces), elastic=self.elastic - self.rigid @ c,
-            integrals=self.integrals.without_rigid(c), markers=markers, stiffening=None,
-        )  # fmt: skip
+            self,
+            kind=kind,
+            interfaces=tuple(interfaces),
+            elastic=self.elastic - self.rigid @ c,
+            integrals=self.integrals.without_rigid(c),
+            markers=markers,
+            stiffening=None,
+        )
 
     def followed(self, motions: Mapping[str, Floats], count: int) -> Floats:
         """(6, count): how the frame moves, about its origin, with displacements free of momentum in which the
@@ -119,9 +127,13 @@ class FloatingFrame:
         H[:3, 3:] = skew(d)
         markers = {name: replace(marker, point=marker.point - d) for name, marker in self.markers.items()}
         return replace(
-            self, origin=self.origin + d, rigid=self.rigid @ H, integrals=self.integrals.about(d), markers=markers,
+            self,
+            origin=self.origin + d,
+            rigid=self.rigid @ H,
+            integrals=self.integrals.about(d),
+            markers=markers,
             stiffening=None if self.stiffening is None else self.stiffening.about(d),
-        )  # fmt: skip
+        )
 
 
 def _motion_of(point: Floats) -> Floats:
@@ -207,9 +219,13 @@ def frame_rows(problem: Problem, kind: str, interfaces: Sequence[str] = ()) -> F
 
 
 def floating_frame(
-    problem: Problem, reduced: ReducedModel, *, kind: str = "mean-axes", interfaces: Sequence[str] = (),
+    problem: Problem,
+    reduced: ReducedModel,
+    *,
+    kind: str = "mean-axes",
+    interfaces: Sequence[str] = (),
     origin: Sequence[float] = (0.0, 0.0, 0.0),
-) -> FloatingFrame:  # fmt: skip
+) -> FloatingFrame:
     """Floating-frame data of a free body from its consistent mass.
 
     ``origin`` (3,) in coordinates of the model. The elastic coordinates are the free modes of the reduced model, of
@@ -243,15 +259,34 @@ def floating_frame(
     }
     integrals, note = shape_integrals(problem.model, _on_model(problem, elastic), center, budget)
     return frame_about(
-        reduced.K, reduced.D, Y, rigid, integrals, markers, center, kind=kind, interfaces=interfaces, origin=origin,
+        reduced.K,
+        reduced.D,
+        Y,
+        rigid,
+        integrals,
+        markers,
+        center,
+        kind=kind,
+        interfaces=interfaces,
+        origin=origin,
         note=note,
-    )  # fmt: skip
+    )
 
 
 def frame_about(
-    K: Floats, D: Floats, Y: Floats, rigid: Floats, integrals: ShapeIntegrals, markers: Mapping[str, InterfaceMarker],
-    center: Floats, *, kind: str, interfaces: Sequence[str], origin: Sequence[float], note: str = "",
-) -> FloatingFrame:  # fmt: skip
+    K: Floats,
+    D: Floats,
+    Y: Floats,
+    rigid: Floats,
+    integrals: ShapeIntegrals,
+    markers: Mapping[str, InterfaceMarker],
+    center: Floats,
+    *,
+    kind: str,
+    interfaces: Sequence[str],
+    origin: Sequence[float],
+    note: str = "",
+) -> FloatingFrame:
     """A floating frame about ``origin``, of what is known about the ``center`` of mass (3,) in the model.
 
     ``K``, ``D`` (nr, nr) of a reduced model, ``Y`` (nr, n) its elastic modes, with their ``integrals`` and ``markers``,
@@ -259,9 +294,17 @@ def frame_about(
     """
     Ke, De = Y.T @ K @ Y, Y.T @ D @ Y
     body = FloatingFrame(
-        kind="mean-axes", interfaces=(), origin=center, elastic=Y, rigid=rigid, integrals=integrals,
-        Ke=0.5 * (Ke + Ke.T), De=0.5 * (De + De.T), markers=markers, notes=(note,) if note else (),
-    )  # fmt: skip
+        kind="mean-axes",
+        interfaces=(),
+        origin=center,
+        elastic=Y,
+        rigid=rigid,
+        integrals=integrals,
+        Ke=0.5 * (Ke + Ke.T),
+        De=0.5 * (De + De.T),
+        markers=markers,
+        notes=(note,) if note else (),
+    )
     # What is left of rigid motion in the modes is round-off; the frame takes it out.
     return body.in_frame("mean-axes").in_frame(kind, interfaces).about(origin)
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.model import FEModel, frozen_numbers, rigid_motion, skew
 from morembs.summary import summarised
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
     from morembs.budget import Budget
 
-Floats = NDArray[np.float64]
 # Levi-Civita symbol.
 PERMUTATION = np.array([[[(a - b) * (b - c) * (c - a) / 2 for c in range(3)] for b in range(3)] for a in range(3)])
 # Pairs of axes in the order xx, yy, zz, xy, yz, zx.
@@ -126,15 +126,20 @@ class ShapeIntegrals:
         mixed = np.einsum("ka,bl->abkl", self.Ct, t) + np.einsum("lbq,qak->abkl", W, self.x_phi)
         Wf = W @ self.first
         both = (
-            self.mass * np.einsum("ak,bl->abkl", t, t) + np.einsum("ak,lb->abkl", t, Wf)
-            + np.einsum("ka,bl->abkl", Wf, t) + np.einsum("kap,lbq,pq->abkl", W, W, self.second, optimize=True)
-        )  # fmt: skip
+            self.mass * np.einsum("ak,bl->abkl", t, t)
+            + np.einsum("ak,lb->abkl", t, Wf)
+            + np.einsum("ka,bl->abkl", Wf, t)
+            + np.einsum("kap,lbq,pq->abkl", W, W, self.second, optimize=True)
+        )
         Me = self.Me - rows @ c - (rows @ c).T + c.T @ self.rigid @ c
         return replace(
-            self, Ct=moved[:, :3], Cr=moved[:, 3:], Me=0.5 * (Me + Me.T),
+            self,
+            Ct=moved[:, :3],
+            Cr=moved[:, 3:],
+            Me=0.5 * (Me + Me.T),
             x_phi=self.x_phi - np.einsum("a,bl->abl", self.first, t) - np.einsum("lbq,aq->abl", W, self.second),
             phi_phi=self.phi_phi - mixed - mixed.transpose(1, 0, 3, 2) + both,
-        )  # fmt: skip
+        )
 
     def about(self, d: Floats) -> Self:
         """The same with the origin moved by ``d`` (3,)."""
@@ -142,10 +147,13 @@ class ShapeIntegrals:
         H[:3, 3:] = skew(d)
         across = np.outer(self.first, d)
         return replace(
-            self, first=self.first - self.mass * d, inertia=(H.T @ self.rigid @ H)[3:, 3:],
+            self,
+            first=self.first - self.mass * d,
+            inertia=(H.T @ self.rigid @ H)[3:, 3:],
             second=self.second - across - across.T + self.mass * np.outer(d, d),
-            Cr=self.Cr - np.cross(d, self.Ct), x_phi=self.x_phi - np.einsum("a,lb->abl", d, self.Ct),
-        )  # fmt: skip
+            Cr=self.Cr - np.cross(d, self.Ct),
+            x_phi=self.x_phi - np.einsum("a,lb->abl", d, self.Ct),
+        )
 
 
 def _by_pairs(C: Floats) -> Floats:
@@ -182,10 +190,16 @@ def shape_integrals(model: FEModel, shapes: Floats, origin: Floats, budget: Budg
     second = x.T @ weighted[:, 1:]
     Cr = np.einsum("abc,bcl->la", PERMUTATION, x_phi)
     integrals = ShapeIntegrals(
-        mass=float(weighted[:, 0].sum()), first=x.T @ weighted[:, 0],
-        inertia=np.trace(second) * np.eye(3) - second, second=0.5 * (second + second.T), Ct=Ct, Cr=Cr,
-        Me=np.einsum("aakl->kl", phi_phi), x_phi=x_phi, phi_phi=phi_phi,
-    )  # fmt: skip
+        mass=float(weighted[:, 0].sum()),
+        first=x.T @ weighted[:, 0],
+        inertia=np.trace(second) * np.eye(3) - second,
+        second=0.5 * (second + second.T),
+        Ct=Ct,
+        Cr=Cr,
+        Me=np.einsum("aakl->kl", phi_phi),
+        x_phi=x_phi,
+        phi_phi=phi_phi,
+    )
     if exact:
         return integrals, ""
     return _with_consistent_parts(integrals, model, shapes, x), (
@@ -232,6 +246,11 @@ def _with_consistent_parts(integrals: ShapeIntegrals, model: FEModel, shapes: Fl
     first = np.array([G[1, 5] - G[2, 4], G[2, 3] - G[0, 5], G[0, 4] - G[1, 3]]) / 2
     Me = shapes.T @ (model.M @ shapes)
     return replace(
-        integrals, mass=float(np.trace(G[:3, :3]) / 3), first=first, inertia=0.5 * (G[3:, 3:] + G[3:, 3:].T),
-        Ct=rows[:, :3], Cr=rows[:, 3:], Me=0.5 * (Me + Me.T),
-    )  # fmt: skip
+        integrals,
+        mass=float(np.trace(G[:3, :3]) / 3),
+        first=first,
+        inertia=0.5 * (G[3:, 3:] + G[3:, 3:].T),
+        Ct=rows[:, :3],
+        Cr=rows[:, 3:],
+        Me=0.5 * (Me + Me.T),
+    )

@@ -11,8 +11,8 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Values
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame, InterfaceMarker, frame_about
 from morembs.floating.integrals import PERMUTATION, ShapeIntegrals
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from morembs.parametric.model import ModelAt
     from morembs.parametric.terms import AffineProblem
 
-Floats = NDArray[np.float64]
-Numbers = NDArray[Any]
 # Of complex steps: so small that its square is nothing beside one.
 STEP = 1e-60j
 
@@ -52,9 +50,14 @@ class FrameTerms:
         return at.model.box.affine(self.points[name].T, at.p)
 
     def frame(
-        self, at: ModelAt, *, kind: str = "mean-axes", interfaces: Sequence[str] = (),
-        origin: Sequence[float] = (0.0, 0.0, 0.0), shapes: Floats | None = None,
-    ) -> FloatingFrame:  # fmt: skip
+        self,
+        at: ModelAt,
+        *,
+        kind: str = "mean-axes",
+        interfaces: Sequence[str] = (),
+        origin: Sequence[float] = (0.0, 0.0, 0.0),
+        shapes: Floats | None = None,
+    ) -> FloatingFrame:
         """The floating frame at one value, as ``floating_frame`` of the model there.
 
         Elastic coordinates are those of the ``shapes`` (n, k), the elastic modes at the value unless given.
@@ -64,9 +67,13 @@ class FrameTerms:
         return self._frame(b, t, at.K, at.D, rigid, Y, kind=kind, interfaces=interfaces, origin=origin)
 
     def derivatives(
-        self, at: ModelAt, *, kind: str = "mean-axes", interfaces: Sequence[str] = (),
+        self,
+        at: ModelAt,
+        *,
+        kind: str = "mean-axes",
+        interfaces: Sequence[str] = (),
         origin: Sequence[float] = (0.0, 0.0, 0.0),
-    ) -> dict[str, FloatingFrame]:  # fmt: skip
+    ) -> dict[str, FloatingFrame]:
         """Derivatives of ``frame`` by each parameter, in the fields of a frame: exact, by a complex step of the
         coefficients (Squire and Trapp 1998). The shapes stay those of the elastic modes at the value, as any others of
         the same basis give the same motions.
@@ -97,22 +104,36 @@ class FrameTerms:
         """Factors (1 + morphs,) of x0 and of the displacement of each morph."""
         return at.model.box.affine(np.eye(1 + len(at.model.box.morphs)), at.p)
 
-    def _integrals(self, b: Numbers, t: Numbers, Y: Floats) -> ShapeIntegrals:
+    def _integrals(self, b: Values, t: Values, Y: Floats) -> ShapeIntegrals:
         """Those of the shapes ``Y`` (n, k) of the basis about ``pole``, for coefficients of the mass and positions."""
         second = np.einsum("j,k,l,jkalb->ab", b, t, t, self.second, optimize=True)
         x_phi = np.einsum("j,k,jkabl->abl", b, t, self.x_phi, optimize=True) @ Y
         phi_phi = Y.T @ np.tensordot(b, self.phi_phi, axes=1) @ Y
         return ShapeIntegrals(
-            mass=(b @ self.mass).item(), first=np.einsum("j,k,jka->a", b, t, self.first),
-            inertia=np.trace(second) * np.eye(3) - second, second=0.5 * (second + second.T),
-            Ct=Y.T @ np.tensordot(b, self.Ct, axes=1), Cr=np.einsum("abc,bcl->la", PERMUTATION, x_phi),
-            Me=np.einsum("aakl->kl", phi_phi), x_phi=x_phi, phi_phi=phi_phi,
-        )  # fmt: skip
+            mass=(b @ self.mass).item(),
+            first=np.einsum("j,k,jka->a", b, t, self.first),
+            inertia=np.trace(second) * np.eye(3) - second,
+            second=0.5 * (second + second.T),
+            Ct=Y.T @ np.tensordot(b, self.Ct, axes=1),
+            Cr=np.einsum("abc,bcl->la", PERMUTATION, x_phi),
+            Me=np.einsum("aakl->kl", phi_phi),
+            x_phi=x_phi,
+            phi_phi=phi_phi,
+        )
 
     def _frame(
-        self, b: Numbers, t: Numbers, K: Numbers, D: Numbers, rigid: Numbers, Y: Floats, *, kind: str,
-        interfaces: Sequence[str], origin: Sequence[float],
-    ) -> FloatingFrame:  # fmt: skip
+        self,
+        b: Values,
+        t: Values,
+        K: Values,
+        D: Values,
+        rigid: Values,
+        Y: Floats,
+        *,
+        kind: str,
+        interfaces: Sequence[str],
+        origin: Sequence[float],
+    ) -> FloatingFrame:
         about_pole = self._integrals(b, t, Y)
         away = about_pole.center
         H = np.eye(6, dtype=away.dtype)
@@ -122,9 +143,17 @@ class FrameTerms:
             for name, motion in self.markers.items()
         }
         return frame_about(
-            K, D, Y, rigid @ H, about_pole.about(away), markers, self.pole + away, kind=kind, interfaces=interfaces,
+            K,
+            D,
+            Y,
+            rigid @ H,
+            about_pole.about(away),
+            markers,
+            self.pole + away,
+            kind=kind,
+            interfaces=interfaces,
             origin=origin,
-        )  # fmt: skip
+        )
 
 
 def _elastic_modes(at: ModelAt) -> Floats:
@@ -153,9 +182,13 @@ def frame_terms(problem: AffineProblem, V: Floats) -> FrameTerms:
     X = np.stack([varied.morph.mesh.nodes.xyz - pole, *varied.morph.displacements])
     J, m = len(mass), len(X)
     terms = {
-        "mass": np.zeros(J), "first": np.zeros((J, m, 3)), "second": np.zeros((J, m, 3, m, 3)),
-        "Ct": np.zeros((J, n, 3)), "x_phi": np.zeros((J, m, 3, 3, n)), "phi_phi": np.zeros((J, 3, 3, n, n)),
-    }  # fmt: skip
+        "mass": np.zeros(J),
+        "first": np.zeros((J, m, 3)),
+        "second": np.zeros((J, m, 3, m, 3)),
+        "Ct": np.zeros((J, n, 3)),
+        "x_phi": np.zeros((J, m, 3, 3, n)),
+        "phi_phi": np.zeros((J, 3, 3, n, n)),
+    }
     for j, theta in enumerate(np.eye(J)):
         Ms = sp.csr_array((mass.combined(theta), graph.indices, graph.indptr), shape=graph.shape)
         share = Ms.sum(axis=0)

@@ -17,9 +17,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from morembs.arguments import LARGEST, in_range, refuse_out_of_range
+from morembs.base.types import Floats, Ints
 from morembs.budget import Budget
 from morembs.errors import InputError, nearest
 from morembs.floating.buckling import FAR, critical_factor
@@ -32,8 +32,6 @@ from morembs.model.geometric_stiffness import StressedMesh
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Nodes whose rows of K are written at a time.
 PIECE = 20_000
 # Condition (lengths scaled) above which six dofs do not hold the body.
@@ -64,9 +62,11 @@ class Preload:
 
     def __post_init__(self) -> None:
         for name, given, size in (
-            ("axis", (0, 0, 1) if self.axis is None else self.axis, 3), ("point", self.point, 3),
-            ("acceleration", self.acceleration, 3), *((f"wrench.{name}", f, 6) for name, f in self.wrench.items()),
-        ):  # fmt: skip
+            ("axis", (0, 0, 1) if self.axis is None else self.axis, 3),
+            ("point", self.point, 3),
+            ("acceleration", self.acceleration, 3),
+            *((f"wrench.{name}", f, 6) for name, f in self.wrench.items()),
+        ):
             if len(given) != size or not all(map(in_range, given)):
                 expected = f"{size} finite numbers, {LARGEST:g} at most"
                 raise InputError(f"{name} = {list(given)} was given; expected {expected}")
@@ -188,9 +188,13 @@ def _solution(problem: Problem, preload: Preload) -> tuple[Floats, Mapping[str, 
 
 
 def _stiffened(
-    problem: Problem, u: Floats, turning: Mapping[str, Floats], follows: tuple[str, ...], notes: dict[str, object],
+    problem: Problem,
+    u: Floats,
+    turning: Mapping[str, Floats],
+    follows: tuple[str, ...],
+    notes: dict[str, object],
     progress: Progress,
-) -> Preloaded:  # fmt: skip
+) -> Preloaded:
     model, T = problem.model, problem.coupling.T
     if model.mesh is None:
         raise InputError("preload: geometric stiffness needs the elements of the model")

@@ -10,13 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.integrals import ShapeIntegrals
 from morembs.floating.stiffening import Envelope
 
-Floats = NDArray[np.float64]
 EQUATIONS = ("force", "moment", "elastic")
 
 
@@ -97,7 +96,8 @@ def _sizes(frame: FloatingFrame, motion: _Motion, values: Floats, Y: Floats) -> 
     moved = float(np.linalg.norm(np.abs(I.Ct).T @ q))
     sizes = {
         ("force", "rigid"): I.mass * root * a + first * turning,
-        ("force", "Ct"): moved * turning + 2 * w * float(np.linalg.norm(np.abs(I.Ct).T @ v))
+        ("force", "Ct"): moved * turning
+        + 2 * w * float(np.linalg.norm(np.abs(I.Ct).T @ v))
         + float(np.linalg.norm(np.abs(I.Ct).T @ motion.acceleration)),
         ("moment", "rigid"): first * root * a + float(np.linalg.norm(I.inertia)) * turning,
         ("moment", "Ct"): moved * root * a,
@@ -106,7 +106,7 @@ def _sizes(frame: FloatingFrame, motion: _Motion, values: Floats, Y: Floats) -> 
         ("elastic", "Ct"): elastic(np.abs(I.Ct).sum(axis=1) * a),
         ("elastic", "Cr"): elastic(np.abs(I.Cr).sum(axis=1) * alpha),
         ("elastic", "Oe"): elastic(np.abs(I.Oe).sum(axis=1) * w**2),
-    }  # fmt: skip
+    }
     sizes |= _second_order(I, motion)
     sizes[("elastic", "Cr1")] = elastic(np.einsum("lka,k->l", np.abs(I.Cr1), q) * alpha)
     sizes[("elastic", "Ge")] = elastic(np.einsum("kla,k->l", np.abs(I.Ge), v) * w)
@@ -132,4 +132,4 @@ def _second_order(I: ShapeIntegrals, motion: _Motion) -> dict[tuple[str, str], f
         + 2 * float(norm(np.einsum("lkab,k,l->ab", C6, v, q, optimize=True))) * w,
         ("moment", "Cr1"): float(norm(np.einsum("lka,k,l->a", np.abs(I.Cr1), q, motion.acceleration, optimize=True))),
         ("moment", "Gr"): float(norm(np.tensordot(v, np.abs(I.Gr), 1))) * w,
-    }  # fmt: skip
+    }

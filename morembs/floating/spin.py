@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.arguments import refuse_out_of_range
+from morembs.base.types import Complexes, Floats
 from morembs.errors import InputError
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 # Whirl of a mode, -1 to 1, from which on it is a circle.
 CIRCULAR = 0.95
 

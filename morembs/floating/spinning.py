@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from morembs.arguments import LARGEST, in_range
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.floating.static_state import coupling_stiffness, static_state
 from morembs.floating.stiffening_terms import why_no_stiffening
@@ -24,8 +24,6 @@ from morembs.model import FEModel
 from morembs.model.geometric_stiffness import StressedMesh
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.floating.spin import ReducedSpin, whirl_modes
 from morembs.floating.spinning import Spin
@@ -19,8 +19,6 @@ from morembs.linalg.statics import unit_rows
 from morembs.problem import Damping, Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
-
-Floats = NDArray[np.float64]
 
 
 def spinning_modes(
@@ -51,9 +49,14 @@ def still_modes(problem: Problem, held: Sequence[str], count: int, progress: Pro
 
 
 def _held_modes(
-    problem: Problem, held: Sequence[str], K: sp.csr_array, G: sp.csr_array | None, count: int,
-    start: Floats | None, progress: Progress,
-) -> ComplexModes:  # fmt: skip
+    problem: Problem,
+    held: Sequence[str],
+    K: sp.csr_array,
+    G: sp.csr_array | None,
+    count: int,
+    start: Floats | None,
+    progress: Progress,
+) -> ComplexModes:
     rows = unit_rows(held_columns(problem, held)) if held else np.empty(0, dtype=np.int64)
     if rows is None:
         raise InputError("complex modes need held interfaces of rigid or direct coupling; one of those held is neither")
@@ -75,9 +78,16 @@ def _held_modes(
     K, M = (sp.csr_array(A[rest][:, rest]) for A in (K, problem.M))
     G, D, N = (None if A is None else sp.csr_array(A[rest][:, rest]) for A in (G, D, problem.N))
     modes = complex_modes(
-        K, M, G=G, D=D, N=N, count=count, solver=problem.solver, start=None if start is None else start[rest],
+        K,
+        M,
+        G=G,
+        D=D,
+        N=N,
+        count=count,
+        solver=problem.solver,
+        start=None if start is None else start[rest],
         progress=progress,
-    )  # fmt: skip
+    )
     vectors = np.zeros((len(free), count), dtype=complex)
     vectors[rest] = modes.vectors
     return replace(modes, vectors=vectors)
@@ -131,11 +141,15 @@ def with_spin(
     held = held_columns(problem, spin.rotation.held) if spin.rotation.held else sp.csc_array((problem.K.shape[0], 0))
     C = dot(larger.V, np.asarray(spin.C @ larger.V), budget)
     small = ReducedSpin(
-        C=0.5 * (C - C.T), S=projected(larger.V, spin.S, budget), Kg=projected(larger.V, spin.Kg, budget),
-        held=np.asarray(held.T @ larger.V), elongation=spin.elongation,
+        C=0.5 * (C - C.T),
+        S=projected(larger.V, spin.S, budget),
+        Kg=projected(larger.V, spin.Kg, budget),
+        held=np.asarray(held.T @ larger.V),
+        elongation=spin.elongation,
         axis=np.asarray(spin.rotation.axis, dtype=float) / np.linalg.norm(spin.rotation.axis),
-        point=np.asarray(spin.rotation.point, dtype=float), speeds=np.array(speeds),
-    )  # fmt: skip
+        point=np.asarray(spin.rotation.point, dtype=float),
+        speeds=np.array(speeds),
+    )
     compared, complete = {}, {}
     for speed, modes in full.items():
         count = len(modes.eigenvalues)

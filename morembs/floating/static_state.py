@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.floating.link_stiffness import Links
 from morembs.linalg.statics import ConstrainedStatics
 from morembs.problem import Problem
 
-Floats = NDArray[np.float64]
 # Most nodes of an average interface whose frame may turn under load: its term is a full block on them.
 PATCH = 1000
 # A term below this part of the others is round-off.
@@ -37,11 +36,16 @@ class StaticState:
 def held_columns(problem: Problem, held: Sequence[str]) -> sp.csc_array:
     """All motions (Nc, c) of interfaces with a frame, and the exposed ones of others."""
     coupling = problem.coupling
-    return sp.csc_array(sp.hstack([
-        coupling.frames[:, coupling.frame_columns[name]] if name in coupling.frame_columns
-        else coupling.B[:, coupling.columns[name]]
-        for name in held
-    ]))  # fmt: skip
+    return sp.csc_array(
+        sp.hstack(
+            [
+                coupling.frames[:, coupling.frame_columns[name]]
+                if name in coupling.frame_columns
+                else coupling.B[:, coupling.columns[name]]
+                for name in held
+            ]
+        )
+    )
 
 
 def static_state(problem: Problem, acceleration: Floats, wrench: Floats, held: Sequence[str], what: str) -> StaticState:
@@ -93,7 +97,9 @@ def coupling_stiffness(problem: Problem, turning: Mapping[str, Floats]) -> tuple
         block = theta.T @ A @ theta
         at = (np.repeat(dofs, len(dofs)), np.tile(dofs, len(dofs)))
         L = L + sp.csr_array(sp.coo_array((block.ravel(), at), shape=L.shape))
-    words = "" if not left_out else (
-        f"the turning of the frames of {', '.join(left_out)}: average interfaces of more than {PATCH} nodes"
-    )  # fmt: skip
+    words = (
+        ""
+        if not left_out
+        else (f"the turning of the frames of {', '.join(left_out)}: average interfaces of more than {PATCH} nodes")
+    )
     return sp.csr_array(L), words

@@ -16,15 +16,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.arguments import LARGEST, in_range
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.floating.integrals import PAIRS
 from morembs.model import frozen
 from morembs.summary import summarised
 
-Floats = NDArray[np.float64]
 AXES = "xyz"
 
 
@@ -101,10 +100,13 @@ class Stiffening:
         object.__setattr__(self, "wrench", {name: frozen(np.asarray(G)) for name, G in self.wrench.items()})
 
     def matrix(
-        self, *, acceleration: Sequence[float] = (0.0, 0.0, 0.0),
-        angular_acceleration: Sequence[float] = (0.0, 0.0, 0.0), velocity: Sequence[float] = (0.0, 0.0, 0.0),
+        self,
+        *,
+        acceleration: Sequence[float] = (0.0, 0.0, 0.0),
+        angular_acceleration: Sequence[float] = (0.0, 0.0, 0.0),
+        velocity: Sequence[float] = (0.0, 0.0, 0.0),
         wrench: Mapping[str, Sequence[float]] | None = None,
-    ) -> Floats:  # fmt: skip
+    ) -> Floats:
         """Geometric stiffness (n, n) of loads that act together, to be added to Ke.
 
         ``acceleration`` of the frame less gravity (m/s2), ``angular_acceleration`` (rad/s2), angular ``velocity``

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, SolverError
 from morembs.floating.frame import FloatingFrame, frame_rows, why_not_floating
 from morembs.floating.integrals import PAIRS
@@ -27,7 +27,6 @@ from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
 
-Floats = NDArray[np.float64]
 # A load that keeps less than this part of its size once the frame's reaction balances it causes no stress.
 BALANCED = 1e-10
 # Loads, and columns of the basis, that are handled at a time.
@@ -49,9 +48,12 @@ def why_no_stiffening(model: FEModel) -> str:
 
 
 def geometric_stiffening(
-    problem: Problem, reduced: ReducedModel, frame: FloatingFrame, envelope: Envelope | None = None,
+    problem: Problem,
+    reduced: ReducedModel,
+    frame: FloatingFrame,
+    envelope: Envelope | None = None,
     progress: Progress = SILENT,
-) -> Stiffening:  # fmt: skip
+) -> Stiffening:
     """Geometric stiffening terms of the body in ``frame``.
 
     Loads of one unit: acceleration of the frame along each axis (the load -M S_t e_a), angular acceleration
@@ -190,10 +192,15 @@ def _kept(problem: Problem, frame: FloatingFrame, G: Floats, envelope: Envelope)
             dropped.append(name)
             term[:] = 0.0
     return Stiffening(
-        acceleration=G[:3], angular_acceleration=G[3:6], rotation=G[6:12],
-        wrench={name: G[12:][at] for name, at in columns.items()}, share=share, load=load, dropped=tuple(dropped),
+        acceleration=G[:3],
+        angular_acceleration=G[3:6],
+        rotation=G[6:12],
+        wrench={name: G[12:][at] for name, at in columns.items()},
+        share=share,
+        load=load,
+        dropped=tuple(dropped),
         least_share=envelope.share,
-    )  # fmt: skip
+    )
 
 
 def _largest_change(G: Floats, Ke: Floats) -> float:

@@ -14,16 +14,15 @@ import math
 from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError, SolverError, nearest
 from morembs.gmp.member import ReducedMember
 from morembs.multibody.component import Marker, MarkerState, VectorComponent, checked_rotation, direction, vector
 from morembs.multibody.joints import Constraint, Rows, frame_about
 from morembs.nonlinear.member import MemberState
-
-Floats = NDArray[np.float64]
 
 
 @checked
@@ -46,10 +45,16 @@ class ParameterisedBody(VectorComponent):
     """
 
     def __init__(
-        self, member: ReducedMember, *, position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None,
-        velocity: ArrayLike = (0.0, 0.0, 0.0), spin: float = 0.0, ends: ArrayLike = (0.0, 0.0),
+        self,
+        member: ReducedMember,
+        *,
+        position: ArrayLike = (0.0, 0.0, 0.0),
+        rotation: ArrayLike | None = None,
+        velocity: ArrayLike = (0.0, 0.0, 0.0),
+        spin: float = 0.0,
+        ends: ArrayLike = (0.0, 0.0),
         name: str = "member",
-    ) -> None:  # fmt: skip
+    ) -> None:
         label = f"body {name!r}"
         self.name, self.member = name, member
         self.size = self.configuration_size = member.size

@@ -7,12 +7,10 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebder
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.moved import renamed
-
-Floats = NDArray[np.float64]
 
 
 def points(reach: float, count: int) -> Floats:

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.storage.checksums import Checksums
 from morembs.storage.contents import own_files
@@ -22,19 +22,28 @@ from morembs.storage.table import Row, Table, read_rows
 from morembs.storage.table_check import TableCheck
 from morembs.storage.writer import writing
 
-Floats = NDArray[np.float64]
 Key = tuple[int, int, int, int]
 # The attribute ``kind`` is this and the version.
 _KIND, _VERSION = "morembs equilibria", 1
-_EQUILIBRIA = Table((
-    Row("signature", "real", "any", doc="of the component"),
-    Row("options", "text", doc="of the run, as JSON"),
-    Row("reach", "real", units="rad", doc="0 while it is not known"),
-    Row("notes", "text", doc="as JSON"),
-    Row("keys", "whole", "n 4", doc="two fractions, numerator and denominator: the place of t1 and t2 among Chebyshev "
-        "points, t = reach sin(pi fraction)"),
-    Row("X", "real", "n N"), Row("W", "real", "n"), Row("moments", "real", "n 2"), Row("modes", "real", "n N 2"),
-))  # fmt: skip
+_EQUILIBRIA = Table(
+    (
+        Row("signature", "real", "any", doc="of the component"),
+        Row("options", "text", doc="of the run, as JSON"),
+        Row("reach", "real", units="rad", doc="0 while it is not known"),
+        Row("notes", "text", doc="as JSON"),
+        Row(
+            "keys",
+            "whole",
+            "n 4",
+            doc="two fractions, numerator and denominator: the place of t1 and t2 among Chebyshev "
+            "points, t = reach sin(pi fraction)",
+        ),
+        Row("X", "real", "n N"),
+        Row("W", "real", "n"),
+        Row("moments", "real", "n 2"),
+        Row("modes", "real", "n N 2"),
+    )
+)
 _NAMES = ("X", "W", "moments", "modes")
 # Time between two files per time that one takes; relative difference of signatures of one component.
 _SELDOM, _SAME = 10.0, 1e-8

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.gmp.chebyshev import ChebyshevTable
 from morembs.gmp.fields import Fields
 
-Floats = NDArray[np.float64]
 Formulation = Literal["linear", "foreshortened", "membrane", "tangent"]
 
 
@@ -63,6 +62,10 @@ class Parameterised:
         p, m, cut = self.fields.size, self.count, 2 * self.fields.size
         H = numbers[..., cut + 2 + len(self.squares) :]
         return (
-            numbers[..., :p], numbers[..., p:cut], numbers[..., cut], numbers[..., cut + 1],
-            numbers[..., cut + 2 : cut + 2 + len(self.squares)], H.reshape(*H.shape[:-1], m, m),
-        )  # fmt: skip
+            numbers[..., :p],
+            numbers[..., p:cut],
+            numbers[..., cut],
+            numbers[..., cut + 1],
+            numbers[..., cut + 2 : cut + 2 + len(self.squares)],
+            H.reshape(*H.shape[:-1], m, m),
+        )

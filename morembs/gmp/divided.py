@@ -9,9 +9,9 @@ from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.gmp.data import Formulation
 from morembs.gmp.member import ReducedMember
@@ -19,7 +19,6 @@ from morembs.nonlinear.mechanism import Angle, Mechanism, Point
 from morembs.nonlinear.nodal import LeftTablesError, MechanismMotion, simulate
 from morembs.nonlinear.planar_beam import PlanarBeam
 
-Floats = NDArray[np.float64]
 # Part of the tables' range that a new division aims at.
 _WITHIN = 0.75
 

@@ -7,14 +7,13 @@ from itertools import product
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import BudgetError, InputError, SolverError
 from morembs.gmp.equilibria import Equilibrium
 from morembs.gmp.plan import AngleRange
 from morembs.gmp.symmetry import Symmetry
 
-Floats = NDArray[np.float64]
 _SHARE, _SMALLEST, _ITERATIONS = 1 / 4, 1 / 256, 12
 # Change of angles (rad) at which Newton's method ends, the largest step, room beyond the angles of a moment.
 _CLOSE, _LONGEST, _MARGIN, _LARGEST = 1e-5, 0.4, 1.05, 3.0
@@ -32,7 +31,9 @@ class Loaded(Protocol):
         """Forces (N,) of a unit load along y that is spread as the mass is."""
 
 
-def target(work: Loaded, start: Equilibrium, turns: Any, envelope: AngleRange, group: tuple[Symmetry, ...]) -> tuple[float, tuple[str, ...]]:  # noqa: E501  # fmt: skip
+def target(
+    work: Loaded, start: Equilibrium, turns: Any, envelope: AngleRange, group: tuple[Symmetry, ...]
+) -> tuple[float, tuple[str, ...]]:
     """The range in rad for an envelope, and notes of what is not reached.
 
     Raises:

@@ -13,15 +13,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, SolverError
 from morembs.nonlinear.component import NonlinearComponent
 from morembs.nonlinear.member import ends
 from morembs.nonlinear.statics import Factor, newton
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 _DIVISIONS = 6
 # Longest step of both angles, in rad.
 _LONGEST = 0.35

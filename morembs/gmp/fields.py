@@ -10,14 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.linalg.columns import fix_signs
 from morembs.nonlinear.component import NonlinearComponent
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 # Smallest singular value kept, per largest of the scaled shapes.
 _KEPT = 1e-11
 
@@ -32,8 +30,8 @@ class Fields:
 
     U: Floats
     Ur: Floats
-    translations: Integers
-    turning: Integers
+    translations: Ints
+    turning: Ints
     one: Floats
     turn: Floats
     M: Floats
@@ -44,7 +42,7 @@ class Fields:
         return int(2 * self.U.shape[1] + self.Ur.shape[1])
 
     @property
-    def places(self) -> Integers:
+    def places(self) -> Ints:
         """(r, 2) numbers of the amplitudes of x and of y."""
         r = self.U.shape[1]
         return np.asarray(np.arange(r)[:, None] + np.array([0, r]), dtype=np.int64)
@@ -82,9 +80,14 @@ def fields(component: NonlinearComponent, shapes: Floats) -> Fields:
     U, m = _diagonal(spanning(np.hstack((shapes[at[:, 0]], shapes[at[:, 1]]))), Mx)
     Ur, mr = _diagonal(spanning(shapes[turning]), M[turning][:, turning])
     return Fields(
-        U=U, Ur=Ur, translations=at, turning=turning, one=U.mean(axis=0),
-        turn=Ur.sum(axis=0) / max(1, len(turning)), M=np.diag(np.concatenate((m, m, mr))),
-    )  # fmt: skip
+        U=U,
+        Ur=Ur,
+        translations=at,
+        turning=turning,
+        one=U.mean(axis=0),
+        turn=Ur.sum(axis=0) / max(1, len(turning)),
+        M=np.diag(np.concatenate((m, m, mr))),
+    )
 
 
 def spanning(columns: Floats, kept: float = _KEPT) -> Floats:

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.gmp.chebyshev import ChebyshevTable, points
 from morembs.gmp.equilibria import BeamWork, Equilibrium, Solver
@@ -18,7 +18,6 @@ from morembs.gmp.plan import Plan
 from morembs.nonlinear.component import NonlinearComponent
 
 __all__ = ["Equilibrium", "Manifold", "Solver", "manifold"]
-Floats = NDArray[np.float64]
 # Largest error of the derivatives of the tables; beyond it the grid misses what the equilibria do.
 COARSE = 0.02
 
@@ -43,9 +42,14 @@ class Manifold:
         """From the equilibria on a grid."""
         X, W = tables.grown("X"), tables.grown("W")
         return cls(
-            reach=tables.reach, X=X, W=W, moments=tables.grown("moments"), modes=tables.grown("modes"),
-            shape=ChebyshevTable.through(tables.reach, X), energy=ChebyshevTable.through(tables.reach, W, curved=True),
-        )  # fmt: skip
+            reach=tables.reach,
+            X=X,
+            W=W,
+            moments=tables.grown("moments"),
+            modes=tables.grown("modes"),
+            shape=ChebyshevTable.through(tables.reach, X),
+            energy=ChebyshevTable.through(tables.reach, W, curved=True),
+        )
 
     def errors(self) -> tuple[float, float]:
         """Largest error, over the grid, of the derivatives of the tables: dX/dt against the constraint modes (per

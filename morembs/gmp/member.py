@@ -11,17 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.gmp.data import Formulation, Parameterised
 from morembs.gmp.plan import TOLERANCE, AngleRange, Plan, Report
 from morembs.gmp.shapes import shapes
 from morembs.nonlinear.component import NonlinearComponent
 from morembs.nonlinear.member import MemberState
 from morembs.progress import SILENT, Progress
-
-Floats = NDArray[np.float64]
 
 
 @checked
@@ -61,9 +59,13 @@ class ReducedMember:
         progress: Progress = SILENT,
     ) -> None:
         plan = Plan(
-            reach=reach, points_per_angle=points_per_angle, tolerance=tolerance, workers=workers,
-            checkpoint=checkpoint, symmetric=symmetric,
-        )  # fmt: skip
+            reach=reach,
+            points_per_angle=points_per_angle,
+            tolerance=tolerance,
+            workers=workers,
+            checkpoint=checkpoint,
+            symmetric=symmetric,
+        )
         data, self.report = shapes(component, formulation=formulation, modes=modes, plan=plan, progress=progress)
         self._take(data)
 

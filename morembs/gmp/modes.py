@@ -8,14 +8,13 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.linalg.columns import fix_signs
 from morembs.nonlinear.component import NonlinearComponent
 
-Floats = NDArray[np.float64]
 _DENSE = 600
 # A mode with more than this share of its kinetic energy along the chord is one of stretching.
 _ALONG = 0.5

@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.crew import Crew
 from morembs.errors import InputError
 from morembs.gmp.checkpoint import Checkpoint
@@ -24,7 +24,6 @@ from morembs.gmp.sampling import Sampling, TabulatedMember, between, grid, shell
 from morembs.gmp.symmetry import Symmetry, symmetries
 from morembs.progress import SILENT, Progress
 
-Floats = NDArray[np.float64]
 LEVELS = (3, 5, 9, 17)
 # Part of the range that was reached which is tried next; part of what was asked for below which that ends.
 _BACK, _LEAST = 0.9, 0.1
@@ -69,9 +68,14 @@ def tabulated(work: TabulatedMember, plan: Plan, progress: Progress = SILENT) ->
 
 
 def _ranged(
-    work: TabulatedMember, crew: Crew, group: tuple[Symmetry, ...], plan: Plan, store: Checkpoint | None,
-    progress: Progress, begin: float,
-) -> Tabulated:  # fmt: skip
+    work: TabulatedMember,
+    crew: Crew,
+    group: tuple[Symmetry, ...],
+    plan: Plan,
+    store: Checkpoint | None,
+    progress: Progress,
+    begin: float,
+) -> Tabulated:
     """Over smaller and smaller ranges, where the range follows from an envelope."""
     notes: tuple[str, ...] = ()
     if not isinstance(plan.reach, AngleRange):
@@ -96,14 +100,23 @@ def _ranged(
             reach = _BACK * last
     keys = grid(count)
     report = Report(
-        reach=reach, points=count, equilibria=len({*keys, *(between(count) if errors else ())}),
-        solved=sampling.solved, restored=sampling.restored, symmetries=tuple(g.name for g in group),
-        errors=errors, notes=notes, seconds=time.perf_counter() - begin,
-    )  # fmt: skip
+        reach=reach,
+        points=count,
+        equilibria=len({*keys, *(between(count) if errors else ())}),
+        solved=sampling.solved,
+        restored=sampling.restored,
+        symmetries=tuple(g.name for g in group),
+        errors=errors,
+        notes=notes,
+        seconds=time.perf_counter() - begin,
+    )
     return Tabulated(
-        reach=reach, count=count, equilibria=[sampling.equilibria[key] for key in keys], samples=sampling.sampled(keys),
+        reach=reach,
+        count=count,
+        equilibria=[sampling.equilibria[key] for key in keys],
+        samples=sampling.sampled(keys),
         report=report,
-    )  # fmt: skip
+    )
 
 
 def _filled(sampling: Sampling, plan: Plan) -> tuple[int, dict[str, float]]:

@@ -11,8 +11,8 @@ from fractions import Fraction
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.crew import Crew
 from morembs.gmp.chebyshev import ChebyshevTable
 from morembs.gmp.checkpoint import Checkpoint
@@ -21,7 +21,6 @@ from morembs.gmp.equilibria import Equilibrium, NotFollowedError
 from morembs.gmp.symmetry import Shaped, Symmetry
 from morembs.progress import Progress
 
-Floats = NDArray[np.float64]
 # t = reach sin(pi fraction), for both angles.
 Key = tuple[Fraction, Fraction]
 
@@ -90,9 +89,14 @@ class Sampling:
     """Equilibria of one range, found so far."""
 
     def __init__(
-        self, work: TabulatedMember, crew: Crew, group: Sequence[Symmetry], reach: float,
-        store: Checkpoint | None, progress: Progress,
-    ) -> None:  # fmt: skip
+        self,
+        work: TabulatedMember,
+        crew: Crew,
+        group: Sequence[Symmetry],
+        reach: float,
+        store: Checkpoint | None,
+        progress: Progress,
+    ) -> None:
         self.work, self.crew, self.group, self.reach = work, crew, group, reach
         self.store, self.progress = store, progress
         self.equilibria: dict[Key, Equilibrium] = {}
@@ -184,8 +188,10 @@ class Sampling:
 
         straight = self.equilibria[Fraction(0), Fraction(0)].X
         X, W = through([s.X - straight for s in equilibria]), through([s.W for s in equilibria])
-        laws = {name: through([getattr(s, name)[: len(s.H)] if name == "c" else getattr(s, name) for s in samples])
-                for name in ("k", "c", "H")}  # fmt: skip
+        laws = {
+            name: through([getattr(s, name)[: len(s.H)] if name == "c" else getattr(s, name) for s in samples])
+            for name in ("k", "c", "H")
+        }
         worst = dict.fromkeys(("shapes", "modes", "energy", "moments", "k", "c", "H"), 0.0)
         sizes = dict.fromkeys(worst, 0.0)
 
@@ -197,9 +203,11 @@ class Sampling:
             t, solution = self.angles(key), self.equilibria[key]
             shape, energy = X.at(t), W.at(t)
             for name, value, exact in (
-                ("shapes", shape[0], solution.X - straight), ("modes", shape[1].T, solution.modes),
-                ("energy", energy[0], solution.W), ("moments", energy[1], solution.moments),
-            ):  # fmt: skip
+                ("shapes", shape[0], solution.X - straight),
+                ("modes", shape[1].T, solution.modes),
+                ("energy", energy[0], solution.W),
+                ("moments", energy[1], solution.moments),
+            ):
                 seen(name, value, exact)
         for key, sample in zip(outside, checks, strict=True):
             for name, table in laws.items():

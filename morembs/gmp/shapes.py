@@ -22,8 +22,8 @@ from functools import cached_property
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.gmp.chebyshev import ChebyshevTable, points
 from morembs.gmp.data import Formulation, Parameterised
@@ -39,7 +39,6 @@ from morembs.nonlinear.planar_beam import PlanarBeam
 from morembs.nonlinear.statics import Factor
 from morembs.progress import SILENT, Progress
 
-Floats = NDArray[np.float64]
 # Modes tabulated only to see whether they would have answered.
 EXTRA = 2
 _STEP = 1e-2
@@ -102,12 +101,20 @@ def shapes(
     of = fields(component, np.column_stack([column for s in samples for column in (s.X, s.A)] + [available.Psi]))
     flat = np.array([s.flat(of, int(solver.second[0])) for s in samples]).reshape(count, count, -1)
     data = Parameterised(
-        formulation=formulation, reach=reach, length=solver.length, count=modes,
-        table=ChebyshevTable.through(reach, flat), energy=energy, fields=of,
-        Psi=of.condensed(available.Psi), squares=available.squares, H0=H0,
-        peaks=np.abs(available.Psi[component.translations]).max(axis=(0, 1)), excluded=available.excluded,
+        formulation=formulation,
+        reach=reach,
+        length=solver.length,
+        count=modes,
+        table=ChebyshevTable.through(reach, flat),
+        energy=energy,
+        fields=of,
+        Psi=of.condensed(available.Psi),
+        squares=available.squares,
+        H0=H0,
+        peaks=np.abs(available.Psi[component.translations]).max(axis=(0, 1)),
+        excluded=available.excluded,
         errors=errors,
-    )  # fmt: skip
+    )
     return data, report
 
 
@@ -145,9 +152,7 @@ def _scaled(component: NonlinearComponent, X: Floats) -> Floats:
     return A
 
 
-def _with_extra(
-    component: NonlinearComponent, count: int, kept: BendingModes, stretch: Floats | None
-) -> BendingModes:
+def _with_extra(component: NonlinearComponent, count: int, kept: BendingModes, stretch: Floats | None) -> BendingModes:
     for extra in range(EXTRA, 0, -1):
         try:
             return bending_modes(component, count + extra, stretch)

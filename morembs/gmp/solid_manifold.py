@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SolverError
 from morembs.gmp.equilibria import NotFollowedError, first_share
@@ -22,8 +22,6 @@ from morembs.linalg.sparse.solver import LinearSolver
 from morembs.nonlinear.continuation import Newton, Tangents
 from morembs.nonlinear.solid import NonlinearSolid
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 _DIVISIONS, _TOLERANCE = 6, 1e-10
 # A mode with more kinetic energy across the plane than this share of that along y is none of bending in the plane.
 _ACROSS = 0.5

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 from numpy.polynomial.chebyshev import chebvander
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.gmp.chebyshev import ChebyshevTable, points
 from morembs.gmp.data import Parameterised
@@ -27,18 +27,11 @@ from morembs.gmp.manifold import refuse_coarse
 from morembs.gmp.member import ReducedMember
 from morembs.gmp.offline import Tabulated, tabulated
 from morembs.gmp.plan import TOLERANCE, AngleRange, Plan
-from morembs.gmp.solid_manifold import (
-    PlaneModes,
-    SolidEquilibria,
-    SolidEquilibrium,
-    plane_bending_modes,
-    stretch,
-)
+from morembs.gmp.solid_manifold import PlaneModes, SolidEquilibria, SolidEquilibrium, plane_bending_modes, stretch
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.nonlinear.solid import NonlinearSolid
 from morembs.progress import SILENT, Progress
 
-Floats = NDArray[np.float64]
 # Modes tabulated only to see whether they would have answered; smallest singular value of the functions kept.
 _EXTRA, _KEPT, _STEP, _DEGREE = 2, 1e-9, 1e-2, 14
 
@@ -61,10 +54,18 @@ class _Sample:
 
 @checked
 def solid_member(
-    solid: NonlinearSolid, *, modes: int, reach: float | AngleRange = 0.8, points_per_angle: int | None = None,
-    tolerance: float = TOLERANCE, workers: int = 1, checkpoint: str | Path | None = None, symmetric: bool = True,
-    solver: LinearSolver | None = None, progress: Progress = SILENT,
-) -> ReducedMember:  # fmt: skip
+    solid: NonlinearSolid,
+    *,
+    modes: int,
+    reach: float | AngleRange = 0.8,
+    points_per_angle: int | None = None,
+    tolerance: float = TOLERANCE,
+    workers: int = 1,
+    checkpoint: str | Path | None = None,
+    symmetric: bool = True,
+    solver: LinearSolver | None = None,
+    progress: Progress = SILENT,
+) -> ReducedMember:
     """A member of 6 + ``modes`` coordinates that moves in the plane of x and y.
 
     Args:
@@ -83,9 +84,13 @@ def solid_member(
         OutputError: the checkpoint cannot be written.
     """
     plan = Plan(
-        reach=reach, points_per_angle=points_per_angle, tolerance=tolerance, workers=workers, checkpoint=checkpoint,
+        reach=reach,
+        points_per_angle=points_per_angle,
+        tolerance=tolerance,
+        workers=workers,
+        checkpoint=checkpoint,
         symmetric=symmetric,
-    )  # fmt: skip
+    )
     kept = plane_bending_modes(solid, modes + _EXTRA, solver)
     with SolidEquilibria(solid, solver) as equilibria:
         law = _Law(solid, equilibria, kept, modes, stretch(solid, equilibria.length, solver))
@@ -185,9 +190,16 @@ class _Law:
         H = Psi.T @ self._slope(equilibrium.X, A, Psi) / k
         slopes = np.stack([solid.step_of_nodes(equilibrium.X, mode) for mode in equilibrium.modes.T])
         return _Sample(
-            X=nodes, A=stretched, slopes=slopes, d0=d0, W=equilibrium.W, moments=equilibrium.moments, k=k,
-            c=self.Psi.T @ force / k, H=0.5 * (H + H.T),
-        )  # fmt: skip
+            X=nodes,
+            A=stretched,
+            slopes=slopes,
+            d0=d0,
+            W=equilibrium.W,
+            moments=equilibrium.moments,
+            k=k,
+            c=self.Psi.T @ force / k,
+            H=0.5 * (H + H.T),
+        )
 
     def straight_diagonal(self) -> Floats:
         """Diagonal (m + e,) of H at the straight shape, of all modes."""
@@ -203,16 +215,29 @@ def _parameterised(
     Psi = np.stack([solid.step_of_nodes(solid.reference, column) for column in kept.Psi.T])
     of = _fields(solid, np.concatenate([np.stack([s.X for s in ordered] + [s.A for s in ordered]), Psi]))
     flat = np.array(
-        [np.concatenate((of.condensed(s.X.ravel()), of.condensed(s.A.ravel()), [s.d0, s.k], s.c, s.H.ravel())) for s in ordered]  # noqa: E501
-    ).reshape(grid, grid, -1)  # fmt: skip
+        [
+            np.concatenate((of.condensed(s.X.ravel()), of.condensed(s.A.ravel()), [s.d0, s.k], s.c, s.H.ravel()))
+            for s in ordered
+        ]
+    ).reshape(grid, grid, -1)
     table = ChebyshevTable.through(reach, flat)
     W = np.array([s.W for s in ordered]).reshape(grid, grid)
     energy = ChebyshevTable.through(reach, W, curved=True)
     return Parameterised(
-        formulation="tangent", reach=reach, length=length, count=count, table=table, energy=energy, fields=of,
-        Psi=of.condensed(Psi.reshape(len(Psi), -1).T), squares=kept.squares, H0=H0, excluded=np.zeros(0),
-        peaks=np.abs(Psi).max(axis=(1, 2)), errors=_errors(ordered, table, energy, of, grid),
-    )  # fmt: skip
+        formulation="tangent",
+        reach=reach,
+        length=length,
+        count=count,
+        table=table,
+        energy=energy,
+        fields=of,
+        Psi=of.condensed(Psi.reshape(len(Psi), -1).T),
+        squares=kept.squares,
+        H0=H0,
+        excluded=np.zeros(0),
+        peaks=np.abs(Psi).max(axis=(1, 2)),
+        errors=_errors(ordered, table, energy, of, grid),
+    )
 
 
 def _errors(samples: Sequence[_Sample], table: ChebyshevTable, energy: ChebyshevTable, of: Fields, grid: int) -> Floats:

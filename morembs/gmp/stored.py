@@ -36,9 +36,13 @@ _COEFFICIENTS = "coefficients of Chebyshev polynomials: "
 def _member(formulation: Formulation, reach: float, table: Any, energy: Any, **values: Any) -> Parameterised:
     fields = Fields(**{row.name: values.pop(row.name) for row in _FIELDS})
     return Parameterised(
-        formulation=formulation, reach=reach, fields=fields, table=ChebyshevTable(reach=reach, coefficients=table),
-        energy=ChebyshevTable(reach=reach, coefficients=energy, curved=True), **values,
-    )  # fmt: skip
+        formulation=formulation,
+        reach=reach,
+        fields=fields,
+        table=ChebyshevTable(reach=reach, coefficients=table),
+        energy=ChebyshevTable(reach=reach, coefficients=energy, curved=True),
+        **values,
+    )
 
 
 def _member_parts(data: Parameterised) -> Mapping[str, object]:
@@ -46,28 +50,43 @@ def _member_parts(data: Parameterised) -> Mapping[str, object]:
     return vars(data) | vars(data.fields) | tables
 
 
-MEMBER = Table((
-    Row("formulation", "text", "", f"one of {_FORMULATIONS}"),
-    Row("reach", "real", "", "largest angle t1, t2 of an end to the chord; beyond it the tables are no more than "
-        "extended", "rad"),
-    Row("length", "real", "", "distance of the frames without load", "m"),
-    Row("count", "whole", "", "bending modes in use; the others only tell what they would have answered"),
-    *_FIELDS,
-    Row("Psi", "real", "p k", "amplitudes of the bending modes, Psi' M Psi = 1"),
-    Row("peaks", "real", "k", "largest deflection of each mode"),
-    Row("squares", "real", "k", "their angular frequencies squared", "1/s2"),
-    Row("H0", "real", "k", "diagonal of H at the straight shape"),
-    Row("excluded", "real", "any", "angular frequencies squared of modes of stretching that were left out", "1/s2"),
-    Row("errors", "real", "2", "of derivatives of the tables: against constraint modes, against reactions"),
-    Row("table", "real", "c c s",
-        f"{_COEFFICIENTS}[i, j] times T_i(t1 / reach) T_j(t2 / reach): X, A, d0, k, c, H in a row"),
-    Row("energy", "real", "ce ce", f"{_COEFFICIENTS}the same for W, in J"),
-), build=_member, parts=_member_parts)  # fmt: skip
-_MEMBERS = Table((
-    Row("format", "text", when="files of 0.1.0 lack it"),
-    Row("format_version", "whole", when="files of 0.1.0 lack it"),
-    Row("bodies/*", Table((Row("parameterised", MEMBER),))),
-))  # fmt: skip
+MEMBER = Table(
+    (
+        Row("formulation", "text", "", f"one of {_FORMULATIONS}"),
+        Row(
+            "reach",
+            "real",
+            "",
+            "largest angle t1, t2 of an end to the chord; beyond it the tables are no more than extended",
+            "rad",
+        ),
+        Row("length", "real", "", "distance of the frames without load", "m"),
+        Row("count", "whole", "", "bending modes in use; the others only tell what they would have answered"),
+        *_FIELDS,
+        Row("Psi", "real", "p k", "amplitudes of the bending modes, Psi' M Psi = 1"),
+        Row("peaks", "real", "k", "largest deflection of each mode"),
+        Row("squares", "real", "k", "their angular frequencies squared", "1/s2"),
+        Row("H0", "real", "k", "diagonal of H at the straight shape"),
+        Row("excluded", "real", "any", "angular frequencies squared of modes of stretching that were left out", "1/s2"),
+        Row("errors", "real", "2", "of derivatives of the tables: against constraint modes, against reactions"),
+        Row(
+            "table",
+            "real",
+            "c c s",
+            f"{_COEFFICIENTS}[i, j] times T_i(t1 / reach) T_j(t2 / reach): X, A, d0, k, c, H in a row",
+        ),
+        Row("energy", "real", "ce ce", f"{_COEFFICIENTS}the same for W, in J"),
+    ),
+    build=_member,
+    parts=_member_parts,
+)
+_MEMBERS = Table(
+    (
+        Row("format", "text", when="files of 0.1.0 lack it"),
+        Row("format_version", "whole", when="files of 0.1.0 lack it"),
+        Row("bodies/*", Table((Row("parameterised", MEMBER),))),
+    )
+)
 
 
 def _checked(path: Path, group: Any) -> Parameterised:

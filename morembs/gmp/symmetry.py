@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from morembs.base.types import Floats, Ints
+
 # Name, signs of x and of y, what becomes of the end angles.
 _MOTIONS: tuple[tuple[str, float, float, tuple[tuple[int, int], tuple[int, int]]], ...] = (
     ("reflection", 1.0, -1.0, ((-1, 0), (0, -1))),
@@ -35,10 +35,10 @@ class Shaped(Protocol):
     def size(self) -> int: ...
 
     @property
-    def frames(self) -> Mapping[str, Integers]: ...
+    def frames(self) -> Mapping[str, Ints]: ...
 
     @property
-    def translations(self) -> Integers: ...
+    def translations(self) -> Ints: ...
 
     @property
     def reference(self) -> Floats: ...
@@ -52,7 +52,7 @@ class Symmetry:
     ends are exchanged; the end angles t become ``turn @ t``. ``end`` is the coordinate of the chord's length."""
 
     name: str
-    order: Integers
+    order: Ints
     sign: Floats
     along: Floats
     turn: NDArray[np.int64]
@@ -77,7 +77,7 @@ def symmetries(component: Shaped, length: float) -> tuple[Symmetry, ...]:
     return tuple(symmetry for symmetry in candidates if symmetry is not None and _holds(component, symmetry, length))
 
 
-def _turning(component: Shaped) -> Integers | None:
+def _turning(component: Shaped) -> Ints | None:
     """Rotations (n, 1 or 3) of every node, -1 where it has none; None if some cannot be told."""
     at = component.translations
     count = 1 if at.shape[1] == 2 else 3
@@ -95,9 +95,14 @@ def _turning(component: Shaped) -> Integers | None:
 
 
 def _matched(
-    component: Shaped, turning: Integers, length: float, name: str, x: float, y: float,
+    component: Shaped,
+    turning: Ints,
+    length: float,
+    name: str,
+    x: float,
+    y: float,
     turn: tuple[tuple[int, int], tuple[int, int]],
-) -> Symmetry | None:  # fmt: skip
+) -> Symmetry | None:
     """The motion as a map of coordinates, if it takes nodes to nodes."""
     at = component.translations
     places = component.reference[at]

@@ -36,8 +36,12 @@ from morembs.units import Units, parse_units
 
 # Endings with a mesh reader of their own; every other mesh goes through meshio.
 READERS: dict[str, Callable[..., Mesh]] = {
-    ".inp": read_abaqus, ".bdf": read_nastran, ".nas": read_nastran, ".fem": read_nastran, ".unv": read_unv
-}  # fmt: skip
+    ".inp": read_abaqus,
+    ".bdf": read_nastran,
+    ".nas": read_nastran,
+    ".fem": read_nastran,
+    ".unv": read_unv,
+}
 
 
 # Parameters of importers that a user does not give.

@@ -41,9 +41,10 @@ def read_abaqus(path: Path, *, dialect: str = "auto", allow_includes_outside: bo
         deck.problems.add(
             Problem(
                 what=f"{deck.name} has {what}, which a mesh cannot carry; import the whole deck, or take them out",
-                file=deck.name, keyword=ties[0].keyword if ties else "ELEMENT",
+                file=deck.name,
+                keyword=ties[0].keyword if ties else "ELEMENT",
             )
-        )  # fmt: skip
+        )
     with deck.problems.ending():
         mesh = mesh_of(Assembly(deck), np.empty(0, dtype=np.int64))[0]
     deck.problems.refuse()
@@ -51,9 +52,14 @@ def read_abaqus(path: Path, *, dialect: str = "auto", allow_includes_outside: bo
 
 
 def import_abaqus(
-    path: str | Path, *, dialect: str = "auto", density: float | dict[str, float] | None = None,
-    contact: str = "refuse", skip: list[str] | str = "", allow_includes_outside: bool = False,
-) -> Imported:  # fmt: skip
+    path: str | Path,
+    *,
+    dialect: str = "auto",
+    density: float | dict[str, float] | None = None,
+    contact: str = "refuse",
+    skip: list[str] | str = "",
+    allow_includes_outside: bool = False,
+) -> Imported:
     """All of an input deck that a model can carry, in the deck's own units.
 
     The rows of ``nodes`` are those of ``mesh.nodes``, and behind them nodes that belong to no element but are named
@@ -84,20 +90,28 @@ def import_abaqus(
         ties = constraints.read()
         sections = materials_of(deck, assembly)
         tied = Imported(
-            source=deck.name, rigid=tuple(ties.rigid), average=tuple(ties.average), equations=tuple(ties.equations),
-            masses=tuple(ties.masses), discrete=tuple(ties.discrete),
-        )  # fmt: skip
+            source=deck.name,
+            rigid=tuple(ties.rigid),
+            average=tuple(ties.average),
+            equations=tuple(ties.equations),
+            masses=tuple(ties.masses),
+            discrete=tuple(ties.discrete),
+        )
         mesh, nodes, row = mesh_of(assembly, nodes_of(tied.ties))
     materials, lacking, said = options.all_materials(deck.problems, sections.materials, sections.lacking)
     for instance in deck.instances.values():
         if instance.moves:
             assembly.notes.append(f"The instance {instance.scope.name} was moved to its place.")
     return replace(
-        tied.on_rows(row), nodes=nodes, mesh=_with_warnings(mesh, deck), materials=materials, incomplete=lacking,
+        tied.on_rows(row),
+        nodes=nodes,
+        mesh=_with_warnings(mesh, deck),
+        materials=materials,
+        incomplete=lacking,
         surfaces=sets_on(constraints.surfaces.nodes, row),
         notes=(*_notes(deck), *assembly.notes, *sections.notes, *ties.notes),
         warnings=(*skipped_warnings(deck), *deck.warnings, *ties.warnings, *sections.warnings, *said),
-    )  # fmt: skip
+    )
 
 
 def _known(dialect: str) -> str:

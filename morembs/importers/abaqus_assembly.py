@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.abaqus_data import LARGEST
 from morembs.importers.abaqus_deck import Deck, Instance, values
@@ -15,8 +16,6 @@ from morembs.model import ElementBlock, skew
 from morembs.model.elements import TYPES
 from morembs.model.middle_nodes import in_order
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Type, formulation and mass of solids.
 Kind = tuple[str, str, str]
 _NONE = np.empty(0, dtype=np.int64)
@@ -43,7 +42,7 @@ class Assembly(Names):
             R, shift, point = _motion(instance)
             placed = self.placed[key] = Placed(
                 instance.scope.name, [*contents, instance.scope], R, R @ (shift - point) + point
-            )  # fmt: skip
+            )
             ids, xyz = _gathered(placed, deck.name)
             moved = xyz if not instance.moves else (xyz + shift - point) @ R.T + point
             node_parts.append((placed, ids, moved))
@@ -131,7 +130,7 @@ class Assembly(Names):
 
     def _block(
         self, kind: Kind, scopes: list[Placed], kinds: list[dict[Kind, Ints]], shifts: list[int]
-    ) -> ElementBlock:  # fmt: skip
+    ) -> ElementBlock:
         """The elements of one kind of all scopes; their labels and nodes are taken out of ``kinds``."""
         nodes, ids = [], []
         for placed, own, shift in zip(scopes, kinds, shifts, strict=True):

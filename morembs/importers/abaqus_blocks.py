@@ -7,14 +7,13 @@ from collections.abc import Iterator
 from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.importers.abaqus_data import element_numbers, fields, label, members
 from morembs.importers.abaqus_deck import DISCRETE, NODES, SOLIDS, Members
 from morembs.importers.abaqus_keywords import Card
 
-Ints = NDArray[np.int64]
 _BEAMS = re.compile(r"B3([123])")
 _PLANES = re.compile(r"(?:S|CPS|CPE|CPEG|CAX|M3D|T3D|T2D|R3D|STRI|SFM3D|DC3D|F3D|AC3D|COH3D|SC|GK3D|CONN3D)(\d\d?)")
 _NONE = np.empty(0, dtype=np.int64)

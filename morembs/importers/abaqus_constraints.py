@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_data import number
@@ -24,8 +24,6 @@ from morembs.importers.imported import DiscreteElement, PointMass
 from morembs.importers.problems import Problem
 from morembs.model.constraints import AverageElement, Equations, RigidElement, Term
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _ALL = (0, 1, 2, 3, 4, 5)
 SECTOR = "CYCLIC SYMMETRY MODEL"
 _NONLINEAR_MPC = ("PLANE", "STRAIGHT", "MEANROT", "DIST")

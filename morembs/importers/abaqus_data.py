@@ -7,12 +7,11 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.abaqus_keywords import Card, decoded
 from morembs.importers.text_matrices import integers, numbers, table
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Beyond it lengths and areas overflow.
 LARGEST = 1e100
 _GAP = re.compile(rb"[0-9.][ \t]+[0-9.+\-]")
@@ -70,9 +69,7 @@ def node_rows(piece: bytes, card: Card) -> tuple[Ints, Floats]:
     return np.array(ids, dtype=np.int64), np.array(xyz, dtype=np.float64).reshape(-1, 3)
 
 
-_ALL_SEPARATORS, _SEPARATORS = (
-    bytes(int(chr(code) in marks) for code in range(256)) for marks in (", \t\n", ",\n")
-)
+_ALL_SEPARATORS, _SEPARATORS = (bytes(int(chr(code) in marks) for code in range(256)) for marks in (", \t\n", ",\n"))
 
 
 def _words(text: bytes, separators: bytes) -> int:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from morembs.base.types import Floats, Ints
 from morembs.importers.abaqus_data import number
 from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_left_out import warning_of
@@ -14,26 +12,40 @@ from morembs.importers.deck_options import DeckOptions
 from morembs.importers.formulations import meaning_of
 from morembs.importers.problems import Problems
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Rows = list[list[str]]
 NODES = {"tet4": 4, "tet10": 10, "hex8": 8, "hex20": 20, "hex27": 27, "wedge6": 6, "wedge15": 15}
 KINDS = {
-    "C3D4": "tet4", "C3D10": "tet10", "C3D8": "hex8", "C3D20": "hex20", "C3D27": "hex27", "C3D6": "wedge6",
+    "C3D4": "tet4",
+    "C3D10": "tet10",
+    "C3D8": "hex8",
+    "C3D20": "hex20",
+    "C3D27": "hex27",
+    "C3D6": "wedge6",
     "C3D15": "wedge15",
-}  # fmt: skip
+}
 # Variants of one shape: hybrid, modified, reduced integration, incompatible modes, improved stress, thermal.
 _VARIANTS = {
-    "C3D4": ("H", "T", "HT"), "C3D10": ("H", "I", "M", "MH", "HS", "T", "HT", "MT", "MHT", "R"),
-    "C3D8": ("H", "I", "IH", "R", "RH", "S", "HS", "T", "RT", "HT", "RHT", "IT"), "C3D6": ("H", "T", "HT"),
-    "C3D20": ("H", "R", "RH", "T", "RT", "HT", "RHT", "RI"), "C3D27": ("H", "R", "RH"), "C3D15": ("H",),
-}  # fmt: skip
+    "C3D4": ("H", "T", "HT"),
+    "C3D10": ("H", "I", "M", "MH", "HS", "T", "HT", "MT", "MHT", "R"),
+    "C3D8": ("H", "I", "IH", "R", "RH", "S", "HS", "T", "RT", "HT", "RHT", "IT"),
+    "C3D6": ("H", "T", "HT"),
+    "C3D20": ("H", "R", "RH", "T", "RT", "HT", "RHT", "RI"),
+    "C3D27": ("H", "R", "RH"),
+    "C3D15": ("H",),
+}
 SOLIDS = KINDS | {code + end: KINDS[code] for code, ends in _VARIANTS.items() for end in ends}
 # Elements on single nodes, with how many they have.
 DISCRETE = {
-    "MASS": 1, "ROTARYI": 1, "DCOUP3D": 1, "SPRING1": 1, "SPRING2": 2, "SPRINGA": 2, "DASHPOT1": 1, "DASHPOT2": 2,
+    "MASS": 1,
+    "ROTARYI": 1,
+    "DCOUP3D": 1,
+    "SPRING1": 1,
+    "SPRING2": 2,
+    "SPRINGA": 2,
+    "DASHPOT1": 1,
+    "DASHPOT2": 2,
     "DASHPOTA": 2,
-}  # fmt: skip
+}
 
 
 @dataclass

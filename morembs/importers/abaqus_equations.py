@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_data import number
@@ -17,7 +17,6 @@ from morembs.importers.abaqus_materials import frame_of
 from morembs.importers.abaqus_names import Placed
 from morembs.model.constraints import Equations, Term, solved_for_first
 
-Floats = NDArray[np.float64]
 _TEMPERATURE = "11"
 
 

@@ -7,16 +7,14 @@ Abaqus; CalculiX has none of these keywords.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.abaqus_data import label
 from morembs.importers.abaqus_deck import Members, NamedSet, Rows, Scope, join, values
 from morembs.importers.abaqus_keywords import Card
 from morembs.model import skew
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 GENERATING = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY")
 _NOT_HERE = ("SYSTEM", "SINGULAR", "BIAS", "TWO STEP", "POLE", "REFLECT", "ALL NODES")
 _MOST = 50_000_000

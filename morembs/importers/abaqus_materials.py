@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_data import LARGEST
@@ -16,12 +17,20 @@ from morembs.importers.abaqus_names import Placed
 from morembs.importers.imported import Lacking
 from morembs.model.material import VOIGT, Material, isotropic, orthotropic
 
-Floats = NDArray[np.float64]
 # What has a stiffness of its own, but no linear one.
 _NOT_LINEAR = {
-    "HYPERELASTIC", "HYPERFOAM", "USER MATERIAL", "HYPOELASTIC", "POROUS ELASTIC", "EOS", "LOW DENSITY FOAM",
-    "FLUID CONSTANTS", "ACOUSTIC MEDIUM", "FABRIC", "JOINTED MATERIAL",
-}  # fmt: skip
+    "HYPERELASTIC",
+    "HYPERFOAM",
+    "USER MATERIAL",
+    "HYPOELASTIC",
+    "POROUS ELASTIC",
+    "EOS",
+    "LOW DENSITY FOAM",
+    "FLUID CONSTANTS",
+    "ACOUSTIC MEDIUM",
+    "FABRIC",
+    "JOINTED MATERIAL",
+}
 _TWO_WAYS = {"NO TENSION", "NO COMPRESSION"}
 # Where the constants of anisotropic elasticity go; Abaqus orders shear 12, 13, 23, which is 5, 4, 3 here.
 _ORDER = (0, 1, 2, 5, 4, 3)
@@ -66,9 +75,14 @@ def materials_of(deck: Deck, assembly: Assembly) -> SectionMaterials:
 
 
 def _section(
-    deck: Deck, assembly: Assembly, placed: Placed, scope: Scope, card: Card, result: SectionMaterials,
+    deck: Deck,
+    assembly: Assembly,
+    placed: Placed,
+    scope: Scope,
+    card: Card,
+    result: SectionMaterials,
     last: NDArray[np.bool_],
-) -> None:  # fmt: skip
+) -> None:
     """The material of a section, which is the ``last`` (solids,) of some elements."""
     elset, name = card.need("ELSET"), card.need("MATERIAL")
     for option in ("COMPOSITE", "SYMMETRIC", "REF NODE"):
@@ -158,9 +172,13 @@ def _elastic(
     if kind.startswith("ENGINEERING"):
         c = _numbers(card, rows, 9, name, warnings)
         return orthotropic(
-            set=final, young=(c[0], c[1], c[2]), poisson=(c[3], c[4], c[5]), shear=(c[6], c[7], c[8]),
-            density=density, axes=axes,
-        )  # fmt: skip
+            set=final,
+            young=(c[0], c[1], c[2]),
+            poisson=(c[3], c[4], c[5]),
+            shear=(c[6], c[7], c[8]),
+            density=density,
+            axes=axes,
+        )
     places = {"ORTHO": _ORTHOTROPIC, "ANISO": _ANISOTROPIC}.get(kind[:5])
     if places is None:
         raise InputError(

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.text_matrices import integers, numbers, opened, parallel_map, table, text_blocks
 from morembs.importers.triplets import (
@@ -27,9 +27,6 @@ from morembs.importers.triplets import (
     row_and_column,
     unique,
 )
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Label and dof as one integer: label * 64 + dof.
 _DOFS = 64

@@ -6,13 +6,11 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.imported import first_nodes
 from morembs.model import Mesh, Nodes
-
-Ints = NDArray[np.int64]
 
 
 def mesh_of(assembly: Assembly, extra: Ints) -> tuple[Mesh, Nodes, Ints]:
@@ -55,7 +53,10 @@ def mesh_of(assembly: Assembly, extra: Ints) -> tuple[Mesh, Nodes, Ints]:
     both = np.concatenate([kept, loose])
     nodes = Nodes(ids=assembly.ids[both], xyz=assembly.xyz[both], sets=node_sets)
     mesh = Mesh(
-        nodes=first_nodes(nodes, len(kept)), blocks=tuple(blocks), element_sets=element_sets, source=assembly.deck,
+        nodes=first_nodes(nodes, len(kept)),
+        blocks=tuple(blocks),
+        element_sets=element_sets,
+        source=assembly.deck,
         warnings=tuple(assembly.warnings),
-    )  # fmt: skip
+    )
     return mesh, nodes, row

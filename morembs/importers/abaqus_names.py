@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_data import label
 from morembs.importers.abaqus_deck import Members, NamedSet, Scope
 from morembs.model import ElementBlock
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _DEEPEST = 100
 _NONE = np.empty(0, dtype=np.int64)
 

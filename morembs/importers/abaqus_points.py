@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_deck import Deck, Rows, values
@@ -14,12 +14,17 @@ from morembs.importers.abaqus_names import Discrete, Placed
 from morembs.importers.discrete import spring
 from morembs.importers.imported import DiscreteElement, PointMass
 
-Floats = NDArray[np.float64]
 _MATRIX = {"SPRING": "K", "DASHPOT": "D"}
 _PROPERTY_OF = {
-    "MASS": "MASS", "ROTARYI": "ROTARY INERTIA", "SPRING1": "SPRING", "SPRING2": "SPRING", "SPRINGA": "SPRING",
-    "DASHPOT1": "DASHPOT", "DASHPOT2": "DASHPOT", "DASHPOTA": "DASHPOT",
-}  # fmt: skip
+    "MASS": "MASS",
+    "ROTARYI": "ROTARY INERTIA",
+    "SPRING1": "SPRING",
+    "SPRING2": "SPRING",
+    "SPRINGA": "SPRING",
+    "DASHPOT1": "DASHPOT",
+    "DASHPOT2": "DASHPOT",
+    "DASHPOTA": "DASHPOT",
+}
 
 
 class Points:

@@ -11,29 +11,11 @@ import numpy as np
 from morembs.errors import InputError
 from morembs.importers.abaqus_blocks import other_records, set_parts, solid_records
 from morembs.importers.abaqus_data import fields, node_rows
-from morembs.importers.abaqus_deck import (
-    DISCRETE,
-    KINDS,
-    SOLIDS,
-    Deck,
-    Instance,
-    Members,
-    Rows,
-    Scope,
-    join,
-)
+from morembs.importers.abaqus_deck import DISCRETE, KINDS, SOLIDS, Deck, Instance, Members, Rows, Scope, join
 from morembs.importers.abaqus_generate import GENERATING, generate
 from morembs.importers.abaqus_keywords import Card, cards
 from morembs.importers.abaqus_left_out import refusal_of
-from morembs.importers.abaqus_words import (
-    CONSTRAINTS,
-    CONTACT,
-    GAPS,
-    LEFT_OUT,
-    MATERIAL,
-    PROPERTIES,
-    STRUCTURAL,
-)
+from morembs.importers.abaqus_words import CONSTRAINTS, CONTACT, GAPS, LEFT_OUT, MATERIAL, PROPERTIES, STRUCTURAL
 from morembs.importers.deck_options import DeckOptions
 from morembs.importers.formulations import dialect_of, dialects_of_comments
 from morembs.importers.includes import open_text
@@ -46,9 +28,7 @@ _EMPTY = ("SFM3D",)
 _HEAD = 1 << 16
 
 
-def read_deck(
-    path: Path, *, outside: bool = False, dialect: str = "auto", options: DeckOptions | None = None
-) -> Deck:
+def read_deck(path: Path, *, outside: bool = False, dialect: str = "auto", options: DeckOptions | None = None) -> Deck:
     """The deck of a file; ``outside`` allows to include files from beyond its folder.
 
     ``dialect`` "auto" looks at keywords and at comments of the head; where they do not tell one program, a deck without
@@ -100,9 +80,11 @@ def _others(deck: Deck) -> None:
             f"their variants), {', '.join(DISCRETE)}; take the others out of the deck, or leave them out with "
             f"{'--contact skip' if gaps else '--skip ' + ','.join(unknown)} if the model is right without them"
             f"{'; --engine calculix may assemble them' if all(map(_OF_ENGINE.match, unknown)) else ''}",
-            file=deck.name, keyword="ELEMENT", flags=flags,
+            file=deck.name,
+            keyword="ELEMENT",
+            flags=flags,
         )
-    )  # fmt: skip
+    )
 
 
 class DeckReader:

@@ -25,9 +25,15 @@ _NO_ARM = 1e-9
 
 
 def problems_of_references(
-    deck: str, named: Iterable[tuple[str, int, bool]], average: Sequence[AverageElement], kinds: dict[int, str],
-    ids: NDArray[np.int64], xyz: NDArray[np.float64], *, cure: str,
-) -> list[Problem]:  # fmt: skip
+    deck: str,
+    named: Iterable[tuple[str, int, bool]],
+    average: Sequence[AverageElement],
+    kinds: dict[int, str],
+    ids: NDArray[np.int64],
+    xyz: NDArray[np.float64],
+    *,
+    cure: str,
+) -> list[Problem]:
     """What is wrong with equations and supports that name references of distributing couplings.
 
     Args:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_data import number
@@ -17,8 +17,6 @@ from morembs.model import Mesh, Nodes
 from morembs.model.elements import TYPES
 from morembs.model.surface import outer_faces
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Corners of the faces S1, S2, ...
 FACES = {
     "t": ((0, 1, 2), (0, 1, 3), (1, 2, 3), (0, 2, 3)),

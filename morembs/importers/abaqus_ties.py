@@ -7,9 +7,9 @@ from itertools import combinations
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_data import number
@@ -23,8 +23,6 @@ from morembs.model import Mesh, Nodes
 from morembs.model.constraints import Equations
 from morembs.model.surface import outer_faces
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Part of the mean size of the master's faces within which nodes are tied where a deck says nothing (Abaqus).
 _TOLERANCE = 0.05
 # Gaps below this part of the model's extent are round-off.
@@ -207,6 +205,11 @@ def _equations(title: str, nodes: Ints, on: Ints, weights: Floats) -> Equations:
     terms, values = np.repeat(on, 3, axis=0)[used[rows]], np.repeat(weights, 3, axis=0)[used[rows]]
     component = np.tile(np.arange(3), len(nodes))
     return Equations(
-        name=title, nodes=nodes[rows], components=component, offsets=np.concatenate([[0], np.cumsum(count)]),
-        term_nodes=terms, term_components=np.repeat(component, count), coefficients=values,
-    )  # fmt: skip
+        name=title,
+        nodes=nodes[rows],
+        components=component,
+        offsets=np.concatenate([[0], np.cumsum(count)]),
+        term_nodes=terms,
+        term_components=np.repeat(component, count),
+        coefficients=values,
+    )

@@ -39,6 +39,7 @@ class Word:
     source: str = ""
 
 
+# fmt: off
 _TABLE = (
     ("material", "", """
         ELASTIC, DENSITY, EXPANSION, CONDUCTIVITY, SPECIFIC HEAT, LATENT HEAT, PLASTIC, DAMPING, CREEP,
@@ -126,7 +127,8 @@ _TABLE = (
     ("mesh", "", """
         STEP, NODE, ELEMENT, NSET, ELSET, MATERIAL, SURFACE, ORIENTATION, KINEMATIC, DISTRIBUTING, TRANSFORM,
         INCLUDE, NCOPY, ELCOPY, NFILL, NGEN, ELGEN"""),
-)  # fmt: skip
+)
+# fmt: on
 WHY_REFUSED = {
     "EMBEDDED ELEMENT": "embedded elements are not supported",
     "SYSTEM": "moved coordinates are not supported",
@@ -144,8 +146,8 @@ WHY_REFUSED = {
 # What cures a word that is refused, where it is more than to leave the word out.
 CURES = {
     "PRE-TENSION SECTION": "--skip 'PRE-TENSION SECTION' joins the faces (the bolt is locked); --engine calculix takes "
-    "the cut",
-}  # fmt: skip
+    "the cut"
+}
 # Keywords that are left out with a warning, because of an option ("": always): what a model may lose.
 WARNED = {
     "HOURGLASS STIFFNESS": ("", "it changes the stiffness of elements with reduced integration"),
@@ -155,9 +157,9 @@ WARNED = {
 # Elements that stand for contact.
 GAPS = {"GAPUNI", "GAPCYL", "GAPSPHER", "ITSUNI", "ITSCYL"}
 
-WORDS = {
-    word: Word(kind, source) for kind, source, words in _TABLE for word in " ".join(words.split()).split(", ")
-} | {word: Word("refused") for word in WHY_REFUSED if word != "USER MATERIAL"}  # fmt: skip
+WORDS = {word: Word(kind, source) for kind, source, words in _TABLE for word in " ".join(words.split()).split(", ")} | {
+    word: Word("refused") for word in WHY_REFUSED if word != "USER MATERIAL"
+}
 
 
 def of_kind(*kinds: str) -> frozenset[str]:
@@ -179,11 +181,24 @@ _SPELLINGS = {word.replace(" ", ""): word for word in WORDS}
 _OPTIONS = {
     word.replace(" ", ""): word
     for word in (
-        "REF NODE", "ROT NODE", "CONSTRAINT NAME", "POSITION TOLERANCE", "INFLUENCE RADIUS", "WEIGHTING METHOD",
-        "CYCLIC SYMMETRY", "TIE NSET", "PIN NSET", "ANALYTICAL SURFACE", "CHANGE NUMBER", "OLD SET", "NEW SET",
-        "ELEMENT SHIFT", "SHIFT NODES", "TWO STEP",
+        "REF NODE",
+        "ROT NODE",
+        "CONSTRAINT NAME",
+        "POSITION TOLERANCE",
+        "INFLUENCE RADIUS",
+        "WEIGHTING METHOD",
+        "CYCLIC SYMMETRY",
+        "TIE NSET",
+        "PIN NSET",
+        "ANALYTICAL SURFACE",
+        "CHANGE NUMBER",
+        "OLD SET",
+        "NEW SET",
+        "ELEMENT SHIFT",
+        "SHIFT NODES",
+        "TWO STEP",
     )
-}  # fmt: skip
+}
 
 
 def canonical_option(name: str) -> str:

@@ -7,9 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers import ansys_blocks as blocks
 from morembs.importers.ansys_elements import Elements, from_plain_form, from_solid_form
@@ -18,21 +16,29 @@ from morembs.importers.deck_options import DeckOptions
 from morembs.importers.problems import Problems
 from morembs.model.constraints import Term
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 # What ties nodes together, and would have to be worked out: without it the model would be another one.
 REFUSED = {
-    "CERIG": "rigid regions", "RBE3": "RBE3 constraints",
-    "CEINTF": "constraint equations", "CPINTF": "coupled dofs", "CPLGEN": "coupled dofs", "CPNGEN": "coupled dofs",
-    "CECYC": "cyclic constraints", "CPCYC": "cyclic constraints", "EINTF": "interface elements",
-}  # fmt: skip
+    "CERIG": "rigid regions",
+    "RBE3": "RBE3 constraints",
+    "CEINTF": "constraint equations",
+    "CPINTF": "coupled dofs",
+    "CPLGEN": "coupled dofs",
+    "CPNGEN": "coupled dofs",
+    "CECYC": "cyclic constraints",
+    "CPCYC": "cyclic constraints",
+    "EINTF": "interface elements",
+}
 DIRECTIONS = {"UX": 0, "UY": 1, "UZ": 2, "ROTX": 3, "ROTY": 4, "ROTZ": 5}
 ELSEWHERE = {"CDREAD": "another archive", "/INPUT": "another file", "*USE": "a macro"}
 LOADS = {
-    "F": "nodal forces", "SF": "surface loads", "SFE": "surface loads", "BF": "body loads", "BFE": "body loads",
-    "BFBLOCK": "body loads", "SFEBLOCK": "surface loads",
-}  # fmt: skip
+    "F": "nodal forces",
+    "SF": "surface loads",
+    "SFE": "surface loads",
+    "BF": "body loads",
+    "BFE": "body loads",
+    "BFBLOCK": "body loads",
+    "SFEBLOCK": "surface loads",
+}
 # Tables that change the elastic stiffness; those of plasticity and the like act beyond it.
 ELASTIC_TABLES = ("ELAS", "ANEL", "HYPE", "FOAM", "GASK", "COMP", "USER", "PELA", "SMA", "BB", "MOONEY", "CAST")
 
@@ -41,10 +47,25 @@ ELASTIC_TABLES = ("ELAS", "ANEL", "HYPE", "FOAM", "GASK", "COMP", "USER", "PELA"
 _SHORT = {
     name[:4]: name
     for name in (
-        "NBLOCK", "EBLOCK", "CMBLOCK", "ETBLOCK", "RLBLOCK", "KEYOPT", "RMORE", "RMODIF", "MPDATA", "MPTEMP", "TBDATA",
-        "CMGRP", "CDREAD", "EMORE", "BFBLOCK", "SFEBLOCK", *(name for name in REFUSED if len(name) > 4),
+        "NBLOCK",
+        "EBLOCK",
+        "CMBLOCK",
+        "ETBLOCK",
+        "RLBLOCK",
+        "KEYOPT",
+        "RMORE",
+        "RMODIF",
+        "MPDATA",
+        "MPTEMP",
+        "TBDATA",
+        "CMGRP",
+        "CDREAD",
+        "EMORE",
+        "BFBLOCK",
+        "SFEBLOCK",
+        *(name for name in REFUSED if len(name) > 4),
     )
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.includes import open_text
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _FORMAT = re.compile(r"(\d*)([IEFGD])(\d+)(?:\.\d+(?:E\d+)?)?")
 _CHUNK = 1 << 16

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.ansys_archive import Archive, read_commands
 from morembs.importers.ansys_elements import CARRIERS, CONTACT, HANGING, NAMES, SOLIDS, Elements, element_name, solids
@@ -22,9 +23,6 @@ from morembs.importers.problems import Problem, Problems
 from morembs.model import ElementBlock, Mesh, Nodes
 from morembs.model.constraints import Equations, solved_for_first
 from morembs.model.material import Material
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,9 +59,12 @@ def read_ansys_archive(path: str | Path) -> AnsysArchive:
 
 
 def import_ansys_cdb(
-    path: str | Path, *, density: float | dict[str, float] | None = None, contact: str = "refuse",
+    path: str | Path,
+    *,
+    density: float | dict[str, float] | None = None,
+    contact: str = "refuse",
     skip: list[str] | str = "",
-) -> Imported:  # fmt: skip
+) -> Imported:
     """Mesh of an archive with materials, components, masses (MASS21), springs (COMBIN14), rigid beams (MPC184), CE, CP.
 
     Elements of material n are in the set "material n", those of type n in "type n". Supports and loads are counted in
@@ -101,14 +102,21 @@ def import_ansys_cdb(
     mesh = Mesh(
         nodes=nodes if solid.all() else picked_nodes(nodes, np.flatnonzero(solid)),
         blocks=tuple(replace(block, nodes=inner_row[block.nodes]) for block in blocks),
-        element_sets=element_sets, source=archive.name,
+        element_sets=element_sets,
+        source=archive.name,
         warnings=tuple(warnings_of("ANSYS", ((part.name, len(part.ids), part.meaning) for part in parts))),
-    )  # fmt: skip
+    )
     skipped = [left_out(name, count) for name, count in archive.skipped.items()]
     return replace(
-        ties, nodes=nodes, mesh=mesh, materials=whole, notes=tuple(notes), incomplete=rest, seams=True,
+        ties,
+        nodes=nodes,
+        mesh=mesh,
+        materials=whole,
+        notes=tuple(notes),
+        incomplete=rest,
+        seams=True,
         warnings=(*skipped, *dict.fromkeys(archive.warnings), *said),
-    )  # fmt: skip
+    )
 
 
 def _joined(
@@ -166,7 +174,7 @@ def _nodes(archive: Archive) -> tuple[Ints, Floats, Ints]:
 
 def _sorted_elements(
     archive: Archive, options: DeckOptions, problems: Problems, notes: list[str]
-) -> tuple[list[_Part], list[tuple[int, Elements]]]:  # fmt: skip
+) -> tuple[list[_Part], list[tuple[int, Elements]]]:
     """Solids, and (type, elements) of masses, springs and rigid beams; others are refused, or noted where they have no
     stiffness."""
     parts: list[_Part] = []
@@ -187,11 +195,17 @@ def _sorted_elements(
                 raise InputError(f"{archive.name}: {name} with axes along its edges (KEYOPT(1)) is not supported")
             parts += [
                 _Part(
-                    type=shape, name=name, meaning=ansys_meaning(routine, keys, shape), archive_type=kind,
-                    ids=elements.ids[rows], nodes=nodes, material=elements.material[rows], system=elements.system[rows],
+                    type=shape,
+                    name=name,
+                    meaning=ansys_meaning(routine, keys, shape),
+                    archive_type=kind,
+                    ids=elements.ids[rows],
+                    nodes=nodes,
+                    material=elements.material[rows],
+                    system=elements.system[rows],
                 )
                 for shape, (rows, nodes) in solids(routine, elements, archive.name).items()
-            ]  # fmt: skip
+            ]
         else:
             flag = "--contact skip" if routine in CONTACT else f"--skip {name if routine in NAMES else routine}"
             problems.add(
@@ -200,9 +214,11 @@ def _sorted_elements(
                     f"supported; expected {', '.join(f'SOLID{n}' for n in sorted(SOLIDS))}, MASS21, COMBIN14, MPC184. "
                     "Let ANSYS write K and M (.full) and import these, or leave them out with "
                     f"{flag} if the body is right without them",
-                    file=archive.name, keyword=name, flags=(flag,),
+                    file=archive.name,
+                    keyword=name,
+                    flags=(flag,),
                 )
-            )  # fmt: skip
+            )
     return parts, hanging
 
 
@@ -224,11 +240,14 @@ def _blocks(parts: list[_Part], used: Ints, name: str) -> tuple[tuple[ElementBlo
     whole, pairs = filled([(group[0].type, own) for group, own in zip(groups, rows, strict=True)], len(used))
     blocks = tuple(
         ElementBlock(
-            type=group[0].type, nodes=own, ids=np.concatenate([part.ids for part in group]),
-            formulation=group[0].meaning.formulation, mass=group[0].meaning.mass,
+            type=group[0].type,
+            nodes=own,
+            ids=np.concatenate([part.ids for part in group]),
+            formulation=group[0].meaning.formulation,
+            mass=group[0].meaning.mass,
         )
         for group, own in zip(groups, whole, strict=True)
-    )  # fmt: skip
+    )
     ids = np.sort(np.concatenate([block.ids for block in blocks]))
     twice = ids[1:][np.diff(ids) == 0]
     if len(twice) or ids[0] < 1:
@@ -252,11 +271,15 @@ def _materials(
     numbers, turned = np.concatenate(attributes.material), np.concatenate(attributes.system) != 0
     materials = (
         material(
-            int(number), f"material {number}", archive.properties.get(int(number), {}),
-            bool(turned[numbers == number].any()), notes, lacking,
+            int(number),
+            f"material {number}",
+            archive.properties.get(int(number), {}),
+            bool(turned[numbers == number].any()),
+            notes,
+            lacking,
         )
         for number in np.unique(numbers)
-    )  # fmt: skip
+    )
     complete = tuple(each for each in materials if each is not None)
     for name, lack in lacking.items():
         table = archive.tables.get(int(name.split()[-1]))

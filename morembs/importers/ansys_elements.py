@@ -12,28 +12,55 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
-
-Ints = NDArray[np.int64]
 
 # Number of the element -> nodes of its full form.
 SOLIDS = {45: 8, 185: 8, 95: 20, 186: 20, 92: 10, 187: 10, 285: 4}
 # Masses, springs and rigid beams.
 HANGING = MASS, SPRING, RIGID = 21, 14, 184
 # They have neither stiffness nor mass of a structure: meshing facets, and surfaces that carry loads.
-CARRIERS = {
-    152: "SURF152", 153: "SURF153", 154: "SURF154", 200: "MESH200", 201: "FOLLW201",
-}  # fmt: skip
+CARRIERS = {152: "SURF152", 153: "SURF153", 154: "SURF154", 200: "MESH200", 201: "FOLLW201"}
 # Contact and its targets.
 CONTACT = (169, 170, 171, 172, 173, 174, 175, 176, 177, 178)
 NAMES = {
-    21: "MASS21", 63: "SHELL63", 181: "SHELL181", 281: "SHELL281", 188: "BEAM188", 189: "BEAM189", 4: "BEAM4",
-    14: "COMBIN14", 169: "TARGE169", 170: "TARGE170", 171: "CONTA171", 172: "CONTA172", 173: "CONTA173",
-    174: "CONTA174", 175: "CONTA175", 176: "CONTA176", 177: "CONTA177", 178: "CONTA178", 184: "MPC184", 190: "SOLSH190",
-    250: "COMBI250", 93: "SHELL93", 43: "SHELL43", 44: "BEAM44", 73: "SOLID73", 72: "SOLID72",
-    179: "PRETS179", 90: "SOLID90", 70: "SOLID70", 87: "SOLID87", 8: "LINK8", 180: "LINK180", 182: "PLANE182",
-    183: "PLANE183", 42: "PLANE42", 82: "PLANE82",
-}  # fmt: skip
+    21: "MASS21",
+    63: "SHELL63",
+    181: "SHELL181",
+    281: "SHELL281",
+    188: "BEAM188",
+    189: "BEAM189",
+    4: "BEAM4",
+    14: "COMBIN14",
+    169: "TARGE169",
+    170: "TARGE170",
+    171: "CONTA171",
+    172: "CONTA172",
+    173: "CONTA173",
+    174: "CONTA174",
+    175: "CONTA175",
+    176: "CONTA176",
+    177: "CONTA177",
+    178: "CONTA178",
+    184: "MPC184",
+    190: "SOLSH190",
+    250: "COMBI250",
+    93: "SHELL93",
+    43: "SHELL43",
+    44: "BEAM44",
+    73: "SOLID73",
+    72: "SOLID72",
+    179: "PRETS179",
+    90: "SOLID90",
+    70: "SOLID70",
+    87: "SOLID87",
+    8: "LINK8",
+    180: "LINK180",
+    182: "PLANE182",
+    183: "PLANE183",
+    42: "PLANE42",
+    82: "PLANE82",
+}
 _HEX20_WEDGE = (0, 1, 2, 4, 5, 6, 8, 9, 11, 12, 13, 15, 16, 17, 18)
 _HEX20_TET = (0, 1, 2, 4, 8, 9, 11, 16, 17, 18)
 
@@ -79,8 +106,10 @@ def from_solid_form(table: Ints, name: str) -> list[tuple[int, Elements]]:
     width = min(12, table.shape[1])
     nodes[more, 8 : 8 + width] = table[first[more] + 1, :width]
     nodes[np.arange(20) >= count_of[:, None]] = 0
-    return [(int(kind), _picked(head[:, 1] == kind, head[:, 10], nodes, head[:, 0], head[:, 2], head[:, 4]))
-            for kind in np.unique(head[:, 1])]  # fmt: skip
+    return [
+        (int(kind), _picked(head[:, 1] == kind, head[:, 10], nodes, head[:, 0], head[:, 2], head[:, 4]))
+        for kind in np.unique(head[:, 1])
+    ]
 
 
 def from_plain_form(table: Ints, routine: int, name: str) -> Elements:
@@ -100,9 +129,12 @@ def from_plain_form(table: Ints, routine: int, name: str) -> Elements:
 
 def _picked(chosen: NDArray[np.bool_], ids: Ints, nodes: Ints, material: Ints, real: Ints, system: Ints) -> Elements:
     return Elements(
-        ids=ids[chosen].astype(np.int64), nodes=nodes[chosen], material=material[chosen].astype(np.int64),
-        real=real[chosen].astype(np.int64), system=system[chosen].astype(np.int64),
-    )  # fmt: skip
+        ids=ids[chosen].astype(np.int64),
+        nodes=nodes[chosen],
+        material=material[chosen].astype(np.int64),
+        real=real[chosen].astype(np.int64),
+        system=system[chosen].astype(np.int64),
+    )
 
 
 def solids(routine: int, elements: Elements, name: str) -> dict[str, tuple[Ints, Ints]]:
@@ -125,8 +157,10 @@ def solids(routine: int, elements: Elements, name: str) -> dict[str, tuple[Ints,
         shapes = _shapes(nodes, elements.ids, routine, name)
         corners = {"hex": tuple(range(8)), "wedge": (0, 1, 2, 4, 5, 6), "tet": (0, 1, 2, 4)}
         middles = {"hex": tuple(range(20)), "wedge": _HEX20_WEDGE, "tet": _HEX20_TET}
-    linear, quadratic = ({"hex": "hex8", "wedge": "wedge6", "tet": "tet4"},
-                         {"hex": "hex20", "wedge": "wedge15", "tet": "tet10"})  # fmt: skip
+    linear, quadratic = (
+        {"hex": "hex8", "wedge": "wedge6", "tet": "tet4"},
+        {"hex": "hex20", "wedge": "wedge15", "tet": "tet10"},
+    )
     result: dict[str, tuple[Ints, Ints]] = {}
     for shape, rows in shapes.items():
         middle = nodes[rows][:, middles[shape][len(corners[shape]) :]] if full > 8 else np.zeros((len(rows), 1))

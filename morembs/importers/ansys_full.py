@@ -15,13 +15,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.importers.ansys_nodes import joined
 from morembs.importers.imported import Imported
 from morembs.importers.text_matrices import opened
 from morembs.importers.triplets import Triplets, assembled
 
-Ints = NDArray[np.int64]
 Words = NDArray[np.int32]
 
 # Places in the header of the file (words from 0); 64-bit numbers are a low and a high word.
@@ -193,9 +193,14 @@ class _File:
         if K is None:
             raise InputError(f"{self.name} has no stiffness matrix; write the .full file of a modal analysis")
         return AnsysFull(
-            K=K, M=M, D=D, node=node[order_free], component=component[order_free],
-            constrained=np.column_stack([node[held], component[held]]), lumped=bool(self.header[_LUMPED]),
-        )  # fmt: skip
+            K=K,
+            M=M,
+            D=D,
+            node=node[order_free],
+            component=component[order_free],
+            constrained=np.column_stack([node[held], component[held]]),
+            lumped=bool(self.header[_LUMPED]),
+        )
 
     def matrix(self, which: str, place: Ints, size: int) -> sp.csr_array | None:
         terms, at = self.long(_TERMS[which]), self.long(_PLACE[which])
@@ -231,8 +236,9 @@ class _Rows:
                 what = f"row {row + 1} of {which} has {count} columns and {length // 2} values"
                 raise (
                     InputError(f"{file.name}: {which} is complex, which is not read; write a model without damping")
-                    if complex_ else file.damaged(what)
-                )  # fmt: skip
+                    if complex_
+                    else file.damaged(what)
+                )
             self.columns[row], self.values[row], self.counts[row] = start, first, count
         if int(self.counts.sum()) != terms:
             raise file.damaged(f"{which} has {self.counts.sum()} entries where its header says {terms}")

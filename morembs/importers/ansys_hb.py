@@ -9,13 +9,11 @@ from typing import BinaryIO
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.importers.text_matrices import integers, numbers, opened
 from morembs.importers.triplets import assembled
-
-Floats = NDArray[np.float64]
 
 _FORMAT = re.compile(r"\(\s*(?:\d+P)?,?\s*(\d*)\s*([IEFGD])(\d+)(?:\.\d+)?(?:E\d+)?\s*\)")
 _LONGEST = 1 << 12
@@ -86,9 +84,12 @@ def _header(file: BinaryIO, path: Path) -> _Head:
             "matrix, it may be cut off or damaged"
         )
     return _Head(
-        rows=rows, entries=entries, symmetric=code == "RSA", lines=(counts[1], counts[2], counts[3]),
+        rows=rows,
+        entries=entries,
+        symmetric=code == "RSA",
+        lines=(counts[1], counts[2], counts[3]),
         formats=tuple(formats[:3]),
-    )  # fmt: skip
+    )
 
 
 def _section(file: BinaryIO, what: str, lines: int, form: tuple[int, int], count: int, name: str) -> Floats:

@@ -7,15 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.importers.ansys_cdb import read_ansys_archive
 from morembs.importers.imported import Imported, picked_nodes
 from morembs.importers.text_matrices import text_blocks
 from morembs.model import DofMap, Nodes, rigid_motion
-
-Ints = NDArray[np.int64]
 
 # |K R| over |K| |R|: round-off of printed digits stays below, a wrong order of rows is near one.
 FREE = 1e-5
@@ -23,9 +21,16 @@ COMPONENTS = ("UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ")
 
 
 def joined(
-    source: str, matrices: Mapping[str, sp.csr_array | None], node: Ints, component: Ints, nodes: str | Path | None,
-    notes: Sequence[str], *, free: bool, sure: bool = True,
-) -> Imported:  # fmt: skip
+    source: str,
+    matrices: Mapping[str, sp.csr_array | None],
+    node: Ints,
+    component: Ints,
+    nodes: str | Path | None,
+    notes: Sequence[str],
+    *,
+    free: bool,
+    sure: bool = True,
+) -> Imported:
     """Matrices whose rows are (``node`` label, ``component``), with coordinates from the file ``nodes``.
 
     Rigid motion must leave the matrix K of a ``free`` model without forces. Where it does not, the model is noted as

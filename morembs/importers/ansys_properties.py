@@ -13,16 +13,18 @@ from morembs.model.material import Material, isotropic, orthotropic
 ELASTIC = {"EX", "EY", "EZ", "NUXY", "NUYZ", "NUXZ", "PRXY", "PRYZ", "PRXZ", "GXY", "GYZ", "GXZ", "DENS"}
 # Damping and temperature: said, not kept. Conductivity and the like say nothing about a structure and are passed over.
 SAID = {
-    "ALPD": "mass damping", "BETD": "stiffness damping", "DAMP": "stiffness damping", "DMPR": "damping ratio",
+    "ALPD": "mass damping",
+    "BETD": "stiffness damping",
+    "DAMP": "stiffness damping",
+    "DMPR": "damping ratio",
     "DMPS": "damping ratio",
-}  # fmt: skip
+}
 _DEFAULT_POISSON = 0.3
 
 
 def material(
-    number: int, name: str, given: Mapping[str, float], turned: bool, notes: list[str],
-    lacking: dict[str, Lacking],
-) -> Material | None:  # fmt: skip
+    number: int, name: str, given: Mapping[str, float], turned: bool, notes: list[str], lacking: dict[str, Lacking]
+) -> Material | None:
     """Material of the element set ``name``, or None where EX or DENS is missing, which goes into ``lacking``.
 
     What ANSYS fills in itself is filled in: EY = EZ = EX, one Poisson's ratio and shear modulus for all planes, 0.3.
@@ -47,12 +49,16 @@ def material(
         raise InputError(f"material {number} has both PRXY and NUXY (or their like); expected one kind")
     if any(key in given for key in minor):
         nuxy = given.get("NUXY", _DEFAULT_POISSON)
-        nu = tuple(
-            value * ratio
-            for value, ratio in zip(
-                (nuxy, given.get("NUXZ", nuxy), given.get("NUYZ", nuxy)), (e1 / e2, e1 / e3, e2 / e3), strict=True
+        nu = (
+            tuple(
+                value * ratio
+                for value, ratio in zip(
+                    (nuxy, given.get("NUXZ", nuxy), given.get("NUYZ", nuxy)), (e1 / e2, e1 / e3, e2 / e3), strict=True
+                )
             )
-        ) if e2 and e3 else (nuxy,) * 3  # fmt: skip
+            if e2 and e3
+            else (nuxy,) * 3
+        )
     else:
         prxy = given.get("PRXY", _DEFAULT_POISSON)
         nu = prxy, given.get("PRXZ", prxy), given.get("PRYZ", prxy)
@@ -69,6 +75,4 @@ def material(
             f"material {number} is orthotropic and its elements have a coordinate system of their own (ESYS), which is "
             "not supported; give the material with its axes in the job, or use global axes (ESYS,0)"
         )
-    return orthotropic(
-        set=name, young=(e1, e2, e3), poisson=(nu[0], nu[1], nu[2]), shear=shear, density=given["DENS"]
-    )  # fmt: skip
+    return orthotropic(set=name, young=(e1, e2, e3), poisson=(nu[0], nu[1], nu[2]), shear=shear, density=given["DENS"])

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.importers.ansys_archive import Archive
 from morembs.model import ElementBlock
-
-Ints = NDArray[np.int64]
 
 
 def _members(ranges: Ints, ids: Ints, what: str, name: str) -> Ints:
@@ -47,7 +45,7 @@ def node_sets(archive: Archive, ids: Ints, used: Ints, notes: list[str]) -> dict
 
 def element_sets_of(
     archive: Archive, blocks: tuple[ElementBlock, ...], all_ids: Ints, notes: list[str]
-) -> dict[str, tuple[Ints, ...]]:  # fmt: skip
+) -> dict[str, tuple[Ints, ...]]:
     """Components of elements as rows in each block."""
     sets = {}
     for name, ranges in archive.element_sets.items():

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.ansys_hb import read_harwell_boeing
 from morembs.importers.ansys_nodes import COMPONENTS, joined
@@ -24,16 +24,18 @@ from morembs.importers.imported import Imported
 from morembs.importers.matrix_market import BANNER, read_matrix_market
 from morembs.importers.text_matrices import integers, opened, text_blocks
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 _MAPPING_LINE = re.compile(r"\s*(\d{1,10})[\s,]+(\d{1,10})[\s,]+([A-Za-z]+|\d)\s*$")
 
 
 def import_ansys_matrices(
-    path: str | Path, *, mass: str | Path, damping: str | Path | None = None, mapping: str | Path | None = None,
-    nod2solv: str | Path | None = None, nodes: str | Path | None = None,
-) -> Imported:  # fmt: skip
+    path: str | Path,
+    *,
+    mass: str | Path,
+    damping: str | Path | None = None,
+    mapping: str | Path | None = None,
+    nod2solv: str | Path | None = None,
+    nodes: str | Path | None = None,
+) -> Imported:
     """Stiffness ``path``, ``mass`` and ``damping`` with the ``mapping`` of their rows and the coordinates of ``nodes``.
 
     ``nodes`` is the archive of the same model (.cdb) or a list of its nodes (NWRITE, NLIST). Where the mapping does

@@ -9,6 +9,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.ansys_archive import Archive
 from morembs.importers.ansys_elements import MASS, RIGID, Elements, element_name
@@ -17,8 +18,6 @@ from morembs.importers.imported import DiscreteElement, Imported, PointMass
 from morembs.importers.problems import Problems
 from morembs.model.constraints import RigidElement, Term
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Options = Mapping[int, int]
 
 
@@ -49,9 +48,14 @@ def ends(archive: Archive, kind: int, elements: Elements) -> Ints:
 
 
 def ties_of(
-    archive: Archive, hanging: list[tuple[int, Elements]], used: Ints, xyz: Floats, solid: NDArray[np.bool_],
-    rotated: NDArray[np.bool_], problems: Problems,
-) -> Imported:  # fmt: skip
+    archive: Archive,
+    hanging: list[tuple[int, Elements]],
+    used: Ints,
+    xyz: Floats,
+    solid: NDArray[np.bool_],
+    rotated: NDArray[np.bool_],
+    problems: Problems,
+) -> Imported:
     """Rigid elements, springs and masses of (type, elements) on rows of the ascending labels ``used`` (n,).
 
     ``xyz`` (n, 3), ``solid`` (n,) and ``rotated`` (n,) say where the nodes are, which are of solids, and which have
@@ -103,9 +107,14 @@ def rigid_beams(
 
 
 def springs(
-    elements: Elements, options: Options, reals: Mapping[int, list[float]], rows: Ints, xyz: Floats,
-    rotated: NDArray[np.bool_], name: str,
-) -> list[DiscreteElement]:  # fmt: skip
+    elements: Elements,
+    options: Options,
+    reals: Mapping[int, list[float]],
+    rows: Ints,
+    xyz: Floats,
+    rotated: NDArray[np.bool_],
+    name: str,
+) -> list[DiscreteElement]:
     """Springs and dampers COMBIN14 between two nodes in the ``rows`` (k, 2) of ``xyz``.
 
     Raises:
@@ -174,8 +183,11 @@ def point_masses(
         used = np.flatnonzero([x, y, z, ixx, iyy, izz])
         others.append(
             DiscreteElement(
-                name=f"MASS21 {label}", matrix="M", nodes=np.full(len(used), row), components=used,
+                name=f"MASS21 {label}",
+                matrix="M",
+                nodes=np.full(len(used), row),
+                components=used,
                 values=np.diag(np.array([x, y, z, ixx, iyy, izz])[used]),
             )
-        )  # fmt: skip
+        )
     return masses, others

@@ -29,9 +29,10 @@ class DeckOptions:
         """The options as the command line has them."""
         given = [f"--density {value:g}{'' if key == 'all' else f',set={key}'}" for key, value in self.density.items()]
         return (
-            *given, *([f"--contact {self.contact}"] if self.contact != "refuse" else []),
+            *given,
+            *([f"--contact {self.contact}"] if self.contact != "refuse" else []),
             *(f"--skip {word}" for word in sorted(self.skip)),
-        )  # fmt: skip
+        )
 
     def skips(self, *words: str) -> bool:
         """Whether one of ``words`` is to be left out."""
@@ -98,9 +99,7 @@ def density_of(texts: Sequence[str]) -> dict[str, float]:
     return given
 
 
-def deck_options(
-    density: float | Mapping[str, float] | None, contact: str, skip: Sequence[str] | str
-) -> DeckOptions:
+def deck_options(density: float | Mapping[str, float] | None, contact: str, skip: Sequence[str] | str) -> DeckOptions:
     """The options as they are given in Python.
 
     Raises:
@@ -128,11 +127,13 @@ def lacking_problems(source: str, lacking: Mapping[str, Lacking]) -> list[Proble
     return [
         Problem(
             what=f"{lack.sentence}; {'--density X,set=' + name if lack.stiffness is not None else MATERIAL + name}",
-            file=source, keyword="DENSITY" if lack.stiffness is not None else "MATERIAL",
-            flags=(("--density X",) if lack.stiffness is not None else (MATERIAL + name,)), element_set=name,
+            file=source,
+            keyword="DENSITY" if lack.stiffness is not None else "MATERIAL",
+            flags=(("--density X",) if lack.stiffness is not None else (MATERIAL + name,)),
+            element_set=name,
         )
         for name, lack in lacking.items()
-    ]  # fmt: skip
+    ]
 
 
 MATERIAL = "--material young=..,poisson=..,density=..,set="

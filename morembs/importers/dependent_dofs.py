@@ -12,16 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError, nearest
 from morembs.interface import Average, Interface, Rigid, averaging
 from morembs.model import FEModel, rigid_motion
 from morembs.model.constraints import AverageElement, DependentDofs, Equations, RigidElement
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 ALL = (0, 1, 2, 3, 4, 5)
 # Entries that a reference with stiffness or mass of its own may spread over its nodes.
 MOST_SPREAD = 50_000_000
@@ -161,9 +159,13 @@ def _average_interface(model: FEModel, element: AverageElement) -> Interface:
     if not weights.sum() > 0:
         raise InputError(f"average element {element.name!r} has no nodes with a weight")
     return Interface(
-        name=element.name, nodes=nodes, coupling=Average.name, point=model.nodes.xyz[element.reference].copy(),
-        weights=weights, components=tuple(sorted(element.components)),
-    )  # fmt: skip
+        name=element.name,
+        nodes=nodes,
+        coupling=Average.name,
+        point=model.nodes.xyz[element.reference].copy(),
+        weights=weights,
+        components=tuple(sorted(element.components)),
+    )
 
 
 def _offered(model: FEModel, element: RigidElement | AverageElement) -> Interface:
@@ -171,15 +173,24 @@ def _offered(model: FEModel, element: RigidElement | AverageElement) -> Interfac
     if isinstance(element, AverageElement):
         return _average_interface(model, element)
     return Interface(
-        name=element.name, nodes=np.array([element.master]), coupling=Rigid.name,
-        point=model.nodes.xyz[element.master].copy(), weights=np.ones(1), components=ALL,
-    )  # fmt: skip
+        name=element.name,
+        nodes=np.array([element.master]),
+        coupling=Rigid.name,
+        point=model.nodes.xyz[element.master].copy(),
+        weights=np.ones(1),
+        components=ALL,
+    )
 
 
 def interface_of_coupling(
-    model: FEModel, text: str, *, name: str, coupling: str | None = None, point: Sequence[float] | None = None,
+    model: FEModel,
+    text: str,
+    *,
+    name: str,
+    coupling: str | None = None,
+    point: Sequence[float] | None = None,
     components: Sequence[int] | None = None,
-) -> Interface:  # fmt: skip
+) -> Interface:
     """The interface ``name`` on ``text`` = "coupling:NAME", with the point of that coupling.
 
     Args:

@@ -7,17 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dof_table
 from morembs.importers.imported import DiscreteElement
 from morembs.model import FEModel
 from morembs.units import Units
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def si_discrete(element: DiscreteElement, units: Units) -> DiscreteElement:

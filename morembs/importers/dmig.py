@@ -12,15 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.importers.dmig_cards import Column, columns_of
 from morembs.importers.nastran_cards import Cards
 from morembs.importers.nastran_text import BulkText
 from morembs.importers.triplets import Numbering, Renumbered, TripletStore, assembled, completed
-
-Ints = NDArray[np.int64]
 
 SQUARE, SYMMETRIC, RECTANGULAR = 1, 6, (2, 9)
 COMPONENTS = 8

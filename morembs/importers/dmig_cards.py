@@ -6,14 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.nastran_cards import Cards, Table
 from morembs.importers.text_matrices import integers
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,6 +69,12 @@ def _entries(title: str, header: list[str] | None, at: Ints, values: Floats, fil
     if len(both) and (both[:, 0].min() < 1 or both[:, 1].min() < 0 or both[:, 1].max() > 6):
         raise InputError(f"{file}: the DMIG {title} names a grid below 1 or a component beyond 0 to 6; it is damaged")
     return Column(
-        name=title, header=header, column_grid=at[:, 0], column_component=at[:, 1], grid=labels[:, 0],
-        component=labels[:, 1], a=values[:, 2], b=values[:, 3],
-    )  # fmt: skip
+        name=title,
+        header=header,
+        column_grid=at[:, 0],
+        column_component=at[:, 1],
+        grid=labels[:, 0],
+        component=labels[:, 1],
+        a=values[:, 2],
+        b=values[:, 3],
+    )

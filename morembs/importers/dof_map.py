@@ -6,11 +6,10 @@ import csv
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 
-Ints = NDArray[np.int64]
 _COMPONENTS = {
     **{name: i for i, name in enumerate(("x", "y", "z", "rx", "ry", "rz"))},
     **{name: i for i, name in enumerate(("ux", "uy", "uz", "rotx", "roty", "rotz"))},

@@ -12,10 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.importers.projection import Projection, on_face
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _PART, _MOST = 0.025, 100
 # Triangles of a face by its corners and middles; edge i of a triangle is that without its corner i.
 _TRIANGLES = {
@@ -66,9 +65,11 @@ class Facing:
         tied = (at >= 0) & (np.abs(height) <= tolerance)
         width = max(nodes.shape[1] for _, nodes in self.faces)
         projection = Projection(
-            np.abs(height), points.copy(), np.zeros((len(points), width), dtype=np.int64),
+            np.abs(height),
+            points.copy(),
+            np.zeros((len(points), width), dtype=np.int64),
             np.zeros((len(points), width)),
-        )  # fmt: skip
+        )
         for part, (kind, nodes) in enumerate(self.faces):
             own = np.flatnonzero(tied & (self._part[at] == part))
             faces = nodes[self._row[at[own]]]

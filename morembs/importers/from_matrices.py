@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.importers.imported import Imported
 from morembs.importers.named import square_csr
@@ -17,14 +17,23 @@ from morembs.model.fe_model import SCALAR
 from morembs.model.named_columns import columns_of_input, columns_of_output
 from morembs.units import Units, parse_units
 
-Ints = NDArray[np.int64]
-
 
 def from_matrices(
-    K: Any, M: Any, D: Any = None, B: Any = None, C: Any = None, *, names: Mapping[str, Sequence[str]] | None = None,
-    nodes: Nodes | Any = None, node: Any = None, component: Any = None, name: str = "matrices",
-    G: Any = None, N: Any = None, units: Units | str | None = None,
-) -> FEModel:  # fmt: skip
+    K: Any,
+    M: Any,
+    D: Any = None,
+    B: Any = None,
+    C: Any = None,
+    *,
+    names: Mapping[str, Sequence[str]] | None = None,
+    nodes: Nodes | Any = None,
+    node: Any = None,
+    component: Any = None,
+    name: str = "matrices",
+    G: Any = None,
+    N: Any = None,
+    units: Units | str | None = None,
+) -> FEModel:
     """Model M u'' + (D + G) u' + (K + N) u = B q, y = C u of matrices of SciPy (any format), NumPy or nested lists.
 
     Args:

@@ -8,22 +8,28 @@ from typing import Any
 import h5py
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Values
 from morembs.errors import InputError
 from morembs.importers.imported import Imported
 from morembs.importers.named import Matrices, Wanted, matrices_by_name
 from morembs.importers.triplets import Place, refuse_twice, row_and_column
 from morembs.storage.hdf5 import read_dataset, reading
 
-Array = NDArray[Any]
-
 
 def import_hdf5(
-    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, G: str | None = None,
-    N: str | None = None, B: str | None = None, C: str | None = None, B_names: str | None = None,
+    path: Path,
+    *,
+    K: str | None = None,
+    M: str | None = None,
+    D: str | None = None,
+    G: str | None = None,
+    N: str | None = None,
+    B: str | None = None,
+    C: str | None = None,
+    B_names: str | None = None,
     C_names: str | None = None,
-) -> Imported:  # fmt: skip
+) -> Imported:
     """Matrices of an HDF5 file, found in its groups by name ("stiffness/K"); MATLAB files of version 7.3 too.
 
     A sparse matrix is a group {data, indices, indptr[, shape]} (CSR, or CSC where an attribute ``format`` or
@@ -92,7 +98,7 @@ def _dense(item: Any, transposed: bool, wanted: bool) -> sp.csr_array | None:
     return sp.csr_array(values.T if transposed else values)
 
 
-def _complex(values: Array) -> Array:
+def _complex(values: Values) -> Values:
     """Numbers of a compound (real, imag) as complex ones."""
     names = values.dtype.names
     if names and len(names) == 2:
@@ -140,7 +146,7 @@ def sparse_group(source: str, group: Any) -> sp.csr_array | None:
     return checked_csc(source, data, indices, indptr, shape)
 
 
-def checked_csc(source: str, data: Array, indices: Array, indptr: Array, shape: tuple[int, int]) -> sp.csr_array:
+def checked_csc(source: str, data: Values, indices: Values, indptr: Values, shape: tuple[int, int]) -> sp.csr_array:
     """CSR matrix of the arrays of a CSC one.
 
     Raises:
@@ -153,7 +159,7 @@ def checked_csc(source: str, data: Array, indices: Array, indptr: Array, shape: 
 
 
 def checked_csr(
-    source: str, data: Array, indices: Array, indptr: Array, shape: tuple[int, int], place: Place = row_and_column
+    source: str, data: Values, indices: Values, indptr: Values, shape: tuple[int, int], place: Place = row_and_column
 ) -> sp.csr_array:
     """CSR matrix of arrays that were looked at; ``place`` are words for a row and a column.
 
@@ -161,9 +167,14 @@ def checked_csr(
         InputError: lengths that do not fit, indices outside the matrix, or a place given twice.
     """
     bad = (
-        indptr.ndim != 1 or len(indptr) != shape[0] + 1 or indices.shape != data.shape or data.ndim != 1
-        or indices.dtype.kind not in "iu" or indptr.dtype.kind not in "iu" or not len(indptr)
-    )  # fmt: skip
+        indptr.ndim != 1
+        or len(indptr) != shape[0] + 1
+        or indices.shape != data.shape
+        or data.ndim != 1
+        or indices.dtype.kind not in "iu"
+        or indptr.dtype.kind not in "iu"
+        or not len(indptr)
+    )
     if bad or int(indptr[0]) != 0 or int(indptr[-1]) != len(data) or (np.diff(indptr.astype(np.int64)) < 0).any():
         raise InputError(f"{source} is damaged: its row pointers do not fit {len(data)} entries; write the file again")
     if len(indices) and not (int(indices.min()) >= 0 and int(indices.max()) < shape[1]):

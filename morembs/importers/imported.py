@@ -8,14 +8,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.model import DofMap, Mesh, NamedColumns, Nodes, frozen
 from morembs.model.constraints import AverageElement, Equations, RigidElement
 from morembs.model.material import Material
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -164,7 +161,10 @@ class Imported:
     def on_rows(self, row: Ints) -> Imported:
         """With its ties on the new rows ``row`` (n,) of their nodes."""
         return replace(
-            self, rigid=on_rows(self.rigid, row), average=on_rows(self.average, row),
-            equations=on_rows(self.equations, row), masses=on_rows(self.masses, row),
+            self,
+            rigid=on_rows(self.rigid, row),
+            average=on_rows(self.average, row),
+            equations=on_rows(self.equations, row),
+            masses=on_rows(self.masses, row),
             discrete=on_rows(self.discrete, row),
-        )  # fmt: skip
+        )

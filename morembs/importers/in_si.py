@@ -42,7 +42,7 @@ def matrices_in_si(imported: Imported, dofs: DofMap, units: Units) -> list[sp.cs
 
 def forces_in_si(
     role: str, columns: NamedColumns | None, imported: Imported, dofs: DofMap, units: Units
-) -> NamedColumns | None:  # fmt: skip
+) -> NamedColumns | None:
     """The columns on the dofs of the model, of which those that elements brought come last.
 
     Generalised forces become N, and motions m: entries of displacements keep their values, those of rotations are

@@ -56,7 +56,7 @@ class Includes:
 
     def take(
         self, name: str, where: str, beside: tuple[Path, ...], above: tuple[Path, ...], begin: re.Pattern[bytes]
-    ) -> Path:  # fmt: skip
+    ) -> Path:
         """The file ``name`` that ``where`` includes.
 
         Args:

@@ -17,10 +17,18 @@ from morembs.importers.named import Wanted, matrices_by_name
 
 
 def import_matlab(
-    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, G: str | None = None,
-    N: str | None = None, B: str | None = None, C: str | None = None, B_names: str | None = None,
+    path: Path,
+    *,
+    K: str | None = None,
+    M: str | None = None,
+    D: str | None = None,
+    G: str | None = None,
+    N: str | None = None,
+    B: str | None = None,
+    C: str | None = None,
+    B_names: str | None = None,
     C_names: str | None = None,
-) -> Imported:  # fmt: skip
+) -> Imported:
     """Matrices of a .mat file by their names; by default K, M and D (or C, where it is square). B and C
     are inputs and outputs.
 

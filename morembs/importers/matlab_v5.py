@@ -10,24 +10,34 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Values
 from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import checked_csc
 from morembs.memory import refuse_too_large
 
-Array = NDArray[Any]
 _HEADER = 128
 _MATRIX, _COMPRESSED = 14, 15
 # Types of stored numbers, and of the arrays that they stand for.
 _STORED = {
-    1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8", 16: "u1", 17: "u2",
-    18: "u4"
-}  # fmt: skip
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
+    16: "u1",
+    17: "u2",
+    18: "u4",
+}
 _SPARSE = 5
 _FULL = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
 _KINDS = {1: "cell", 2: "struct", 3: "object", 4: "text", 16: "function", 17: "object"}
@@ -39,7 +49,7 @@ _DIMENSIONS = 2
 class Held:
     """Matrices of a file by name, and what else it holds (name -> kind)."""
 
-    matrices: dict[str, Array | sp.csr_array]
+    matrices: dict[str, Values | sp.csr_array]
     other: dict[str, str]
 
 
@@ -108,7 +118,7 @@ class _Reader:
     def __init__(self, body: bytes, order: str, name: str) -> None:
         self.body, self.order, self.name, self.at = body, order, name, 0
 
-    def numbers(self, what: str, stored_as: str | None = None) -> Array:
+    def numbers(self, what: str, stored_as: str | None = None) -> Values:
         """The numbers of the next element as they are stored, or as ``stored_as`` whatever the element says."""
         tag = self.body[self.at : self.at + 8]
         if len(tag) < 8:
@@ -127,7 +137,7 @@ class _Reader:
         return np.frombuffer(self.body, dtype=kind, count=count // kind.itemsize, offset=start)
 
 
-def _variable(reader: _Reader) -> tuple[str, Array | sp.csr_array | str]:
+def _variable(reader: _Reader) -> tuple[str, Values | sp.csr_array | str]:
     """Name and matrix of a variable, or in words what it is."""
     if not reader.body:
         return "", "nothing"
@@ -152,11 +162,11 @@ def _variable(reader: _Reader) -> tuple[str, Array | sp.csr_array | str]:
     return name, _full(reader, name, shape, kind, complex_)
 
 
-def _text(codes: Array) -> str:
+def _text(codes: Values) -> str:
     return bytes(codes.astype(np.uint8)).decode("utf-8", "replace")
 
 
-def _values(reader: _Reader, complex_: bool, stored_as: str | None = None) -> Array:
+def _values(reader: _Reader, complex_: bool, stored_as: str | None = None) -> Values:
     real = reader.numbers("values", stored_as)
     if not complex_:
         return real
@@ -166,7 +176,7 @@ def _values(reader: _Reader, complex_: bool, stored_as: str | None = None) -> Ar
     return np.asarray(real + 1j * imaginary)
 
 
-def _full(reader: _Reader, name: str, shape: tuple[int, int], kind: int, complex_: bool) -> Array:
+def _full(reader: _Reader, name: str, shape: tuple[int, int], kind: int, complex_: bool) -> Values:
     values = _values(reader, complex_)
     if len(values) != shape[0] * shape[1]:
         raise _unreadable(reader.name, f"{name!r} has {len(values)} values for the size {shape}")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.importers.abaqus_matrices import AbaqusMatrix, aligned, read_abaqus_matrix
 from morembs.importers.calculix_matrices import read_calculix_matrices
@@ -23,21 +23,30 @@ from morembs.importers.op4 import read_op4
 from morembs.model import DofMap, Nodes
 from morembs.model.fe_model import SCALAR
 
-Ints = NDArray[np.int64]
 _GRID = re.compile(rb"^GRID[ *,][^\n]*\n(?:[*+ ,][^\n]*\n)*", re.MULTILINE)
 # The component of rows of scalar points.
 _SCALAR_POINT = 0
 # Names that Nastran gives the matrices of a superelement, and those by which it takes them.
 _USUAL = {
-    "K": ("KAAX", "KAA", "K2GG", "K2PP"), "M": ("MAAX", "MAA", "M2GG", "M2PP"), "D": ("BAAX", "BAA", "B2GG", "B2PP")
-}  # fmt: skip
+    "K": ("KAAX", "KAA", "K2GG", "K2PP"),
+    "M": ("MAAX", "MAA", "M2GG", "M2PP"),
+    "D": ("BAAX", "BAA", "B2GG", "B2PP"),
+}
 
 
 def import_op4(
-    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, G: str | None = None,
-    N: str | None = None, B: str | None = None, C: str | None = None, B_names: str | None = None,
+    path: Path,
+    *,
+    K: str | None = None,
+    M: str | None = None,
+    D: str | None = None,
+    G: str | None = None,
+    N: str | None = None,
+    B: str | None = None,
+    C: str | None = None,
+    B_names: str | None = None,
     C_names: str | None = None,
-) -> Imported:  # fmt: skip
+) -> Imported:
     """Matrices of a Nastran OP4 file by their names; the file does not say which dofs its rows are.
 
     Raises:
@@ -54,9 +63,13 @@ def import_op4(
 
 
 def import_dmig(
-    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None,
+    path: Path,
+    *,
+    K: str | None = None,
+    M: str | None = None,
+    D: str | None = None,
     allow_includes_outside: bool = False,
-) -> Imported:  # fmt: skip
+) -> Imported:
     """DMIG matrices of a Nastran file by their names (KAAX and MAAX are taken for K and M), with node labels.
 
     Where the file has a GRID for each of them, nodes are at their places. Scalar points become scalar dofs.

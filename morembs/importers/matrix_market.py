@@ -6,20 +6,19 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Values
 from morembs.errors import InputError
 from morembs.importers.imported import Imported
 from morembs.importers.named import Wanted, square_csr
 from morembs.importers.text_matrices import integers, numbers, parallel_map, table, text_blocks
 from morembs.importers.triplets import TripletStore, assembled, refuse_outside
 
-Numbers = NDArray[Any]
-Matrix = TypeVar("Matrix", sp.csr_array, Numbers)
+Matrix = TypeVar("Matrix", sp.csr_array, Values)
 BANNER = b"%%matrixmarket"
 _FIELDS = ("real", "double", "integer", "unsigned-integer", "complex")
 _SYMMETRIES = ("general", "symmetric", "skew-symmetric", "hermitian")
@@ -47,7 +46,7 @@ class _Head:
 
 def import_matrix_market(
     path: Path, *, B: str | None = None, C: str | None = None, B_names: str | None = None, C_names: str | None = None
-) -> Imported:  # fmt: skip
+) -> Imported:
     """The matrix of the file, as K: sparse or dense, real or complex, general, symmetric, skew or Hermitian.
 
     ``B`` and ``C`` are further files in its folder, inputs and outputs.
@@ -63,7 +62,7 @@ def import_matrix_market(
     return wanted.with_columns(Imported(source=path.name, K=K), lambda name: read_matrix_market(path.parent / name))
 
 
-def read_matrix_market(path: Path, *, plain: bool = False) -> sp.csr_array | Numbers:
+def read_matrix_market(path: Path, *, plain: bool = False) -> sp.csr_array | Values:
     """The whole matrix of a file: sparse where the file lists entries, dense where it is an array.
 
     ``plain`` refuses complex, skew and Hermitian ones.
@@ -136,7 +135,7 @@ def _coordinate(blocks: Iterator[bytes], head: _Head, name: str) -> sp.csr_array
     return parts[0] if len(parts) == 1 else sp.csr_array(parts[0] + 1j * parts[1])
 
 
-def _array(blocks: Iterator[bytes], head: _Head, name: str) -> Numbers:
+def _array(blocks: Iterator[bytes], head: _Head, name: str) -> Values:
     """All entries column by column; of a symmetric matrix the lower triangle, of a skew one that below the diagonal."""
     (size, columns), parts = head.shape, 1 + head.complex
     values = np.concatenate([np.empty(0), *(numbers(block, name) for block in blocks)])
@@ -144,7 +143,7 @@ def _array(blocks: Iterator[bytes], head: _Head, name: str) -> Numbers:
     expected = (size * (size - 1) // 2 if below else size * (size + 1) // 2) if head.half else size * columns
     if len(values) != expected * parts:
         raise _unreadable(name, f"it announces {expected * parts} numbers and holds {len(values)}")
-    result: Numbers = np.zeros(head.shape)
+    result: Values = np.zeros(head.shape)
     for part in range(parts):
         A = values[part::parts]
         if head.half:

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError, MorembsError
 from morembs.importers.abaqus import read_abaqus
 from morembs.importers.imported import Imported, picked_nodes
@@ -23,11 +24,15 @@ from morembs.storage.hdf5 import refuse_unsafe_file
 if TYPE_CHECKING:
     import meshio
 
-Ints = NDArray[np.int64]
 SOLIDS = {
-    "tetra": "tet4", "tetra10": "tet10", "hexahedron": "hex8", "hexahedron20": "hex20",
-    "hexahedron27": "hex27", "wedge": "wedge6", "wedge15": "wedge15",
-}  # fmt: skip
+    "tetra": "tet4",
+    "tetra10": "tet10",
+    "hexahedron": "hex8",
+    "hexahedron20": "hex20",
+    "hexahedron27": "hex27",
+    "wedge": "wedge6",
+    "wedge15": "wedge15",
+}
 # How formats begin, and their last line; a text of any other format ends with an end of line.
 _HEAD = 1 << 12
 _LAST_LINES = (
@@ -47,9 +52,7 @@ SPARSE_TAGS, SPARSE_RATIO = 1_000_000, 20
 # Meshes of Salome, and results of code_aster, which hold one too.
 _MED = (".med", ".rmed")
 # Cells that carry a name for their nodes but neither mass nor stiffness here.
-CARRIERS = {
-    "vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9",
-}  # fmt: skip
+CARRIERS = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9"}
 
 
 def read_with_meshio(path: Path) -> Mesh:
@@ -255,10 +258,12 @@ def _refuse_damage(path: Path, data: meshio.Mesh) -> None:
     fits = fits and all(len(np.atleast_1d(a)) == n for table in tables for a, n in zip(table, counts, strict=True))
     fits = fits and all(len(np.atleast_1d(a)) == len(points) for a in data.point_data.values())
     rows = [
-        (np.asarray(r), n) for name, sets in data.cell_sets.items()
-        if not name.startswith("gmsh:") for r, n in zip(sets, counts, strict=False)
+        (np.asarray(r), n)
+        for name, sets in data.cell_sets.items()
+        if not name.startswith("gmsh:")
+        for r, n in zip(sets, counts, strict=False)
         if r is not None and len(r)
-    ]  # fmt: skip
+    ]
     rows += [(np.asarray(r), len(points)) for r in data.point_sets.values() if len(r)]
     if not fits or not all(r.dtype.kind in "iu" and int(r.min()) >= 0 and int(r.max()) < n for r, n in rows):
         raise InputError(f"{path.name} has sets or data that do not fit its points and cells; write it again")

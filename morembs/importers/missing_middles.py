@@ -7,12 +7,11 @@ fewer nodes (Bathe 2014, section 5.3.2): so such an edge is given a node that de
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.model.constraints import Equations
 from morembs.model.elements import TYPES
 
-Ints = NDArray[np.int64]
 LINEAR_EDGES = "edges without middle nodes"
 
 
@@ -46,10 +45,14 @@ def middle_equations(pairs: Ints, first: int) -> Equations:
     nodes = np.repeat(first + np.arange(len(pairs)), 3)
     components = np.tile(np.arange(3), len(pairs))
     return Equations(
-        name=LINEAR_EDGES, nodes=nodes, components=components, offsets=2 * np.arange(count + 1),
-        term_nodes=np.repeat(pairs, 3, axis=0).ravel(), term_components=np.repeat(components, 2),
+        name=LINEAR_EDGES,
+        nodes=nodes,
+        components=components,
+        offsets=2 * np.arange(count + 1),
+        term_nodes=np.repeat(pairs, 3, axis=0).ravel(),
+        term_components=np.repeat(components, 2),
         coefficients=np.full(2 * count, 0.5),
-    )  # fmt: skip
+    )
 
 
 def _corners_of_middles(kind: str) -> Ints:

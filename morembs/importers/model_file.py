@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.importers.native import FORMAT, FORMAT_VERSION, MODEL, import_native
@@ -23,14 +23,19 @@ from morembs.progress import SILENT, Progress
 from morembs.storage.hdf5 import holds_format
 from morembs.storage.writer import writing
 
-Ints = NDArray[np.int64]
 _BLOCK = 1 << 24
 
 
 def write_model(
-    path: str | Path, model: FEModel, *, files: Sequence[Path] = (), importer: str = "", units: str = "",
-    findings: Sequence[str] = (), progress: Progress = SILENT,
-) -> Path:  # fmt: skip
+    path: str | Path,
+    model: FEModel,
+    *,
+    files: Sequence[Path] = (),
+    importer: str = "",
+    units: str = "",
+    findings: Sequence[str] = (),
+    progress: Progress = SILENT,
+) -> Path:
     """Write a model (SI); an interrupted or failed run leaves the old file or none.
 
     Args:
@@ -46,21 +51,38 @@ def write_model(
     progress.stage(f"writing {target.name}")
     sums = [sha256(file) for file in files]
     with writing(target) as out:
-        out.rows("", MODEL, {
-            "format": FORMAT, "format_version": _version(model), "unit_system": "SI",
-            "source": {
-                "name": model.source, "files": [file.name for file in files], "sha256": sums,
-                "format": importer or "none", "units": units or "m-kg-s", "notes": model.notes,
-                "warnings": model.warnings, "findings": list(findings),
+        out.rows(
+            "",
+            MODEL,
+            {
+                "format": FORMAT,
+                "format_version": _version(model),
+                "unit_system": "SI",
+                "source": {
+                    "name": model.source,
+                    "files": [file.name for file in files],
+                    "sha256": sums,
+                    "format": importer or "none",
+                    "units": units or "m-kg-s",
+                    "notes": model.notes,
+                    "warnings": model.warnings,
+                    "findings": list(findings),
+                },
+                **{name: getattr(model, name) for name in MATRICES},
+                "ids": model.nodes.ids,
+                "xyz": model.nodes.xyz,
+                "node_sets": model.nodes.sets,
+                "node": model.dofs.node,
+                "component": model.dofs.component,
+                "elements": model.mesh and _elements(model.mesh),
+                "element_sets": model.mesh and _element_sets(model.mesh),
+                "materials": model.materials or None,
+                "couplings": _couplings(model) if model.couplings else None,
+                "equations": _equations(model) if model.equations else None,
+                "inputs": model.inputs,
+                "outputs": model.outputs,
             },
-            **{name: getattr(model, name) for name in MATRICES},
-            "ids": model.nodes.ids, "xyz": model.nodes.xyz, "node_sets": model.nodes.sets,
-            "node": model.dofs.node, "component": model.dofs.component,
-            "elements": model.mesh and _elements(model.mesh), "element_sets": model.mesh and _element_sets(model.mesh),
-            "materials": model.materials or None, "couplings": _couplings(model) if model.couplings else None,
-            "equations": _equations(model) if model.equations else None,
-            "inputs": model.inputs, "outputs": model.outputs,
-        })  # fmt: skip
+        )
         for matrix in out.file.get("matrices", {}).values():
             matrix.attrs["format"] = np.bytes_("csr")
     return target
@@ -129,11 +151,16 @@ def _couplings(model: FEModel) -> dict[str, object]:
             kind, reference, nodes = "rigid", element.master, element.slaves
         else:
             kind, reference, nodes = "average", element.reference, element.nodes
-        couplings.append({
-            "kind": kind, "reference": reference, "nodes": nodes,
-            "components": element.components, "point": model.nodes.xyz[reference],
-            "weights": getattr(element, "weights", None),
-        })  # fmt: skip
+        couplings.append(
+            {
+                "kind": kind,
+                "reference": reference,
+                "nodes": nodes,
+                "components": element.components,
+                "point": model.nodes.xyz[reference],
+                "weights": getattr(element, "weights", None),
+            }
+        )
     return {"names": [element.name for element in model.couplings.values()], "couplings": couplings}
 
 

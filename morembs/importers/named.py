@@ -83,9 +83,13 @@ class Wanted:
 
 
 def _columns(
-    imported: Imported, role: str, name: str | None, titles: str | None, find: Callable[[str], Any],
+    imported: Imported,
+    role: str,
+    name: str | None,
+    titles: str | None,
+    find: Callable[[str], Any],
     make: Callable[[str, Any, int, Sequence[str] | None], NamedColumns],
-) -> NamedColumns | None:  # fmt: skip
+) -> NamedColumns | None:
     if name is None:
         if titles is not None:
             raise InputError(f"{role}_names was given without {role}; name the matrix: --set {role}=NAME")
@@ -109,9 +113,15 @@ def refuse_entries(source: str, name: str, matrix: sp.csr_array) -> None:
 
 
 def matrices_by_name(
-    source: str, matrices: Mapping[str, Any], wanted: Wanted, *, nodes: Nodes | None = None, dofs: DofMap | None = None,
-    notes: tuple[str, ...] = (), besides: Mapping[str, Any] | None = None,
-) -> Imported:  # fmt: skip
+    source: str,
+    matrices: Mapping[str, Any],
+    wanted: Wanted,
+    *,
+    nodes: Nodes | None = None,
+    dofs: DofMap | None = None,
+    notes: tuple[str, ...] = (),
+    besides: Mapping[str, Any] | None = None,
+) -> Imported:
     """The matrices that are named, else those with usual names; what is left over is noted.
 
     ``M = "identity"`` stands for the unit matrix. A file of one matrix gives it as K, under any name. ``besides`` are

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.importers.deck_options import DeckOptions, deck_options, left_out
 from morembs.importers.formulations import Meaning, nastran_mass_warnings, nastran_meaning, warnings_of
@@ -29,7 +30,6 @@ from morembs.importers.problems import Problem
 from morembs.model import ElementBlock, Mesh, Nodes
 from morembs.model.constraints import Equations
 
-Ints = NDArray[np.int64]
 # Values of PARAM COUPMASS that leave the mass lumped.
 OFF = ("-1", "NO", "")
 _SET = re.compile(r"^[ \t]*SET[ \t]+(\d{1,9})[ \t]*=((?:[^\n]*,[ \t]*\n)*[^\n]*)", re.MULTILINE | re.IGNORECASE)
@@ -54,9 +54,12 @@ def read_nastran(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
 
 
 def import_nastran(
-    path: str | Path, *, density: float | dict[str, float] | None = None, skip: list[str] | str = "",
+    path: str | Path,
+    *,
+    density: float | dict[str, float] | None = None,
+    skip: list[str] | str = "",
     allow_includes_outside: bool = False,
-) -> Imported:  # fmt: skip
+) -> Imported:
     """All of a file of bulk data that a model can carry, in the units of the file, along the basic axes.
 
     Elements of the property 3 are the set "PSOLID_3"; SET1 5 and SET 5 of case control are "SET1_5" and "SET_5". The
@@ -85,9 +88,13 @@ def import_nastran(
         if not parts:
             bulk.problems.refuse()
         everything = Imported(
-            source=bulk.file, rigid=tuple(ties.rigid), average=tuple(ties.average), masses=tuple(ties.masses),
-            equations=(*ties.equations, *([middles] if middles else [])), discrete=tuple(springs.elements),
-        )  # fmt: skip
+            source=bulk.file,
+            rigid=tuple(ties.rigid),
+            average=tuple(ties.average),
+            masses=tuple(ties.masses),
+            equations=(*ties.equations, *([middles] if middles else [])),
+            discrete=tuple(springs.elements),
+        )
         mesh, nodes, row = bulk_mesh(bulk, parts, nodes_of(everything.ties), notes)
         pids = [int(name.removeprefix("PSOLID_")) for name in mesh.element_sets if name.startswith("PSOLID_")]
         materials = Materials(bulk.file, scale)
@@ -95,10 +102,15 @@ def import_nastran(
     given = DeckOptions(density={name: scale * value for name, value in options.density.items()})
     whole, lacking, said = given.all_materials(bulk.problems, assigned, materials.lacking)
     return replace(
-        everything.on_rows(row), nodes=nodes, mesh=mesh, materials=whole, incomplete=lacking, seams=True,
+        everything.on_rows(row),
+        nodes=nodes,
+        mesh=mesh,
+        materials=whole,
+        incomplete=lacking,
+        seams=True,
         notes=(*notes_of(bulk, scale), *notes, *materials.notes, *ties.notes),
         warnings=(*skipped_warnings(bulk), *dict.fromkeys(materials.warnings), *said),
-    )  # fmt: skip
+    )
 
 
 def skipped_warnings(bulk: Bulk) -> list[str]:
@@ -125,10 +137,17 @@ def tied(bulk: Bulk, solid: NDArray[np.bool_], scale: float) -> tuple[Ties, Spri
     ties = Ties(bulk.grids, bulk.systems, scale, solid)
     springs = Springs(bulk.grids, bulk.systems, bulk.rows, scale)
     readers: dict[str, Callable[[list[str]], None]] = {
-        "RBE1": ties.rbe1, "RBE2": ties.rbe2, "RBE3": ties.rbe3, "RBAR": ties.rbar, "RROD": ties.rrod,
-        "RTRPLT": ties.rtrplt, "CONM2": ties.conm2, "CONM1": springs.conm1, "CBUSH": springs.bush,
+        "RBE1": ties.rbe1,
+        "RBE2": ties.rbe2,
+        "RBE3": ties.rbe3,
+        "RBAR": ties.rbar,
+        "RROD": ties.rrod,
+        "RTRPLT": ties.rtrplt,
+        "CONM2": ties.conm2,
+        "CONM1": springs.conm1,
+        "CBUSH": springs.bush,
         **{name: partial(springs.scalar, name) for name in SCALARS},
-    }  # fmt: skip
+    }
     for name, take in readers.items():
         for row, card in bulk.cards(name):
             with bulk.problems.collected(card, (f"--skip {name}",)):
@@ -192,11 +211,14 @@ def bulk_mesh(bulk: Bulk, parts: Sequence[Part], extra: Ints, notes: list[str]) 
     row[loose] = len(kept) + np.arange(len(loose))
     blocks = tuple(
         ElementBlock(
-            type=part.type, nodes=row[part.nodes], ids=part.ids, formulation=part.meaning.formulation,
+            type=part.type,
+            nodes=row[part.nodes],
+            ids=part.ids,
+            formulation=part.meaning.formulation,
             mass=part.meaning.mass,
         )
         for part in parts
-    )  # fmt: skip
+    )
     properties = [part.pids for part in parts]
     element_sets = {
         f"PSOLID_{pid}": tuple(np.flatnonzero(own == pid) for own in properties)
@@ -209,16 +231,18 @@ def bulk_mesh(bulk: Bulk, parts: Sequence[Part], extra: Ints, notes: list[str]) 
     both = np.concatenate([kept, loose])
     nodes = Nodes(ids=grids.ids[both], xyz=grids.xyz[both], sets=node_sets)
     mesh = Mesh(
-        nodes=first_nodes(nodes, len(kept)), blocks=blocks, element_sets=element_sets, source=bulk.file,
+        nodes=first_nodes(nodes, len(kept)),
+        blocks=blocks,
+        element_sets=element_sets,
+        source=bulk.file,
         warnings=_warnings(bulk, parts),
-    )  # fmt: skip
+    )
     return mesh, nodes, row
 
 
 def sets_of(
-    bulk: Bulk, row: Ints, blocks: tuple[ElementBlock, ...], element_sets: dict[str, tuple[Ints, ...]],
-    notes: list[str],
-) -> dict[str, Ints]:  # fmt: skip
+    bulk: Bulk, row: Ints, blocks: tuple[ElementBlock, ...], element_sets: dict[str, tuple[Ints, ...]], notes: list[str]
+) -> dict[str, Ints]:
     """Node sets of SET1 and of case control; a set of case control that fits elements only goes to ``element_sets``."""
     ids, sets = bulk.grids.ids, dict[str, Ints]()
     for card in bulk.rows["SET1"]:

@@ -102,9 +102,8 @@ class Bulk:
     def cards(self, name: str) -> list[tuple[list[str], Card]]:
         """Fields of the cards of a name that is read, and where each stands."""
         return [
-            (row, Card(name, {}, self.file, line))
-            for row, line in zip(self.rows[name], self.lines[name], strict=True)
-        ]  # fmt: skip
+            (row, Card(name, {}, self.file, line)) for row, line in zip(self.rows[name], self.lines[name], strict=True)
+        ]
 
     def mass_scale(self) -> float:
         """PARAM WTMASS."""

@@ -13,12 +13,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.nastran_text import LINE, BulkText, Piece
 from morembs.importers.text_matrices import integers, numbers
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 _LARGEST = 1e100
 _WIDTH = 24

@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.abaqus_data import LARGEST
 from morembs.importers.abaqus_materials import frame_of
 from morembs.importers.nastran_cards import Table, integer, real
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _DEEPEST = 100
 # For each card: corner type and count, full type and its nodes in VTK order. Nastran lists the middles of
 # bottom edges, of upright edges, of top edges; VTK bottom, top, upright.
@@ -164,8 +163,9 @@ class Grids:
         twice = np.flatnonzero(np.diff(self.ids) == 0)
         same = (
             (self.xyz[twice] == self.xyz[twice + 1]).all(axis=1)
-            & (self.cp[twice] == self.cp[twice + 1]) & (self.cd[twice] == self.cd[twice + 1])
-        )  # fmt: skip
+            & (self.cp[twice] == self.cp[twice + 1])
+            & (self.cd[twice] == self.cd[twice + 1])
+        )
         if not same.all() or self.ids[0] < 1:
             at = self.ids[twice[~same][0]] if not same.all() else self.ids[0]
             raise InputError(f"{self.file} defines the grid {at} twice, or below 1; expected unique labels")

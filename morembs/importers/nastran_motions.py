@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.nastran_cards import integer
 from morembs.importers.nastran_geometry import Grids, Systems
 from morembs.model.constraints import Equations, solved_for_first
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # A component of a grid along its own axes: row of the grid, 0 to 5.
 Motion = tuple[int, int]
 # The smallest pivot of equations, over the largest.

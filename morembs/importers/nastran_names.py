@@ -2,32 +2,33 @@
 
 from __future__ import annotations
 
+# fmt: off
 SYSTEMS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
 # Cards of one value between two components: the matrix, the card of their property or none.
 SCALARS = {
     "CELAS1": ("K", "PELAS"), "CELAS2": ("K", ""), "CMASS1": ("M", "PMASS"), "CMASS2": ("M", ""),
     "CDAMP1": ("D", "PDAMP"), "CDAMP2": ("D", ""),
-}  # fmt: skip
+}
 RIGID = ("RBE1", "RBE2", "RBE3", "RBAR", "RROD", "RTRPLT")
 READ = (
     "PSOLID", "MAT1", "MAT9", "MAT11", *RIGID, "CONM1", "CONM2", "PARAM", "SET1", "GRDSET", "MPC", "MPCADD",
     "CBUSH", "PBUSH", *SCALARS, "PELAS", "PMASS", "PDAMP", *SYSTEMS,
-)  # fmt: skip
+)
 # Shells and bars, their properties, and materials and defaults that only these have.
 STRUCTURAL = (
     "CQUAD4", "CQUAD8", "CQUADR", "CTRIA3", "CTRIA6", "CTRIAR", "CSHEAR", "CROD", "CONROD", "CTUBE", "CBAR", "CBEAM",
-)  # fmt: skip
+)
 PROPERTIES = (
     "PSHELL", "PCOMP", "PCOMPG", "PSHEAR", "PROD", "PTUBE", "PBAR", "PBARL", "PBEAM", "PBEAML", "PBCOMP", "MAT2",
     "MAT8", "BAROR", "BEAMOR",
-)  # fmt: skip
+)
 RESTRAINTS = ("SPC", "SPC1", "SPCADD", "SPCD", "SUPORT", "SUPORT1")
 # Materials that vary with temperature; the values of the material itself hold.
 OF_TEMPERATURE = ("MATT1", "MATT9", "MATT11")
 # Part of superelements within one file: all of it is one model.
 SUPERELEMENTS = (
     "SESET", "SEELT", "SEEXCLD", "SEBSET", "SEBSET1", "SECSET", "SECSET1", "SEQSET", "SEQSET1", "SESUP", "SETREE",
-)  # fmt: skip
+)
 
 _LOADS = """
     FORCE FORCE1 FORCE2 MOMENT MOMENT1 MOMENT2 PLOAD PLOAD1 PLOAD2 PLOAD3 PLOAD4 PLOADB3 PLOADE1 PLOADX1 SLOAD GRAV
@@ -100,4 +101,4 @@ REASONS = {
     **dict.fromkeys(("CTRIAX6", "CTRAX3", "CTRAX6", "CQUADX4", "CQUADX8", "CTRIAX", "CQUADX"), "axisymmetric elements"),
     **dict.fromkeys(("CYJOIN", "CYSYM"), "cyclic symmetry"),
     **dict.fromkeys(("RSPLINE", "RSSCON", "RJOINT", "RBE3D", "RBJOINT"), "rigid elements of other kinds"),
-}  # fmt: skip
+}

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.abaqus_materials import turned
 from morembs.importers.imported import Lacking
@@ -12,8 +12,6 @@ from morembs.importers.nastran_cards import integer, real
 from morembs.importers.nastran_geometry import Grids, Systems
 from morembs.model.material import Material, isotropic, orthotropic
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Rows = list[list[str]]
 # Nastran orders shear xy, yz, zx; here it is yz, zx, xy.
 _MAT9 = (0, 1, 2, 5, 3, 4)

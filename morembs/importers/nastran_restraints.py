@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Bools, Floats
 from morembs.errors import InputError
 from morembs.importers.nastran_bulk import Bulk
 from morembs.importers.nastran_cards import integer
@@ -15,8 +15,6 @@ from morembs.importers.nastran_motions import components
 from morembs.importers.nastran_properties import labels_of, padded
 from morembs.model.constraints import Equations
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 _SPC = re.compile(r"^[ \t]*SPC[ \t]*=[ \t]*(\d+)", re.MULTILINE | re.IGNORECASE)
 # Directions whose part in others is smaller than this say nothing new.
 _SAME = 1e-12
@@ -96,7 +94,11 @@ def held_equations(held: dict[int, Floats], there: Bools) -> Equations | None:
     if not nodes:
         return None
     return Equations(
-        name="SPC", nodes=np.array(nodes), components=np.array(dofs), offsets=np.array(offsets),
-        term_nodes=np.array(term_nodes), term_components=np.array(term_components),
+        name="SPC",
+        nodes=np.array(nodes),
+        components=np.array(dofs),
+        offsets=np.array(offsets),
+        term_nodes=np.array(term_nodes),
+        term_components=np.array(term_components),
         coefficients=np.array(coefficients),
-    )  # fmt: skip
+    )

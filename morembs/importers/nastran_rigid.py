@@ -7,6 +7,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.imported import PointMass
 from morembs.importers.nastran_cards import integer, real
@@ -15,8 +16,6 @@ from morembs.importers.nastran_motions import Motion, Motions, components
 from morembs.importers.nastran_properties import Rows, labels_of, padded
 from morembs.model.constraints import AverageElement, Equations, RigidElement, Term, solved_for_first
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _ALL = (0, 1, 2, 3, 4, 5)
 _MPC = re.compile(r"^[ \t]*MPC[ \t]*=[ \t]*(\d+)", re.MULTILINE | re.IGNORECASE)
 
@@ -172,9 +171,13 @@ class Ties:
         return groups
 
     def _mean_equations(
-        self, what: str, reference: int, which: tuple[int, ...], weights: list[tuple[float, tuple[int, ...], Ints]],
+        self,
+        what: str,
+        reference: int,
+        which: tuple[int, ...],
+        weights: list[tuple[float, tuple[int, ...], Ints]],
         led: list[Motion],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Motion of the reference that fits those of the grids with the least squares of weighted differences.
 
         Rotations count with the square of the mean distance of the grids from the reference.
@@ -260,4 +263,3 @@ class Ties:
         self.masses.append(
             PointMass(name=f"CONM2_{row[0]}", node=node, mass=mass * self.scale, inertia=J * self.scale, offset=x)
         )
-

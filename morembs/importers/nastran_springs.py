@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.importers.abaqus_materials import frame_of
 from morembs.importers.discrete import spring
@@ -15,7 +15,6 @@ from morembs.importers.nastran_names import SCALARS
 from morembs.importers.nastran_properties import Rows, padded
 from morembs.model import skew
 
-Floats = NDArray[np.float64]
 # Fields of each property on one card.
 _PROPERTY = {"PELAS": 4, "PMASS": 2, "PDAMP": 2}
 
@@ -145,7 +144,10 @@ class Springs:
         T = np.kron(np.eye(2), self.systems.axes(integer(row[2], what), self.grids.xyz[node], self.grids))
         self.elements.append(
             DiscreteElement(
-                name=f"CONM1_{row[0]}", matrix="M", nodes=np.full(6, node), components=np.arange(6),
+                name=f"CONM1_{row[0]}",
+                matrix="M",
+                nodes=np.full(6, node),
+                components=np.arange(6),
                 values=self.scale * T.T @ M @ T,
             )
-        )  # fmt: skip
+        )

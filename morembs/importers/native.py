@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import checked_csr
@@ -25,7 +25,6 @@ from morembs.storage.hdf5 import reading_format
 from morembs.storage.table import Row, Table, read_rows
 from morembs.storage.table_check import TableCheck
 
-Ints = NDArray[np.int64]
 FORMAT = "morembs-model"
 # Files with equations have version 2, those with G or N version 3, as older readers would leave these out; others have
 # version 1.
@@ -35,13 +34,16 @@ CURE = "import the model again"
 
 def _matrix(units: str) -> Table:
     """A CSR matrix as SciPy keeps it; imaginary parts have a dataset of their own."""
-    return Table((
-        Row("data", "later", "any", units=units, doc="values, their real parts"),
-        Row("data_imag", "later", "any", units=units, doc="their imaginary parts", when="of complex matrices"),
-        Row("indices", "index", "any", doc="columns of the values"),
-        Row("indptr", "index", "any", doc="where each row begins"),
-        Row("shape", "whole", "2", doc="rows and columns"),
-    ), parts=_matrix_parts)  # fmt: skip
+    return Table(
+        (
+            Row("data", "later", "any", units=units, doc="values, their real parts"),
+            Row("data_imag", "later", "any", units=units, doc="their imaginary parts", when="of complex matrices"),
+            Row("indices", "index", "any", doc="columns of the values"),
+            Row("indptr", "index", "any", doc="where each row begins"),
+            Row("shape", "whole", "2", doc="rows and columns"),
+        ),
+        parts=_matrix_parts,
+    )
 
 
 def _matrix_parts(matrix: sp.csr_array) -> Mapping[str, object]:
@@ -50,8 +52,13 @@ def _matrix_parts(matrix: sp.csr_array) -> Mapping[str, object]:
         matrix.sum_duplicates()
     imaginary = np.ascontiguousarray(matrix.data.imag) if matrix.data.dtype.kind == "c" else None
     data = np.ascontiguousarray(matrix.data.real)
-    return {"data": data, "data_imag": imaginary, "indices": matrix.indices, "indptr": matrix.indptr,
-            "shape": matrix.shape}  # fmt: skip
+    return {
+        "data": data,
+        "data_imag": imaginary,
+        "indices": matrix.indices,
+        "indptr": matrix.indptr,
+        "shape": matrix.shape,
+    }
 
 
 def _sets(names: tuple[str, ...], offsets: Ints, rows: Ints) -> dict[str, Ints]:
@@ -81,91 +88,126 @@ def _columns_parts(columns: NamedColumns) -> Mapping[str, object]:
     return {"names": columns.names, "offsets": matrix.indptr, "rows": matrix.indices, "data": matrix.data}
 
 
-_SOURCE = Table((
-    Row("name", "words", doc="of the model"),
-    Row("files", "words", "files", "names of the files, in the order of sha256"),
-    Row("sha256", "words", "files", doc="checksums of the files"),
-    Row("format", "words", doc="what they were read as"),
-    Row("units", "words", "", "length, mass and time of the files; everything here is SI"),
-    Row("notes", "words", "any", doc="what was said at the import"),
-    Row("warnings", "words", "any", "in what the model differs from its source", when="files of 0.1 may lack it"),
-    Row("findings", "words", "any", "what the examination found at the import", when="files of 0.1 may lack it"),
-))  # fmt: skip
-_SETS = Table((
-    Row("names", "words", "sets", doc="of the sets"),
-    Row("offsets", "whole", "any", doc="set i holds `rows[offsets[i]:offsets[i+1]]`"),
-    Row("rows", "whole", "any", "from 0"),
-), build=_sets, parts=_sets_parts)  # fmt: skip
-_BLOCK = Table((
-    Row("nodes", "whole", "elements corners", "rows of /nodes, from 0, in VTK order"),
-    Row("ids", "whole", "elements", "labels of the elements in the source"),
-    Row("formulation", "words", doc=f"of the strain, one of {', '.join(FORMULATIONS)}", when="`full` without it"),
-    Row("mass", "words", doc=f"rule of the mass, one of {', '.join(MASSES)}", when="`exact` without it"),
-))  # fmt: skip
-_ELEMENTS = Table((
-    Row("types", "words", "blocks", "of block_0, block_1, ..."),
-    Row("node_count", "whole", "", "the first nodes are those of the elements"),
-    Row("source", "words", doc="of the mesh"),
-    Row("block_#", _BLOCK, field="blocks"),
-))  # fmt: skip
-_MATERIALS = Table((
-    Row("sets", "words", "materials", doc="sets of elements"),
-    Row("stiffness", "real", "materials 6 6", "Voigt order xx, yy, zz, yz, zx, xy, engineering shears", "Pa"),
-    Row("density", "real", "materials", units="kg/m3", doc="density"),
-), build=_materials, parts=_materials_parts)  # fmt: skip
-_COUPLING = Table((
-    Row("kind", "words", doc="`rigid` or `average`"),
-    Row("reference", "whole", "", "row of /nodes: the master, or the node of the mean motion"),
-    Row("nodes", "whole", "followers", "rows of /nodes that follow, or whose mean is taken"),
-    Row("components", "few", "any", "0..5: those of the nodes that follow, or of the reference"),
-    Row("point", "real", "3", units="m", doc="where the reference is", read=False),
-    Row("weights", "real", "followers", when="of average ones", doc="of the nodes"),
-))  # fmt: skip
-_NAMED_COLUMNS = Table((
-    Row("names", "words", "columns", "of the columns"),
-    Row("offsets", "whole", "any", "column j holds `data[offsets[j]:offsets[j+1]]`"),
-    Row("rows", "whole", "entries", "rows of the matrices, from 0, of the entries"),
-    Row("data", "real", "entries", units="1 or m", doc="entries: of displacements without unit, of rotations lengths"),
-), parts=_columns_parts)  # fmt: skip
-_EQUATIONS_OF_ONE = Table((
-    Row("nodes", "whole", "equations", "rows of /nodes: the dofs that depend on others"),
-    Row("components", "whole", "equations", "of these dofs, as in dofs/component"),
-    Row("offsets", "whole", "any", "terms of equation i are `offsets[i]:offsets[i+1]`; without any it is held"),
-    Row("term_nodes", "whole", "terms", "rows of /nodes"),
-    Row("term_components", "whole", "terms", "as in dofs/component"),
-    Row("coefficients", "real", "terms", units="1, m or 1/m", doc="of the terms"),
-))  # fmt: skip
-_EQUATIONS = Table((
-    Row("names", "words", "origins", "of equations_0, equations_1, ...: what they came from"),
-    Row("equations_#", _EQUATIONS_OF_ONE, field="equations"),
-))  # fmt: skip
-_COUPLINGS = Table((
-    Row("names", "words", "couplings", "of coupling_0, coupling_1, ..."),
-    Row("coupling_#", _COUPLING, field="couplings"),
-))  # fmt: skip
-MODEL = Table((
-    Row("format", "text", doc="`morembs-model`", read=False),
-    Row("format_version", "whole", doc="1, with equations 2, with G or N 3", read=False),
-    Row("unit_system", "text", doc="`SI`", read=False),
-    Row("source", _SOURCE),
-    Row("matrices/K", _matrix("N/m"), when="if", read=False),
-    Row("matrices/M", _matrix("kg"), when="if", read=False, doc="as K, kg; each of them may be absent"),
-    Row("matrices/D", _matrix("N s/m"), when="if", read=False, doc="as K, N s/m"),
-    Row("matrices/G", _matrix("N s/m"), when="if", read=False, doc="as K, N s/m; skew-symmetric"),
-    Row("matrices/N", _matrix("N/m"), when="if", read=False, doc="as K; skew-symmetric"),
-    Row("nodes/ids", "whole", "N", "labels of the nodes in the source"),
-    Row("nodes/coordinates", "real", "N 3", units="m", field="xyz", doc="of the nodes"),
-    Row("node_sets", _SETS),
-    Row("dofs/node", "whole", "dofs", "row of /nodes, from 0, of each row of the matrices"),
-    Row("dofs/component", "whole", "dofs", "0..2 displacements along x, y, z; 3..5 rotations about them; 6 scalars"),
-    Row("elements", _ELEMENTS, when="if"),
-    Row("element_sets", _SETS, when="if", doc="as `node_sets`; elements are counted through all blocks"),
-    Row("materials", _MATERIALS, when="if"),
-    Row("couplings", _COUPLINGS, when="if"),
-    Row("equations", _EQUATIONS, when="if"),
-    Row("inputs", _NAMED_COLUMNS, when="if"),
-    Row("outputs", _NAMED_COLUMNS, when="if", doc="as `inputs`, which are columns of B; rows of C"),
-))  # fmt: skip
+_SOURCE = Table(
+    (
+        Row("name", "words", doc="of the model"),
+        Row("files", "words", "files", "names of the files, in the order of sha256"),
+        Row("sha256", "words", "files", doc="checksums of the files"),
+        Row("format", "words", doc="what they were read as"),
+        Row("units", "words", "", "length, mass and time of the files; everything here is SI"),
+        Row("notes", "words", "any", doc="what was said at the import"),
+        Row("warnings", "words", "any", "in what the model differs from its source", when="files of 0.1 may lack it"),
+        Row("findings", "words", "any", "what the examination found at the import", when="files of 0.1 may lack it"),
+    )
+)
+_SETS = Table(
+    (
+        Row("names", "words", "sets", doc="of the sets"),
+        Row("offsets", "whole", "any", doc="set i holds `rows[offsets[i]:offsets[i+1]]`"),
+        Row("rows", "whole", "any", "from 0"),
+    ),
+    build=_sets,
+    parts=_sets_parts,
+)
+_BLOCK = Table(
+    (
+        Row("nodes", "whole", "elements corners", "rows of /nodes, from 0, in VTK order"),
+        Row("ids", "whole", "elements", "labels of the elements in the source"),
+        Row("formulation", "words", doc=f"of the strain, one of {', '.join(FORMULATIONS)}", when="`full` without it"),
+        Row("mass", "words", doc=f"rule of the mass, one of {', '.join(MASSES)}", when="`exact` without it"),
+    )
+)
+_ELEMENTS = Table(
+    (
+        Row("types", "words", "blocks", "of block_0, block_1, ..."),
+        Row("node_count", "whole", "", "the first nodes are those of the elements"),
+        Row("source", "words", doc="of the mesh"),
+        Row("block_#", _BLOCK, field="blocks"),
+    )
+)
+_MATERIALS = Table(
+    (
+        Row("sets", "words", "materials", doc="sets of elements"),
+        Row("stiffness", "real", "materials 6 6", "Voigt order xx, yy, zz, yz, zx, xy, engineering shears", "Pa"),
+        Row("density", "real", "materials", units="kg/m3", doc="density"),
+    ),
+    build=_materials,
+    parts=_materials_parts,
+)
+_COUPLING = Table(
+    (
+        Row("kind", "words", doc="`rigid` or `average`"),
+        Row("reference", "whole", "", "row of /nodes: the master, or the node of the mean motion"),
+        Row("nodes", "whole", "followers", "rows of /nodes that follow, or whose mean is taken"),
+        Row("components", "few", "any", "0..5: those of the nodes that follow, or of the reference"),
+        Row("point", "real", "3", units="m", doc="where the reference is", read=False),
+        Row("weights", "real", "followers", when="of average ones", doc="of the nodes"),
+    )
+)
+_NAMED_COLUMNS = Table(
+    (
+        Row("names", "words", "columns", "of the columns"),
+        Row("offsets", "whole", "any", "column j holds `data[offsets[j]:offsets[j+1]]`"),
+        Row("rows", "whole", "entries", "rows of the matrices, from 0, of the entries"),
+        Row(
+            "data",
+            "real",
+            "entries",
+            units="1 or m",
+            doc="entries: of displacements without unit, of rotations lengths",
+        ),
+    ),
+    parts=_columns_parts,
+)
+_EQUATIONS_OF_ONE = Table(
+    (
+        Row("nodes", "whole", "equations", "rows of /nodes: the dofs that depend on others"),
+        Row("components", "whole", "equations", "of these dofs, as in dofs/component"),
+        Row("offsets", "whole", "any", "terms of equation i are `offsets[i]:offsets[i+1]`; without any it is held"),
+        Row("term_nodes", "whole", "terms", "rows of /nodes"),
+        Row("term_components", "whole", "terms", "as in dofs/component"),
+        Row("coefficients", "real", "terms", units="1, m or 1/m", doc="of the terms"),
+    )
+)
+_EQUATIONS = Table(
+    (
+        Row("names", "words", "origins", "of equations_0, equations_1, ...: what they came from"),
+        Row("equations_#", _EQUATIONS_OF_ONE, field="equations"),
+    )
+)
+_COUPLINGS = Table(
+    (
+        Row("names", "words", "couplings", "of coupling_0, coupling_1, ..."),
+        Row("coupling_#", _COUPLING, field="couplings"),
+    )
+)
+MODEL = Table(
+    (
+        Row("format", "text", doc="`morembs-model`", read=False),
+        Row("format_version", "whole", doc="1, with equations 2, with G or N 3", read=False),
+        Row("unit_system", "text", doc="`SI`", read=False),
+        Row("source", _SOURCE),
+        Row("matrices/K", _matrix("N/m"), when="if", read=False),
+        Row("matrices/M", _matrix("kg"), when="if", read=False, doc="as K, kg; each of them may be absent"),
+        Row("matrices/D", _matrix("N s/m"), when="if", read=False, doc="as K, N s/m"),
+        Row("matrices/G", _matrix("N s/m"), when="if", read=False, doc="as K, N s/m; skew-symmetric"),
+        Row("matrices/N", _matrix("N/m"), when="if", read=False, doc="as K; skew-symmetric"),
+        Row("nodes/ids", "whole", "N", "labels of the nodes in the source"),
+        Row("nodes/coordinates", "real", "N 3", units="m", field="xyz", doc="of the nodes"),
+        Row("node_sets", _SETS),
+        Row("dofs/node", "whole", "dofs", "row of /nodes, from 0, of each row of the matrices"),
+        Row(
+            "dofs/component", "whole", "dofs", "0..2 displacements along x, y, z; 3..5 rotations about them; 6 scalars"
+        ),
+        Row("elements", _ELEMENTS, when="if"),
+        Row("element_sets", _SETS, when="if", doc="as `node_sets`; elements are counted through all blocks"),
+        Row("materials", _MATERIALS, when="if"),
+        Row("couplings", _COUPLINGS, when="if"),
+        Row("equations", _EQUATIONS, when="if"),
+        Row("inputs", _NAMED_COLUMNS, when="if"),
+        Row("outputs", _NAMED_COLUMNS, when="if", doc="as `inputs`, which are columns of B; rows of C"),
+    )
+)
 
 
 def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
@@ -189,10 +231,20 @@ def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
         mesh = _mesh(path, values["elements"], values["element_sets"], nodes) if "elements" in values else None
         Checksums(path, file).verify()
     return Imported(
-        source=source["name"], **matrices, nodes=nodes, dofs=dofs, mesh=mesh,
-        materials=values.get("materials", ()), rigid=rigid, average=average, equations=equations,
-        inputs=inputs, outputs=outputs, notes=source["notes"], warnings=source.get("warnings", ()),
-    )  # fmt: skip
+        source=source["name"],
+        **matrices,
+        nodes=nodes,
+        dofs=dofs,
+        mesh=mesh,
+        materials=values.get("materials", ()),
+        rigid=rigid,
+        average=average,
+        equations=equations,
+        inputs=inputs,
+        outputs=outputs,
+        notes=source["notes"],
+        warnings=source.get("warnings", ()),
+    )
 
 
 def _named_columns(path: Path, values: Mapping[str, Any] | None, key: str, size: int) -> NamedColumns | None:

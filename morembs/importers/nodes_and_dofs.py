@@ -28,10 +28,14 @@ def nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple[
         places = np.zeros((size, 3))
         nodes = Nodes(ids=np.arange(1, size + 1), xyz=places)
         dofs = DofMap(node=np.arange(size), component=np.zeros(size, dtype=np.int64))
-        return nodes, dofs, (
-            "the file has no nodes: every dof became a node of its own at the origin that moves along x, so that mass "
-            "properties and rigid-body motion mean nothing; give the nodes of a mesh (--nodes) for a body in space",
-        )  # fmt: skip
+        return (
+            nodes,
+            dofs,
+            (
+                "the file has no nodes: every dof became a node of its own at the origin that moves along x, so that "
+                "mass properties and rigid-body motion mean nothing; give the nodes of a mesh (--nodes) for a body in space",  # noqa: E501
+            ),
+        )
     if dofs is None:
         if size != 3 * len(nodes):
             raise InputError(
@@ -71,8 +75,9 @@ def _check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
     if size and not (dofs.node.min() >= 0 and dofs.node.max() < len(nodes)):
         raise InputError(f"{source}: a row belongs to a node that does not exist; write the file again")
     if size and not (dofs.component.min() >= 0 and dofs.component.max() <= SCALAR):
-        raise InputError(f"{source}: components of dofs run from {dofs.component.min()} to {dofs.component.max()}; "
-                         "expected 0 to 6")  # fmt: skip
+        raise InputError(
+            f"{source}: components of dofs run from {dofs.component.min()} to {dofs.component.max()}; expected 0 to 6"
+        )
     twice = dofs.twice()
     if len(twice):
         node = nodes.ids[twice[0] // 6]

@@ -4,29 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Values
 from morembs.errors import InputError, MorembsError
 from morembs.importers.hdf5_sparse import checked_csc, checked_csr
 from morembs.importers.imported import Imported
 from morembs.importers.named import Matrices, Wanted, matrices_by_name
 from morembs.storage.archive import refuse_unsafe_archive
 
-Array = NDArray[Any]
 _PARTS = ("data", "indices", "indptr", "shape")
 # Rows for each entry above which a shape must be wrong.
 _SPARSEST = 1000
 
 
 def import_npz(
-    path: Path, *, K: str | None = None, M: str | None = None, D: str | None = None, G: str | None = None,
-    N: str | None = None, B: str | None = None, C: str | None = None, B_names: str | None = None,
+    path: Path,
+    *,
+    K: str | None = None,
+    M: str | None = None,
+    D: str | None = None,
+    G: str | None = None,
+    N: str | None = None,
+    B: str | None = None,
+    C: str | None = None,
+    B_names: str | None = None,
     C_names: str | None = None,
-) -> Imported:  # fmt: skip
+) -> Imported:
     """Matrices of an .npz file: that of ``save_npz``, dense arrays, or arrays NAME_data, NAME_indices, NAME_indptr and
     NAME_shape (CSR) for each. B and C are inputs and outputs.
 
@@ -55,7 +61,7 @@ def import_npz(
     return matrices_by_name(path.name, matrices, wanted, notes=notes, besides=other)
 
 
-def _by_name(source: str, held: Mapping[str, Array], names: set[str]) -> tuple[Matrices, Matrices]:
+def _by_name(source: str, held: Mapping[str, Values], names: set[str]) -> tuple[Matrices, Matrices]:
     """Matrices that may be K, M or D, and dense ones that are not square."""
     matrices: Matrices = {}
     other: Matrices = {}
@@ -68,14 +74,14 @@ def _by_name(source: str, held: Mapping[str, Array], names: set[str]) -> tuple[M
     return matrices, other
 
 
-def _sizes(source: str, shape: Array) -> tuple[int, int]:
+def _sizes(source: str, shape: Values) -> tuple[int, int]:
     """Rows and columns; SciPy trusts those of a file, and would use memory outside a matrix that is too small."""
     if shape.shape != (2,) or shape.dtype.kind not in "iu" or not (shape >= 0).all():
         raise InputError(f"{source} has the shape {shape.tolist()}; expected numbers of rows and columns")
     return int(shape[0]), int(shape[1])
 
 
-def _saved(source: str, held: Mapping[str, Array]) -> tuple[sp.csr_array, tuple[str, ...]]:
+def _saved(source: str, held: Mapping[str, Values]) -> tuple[sp.csr_array, tuple[str, ...]]:
     """The matrix of ``scipy.sparse.save_npz`` in any of its formats, and what to say of it."""
     kind = held["format"].item()
     kind = kind.decode("ascii", "replace") if isinstance(kind, bytes) else str(kind)

@@ -9,10 +9,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.importers.triplets import asymmetry
-
-Ints = NDArray[np.int64]
 
 SQUARE, RECTANGULAR, DIAGONAL, SYMMETRIC, IDENTITY = 1, 2, 3, 6, 8
 FORMS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 15)
@@ -150,9 +149,12 @@ class Collector:
             result = sp.csr_array(by_column)
         dense = self.storage == "dense" and result.shape[0] * result.shape[1] <= 2 * max(self.stored, 1)
         return OP4Matrix(
-            matrix=result.toarray() if dense else result, form=head.form, type=head.type, storage=self.storage,
+            matrix=result.toarray() if dense else result,
+            form=head.form,
+            type=head.type,
+            storage=self.storage,
             mirrored=mirrored,
-        )  # fmt: skip
+        )
 
     def _refuse_asymmetric(self, matrix: sp.csr_array) -> None:
         if asymmetry(matrix) > _TOLERANCE:

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dof_table
 from morembs.importers.imported import DiscreteElement, PointMass, Ties, nodes_of
@@ -17,9 +17,6 @@ from morembs.model import DofMap, FEModel, skew
 from morembs.model.constraints import AverageElement, Equations, RigidElement
 from morembs.model.fe_model import MATRICES
 from morembs.units import Units
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def si_mass(mass: PointMass, units: Units) -> PointMass:

@@ -38,9 +38,7 @@ class Problem:
 class DeckError(InputError):
     """A deck with ``problems``; the message lists them by kind, and ends with a ``hint`` at another way."""
 
-    def __init__(
-        self, source: str, problems: Sequence[Problem], given: Sequence[str] = (), *, hint: str = ""
-    ) -> None:
+    def __init__(self, source: str, problems: Sequence[Problem], given: Sequence[str] = (), *, hint: str = "") -> None:
         self.source, self.problems, self.given, self.hint = source, tuple(problems), tuple(given), hint
         super().__init__(_message(source, self.problems, self.given) + (f"; {hint}" if hint else ""))
 
@@ -71,10 +69,13 @@ class Problems:
         except InputError as error:
             self.entries.append(
                 Problem(
-                    what=str(error), file=getattr(where, "file", ""), line=getattr(where, "line", 0),
-                    keyword=getattr(where, "keyword", ""), flags=flags,
+                    what=str(error),
+                    file=getattr(where, "file", ""),
+                    line=getattr(where, "line", 0),
+                    keyword=getattr(where, "keyword", ""),
+                    flags=flags,
                 )
-            )  # fmt: skip
+            )
 
     @contextmanager
     def ending(self) -> Iterator[None]:

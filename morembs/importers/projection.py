@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.model.elements import FACES
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Faces that are tried for each point, by the distance of their centres.
 _TRIED = 9
 _STEPS = 25
@@ -51,9 +49,11 @@ def project(points: Floats, xyz: Floats, faces: list[tuple[str, Ints]]) -> Proje
 
     width = max(nodes.shape[1] for _, nodes in faces)
     best = Projection(
-        np.full(len(points), np.inf), np.zeros((len(points), 3)), np.zeros((len(points), width), dtype=np.int64),
+        np.full(len(points), np.inf),
+        np.zeros((len(points), 3)),
+        np.zeros((len(points), width), dtype=np.int64),
         np.zeros((len(points), width)),
-    )  # fmt: skip
+    )
     for kind, nodes in faces:
         tree = cKDTree(xyz[nodes].mean(axis=1))
         tried = min(_TRIED, len(nodes))

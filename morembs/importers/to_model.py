@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.importers.dependent_dofs import dependent_dofs
@@ -32,13 +32,15 @@ from morembs.model.surface import seam_faces
 from morembs.progress import SILENT, Progress
 from morembs.units import Units
 
-Ints = NDArray[np.int64]
-
 
 def model_of(
-    imported: Imported, units: Units | None = None, *, mass_integration: str = "element", budget: Budget = UNLIMITED,
+    imported: Imported,
+    units: Units | None = None,
+    *,
+    mass_integration: str = "element",
+    budget: Budget = UNLIMITED,
     progress: Progress = SILENT,
-) -> FEModel:  # fmt: skip
+) -> FEModel:
     """Model in SI units of what a file holds in ``units`` (None: SI).
 
     Matrices of the file are taken as they are, real or complex, symmetric or not; without any the mesh is assembled
@@ -71,14 +73,25 @@ def model_of(
     refuse_loose(model, ties)
     model, said = with_discrete(with_masses(model, masses), discrete)
     return FEModel(
-        K=model.K, M=model.M, D=model.D, G=model.G, N=model.N, nodes=model.nodes, dofs=model.dofs, mesh=model.mesh,
-        materials=model.materials, source=imported.source, rigid=rigid, average=average,
-        equations=equations, dependent=dependent_dofs(model, rigid, average, equations),
+        K=model.K,
+        M=model.M,
+        D=model.D,
+        G=model.G,
+        N=model.N,
+        nodes=model.nodes,
+        dofs=model.dofs,
+        mesh=model.mesh,
+        materials=model.materials,
+        source=imported.source,
+        rigid=rigid,
+        average=average,
+        equations=equations,
+        dependent=dependent_dofs(model, rigid, average, equations),
         inputs=forces_in_si("B", imported.inputs, imported, model.dofs, units),
         outputs=forces_in_si("C", imported.outputs, imported, model.dofs, units),
         notes=(*imported.notes, *base.notes, *said),
         warnings=tuple(dict.fromkeys((*imported.warnings, *model.warnings))),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -162,9 +175,18 @@ def _from_matrices(imported: Imported, units: Units) -> _Base:
         mesh = mesh_in_order(mesh)
     K, M, D, G, N = matrices_in_si(imported, dofs, units)
     model = FEModel(
-        K=K, M=M, D=D, G=G, N=N, nodes=nodes, dofs=dofs, mesh=mesh, source=source,
-        materials=materials_in_si(imported.materials, units), warnings=() if mesh is None else mesh.warnings,
-    )  # fmt: skip
+        K=K,
+        M=M,
+        D=D,
+        G=G,
+        N=N,
+        nodes=nodes,
+        dofs=dofs,
+        mesh=mesh,
+        source=source,
+        materials=materials_in_si(imported.materials, units),
+        warnings=() if mesh is None else mesh.warnings,
+    )
     bare = len(nodes) - len(np.unique(dofs.node))
     if bare:
         notes = (*notes, f"{bare} nodes have no dof in the matrices (they are held, or carry nothing)")
@@ -173,9 +195,8 @@ def _from_matrices(imported: Imported, units: Units) -> _Base:
 
 def _from_mesh(
     imported: Imported, touched: Ints, units: Units, mass_integration: str, budget: Budget, progress: Progress
-) -> _Base:  # fmt: skip
-    """The assembled mesh, nodes of its elements first, then those ``touched`` by rigid and average elements and masses.
-    """
+) -> _Base:
+    """The assembled mesh, nodes of elements first, then those ``touched`` by rigid and average elements and masses."""
     mesh = imported.mesh
     if mesh is None:
         raise InputError(f"{imported.source} has no mesh")
@@ -201,15 +222,22 @@ def _from_mesh(
     every = in_si(picked_nodes(_with_surfaces(nodes, imported), order))
     solid = in_si(picked_nodes(nodes, order[:count]))
     part = Mesh(
-        nodes=solid, blocks=tuple(replace(block, nodes=row[block.nodes]) for block in blocks),
-        element_sets=mesh.element_sets, source=mesh.source, warnings=mesh.warnings,
-    )  # fmt: skip
+        nodes=solid,
+        blocks=tuple(replace(block, nodes=row[block.nodes]) for block in blocks),
+        element_sets=mesh.element_sets,
+        source=mesh.source,
+        warnings=mesh.warnings,
+    )
     part = right_handed(part)
     part = replace(part, warnings=(*part.warnings, *_seams(imported, part, row)))
     model = assemble(
-        part, materials_in_si(imported.materials, units), mass_integration=mass_integration, seams=imported.seams,
-        budget=budget, progress=progress,
-    )  # fmt: skip
+        part,
+        materials_in_si(imported.materials, units),
+        mass_integration=mass_integration,
+        seams=imported.seams,
+        budget=budget,
+        progress=progress,
+    )
     for name in ("K", "M"):
         refuse_entries(imported.source, name, getattr(model, name))
     dropped = int((row < 0).sum())
@@ -230,17 +258,22 @@ def _seams(imported: Imported, mesh: Mesh, row: Ints) -> list[str]:
         if equations.name == LINEAR_EDGES:
             linear[row[equations.nodes]] = True
     count = seam_faces(mesh, linear)
-    return [
-        f"elements of different types meet at {count} faces whose nodes do not match (a quadratic next to a linear "
-        "face, or a quadrilateral next to two triangles): the mesh may open there, as it may in the program of the "
-        "deck [faces-differ]"
-    ] if count else []  # fmt: skip
+    return (
+        [
+            f"elements of different types meet at {count} faces whose nodes do not match (a quadratic next to a linear "
+            "face, or a quadrilateral next to two triangles): the mesh may open there, as it may in the program of the "
+            "deck [faces-differ]"
+        ]
+        if count
+        else []
+    )
 
 
 def _with_surfaces(nodes: Nodes, imported: Imported) -> Nodes:
     """Surfaces of the file as node sets."""
-    taken = {(f"surface:{name}" if name in nodes.sets else name): np.unique(rows)
-             for name, rows in imported.surfaces.items()}  # fmt: skip
+    taken = {
+        (f"surface:{name}" if name in nodes.sets else name): np.unique(rows) for name, rows in imported.surfaces.items()
+    }
     return replace(nodes, sets={**nodes.sets, **taken}) if taken else nodes
 
 

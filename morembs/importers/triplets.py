@@ -8,13 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.closing import Closing
 from morembs.errors import InputError
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Triplets = tuple[Ints, Ints, Floats]
 # Words for a row and a column counted from 0.
 Place = Callable[[int, int], str]
@@ -36,7 +34,7 @@ class TripletStore(Closing):
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._file = tempfile.TemporaryFile()  # noqa: SIM115  (closed in close)
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115
         self._lengths: list[int] = []
 
     @property
@@ -115,8 +113,10 @@ def refuse_twice(matrix: sp.csr_array, name: str, place: Place = row_and_column,
     count, first, equal = 0, None, True
     for begin in range(0, matrix.shape[0], _ROWS):
         low, high = matrix.indptr[begin], matrix.indptr[min(begin + _ROWS, matrix.shape[0])]
-        row = np.repeat(np.arange(begin, begin + _ROWS)[: matrix.shape[0] - begin],
-                        np.diff(matrix.indptr[begin : begin + _ROWS + 1]))  # fmt: skip
+        row = np.repeat(
+            np.arange(begin, begin + _ROWS)[: matrix.shape[0] - begin],
+            np.diff(matrix.indptr[begin : begin + _ROWS + 1]),
+        )
         column, value = matrix.indices[low:high], matrix.data[low:high]
         twice = np.flatnonzero((np.diff(row) == 0) & (np.diff(column) == 0) & ~(mirrored & (column < row)[1:]))
         count += len(twice)

@@ -22,13 +22,38 @@ _HEX20 = (0, 2, 4, 6, 12, 14, 16, 18, 1, 3, 5, 7, 13, 15, 17, 19, 8, 9, 10, 11)
 _WEDGE15 = (0, 2, 4, 9, 11, 13, 1, 3, 5, 10, 12, 14, 6, 7, 8)
 _TET10 = (0, 2, 4, 9, 1, 3, 5, 6, 7, 8)
 SOLIDS: dict[int, tuple[str, tuple[int, ...]]] = {
-    111: ("tet4", tuple(range(4))), 112: ("wedge6", tuple(range(6))), 115: ("hex8", tuple(range(8))),
-    118: ("tet10", _TET10), 113: ("wedge15", _WEDGE15), 116: ("hex20", _HEX20),
-}  # fmt: skip
+    111: ("tet4", tuple(range(4))),
+    112: ("wedge6", tuple(range(6))),
+    115: ("hex8", tuple(range(8))),
+    118: ("tet10", _TET10),
+    113: ("wedge15", _WEDGE15),
+    116: ("hex20", _HEX20),
+}
 _BEAMS, _ROD = (21, 22, 23, 24), 11
 # Elements that may carry groups and have no mass or stiffness here.
-_FLAT = (*range(11, 14), *_BEAMS, *range(31, 33), *range(41, 47), *range(51, 57), *range(61, 67), *range(71, 77),
-         *range(81, 87), *range(91, 97), 121, 122, 136, 137, 138, 139, 141, 142, 151, 152, 161, 171)  # fmt: skip
+_FLAT = (
+    *range(11, 14),
+    *_BEAMS,
+    *range(31, 33),
+    *range(41, 47),
+    *range(51, 57),
+    *range(61, 67),
+    *range(71, 77),
+    *range(81, 87),
+    *range(91, 97),
+    121,
+    122,
+    136,
+    137,
+    138,
+    139,
+    141,
+    142,
+    151,
+    152,
+    161,
+    171,
+)
 _NODES, _ELEMENTS = {15: 1, 781: 2, 2411: 2}, (780, 2412)
 # Each member has four numbers, of which the first two are its kind and label.
 _GROUPS = (2435, 2452, 2467, 2477)

@@ -11,12 +11,7 @@ from morembs.interface.matrix import Matrix, matrix_interface
 from morembs.interface.rigid import Rigid
 
 # One line for each kind.
-_ALL: tuple[type[CouplingKind], ...] = (
-    Rigid,
-    Average,
-    Direct,
-    Matrix,
-)
+_ALL: tuple[type[CouplingKind], ...] = (Rigid, Average, Direct, Matrix)
 COUPLINGS.take({kind.name: kind() for kind in _ALL})
 
 __all__ = [

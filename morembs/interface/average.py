@@ -8,16 +8,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.interface.base import CouplingKind, Interface
 from morembs.interface.nodes import condition_of, displacement_dofs, frame_motion, loads_on, refuse_collinear
 from morembs.model import FEModel, skew
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
-
-Floats = NDArray[np.float64]
 
 
 class Average(CouplingKind):

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.model import FEModel, frozen
 from morembs.plugins import Registry
@@ -17,8 +17,6 @@ from morembs.summary import summarised
 if TYPE_CHECKING:
     import scipy.sparse as sp
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 SIX = (0, 1, 2, 3, 4, 5)
 
 
@@ -60,9 +58,12 @@ class Interface:
 
     def _facts(self) -> dict[str, object]:
         return {
-            "name": self.name, "coupling": self.coupling, "nodes": len(self.nodes), "point": self.point,
+            "name": self.name,
+            "coupling": self.coupling,
+            "nodes": len(self.nodes),
+            "point": self.point,
             "components": ", ".join(map(str, self.components)),
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.interface.base import SIX, Elimination, Interface
 from morembs.model import FEModel, rigid_motion
@@ -17,9 +17,6 @@ from morembs.model.fe_model import refuse_complex, refuse_unsymmetric
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,9 +84,7 @@ def couple(model: FEModel, interfaces: Sequence[Interface]) -> Coupling:
     framed = [replace(i, components=SIX) for i in interfaces if i.kind.framed]
     whole = [(i.name, block(i, eliminated.get(i.name) or i.kind.attach(model, i))) for i in framed]
     frames, frame_columns = _beside(whole, T.shape[1])
-    return Coupling(
-        T=T, kept=kept, B=B, R=R, pole=pole, columns=columns, frames=frames, frame_columns=frame_columns
-    )  # fmt: skip
+    return Coupling(T=T, kept=kept, B=B, R=R, pole=pole, columns=columns, frames=frames, frame_columns=frame_columns)
 
 
 def _transformation(model: FEModel, eliminated: Sequence[Elimination]) -> tuple[sp.csr_array, Ints]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.interface.base import CouplingKind, Interface
 from morembs.model import FEModel
@@ -14,8 +14,6 @@ from morembs.model.fe_model import SCALAR
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
-
-Ints = NDArray[np.int64]
 
 
 class Direct(CouplingKind):

@@ -6,24 +6,27 @@ import logging
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.interface.base import Interface, coupling_kind
 from morembs.model import FEModel
 from morembs.model.surface import nodal_areas, outer_faces
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Model lengths from the nodes beyond which a frame's point is a mistake.
 FAR = 1000.0
 log = logging.getLogger(__name__)
 
 
 def make_interface(
-    model: FEModel, *, name: str, nodes: Ints, coupling: str = "rigid",
-    point: Sequence[float] | None = None, components: Sequence[int] | None = None,
-) -> Interface:  # fmt: skip
+    model: FEModel,
+    *,
+    name: str,
+    nodes: Ints,
+    coupling: str = "rigid",
+    point: Sequence[float] | None = None,
+    components: Sequence[int] | None = None,
+) -> Interface:
     """Interface with checked nodes, area-consistent weights and, if not given, the centroid as point.
 
     Args:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError, nearest
 from morembs.interface.base import CouplingKind, Interface
 from morembs.model import FEModel
@@ -14,9 +14,6 @@ from morembs.model.fe_model import SCALAR
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class Matrix(CouplingKind):
@@ -86,9 +83,14 @@ def matrix_interface(model: FEModel, *, name: str, matrix: str) -> Interface:
             raise InputError(f"interface {name!r}: {key} has no entry, so that it loads nothing; leave it out")
     nodes = np.unique(model.dofs.node[np.concatenate([load.indices for load in loads])])
     return Interface(
-        name=name, nodes=nodes, coupling=Matrix.name, point=model.nodes.xyz[nodes].mean(axis=0),
-        weights=np.ones(len(nodes)), components=(SCALAR,) * len(forces), forces=forces,
-    )  # fmt: skip
+        name=name,
+        nodes=nodes,
+        coupling=Matrix.name,
+        point=model.nodes.xyz[nodes].mean(axis=0),
+        weights=np.ones(len(nodes)),
+        components=(SCALAR,) * len(forces),
+        forces=forces,
+    )
 
 
 def _column(model: FEModel, interface: str, key: str) -> sp.csc_array:

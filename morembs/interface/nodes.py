@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.interface.base import Interface
 from morembs.model import FEModel, rigid_motion
@@ -15,8 +15,6 @@ from morembs.model.fe_model import SCALAR
 if TYPE_CHECKING:
     import scipy.sparse as sp
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Scaled condition of R_s' W R_s above which the nodes count as collinear.
 COLLINEAR = 1e8
 

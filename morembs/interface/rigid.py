@@ -5,17 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.interface.base import CouplingKind, Elimination, Interface
 from morembs.interface.nodes import all_dofs, condition_of, loads_on, refuse_collinear
 from morembs.model import FEModel, rigid_motion
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class Rigid(CouplingKind):

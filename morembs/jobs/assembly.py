@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.assembly import AssembledModel, Couple, Substructure, assemble_bodies
+from morembs.base.types import Floats
 from morembs.body.file import StoredBodies, read_body
 from morembs.body.stored import choose_body
 from morembs.budget import Budget
@@ -25,14 +26,13 @@ from morembs.jobs.inputs import (
     reducers_of,
     solver_of,
     units_of,
-)  # fmt: skip
+)
 from morembs.jobs.job import Job, load_job
 from morembs.jobs.schema import SubstructureTable
 from morembs.model.assembly import assemble
 from morembs.problem import Problem
 from morembs.storage.safefile import one_file
 
-Floats = NDArray[np.float64]
 # Tables that make another model of the part than its mesh or file holds.
 NOT_PLAIN = ("substructure", "parameter", "preload", "spin")
 
@@ -58,21 +58,25 @@ def assembly_of(job: Job, budget: Budget) -> AssembledModel:
         )
     parts = [
         Substructure(
-            name=table.name, bodies=_at_values(files[table.body], table), reduction=table.reduction,
-            position=units.length * np.array(table.position), rotation=_turned(table),
+            name=table.name,
+            bodies=_at_values(files[table.body], table),
+            reduction=table.reduction,
+            position=units.length * np.array(table.position),
+            rotation=_turned(table),
             problem=None if table.job is None else makers[table.job].problem,
             basis=None if table.job is None else makers[table.job].basis(files[table.body], table),
         )
         for table in tables
-    ]  # fmt: skip
+    ]
     couples = [
         Couple(
-            between=(table.between[0], table.between[1]), components=tuple(table.components),
+            between=(table.between[0], table.between[1]),
+            components=tuple(table.components),
             stiffness=None if table.stiffness is None else (scale * table.stiffness).tolist(),
             damping=None if table.damping is None else (units.time * scale * table.damping).tolist(),
         )
         for table in job.tables.couple
-    ]  # fmt: skip
+    ]
     model = assemble_bodies(parts, couples, name=job.path.stem)
     if model.free_motions:
         raise InputError(

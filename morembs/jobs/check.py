@@ -6,20 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.types import Floats, Ints
 from morembs.budget import Budget
 from morembs.interface import Interface, couple
 from morembs.jobs.equations import equations_of_motion
-from morembs.jobs.forecast import (
-    Cost,
-    JobForecast,
-    forecast_cost,
-    least_memory,
-    outlined,
-    require_room_of_mesh,
-)  # fmt: skip
+from morembs.jobs.forecast import Cost, JobForecast, forecast_cost, least_memory, outlined, require_room_of_mesh
 from morembs.jobs.inputs import (
     budget_of,
     damping_of,
@@ -29,7 +22,7 @@ from morembs.jobs.inputs import (
     prepare_output,
     solver_of,
     wants_modes,
-)  # fmt: skip
+)
 from morembs.jobs.job import Job
 from morembs.jobs.model import matrices_of
 from morembs.jobs.preflight import model_warnings, preflight, require_room, shifted_of
@@ -49,8 +42,6 @@ from morembs.responses.massless import without_mass_perhaps
 from morembs.scratch import free_bytes
 from morembs.storage.contents import keeping_ledger
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # More pieces than this are not searched for hinges.
 MANY_PIECES = 300
 
@@ -103,12 +94,20 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
         told, seconds = cost.told(), _reduction_seconds(job, facts, cost)
     x, y, z = np.ptp(mesh.nodes.xyz, axis=0).tolist()
     return JobForecast(
-        **told, nodes=len(mesh.nodes), elements=count_elements(mesh), dofs=size, coupled_dofs=coupling.T.shape[1],
-        rigid_modes=rigid, stiffness_nonzeros=9 * graph.nnz, mass_nonzeros=3 * graph.nnz,
-        matrices_bytes=12 * 12 * graph.nnz, extent=(x, y, z),
+        **told,
+        nodes=len(mesh.nodes),
+        elements=count_elements(mesh),
+        dofs=size,
+        coupled_dofs=coupling.T.shape[1],
+        rigid_modes=rigid,
+        stiffness_nonzeros=9 * graph.nnz,
+        mass_nonzeros=3 * graph.nnz,
+        matrices_bytes=12 * 12 * graph.nnz,
+        extent=(x, y, z),
         interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
-        reduction_seconds=seconds, warnings=(*warnings, *_warnings(cost, solver.scratch)),
-    )  # fmt: skip
+        reduction_seconds=seconds,
+        warnings=(*warnings, *_warnings(cost, solver.scratch)),
+    )
 
 
 def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) -> JobForecast:
@@ -129,18 +128,27 @@ def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) 
         progress.stage("analyse")
         # Coordinates that are rigid motions have no stiffness; what holds them while it is factorised has an entry.
         held = sp.diags_array((model.K.diagonal() == 0).astype(float))
-        cost = _cost(job, facts, sp.csr_array(model.K + held) if held.data.any() else model.K, coupling.T, solver,
-                     budget, start)  # fmt: skip
+        cost = _cost(
+            job, facts, sp.csr_array(model.K + held) if held.data.any() else model.K, coupling.T, solver, budget, start
+        )
         told, seconds = cost.told(), _reduction_seconds(job, facts, cost)
     matrices = [A for name in MATRICES if (A := getattr(model, name)) is not None]
     x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()
     return JobForecast(
-        **told, nodes=len(model.nodes), elements=count_elements(model.mesh), dofs=model.size,
-        coupled_dofs=coupling.T.shape[1], rigid_modes=rigid, stiffness_nonzeros=model.K.nnz, mass_nonzeros=model.M.nnz,
+        **told,
+        nodes=len(model.nodes),
+        elements=count_elements(model.mesh),
+        dofs=model.size,
+        coupled_dofs=coupling.T.shape[1],
+        rigid_modes=rigid,
+        stiffness_nonzeros=model.K.nnz,
+        mass_nonzeros=model.M.nnz,
         matrices_bytes=sum(A.data.nbytes + A.indices.nbytes for A in matrices),
-        extent=(x, y, z), interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
-        reduction_seconds=seconds, warnings=(*warnings, *_warnings(cost, solver.scratch)),
-    )  # fmt: skip
+        extent=(x, y, z),
+        interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
+        reduction_seconds=seconds,
+        warnings=(*warnings, *_warnings(cost, solver.scratch)),
+    )
 
 
 def _cost(
@@ -149,9 +157,16 @@ def _cost(
     """Cost of the factors of ``job``, for the stiffness of its model, or its pattern, and the coupling."""
     columns = facts.coupling.B.shape[1] + max(reducer.mode_count for reducer in job.reducers.values())
     return forecast_cost(
-        K, T, max(columns, job.tables.check.full_modes), solver, budget, start, wants_modes(job),
-        list(shifted_of(job, facts).values()), job.tables.solver.workers,
-    )  # fmt: skip
+        K,
+        T,
+        max(columns, job.tables.check.full_modes),
+        solver,
+        budget,
+        start,
+        wants_modes(job),
+        list(shifted_of(job, facts).values()),
+        job.tables.solver.workers,
+    )
 
 
 def _reduction_seconds(job: Job, facts: Facts, cost: Cost) -> dict[str, float]:

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body import ElasticBody
 from morembs.body.stored import StoredBodies
 from morembs.certificate.response import full_response, reduced_response
@@ -16,7 +16,6 @@ from morembs.progress import SILENT, Progress
 from morembs.responses.measures import MEASURES
 from morembs.summary import summarised
 
-Floats = NDArray[np.float64]
 POINTWISE = MEASURES.index("pointwise")
 
 
@@ -91,19 +90,23 @@ def certified_response(problem: Problem, bodies: Sequence[ElasticBody]) -> Frequ
         return None
     first = next(iter(known.values()))
     return FrequencyResponse(
-        frequencies_hz=first.frequencies_hz, full=first.full, length=problem.length,
+        frequencies_hz=first.frequencies_hz,
+        full=first.full,
+        length=problem.length,
         reduced={name: certificate.reduced for name, certificate in known.items()},
         error={name: certificate.error for name, certificate in known.items()},
         bound={
             name: _steps(certificate.cells_hz, certificate.cell_limit)
-            for name, certificate in known.items() if len(certificate.cells_hz)
+            for name, certificate in known.items()
+            if len(certificate.cells_hz)
         },
         # Of a tolerance in another measure a line would tell nothing.
         tolerance={
-            body.name: float(str(body.recipe["tolerance"])) for body in bodies
+            body.name: float(str(body.recipe["tolerance"]))
+            for body in bodies
             if body.name in known and body.recipe.get("measure") == "pointwise" and "tolerance" in body.recipe
         },
-    )  # fmt: skip
+    )
 
 
 def _steps(cells_hz: Floats, limit: Floats) -> Floats:
@@ -118,11 +121,14 @@ def stored_response(stored: StoredBodies) -> FrequencyResponse | None:
         return None
     first = next(iter(known.values()))
     return FrequencyResponse(
-        frequencies_hz=first["frequencies_hz"], full=first["full"], length=float("nan"),
+        frequencies_hz=first["frequencies_hz"],
+        full=first["full"],
+        length=float("nan"),
         reduced={name: values["reduced"] for name, values in known.items()},
         error={name: values["error"] for name, values in known.items()},
         bound={
             name: _steps(values["cells_hz"], values["cell_limit"])
-            for name, values in known.items() if "cell_limit" in values
+            for name, values in known.items()
+            if "cell_limit" in values
         },
-    )  # fmt: skip
+    )

@@ -67,12 +67,17 @@ def flows_of(job: Job, model: FEModel) -> list[tuple[NDArray[np.int64], Flow]]:
     """Rows of the nodes along each tube, in the order of its flow, and the flow in SI units."""
     units = units_of(job)
     return [
-        (_path_of(job, model, table.path), Flow(
-            mass_flow=table.mass_flow * units.mass / units.time, density=table.density * units.density,
-            area=table.area * units.length**2, outlet=table.outlet,
-        ))
+        (
+            _path_of(job, model, table.path),
+            Flow(
+                mass_flow=table.mass_flow * units.mass / units.time,
+                density=table.density * units.density,
+                area=table.area * units.length**2,
+                outlet=table.outlet,
+            ),
+        )
         for table in job.tables.flow
-    ]  # fmt: skip
+    ]
 
 
 def _path_of(job: Job, model: FEModel, text: str) -> NDArray[np.int64]:

@@ -106,13 +106,23 @@ class Cost:
         """The fields of a ``JobForecast`` that this is."""
         plan, shift = self.plan, self.shift
         return {
-            "solver": plan.backend, "choice": self.choice, "factor_entries": plan.factor_entries,
-            "factor_flops": plan.flops, "factor_bytes": plan.kept, "scratch_bytes": plan.disk,
-            "columns_bytes": self.columns, "peak_memory_bytes": self.peak, "factor_seconds": self.seconds,
-            "threads": blas_threads(), "shift_factor_entries": shift.entries, "shift_factor_bytes": shift.kept,
-            "shift_seconds": shift.seconds, "processes": shift.processes, "process_bytes": shift.each,
+            "solver": plan.backend,
+            "choice": self.choice,
+            "factor_entries": plan.factor_entries,
+            "factor_flops": plan.flops,
+            "factor_bytes": plan.kept,
+            "scratch_bytes": plan.disk,
+            "columns_bytes": self.columns,
+            "peak_memory_bytes": self.peak,
+            "factor_seconds": self.seconds,
+            "threads": blas_threads(),
+            "shift_factor_entries": shift.entries,
+            "shift_factor_bytes": shift.kept,
+            "shift_seconds": shift.seconds,
+            "processes": shift.processes,
+            "process_bytes": shift.each,
             "all_processes_bytes": self.peak + shift.processes * shift.each + shift.beside,
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,9 +141,16 @@ class Shift:
 
 
 def forecast_cost(
-    K: sp.csr_array, T: sp.csr_array, columns: int, solver: LinearSolver, budget: Budget, start: int, modes: bool,
-    shifted: Sequence[Shifted] = (), workers: int = 1,
-) -> Cost:  # fmt: skip
+    K: sp.csr_array,
+    T: sp.csr_array,
+    columns: int,
+    solver: LinearSolver,
+    budget: Budget,
+    start: int,
+    modes: bool,
+    shifted: Sequence[Shifted] = (),
+    workers: int = 1,
+) -> Cost:
     """Cost of reducing with a stiffness of the pattern of ``K`` (N, N) in coupled dofs of ``T`` (N, Nc).
 
     Args:
@@ -180,9 +197,7 @@ def forecast_cost(
     return Cost(plan=plan, choice=choice, columns=dense, peak=peak, seconds=_seconds(plan), shift=shift)
 
 
-def _at_shifts(
-    lower: Lower, shifted: Sequence[Shifted], solver: LinearSolver, workers: int, left: int | None
-) -> Shift:
+def _at_shifts(lower: Lower, shifted: Sequence[Shifted], solver: LinearSolver, workers: int, left: int | None) -> Shift:
     """What ``shifted`` takes on up to ``workers`` processes that have ``left`` bytes together (None: no limit)."""
     if not shifted:
         return Shift()
@@ -196,9 +211,12 @@ def _at_shifts(
         seconds += products * _seconds(plans[x.structure][0]) * math.ceil(x.count / min(running, x.at_once))
     largest = max((plan for plan, _ in plans.values()), key=lambda plan: plan.kept)
     return Shift(
-        entries=largest.factor_entries, kept=largest.kept, here=max(here, default=0), seconds=seconds,
+        entries=largest.factor_entries,
+        kept=largest.kept,
+        here=max(here, default=0),
+        seconds=seconds,
         **({"processes": running, "each": each, "beside": PROCESS_BYTES} if running > 1 else {}),
-    )  # fmt: skip
+    )
 
 
 def least_memory(job: Job, model: FEModel, solver: LinearSolver, start: int, K: sp.csr_array | None = None) -> int:
@@ -229,15 +247,18 @@ def outlined(job: Job, mesh: Mesh, materials: Sequence[Material]) -> FEModel:
     size = 3 * len(mesh.nodes)
     empty = sp.csr_array((size, size))
     return FEModel(
-        K=empty, M=empty, nodes=mesh.nodes, dofs=DofMap.translations(len(mesh.nodes)), mesh=mesh,
-        materials=tuple(materials), source=mesh.source,
+        K=empty,
+        M=empty,
+        nodes=mesh.nodes,
+        dofs=DofMap.translations(len(mesh.nodes)),
+        mesh=mesh,
+        materials=tuple(materials),
+        source=mesh.source,
         warnings=(*mesh.warnings, *mass_warnings(mesh, job.tables.model.mass_integration)),
-    )  # fmt: skip
+    )
 
 
-def require_room_of_mesh(
-    job: Job, mesh: Mesh, materials: Sequence[Material], solver: LinearSolver, start: int
-) -> None:
+def require_room_of_mesh(job: Job, mesh: Mesh, materials: Sequence[Material], solver: LinearSolver, start: int) -> None:
     """As ``require_room``, for a model of ``mesh`` that is not assembled yet."""
 
     def least() -> int:

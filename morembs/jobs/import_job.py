@@ -154,9 +154,16 @@ def _refuse_other_geometry(model: FEModel, diagnosis: Diagnosis) -> None:
 
 
 def _finished(
-    job: ImportJob, path: Path, model: FEModel, format: str, units: Units, diagnosis: Diagnosis | None, *, dry: bool,
+    job: ImportJob,
+    path: Path,
+    model: FEModel,
+    format: str,
+    units: Units,
+    diagnosis: Diagnosis | None,
+    *,
+    dry: bool,
     progress: Progress,
-) -> ImportResult:  # fmt: skip
+) -> ImportResult:
     """The model in its file, with what its examination found."""
     findings = () if diagnosis is None else tuple(map(str, diagnosis.findings))
     if not dry:
@@ -168,9 +175,7 @@ def _finished(
     if real and np.ptp(model.nodes.xyz, axis=0).any():
         seen = model_outlook(model.K, model.M, model.nodes, model.dofs, model.materials)
     warnings = imported_warnings(model, units) if diagnosis is None else model.warnings
-    return ImportResult(
-        path=path, model=model, format=format, diagnosis=diagnosis, outlook=seen, warnings=warnings
-    )
+    return ImportResult(path=path, model=model, format=format, diagnosis=diagnosis, outlook=seen, warnings=warnings)
 
 
 def _read(job: ImportJob) -> tuple[Imported, str]:
@@ -300,8 +305,14 @@ def _same_rows(a: Imported, b: Imported) -> bool:
 def _with_geometry(imported: Imported, job: ImportJob) -> Imported:
     """Nodes of a mesh, and dofs of a table, joined by labels."""
     if imported.K is not None:
-        imported = replace(imported, **{name: square_csr(imported.source, name, A) for name in ROLES
-                                        if (A := getattr(imported, name)) is not None})  # fmt: skip
+        imported = replace(
+            imported,
+            **{
+                name: square_csr(imported.source, name, A)
+                for name in ROLES
+                if (A := getattr(imported, name)) is not None
+            },
+        )
     if job.nodes is not None:
         imported = _on_mesh(imported, job.nodes, _of_decks(job, format_of(job.nodes)))
     if job.dofs is None:
@@ -326,8 +337,12 @@ def _outside(job: ImportJob) -> dict[str, Any]:
 
 def _given(job: ImportJob) -> dict[str, Any]:
     """The options of decks that are not as they are by default."""
-    given = {"dialect": (job.dialect, "auto"), "contact": (job.contact, "refuse"), "density": (dict(job.density), {}),
-             "skip": (list(job.skip), [])}  # fmt: skip
+    given = {
+        "dialect": (job.dialect, "auto"),
+        "contact": (job.contact, "refuse"),
+        "density": (dict(job.density), {}),
+        "skip": (list(job.skip), []),
+    }
     return {name: value for name, (value, default) in given.items() if value != default}
 
 
@@ -349,9 +364,16 @@ def _on_mesh(imported: Imported, path: Path, options: Mapping[str, Any]) -> Impo
         dofs = DofMap(node=row[dofs.node], component=dofs.component)
     whole = Nodes(ids=nodes.ids, xyz=nodes.xyz, sets=nodes.sets)
     return replace(
-        imported, nodes=whole, dofs=dofs, mesh=held.mesh, rigid=(), average=(), masses=(), surfaces=held.surfaces,
+        imported,
+        nodes=whole,
+        dofs=dofs,
+        mesh=held.mesh,
+        rigid=(),
+        average=(),
+        masses=(),
+        surfaces=held.surfaces,
         notes=(*imported.notes, f"nodes are those of {path.name}"),
-    )  # fmt: skip
+    )
 
 
 def list_engines() -> dict[str, str]:

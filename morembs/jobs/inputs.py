@@ -56,9 +56,13 @@ def _material(table: MaterialTable, units: Units) -> Material:
         nu12, nu13, nu23 = table.poisson
         G12, G13, G23 = (value * units.stress for value in table.shear)
         return orthotropic(
-            set=table.set, young=(E1, E2, E3), poisson=(nu12, nu13, nu23), shear=(G12, G13, G23),
-            density=density, axes=None if table.axes is None else np.array(table.axes),
-        )  # fmt: skip
+            set=table.set,
+            young=(E1, E2, E3),
+            poisson=(nu12, nu13, nu23),
+            shear=(G12, G13, G23),
+            density=density,
+            axes=None if table.axes is None else np.array(table.axes),
+        )
     if isinstance(table.young, list) or isinstance(table.poisson, list):
         raise InputError(f"material of set {table.set!r}: young and poisson must be one number each")
     return isotropic(set=table.set, young=table.young * units.stress, poisson=table.poisson, density=density)
@@ -95,10 +99,9 @@ def interfaces_of(job: Job, model: FEModel) -> list[Interface]:
             raise InputError(f"interface {table.name!r}: {error}") from error
         interfaces.append(
             make_interface(
-                model, name=table.name, nodes=rows, coupling=table.coupling, point=point,
-                components=table.components,
+                model, name=table.name, nodes=rows, coupling=table.coupling, point=point, components=table.components
             )
-        )  # fmt: skip
+        )
     return interfaces
 
 
@@ -122,22 +125,32 @@ def body_options(job: Job) -> BodyOptions:
     if given is not None:
         force = units.mass * units.length / units.time**2
         scale = {
-            "acceleration": units.length / units.time**2, "angular_acceleration": units.time**-2,
-            "speed": 1 / units.time, "force": force, "moment": force * units.length,
-        }  # fmt: skip
+            "acceleration": units.length / units.time**2,
+            "angular_acceleration": units.time**-2,
+            "speed": 1 / units.time,
+            "force": force,
+            "moment": force * units.length,
+        }
         values = given.model_dump(exclude_none=True)
         envelope = Envelope(**{name: value * scale[name] for name, value in values.items()})
     stiffened = tables.stiffening
     stress = tables.stress
     return BodyOptions(
-        kind=tables.frame.kind, interfaces=tuple(tables.frame.interfaces), envelope=envelope,
+        kind=tables.frame.kind,
+        interfaces=tuple(tables.frame.interfaces),
+        envelope=envelope,
         origin=None if origin == "center-of-mass" else [units.length * float(x) for x in origin or (0, 0, 0)],
         stiffening=None if stiffened is None else replace(envelope or Envelope(), share=stiffened.share),
-        stress=None if stress is None else StressOptions(
-            nodes=stress.nodes, single=stress.single, correction=stress.correction, jump=stress.jump,
+        stress=None
+        if stress is None
+        else StressOptions(
+            nodes=stress.nodes,
+            single=stress.single,
+            correction=stress.correction,
+            jump=stress.jump,
             length=units.length,
         ),
-    )  # fmt: skip
+    )
 
 
 def preload_of(job: Job) -> Preload | None:
@@ -149,10 +162,13 @@ def preload_of(job: Job) -> Preload | None:
     scale = [force] * 3 + [force * units.length] * 3
     return Preload(
         wrench={name: [value * s for value, s in zip(f, scale, strict=True)] for name, f in given.wrench.items()},
-        speed=given.speed / units.time, axis=given.axis, point=[units.length * value for value in given.point],
-        acceleration=[acceleration * value for value in given.acceleration], held=tuple(given.held),
+        speed=given.speed / units.time,
+        axis=given.axis,
+        point=[units.length * value for value in given.point],
+        acceleration=[acceleration * value for value in given.acceleration],
+        held=tuple(given.held),
         follows=tuple(given.follows),
-    )  # fmt: skip
+    )
 
 
 def rotation_of(job: Job) -> tuple[Rotation, list[float]] | None:
@@ -161,9 +177,11 @@ def rotation_of(job: Job) -> tuple[Rotation, list[float]] | None:
     if given is None:
         return None
     rotation = Rotation(
-        axis=given.axis, point=[units.length * value for value in given.point], held=tuple(given.held),
+        axis=given.axis,
+        point=[units.length * value for value in given.point],
+        held=tuple(given.held),
         stress=given.stress,
-    )  # fmt: skip
+    )
     speeds = [speed / units.time for speed in given.speed]
     refuse_out_of_range("[spin]: speed", speeds)
     return rotation, speeds
@@ -206,8 +224,11 @@ def prepare_output(job: Job) -> None:
 
 def inputs_of(job: Job) -> dict[str, Path]:
     """The files that the job reads by the words for each: itself, and what its model comes from."""
-    moves = {f"the morph of {t.name}": job.resolve(t.mesh or t.displacement or "") for t in job.tables.parameter
-             if t.mesh or t.displacement}  # fmt: skip
+    moves = {
+        f"the morph of {t.name}": job.resolve(t.mesh or t.displacement or "")
+        for t in job.tables.parameter
+        if t.mesh or t.displacement
+    }
     what = "the mesh" if job.tables.model.mesh else "the model file" if job.tables.model.file else "a body"
     files = {what if not number else f"{what} {number + 1}": file for number, file in enumerate(sources_of(job))}
     tables = {f"the path of [[flow]] {t.path}": job.resolve(t.path) for t in job.tables.flow if t.path.endswith(".csv")}

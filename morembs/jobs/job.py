@@ -115,9 +115,8 @@ def load_job(path: str | Path, changes: Sequence[str] = ()) -> Job:
         raise InputError("\n".join(_faults(error, data))) from error
     memory = None if tables.solver.memory is None else parse_memory(tables.solver.memory)
     return Job(
-        path=path, text=text, tables=tables, reducers=_reducers(tables.reduce), memory=memory,
-        changes=tuple(changes),
-    )  # fmt: skip
+        path=path, text=text, tables=tables, reducers=_reducers(tables.reduce), memory=memory, changes=tuple(changes)
+    )
 
 
 def _words_in(value: Any) -> Iterator[str]:

@@ -152,11 +152,16 @@ def whirl_rows(whirl: Whirl) -> list[ModeRow]:
     """Rows of the modes at one speed."""
     return [
         ModeRow(
-            speed=whirl.speed, number=k + 1, damped_hz=float(s.imag) / (2 * math.pi), real=float(s.real),
-            ratio=float(-s.real / abs(s)) + 0.0 if s else 0.0, whirl=word, inertial_hz=float(w) / (2 * math.pi),
+            speed=whirl.speed,
+            number=k + 1,
+            damped_hz=float(s.imag) / (2 * math.pi),
+            real=float(s.real),
+            ratio=float(-s.real / abs(s)) + 0.0 if s else 0.0,
+            whirl=word,
+            inertial_hz=float(w) / (2 * math.pi),
         )
         for k, (s, word, w) in enumerate(zip(whirl.eigenvalues, whirl.whirl, whirl.inertial, strict=True))
-    ]  # fmt: skip
+    ]
 
 
 def _complete(modes: ComplexModes) -> str:

@@ -41,7 +41,7 @@ def order_of(jobs: Mapping[int, Job], keys: Collection[int] = ()) -> Order:
     parts = {
         key: tuple(dict.fromkeys(maker for body in _bodies(job) if (maker := written.get(body, key)) != key))
         for key, job in jobs.items()
-    }  # fmt: skip
+    }
     refused, graph = _clashes(jobs, written) | unusable, dict.fromkeys(sorted({*given, *keys}), ())
     while True:
         sorter = TopologicalSorter(graph)

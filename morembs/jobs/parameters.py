@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.floating.preload import Preload, Preloaded
@@ -28,8 +28,6 @@ from morembs.parametric.terms import VariedModel, varied_model
 from morembs.progress import SILENT, Progress
 from morembs.storage.csv_table import read_table
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Values that differ by less than this part are one.
 SAME = 1e-12
 # Tolerance of bodies where none is given.
@@ -48,9 +46,14 @@ def varied_of(
     mesh, parameters = parameters_of(job, mesh)
     tolerances = [table.options().get("tolerance", TOLERANCE) for table in job.tables.reduce]
     return varied_model(
-        mesh, materials, parameters, tolerance=min(float(x) for x in tolerances if isinstance(x, int | float)),
-        mass_integration=job.tables.model.mass_integration, budget=budget, progress=progress,
-    )  # fmt: skip
+        mesh,
+        materials,
+        parameters,
+        tolerance=min(float(x) for x in tolerances if isinstance(x, int | float)),
+        mass_integration=job.tables.model.mass_integration,
+        budget=budget,
+        progress=progress,
+    )
 
 
 def parameters_of(job: Job, mesh: Mesh) -> tuple[Mesh, list[Parameter]]:
@@ -68,15 +71,20 @@ def parameters_of(job: Job, mesh: Mesh) -> tuple[Mesh, list[Parameter]]:
 
 def _parameter(job: Job, mesh: Mesh, table: ParameterTable, sets: tuple[str, ...]) -> Parameter:
     units = units_of(job)
-    scale = {
-        "young": units.stress, "density": units.density, "alpha": 1 / units.time, "beta": units.time
-    }.get(table.property, 1.0)  # fmt: skip
+    scale = {"young": units.stress, "density": units.density, "alpha": 1 / units.time, "beta": units.time}.get(
+        table.property, 1.0
+    )
     nominal = scale * table.nominal if table.nominal is not None else _nominal(job, mesh, table, sets)
     return Parameter(
-        name=table.name, kind=table.property, low=scale * table.range[0], high=scale * table.range[1], nominal=nominal,
-        sets=sets, displacement=_displacement(job, mesh, table) if table.property == "morph" else None,
+        name=table.name,
+        kind=table.property,
+        low=scale * table.range[0],
+        high=scale * table.range[1],
+        nominal=nominal,
+        sets=sets,
+        displacement=_displacement(job, mesh, table) if table.property == "morph" else None,
         spring=_spring(job, table),
-    )  # fmt: skip
+    )
 
 
 def _spring(job: Job, table: ParameterTable) -> Spring | None:
@@ -86,9 +94,10 @@ def _spring(job: Job, table: ParameterTable) -> Spring | None:
     along = units.mass / units.time**2
     scale = [along] * 3 + [along * units.length**2] * 3
     return Spring(
-        interface=table.interface, to=table.to,
+        interface=table.interface,
+        to=table.to,
         stiffness=tuple(k * s for k, s in zip(table.stiffness, scale, strict=True)),
-    )  # fmt: skip
+    )
 
 
 def stressed(varied: VariedModel, bare: FEModel, preload: Preload, found: Preloaded) -> VariedModel:

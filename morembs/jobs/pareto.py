@@ -63,21 +63,29 @@ def contenders(result: JobResult) -> tuple[Contender, ...]:
         if certificate is None:
             continue
         own = (orders[body.name], errors[body.name])
-        better = [name for name in orders if (orders[name], errors[name]) != own
-                  and orders[name] <= own[0] and errors[name] <= own[1]]  # fmt: skip
+        better = [
+            name
+            for name in orders
+            if (orders[name], errors[name]) != own and orders[name] <= own[0] and errors[name] <= own[1]
+        ]
         held = [float(np.nanmedian(row)) for row in certificate.held_error if np.isfinite(row).any()]
         stage = stages[f"reduce {body.name}"]
         compared.append(
             Contender(
-                name=body.name, method=str(body.recipe["method"]), order=own[0],
+                name=body.name,
+                method=str(body.recipe["method"]),
+                order=own[0],
                 measure="pointwise" if certificate.kind == "sampled" else certificate.measure,
                 error=own[1] if certificate.kind == "sampled" else certificate.limit.lower,
                 mean_error=float(certificate.error.mean()),
                 bound=None if certificate.kind == "sampled" else certificate.limit.upper,
-                static_error=certificate.static_error, held_error=max(held) if held else None, seconds=stage.seconds,
-                peak_memory_bytes=stage.peak_memory_bytes, best=not better,
+                static_error=certificate.static_error,
+                held_error=max(held) if held else None,
+                seconds=stage.seconds,
+                peak_memory_bytes=stage.peak_memory_bytes,
+                best=not better,
             )
-        )  # fmt: skip
+        )
     return tuple(compared)
 
 
@@ -106,7 +114,7 @@ def draw_contenders(path: Path, compared: tuple[Contender, ...], title: str) -> 
         ("reduced coordinates", [contender.order for contender in compared]),
         ("seconds", [contender.seconds for contender in compared]),
         ("peak memory of the process, GB", [contender.peak_memory_bytes / 1e9 for contender in compared]),
-    )  # fmt: skip
+    )
     for panel, (label, x) in zip(panels, scales, strict=True):
         for number, contender in enumerate(compared):
             for _, attribute, marker in ERRORS:
@@ -137,7 +145,7 @@ def draw_contenders(path: Path, compared: tuple[Contender, ...], title: str) -> 
             [], [], color="#555555", marker=marker, linestyle="", fillstyle="full" if name == "error" else "none"
         )[0]
         for _, name, marker in ERRORS
-    ]  # fmt: skip
+    ]
     labels = [contender.name for contender in compared] + [label for label, _, _ in ERRORS]
     figure.legend(names + kinds, labels, frameon=False, loc="outside right upper")
     save(figure, path)

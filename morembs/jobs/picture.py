@@ -10,7 +10,6 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
-from numpy.typing import NDArray
 
 from morembs.body import ElasticBody
 from morembs.body.drawing import FULL_COLOR, draw_shapes
@@ -18,7 +17,6 @@ from morembs.body.shapes import Shapes
 from morembs.jobs.compare import FrequencyResponse
 from morembs.storage.safefile import replacing
 
-Floats = NDArray[np.float64]
 BODY_COLORS = ("#d1495b", "#2e86ab", "#3d9970", "#b5651d", "#7b4fa3", "#607d8b")
 
 

@@ -22,7 +22,7 @@ from morembs.jobs.inputs import (
     solver_of,
     units_of,
     wants_modes,
-)  # fmt: skip
+)
 from morembs.jobs.job import Job
 from morembs.linalg.sparse.select import lacks
 from morembs.linalg.statics import COUNT_BYTES, COUNT_COLUMNS
@@ -213,9 +213,7 @@ def _many_motions(job: Job, facts: Facts) -> list[str]:
     if facts.inputs <= MANY_INTERFACE_DOFS:
         return []
     took = {
-        repr(name): reducer.seconds(facts) or 0.0
-        for name, reducer in job.reducers.items()
-        if reducer.follows_responses
+        repr(name): reducer.seconds(facts) or 0.0 for name, reducer in job.reducers.items() if reducer.follows_responses
     }
     compared = [f"[{key}]" for key in ("certify", "response") if getattr(job.tables, key) is not None]
     took |= {name: response_seconds(facts.size, facts.inputs) for name in compared}

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body import ElasticBody, make_part
 from morembs.body.build import BodyOptions, build_body
 from morembs.body.delivery_check import delivered_warnings
@@ -42,7 +42,7 @@ from morembs.jobs.inputs import (
     rotation_of,
     solver_of,
     wants_modes,
-)  # fmt: skip
+)
 from morembs.jobs.job import Job
 from morembs.jobs.model import model_of
 from morembs.jobs.preflight import BAND_POINTS, model_warnings, preflight
@@ -64,7 +64,6 @@ if TYPE_CHECKING:
     from morembs.interface import Interface
     from morembs.parametric.terms import VariedModel
 
-Floats = NDArray[np.float64]
 # Band of the picture where no [response] asks for one: parts of the lowest and of the highest known mode.
 BAND = (0.2, 1.1)
 
@@ -93,10 +92,13 @@ class JobResult:
 
     def _facts(self) -> dict[str, object]:
         return {
-            "job": self.job.path.name, "dofs": self.dofs, "solver": self.solver,
+            "job": self.job.path.name,
+            "dofs": self.dofs,
+            "solver": self.solver,
             "bodies": ", ".join(f"{body.name} (order {body.reduced.order})" for body in self.bodies),
-            "seconds": sum(stage.seconds for stage in self.stages), "warnings": len(self.warnings) or None,
-        }  # fmt: skip
+            "seconds": sum(stage.seconds for stage in self.stages),
+            "warnings": len(self.warnings) or None,
+        }
 
     @property
     def solver(self) -> str:
@@ -120,17 +122,19 @@ def run_job(job: Job, progress: Progress = SILENT, warn: Callable[[str], None] =
     start = resident_bytes()
     prepare_output(job)
     solver, materials = solver_of(job), materials_of(job)
-    with (
-        limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget,
-        PeakMemory() as memory,
-    ):  # fmt: skip
+    with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget, PeakMemory() as memory:
         return _run(job, solver, materials, budget, start, Stopwatch(progress, memory), warn)
 
 
 def _run(
-    job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, start: int, watch: Stopwatch,
+    job: Job,
+    solver: LinearSolver,
+    materials: Sequence[Material],
+    budget: Budget,
+    start: int,
+    watch: Stopwatch,
     warn: Callable[[str], None],
-) -> JobResult:  # fmt: skip
+) -> JobResult:
     progress = watch.progress
     with keeping_ledger() as ledger:
         model, varied = model_of(job, solver, materials, budget, start, watch)
@@ -189,9 +193,13 @@ def _run(
     with watch.stage("write"):
         provenance = _provenance(job, inputs, factor, watch)
         write_body(
-            job.output, bodies, recipe=_recipe(job, model) | preload_notes, provenance=provenance,
-            warnings=(*of_model, *(() if spin is None else spin.warnings), *delivered), progress=progress,
-        )  # fmt: skip
+            job.output,
+            bodies,
+            recipe=_recipe(job, model) | preload_notes,
+            provenance=provenance,
+            warnings=(*of_model, *(() if spin is None else spin.warnings), *delivered),
+            progress=progress,
+        )
         _write_state_space(job, bodies)
         if varied is not None:
             # Not at the top: most jobs have no parameters.
@@ -204,11 +212,20 @@ def _run(
         with watch.stage("draw"):
             draw(job.picture, bodies, shapes, response)
     return JobResult(
-        job=job, nodes=len(model.nodes), elements=count_elements(model.mesh), dofs=model.size, bodies=bodies,
-        factor=factor, choice=analysis.choice if analysis else "", stages=tuple(watch.stages),
-        peak_memory_bytes=watch.peak_memory_bytes, response=response, shapes=shapes, warnings=warnings,
+        job=job,
+        nodes=len(model.nodes),
+        elements=count_elements(model.mesh),
+        dofs=model.size,
+        bodies=bodies,
+        factor=factor,
+        choice=analysis.choice if analysis else "",
+        stages=tuple(watch.stages),
+        peak_memory_bytes=watch.peak_memory_bytes,
+        response=response,
+        shapes=shapes,
+        warnings=warnings,
         inputs=inputs,
-    )  # fmt: skip
+    )
 
 
 def _write_state_space(job: Job, bodies: Sequence[ElasticBody]) -> None:
@@ -297,9 +314,14 @@ def _reduce(
 
 
 def _delivered(
-    job: Job, problem: Problem, reduced: Sequence[ReducedModel], certificates: Sequence[Certificate | None],
-    spins: Sequence[ReducedSpin | None], wanted: BodyOptions, watch: Stopwatch,
-) -> tuple[ElasticBody, ...]:  # fmt: skip
+    job: Job,
+    problem: Problem,
+    reduced: Sequence[ReducedModel],
+    certificates: Sequence[Certificate | None],
+    spins: Sequence[ReducedSpin | None],
+    wanted: BodyOptions,
+    watch: Stopwatch,
+) -> tuple[ElasticBody, ...]:
     """The bodies with all that goes into their file."""
     part, progress = make_part(problem, job.tables.output.nodes), watch.progress
     with watch.stage("deliver"):
@@ -312,10 +334,18 @@ def _delivered(
             variation = reducer.variation(problem, body, progress=progress)
             bodies.append(
                 build_body(
-                    problem, body, part, wanted, certificate=certificate, operator=operator, switching=switching,
-                    variation=variation, spin=spin, progress=progress,
+                    problem,
+                    body,
+                    part,
+                    wanted,
+                    certificate=certificate,
+                    operator=operator,
+                    switching=switching,
+                    variation=variation,
+                    spin=spin,
+                    progress=progress,
                 )
-            )  # fmt: skip
+            )
         return tuple(bodies)
 
 
@@ -345,9 +375,7 @@ def _recipe(job: Job, model: FEModel) -> dict[str, object]:
     return {**asked, "dofs": model.size, "source": model.source}
 
 
-def _provenance(
-    job: Job, inputs: Mapping[str, Content], factor: FactorStats, watch: Stopwatch
-) -> dict[str, object]:
+def _provenance(job: Job, inputs: Mapping[str, Content], factor: FactorStats, watch: Stopwatch) -> dict[str, object]:
     return {
         "job": job.text,
         "changes": list(job.changes) or None,

@@ -59,8 +59,7 @@ class ModelTable(Table):
         default=False, description="true or false: a deck may include files from beyond its folder"
     )
     unsymmetric: Literal["refuse", "split", "symmetrise"] = Field(
-        default="refuse",
-        description='"refuse", "split" or "symmetrise": what becomes of the skew parts of K and D',
+        default="refuse", description='"refuse", "split" or "symmetrise": what becomes of the skew parts of K and D'
     )
 
     @model_validator(mode="after")
@@ -257,7 +256,6 @@ class SolverTable(Table):
     out_of_core: bool = Field(default=False, description="true to keep the factor and all arrays on disk, or false")
     ranks: int | None = Field(default=None, ge=1, le=65536, description="a count of MPI processes from 1 to 65536")
     workers: int = Field(default=1, ge=1, le=1024, description="a count of processes from 1 to 1024")
-
 
     @model_validator(mode="after")
     def _ranks(self) -> Self:

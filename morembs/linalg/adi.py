@@ -23,16 +23,13 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Values
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import SolverError
 from morembs.linalg.columns import multiply_into, orthonormal
 from morembs.progress import SILENT, Progress
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Values = NDArray[Any]
 # Directions of Z below this part of the largest are dropped: (1e-10)^2 is nothing in the Gramian.
 NEGLIGIBLE = 1e-10
 # Shifts that are used before the residual is projected again, and columns of the latest solutions that it is
@@ -74,9 +71,15 @@ class LowRankGramian:
 
 
 def low_rank_gramian(
-    system: SecondOrder, F: Floats, *, tolerance: float = 1e-10, max_steps: int = 300, budget: Budget = UNLIMITED,
-    progress: Progress = SILENT, rows: int = ROWS,
-) -> LowRankGramian:  # fmt: skip
+    system: SecondOrder,
+    F: Floats,
+    *,
+    tolerance: float = 1e-10,
+    max_steps: int = 300,
+    budget: Budget = UNLIMITED,
+    progress: Progress = SILENT,
+    rows: int = ROWS,
+) -> LowRankGramian:
     """Controllability Gramian of ``system`` under the loads ``F`` (N, m).
 
     The residual of the Lyapunov equation is [f; g][f; g]'. It is measured by f'Mf + g'K^-1 g, column by column

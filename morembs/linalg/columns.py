@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Values
 from morembs.budget import UNLIMITED, Budget
 from morembs.moved import renamed
 
-Floats = NDArray[np.float64]
-Values = NDArray[Any]
 # A column that keeps less than this part of its norm after orthogonalisation is dependent.
 DEPENDENT = 1e-10
 # Eigenvalues of a Gram matrix of unit columns below this are round-off.
@@ -82,9 +80,12 @@ def hstack(*parts: Floats, budget: Budget) -> Floats:
 
 
 def map_columns(
-    apply: Callable[[Values], Values], F: Values | sp.csc_array, budget: Budget, dtype: Any = np.float64,
+    apply: Callable[[Values], Values],
+    F: Values | sp.csc_array,
+    budget: Budget,
+    dtype: Any = np.float64,
     width: int | None = None,
-) -> Values:  # fmt: skip
+) -> Values:
     """apply(F) (N, k) where the budget wants it, the columns of ``F`` (N, k) made dense ``width`` at a time, by default
     as many as the budget has room for."""
     X = budget.empty(F.shape, dtype, order="F")
@@ -161,9 +162,14 @@ def split(
 
 
 def orthonormal(
-    W: Values, M: sp.sparray | None, reference: Floats | None = None, gram: Values | None = None, *, passes: int = 1,
+    W: Values,
+    M: sp.sparray | None,
+    reference: Floats | None = None,
+    gram: Values | None = None,
+    *,
+    passes: int = 1,
     least: float = DEPENDENT,
-) -> Values:  # fmt: skip
+) -> Values:
     """Basis of the columns of ``W`` (n, k), orthonormal in x^H M y; dependent columns are dropped.
 
     By eigenvectors of the Gram matrix (SVQB, Stathopoulos and Wu 2002). ``reference`` (k,) gives the norms that the
@@ -188,9 +194,14 @@ def orthonormal(
 
 
 def orthonormal_pair(
-    W: Values, M: sp.sparray | None, reference: Floats | None = None, gram: Values | None = None, *,
-    MW: Values | None = None, least: float = DEPENDENT,
-) -> tuple[Values, Values]:  # fmt: skip
+    W: Values,
+    M: sp.sparray | None,
+    reference: Floats | None = None,
+    gram: Values | None = None,
+    *,
+    MW: Values | None = None,
+    least: float = DEPENDENT,
+) -> tuple[Values, Values]:
     """``orthonormal`` in one pass, and M times it; ``MW`` is M W where that is known."""
     if gram is None:
         MW = _weighted(W, M) if MW is None else MW
@@ -239,8 +250,7 @@ def _blocks(V: Values, budget: Budget) -> list[slice]:
 
 
 __getattr__ = renamed(
-    __name__,
-    {"remove": "project_out", "combine": "multiply_into", "beside": "hstack", "m_orthonormal": "orthonormal"},
+    __name__, {"remove": "project_out", "combine": "multiply_into", "beside": "hstack", "m_orthonormal": "orthonormal"}
 )
 
 

@@ -13,16 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.errors import InputError, SingularMatrixError, SolverError
 from morembs.linalg.columns import complement, m_norms, orthonormal
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Factorization, LinearSolver
 from morembs.progress import SILENT, Progress
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 # |K^-1 r| against |x| in M at which a mode is taken; its eigenvalue is off by the square of that without damping.
 TOLERANCE = 1e-8
 # What is taken where round-off of stiff parts allows no more: the residual has not halved in so many steps.
@@ -93,10 +91,17 @@ def small_complex_modes(K: Floats, M: Floats, C: Floats) -> tuple[Complexes, Com
 
 
 def complex_modes(
-    K: sp.csr_array, M: sp.csr_array, *, G: sp.csr_array | None = None, D: sp.csr_array | None = None,
-    N: sp.csr_array | None = None, count: int, solver: LinearSolver, start: Floats | None = None,
+    K: sp.csr_array,
+    M: sp.csr_array,
+    *,
+    G: sp.csr_array | None = None,
+    D: sp.csr_array | None = None,
+    N: sp.csr_array | None = None,
+    count: int,
+    solver: LinearSolver,
+    start: Floats | None = None,
     progress: Progress = SILENT,
-) -> ComplexModes:  # fmt: skip
+) -> ComplexModes:
     """The ``count`` modes of lowest \\|s\\|, with K symmetric and regular.
 
     Args:
@@ -120,9 +125,11 @@ def complex_modes(
         V = _start(pencil, count, start)
         given = {"damping": D, "a circulatory matrix": N}
         why = next((words for words, A in given.items() if A is not None and A.nnz), "")
-        why = why or ("" if factor.negative_pivots() == 0 else (
-            "the stiffness is indefinite, as it is above the first critical speed"
-        ))  # fmt: skip
+        why = why or (
+            ""
+            if factor.negative_pivots() == 0
+            else ("the stiffness is indefinite, as it is above the first critical speed")
+        )
         for _ in range(ATTEMPTS):
             modes, V = _converged(pencil, V, count, progress)
             cut = "" if why else _cut(modes.frequencies, count)
@@ -229,10 +236,12 @@ def _cut(w: Floats, count: int) -> float | str:
 
 def _first(modes: ComplexModes, count: int, below: float, why: str) -> ComplexModes:
     return ComplexModes(
-        eigenvalues=modes.eigenvalues[:count], vectors=modes.vectors[:, :count], residuals=modes.residuals[:count],
+        eigenvalues=modes.eigenvalues[:count],
+        vectors=modes.vectors[:, :count],
+        residuals=modes.residuals[:count],
         verified_below=min(below, float(modes.frequencies[count])) if len(modes.frequencies) > count else below,
         no_count=why,
-    )  # fmt: skip
+    )
 
 
 __all__ = ["ComplexModes", "SingularMatrixError", "complex_modes", "frequencies_below", "small_complex_modes"]

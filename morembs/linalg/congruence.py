@@ -9,10 +9,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.budget import Budget
 from morembs.errors import InputError
 
-Ints = NDArray[np.int64]
 _ENTRIES = 1 << 20
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Values
 from morembs.budget import UNLIMITED, Budget
 from morembs.closing import Closing
 from morembs.errors import InputError
@@ -17,8 +17,6 @@ from morembs.linalg.sparse.solver import Analysis, Factorization, Forecast, Line
 from morembs.linalg.sparse.symmetric import General, Lower
 from morembs.moved import renamed
 
-Values = NDArray[Any]
-Ints = NDArray[Any]
 _CHUNK = 1 << 20
 
 
@@ -34,9 +32,17 @@ class DynamicStiffness(Closing):
     """
 
     def __init__(
-        self, K: sp.csr_array, M: sp.csr_array, D: sp.csr_array | None = None, *, G: sp.csr_array | None = None,
-        N: sp.csr_array | None = None, solver: LinearSolver, budget: Budget = UNLIMITED, regular: bool = True,
-    ) -> None:  # fmt: skip
+        self,
+        K: sp.csr_array,
+        M: sp.csr_array,
+        D: sp.csr_array | None = None,
+        *,
+        G: sp.csr_array | None = None,
+        N: sp.csr_array | None = None,
+        solver: LinearSolver,
+        budget: Budget = UNLIMITED,
+        regular: bool = True,
+    ) -> None:
         self.solver, self.budget = solver, budget
         stiffness = Lower.of(K, "the stiffness matrix", budget, regular=regular)
         parts = [
@@ -154,7 +160,7 @@ def structure_at(s: complex, *, D: bool, G: bool, N: bool) -> str:
     return ("" if real else "complex-") + ("unsymmetric" if N or (G and s) else "symmetric")
 
 
-def _add(data: Values, place: Ints, factor: complex, values: Values) -> None:
+def _add(data: Values, place: Values, factor: complex, values: Values) -> None:
     """data[place] += factor * values, in pieces."""
     for first in range(0, len(place), _CHUNK):
         part = slice(first, first + _CHUNK)
@@ -181,8 +187,7 @@ def constrained(A: Lower, rows: NDArray[np.int64]) -> Lower:
 
 
 def spring_stiffness(A: Lower, rows: NDArray[np.int64]) -> Values:
-    """Stiffness (k,) of springs to the ground at ``rows``: that of their diagonal, the largest of all where it is zero.
-    """
+    """Stiffness (k,) of springs to the ground at ``rows``: their diagonal, or the largest of all where it is zero."""
     diagonal = A.diagonal()
     return np.where(diagonal[rows] != 0, diagonal[rows], np.abs(diagonal).max(initial=0.0) or 1.0)
 
@@ -223,7 +228,7 @@ def _rows_at_once(A: Lower) -> int:
     return max(1, int(_CHUNK * A.n / max(A.nnz, 1)))
 
 
-def _places(A: Lower, other: Lower, budget: Budget = UNLIMITED) -> Ints:
+def _places(A: Lower, other: Lower, budget: Budget = UNLIMITED) -> Values:
     """Where (nnz of other,) each entry of ``other`` lies in ``A``; -1 where it does not."""
     place = budget.empty(other.nnz, A.indptr.dtype)
     rows = _rows_at_once(A)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, SolverError
 from morembs.linalg.columns import dense, fix_signs, m_norms
 from morembs.linalg.lanczos import BlockLanczos, largest
@@ -21,7 +21,6 @@ from morembs.moved import renamed
 from morembs.progress import SILENT, Progress
 
 log = logging.getLogger(__name__)
-Floats = NDArray[np.float64]
 # Up to this size, or when a large part of all modes is wanted, LAPACK is faster and finds all.
 DENSE = 1500
 DENSE_PART = 6000
@@ -62,15 +61,20 @@ class Modes:
     def first(self, count: int) -> Modes:
         """The lowest ``count`` of these modes."""
         held = self.verified_below if count >= len(self.eigenvalues) else float(self.eigenvalues[count])
-        return replace(
-            self, eigenvalues=self.eigenvalues[:count], vectors=self.vectors[:, :count], verified_below=held
-        )
+        return replace(self, eigenvalues=self.eigenvalues[:count], vectors=self.vectors[:, :count], verified_below=held)
 
 
 def lowest_modes(
-    body: ConstrainedStatics, M: sp.csr_array, *, count: int | None = None, below: float | None = None,
-    progress: Progress = SILENT, what: str = "modes", by_lapack: bool | None = None, per_slice: int = SLICE,
-) -> Modes:  # fmt: skip
+    body: ConstrainedStatics,
+    M: sp.csr_array,
+    *,
+    count: int | None = None,
+    below: float | None = None,
+    progress: Progress = SILENT,
+    what: str = "modes",
+    by_lapack: bool | None = None,
+    per_slice: int = SLICE,
+) -> Modes:
     """The lowest ``count`` modes, or all with eigenvalues up to ``below`` in (rad/s)2.
 
     Args:
@@ -107,8 +111,8 @@ def lowest_modes(
             shifted.close()
         first = _sparse(body, M, per_slice, None, progress, what)
         values, vectors = sliced_modes(
-            body, M, first.eigenvalues, first.vectors, count=count, below=below, progress=progress, per_slice=per_slice,
-        )  # fmt: skip
+            body, M, first.eigenvalues, first.vectors, count=count, below=below, progress=progress, per_slice=per_slice
+        )
         return Modes(eigenvalues=values, vectors=fix_signs(vectors, body.statics.budget), verified_below=below)
     return _sparse(body, M, count, below, progress, what, shifted)
 
@@ -192,9 +196,14 @@ def _dense_pencil(K: Floats, M: Floats) -> tuple[Floats, Floats]:
 
 
 def _sparse(
-    body: ConstrainedStatics, M: sp.csr_array, count: int, below: float | None, progress: Progress, what: str,
+    body: ConstrainedStatics,
+    M: sp.csr_array,
+    count: int,
+    below: float | None,
+    progress: Progress,
+    what: str,
     shifted: Shifted | None = None,
-) -> Modes:  # fmt: skip
+) -> Modes:
     """Modes by block Lanczos, at shift zero and then at that of the Sturm count where its factor may be kept."""
     rng = np.random.default_rng(2)
     block = _block(body, count)
@@ -219,9 +228,14 @@ def _sparse(
 
 
 def _counted(
-    body: ConstrainedStatics, M: sp.csr_array, lanczos: BlockLanczos, count: int, below: float | None,
-    progress: Progress, what: str,
-) -> Modes:  # fmt: skip
+    body: ConstrainedStatics,
+    M: sp.csr_array,
+    lanczos: BlockLanczos,
+    count: int,
+    below: float | None,
+    progress: Progress,
+    what: str,
+) -> Modes:
     """Modes by block Lanczos at shift zero, counted afterwards."""
     wanted = min(count if below is not None else count + 2, M.shape[0] - body.count)
     for _ in range(ATTEMPTS):

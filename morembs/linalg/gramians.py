@@ -18,10 +18,10 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.budget import UNLIMITED, Budget
 from morembs.linalg.columns import complement, m_norms, multiply_into, project_out
 
-Floats = NDArray[np.float64]
 # Singular values below this part of the largest are round-off.
 NEGLIGIBLE = 1e-12
 # Passes in which the columns that an earlier pass took for dependent are scaled up and tried again.

@@ -13,14 +13,13 @@ from collections.abc import Callable
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import SolverError
 from morembs.linalg.columns import complement, m_norms, multiply, multiply_into, orthonormal_pair, symmetric, take_out
 from morembs.progress import SILENT, Progress
 
-Floats = NDArray[np.float64]
 TOLERANCE = 1e-9
 MAX_STEPS = 400
 # Growth of the space between two looks at its Ritz values.
@@ -36,9 +35,15 @@ class BlockLanczos:
     """
 
     def __init__(
-        self, flexibility: Callable[[Floats], Floats], M: sp.sparray, start: Floats, *, capacity: int, seed: int = 1,
+        self,
+        flexibility: Callable[[Floats], Floats],
+        M: sp.sparray,
+        start: Floats,
+        *,
+        capacity: int,
+        seed: int = 1,
         budget: Budget = UNLIMITED,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.flexibility = flexibility
         self.M = M
         self.block = start.shape[1]

@@ -9,13 +9,11 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.types import Floats, Ints
 from morembs.linalg.sparse.solver import LinearSolver
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 EPS = float(np.finfo(float).eps)
 # Groups up to this size go to LAPACK.
 DENSE = 1500

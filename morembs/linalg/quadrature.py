@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.errors import InputError
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 # Gauss points for each unit of asinh, and to begin with: 1e-10 beside a pole.
 POINTS, FIRST_POINTS = 4, 8
 # Half width of a pole outside the band, at least, as a part of its distance.

@@ -14,12 +14,10 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 EPS = float(np.finfo(float).eps)
 # Forces against what cancels in their row: round-off up to the first (assembled bodies reach 3 eps), a support from
 # the second times as much.
@@ -59,9 +57,7 @@ def written(values: Floats) -> float:
     return 0.0
 
 
-def strain_free(
-    K: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float = 0.0
-) -> tuple[Floats, Floats]:  # fmt: skip
+def strain_free(K: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float = 0.0) -> tuple[Floats, Floats]:
     """Bases (N, r) of the motions ``Phi`` (N, k) that ``K`` leaves free of strain, and (N, k - r) of those it holds.
 
     ``Phi`` are independent geometric rigid motions of comparable displacements; ``size`` (N, k) sums up the magnitudes
@@ -99,7 +95,7 @@ def strain_free(
 
 def free_in_groups(
     K: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float, group: Ints, rank: Ints
-) -> Ints:  # fmt: skip
+) -> Ints:
     """How many motions (groups,) of each group of rows that ``K`` does not couple are free of strain.
 
     ``group`` (N,) is that of each row, the first ``rank`` (groups,) columns of ``Phi`` in its rows are its motions;

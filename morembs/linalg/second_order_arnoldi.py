@@ -13,16 +13,14 @@ Only Q has the length of the model, and both levels stay orthonormal to working 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Values
 from morembs.budget import UNLIMITED, Budget
 from morembs.linalg.columns import orthonormal, split
 
-Values = NDArray[Any]
 Solve = Callable[[Values], Values]
 # Of orthonormalisations: blocks may have directions far below their others.
 PASSES = 3
@@ -37,8 +35,8 @@ class SecondOrderArnoldi:
     """
 
     def __init__(
-        self, M: sp.sparray, D: sp.sparray, start: Values, *, shift: complex, scale: float, budget: Budget = UNLIMITED,
-    ) -> None:  # fmt: skip
+        self, M: sp.sparray, D: sp.sparray, start: Values, *, shift: complex, scale: float, budget: Budget = UNLIMITED
+    ) -> None:
         self.M, self.D, self.scale, self.budget = M, D, scale, budget
         self.shift = complex(shift) if complex(shift).imag else complex(shift).real
         Q = orthonormal(start, M, passes=PASSES)

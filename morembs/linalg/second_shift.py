@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.lanczos import TOLERANCE, BlockLanczos
 from morembs.linalg.slicing import Shifted
@@ -17,7 +17,6 @@ from morembs.linalg.statics import NUDGES, ConstrainedStatics
 from morembs.memory import installed_bytes
 from morembs.progress import Progress
 
-Floats = NDArray[np.float64]
 # Residual of the Ritz values between which the second shift is put: their error is about its square.
 ROUGH = 0.03
 # Residual of Ritz values that gain nothing more at the second shift.
@@ -67,9 +66,7 @@ def first_look(lanczos: BlockLanczos, count: int, *, progress: Progress, what: s
     return None
 
 
-def modes_below(
-    lanczos: BlockLanczos, shifted: Shifted, *, progress: Progress, what: str
-) -> tuple[Floats, Floats]:
+def modes_below(lanczos: BlockLanczos, shifted: Shifted, *, progress: Progress, what: str) -> tuple[Floats, Floats]:
     """All modes below the shift: eigenvalues ascending (m,), vectors (N, m); the space goes on at that shift.
 
     Raises:

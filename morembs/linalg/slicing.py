@@ -13,8 +13,8 @@ import logging
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.closing import Closing
 from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.columns import dense, dot, map_columns, project_out
@@ -24,8 +24,6 @@ from morembs.linalg.statics import NUDGES, ConstrainedStatics, room_for_factor, 
 from morembs.progress import SILENT, Progress
 
 log = logging.getLogger(__name__)
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Modes per slice, and columns of a Krylov block.
 SLICE, BLOCK = 120, 12
 # Part of the modes of a slice that lie below its shift.
@@ -77,9 +75,16 @@ class Shifted(Closing):
 
 
 def sliced_modes(
-    body: ConstrainedStatics, M: sp.csr_array, values: Floats, vectors: Floats, *, count: int, below: float,
-    progress: Progress = SILENT, per_slice: int = SLICE,
-) -> tuple[Floats, Floats]:  # fmt: skip
+    body: ConstrainedStatics,
+    M: sp.csr_array,
+    values: Floats,
+    vectors: Floats,
+    *,
+    count: int,
+    below: float,
+    progress: Progress = SILENT,
+    per_slice: int = SLICE,
+) -> tuple[Floats, Floats]:
     """All ``count`` modes with eigenvalues up to ``below`` (rad/s)2: values ascending (count,), vectors (N, count).
 
     ``values`` (m,), ``vectors`` (N, m) are the lowest modes, known and proven complete, to begin with; ``count`` has

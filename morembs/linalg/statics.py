@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.budget import UNLIMITED, Budget
 from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
@@ -28,8 +28,6 @@ from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.moved import renamed
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Error of unit interface displacements that is refused, and the one before any refinement, beyond which the condensed
 # stiffness has lost too much; the error that is not refined any more, and the number of steps.
 IMPOSED, FIRST, EXACT, REFINED = 1e-6, 1e-5, 1e-9, 4
@@ -295,9 +293,7 @@ def room_for_factor(budget: Budget) -> int | None:
     return None if left is None else max(0, left)
 
 
-def require_room_to_count(
-    solver: LinearSolver, lower: Lower, room: int | None, budget: Budget = UNLIMITED
-) -> Forecast:
+def require_room_to_count(solver: LinearSolver, lower: Lower, room: int | None, budget: Budget = UNLIMITED) -> Forecast:
     """What a Sturm count will need, refused now where it would be refused after hours of work.
 
     Args:

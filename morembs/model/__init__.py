@@ -5,6 +5,14 @@ from morembs.model.fe_model import DofMap, ElementBlock, FEModel, Mesh, Nodes, r
 from morembs.model.named_columns import NamedColumns
 
 __all__ = [
-    "DofMap", "ElementBlock", "FEModel", "Mesh", "NamedColumns", "Nodes", "frozen", "frozen_numbers", "rigid_motion",
+    "DofMap",
+    "ElementBlock",
+    "FEModel",
+    "Mesh",
+    "NamedColumns",
+    "Nodes",
+    "frozen",
+    "frozen_numbers",
+    "rigid_motion",
     "skew",
-]  # fmt: skip
+]

@@ -15,6 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, nearest
 from morembs.model.elements import TYPES, ElementType
@@ -25,8 +26,6 @@ from morembs.model.middle_nodes import mesh_in_order
 from morembs.model.surface import seam_faces
 from morembs.progress import SILENT, Progress
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 CHUNK_BYTES = 48_000_000
 # Numbers at once where arrays are walked through: they stay in the cache.
 PIECE = 1 << 17
@@ -61,9 +60,14 @@ def stiffness_pattern(graph: sp.csr_array, budget: Budget = UNLIMITED) -> sp.csr
 
 
 def assemble(
-    mesh: Mesh, materials: Sequence[Material], *, mass_integration: str = "element", seams: bool = False,
-    budget: Budget = UNLIMITED, progress: Progress = SILENT,
-) -> FEModel:  # fmt: skip
+    mesh: Mesh,
+    materials: Sequence[Material],
+    *,
+    mass_integration: str = "element",
+    seams: bool = False,
+    budget: Budget = UNLIMITED,
+    progress: Progress = SILENT,
+) -> FEModel:
     """FE model of ``mesh`` (coordinates in m) with one material per element.
 
     ``mass_integration`` is "element" (the rule of each block, the exact mass where the program of a deck takes no
@@ -93,27 +97,47 @@ def assemble(
     graph = node_graph(mesh)
     k_data, m_data = budget.empty(9 * graph.nnz), np.zeros(graph.nnz)
     integrate(
-        mesh, materials, owner, graph, stiffness=k_data, mass=m_data, mass_integration=mass_integration,
-        budget=budget, progress=progress,
-    )  # fmt: skip
+        mesh,
+        materials,
+        owner,
+        graph,
+        stiffness=k_data,
+        mass=m_data,
+        mass_integration=mass_integration,
+        budget=budget,
+        progress=progress,
+    )
     if not all(np.isfinite(array.sum()) for array in (k_data, m_data)):
         raise InputError("stiffness or mass is not finite; check the coordinates, the material and the units")
     K, M = stiffness_matrix(graph, k_data, budget), mass_matrix(graph, m_data, budget)
     if mass_integration == "element" and any(block.mass == "row-sum" for block in mesh.blocks):
         M.eliminate_zeros()
     return FEModel(
-        K=K, M=M, nodes=mesh.nodes, dofs=DofMap.translations(len(mesh.nodes)), mesh=mesh, materials=tuple(materials),
-        source=mesh.source, warnings=(*mesh.warnings, *other_mass),
-    )  # fmt: skip
+        K=K,
+        M=M,
+        nodes=mesh.nodes,
+        dofs=DofMap.translations(len(mesh.nodes)),
+        mesh=mesh,
+        materials=tuple(materials),
+        source=mesh.source,
+        warnings=(*mesh.warnings, *other_mass),
+    )
 
 
 def integrate(
-    mesh: Mesh, materials: Sequence[Material], owner: dict[int, Ints], graph: sp.csr_array, *,
-    stiffness: Floats | None = None, mass: Floats | None = None, mass_integration: str = "element",
+    mesh: Mesh,
+    materials: Sequence[Material],
+    owner: dict[int, Ints],
+    graph: sp.csr_array,
+    *,
+    stiffness: Floats | None = None,
+    mass: Floats | None = None,
+    mass_integration: str = "element",
     chosen: Mapping[int, NDArray[np.bool_]] | None = None,
     weights: Callable[[ElementBlock, Ints], Floats] | None = None,
-    budget: Budget = UNLIMITED, progress: Progress = SILENT,
-) -> None:  # fmt: skip
+    budget: Budget = UNLIMITED,
+    progress: Progress = SILENT,
+) -> None:
     """Add elements to the data of K (9 nnz) and of the scalar mass (nnz) on the ``graph`` of ``node_graph``.
 
     Args:
@@ -247,9 +271,7 @@ def _refuse_gaps(mesh: Mesh) -> None:
         )
 
 
-def chunks(
-    mesh: Mesh, chosen: Mapping[int, NDArray[np.bool_]] | None = None
-) -> Iterator[tuple[ElementBlock, Ints]]:
+def chunks(mesh: Mesh, chosen: Mapping[int, NDArray[np.bool_]] | None = None) -> Iterator[tuple[ElementBlock, Ints]]:
     """Blocks with rows of their elements, few enough that what is integrated over them stays near 50 MB times 4.
 
     ``chosen`` says for each block (by identity) which elements (ne,) are meant; all by default.
@@ -326,9 +348,14 @@ def mass_matrix(graph: sp.csr_array, m_data: Floats, budget: Budget = UNLIMITED)
 
 
 def _stiffness(
-    formulation: Formulation, kind: ElementType, x: Floats, ids: Ints, materials: Sequence[Material], which: Ints,
+    formulation: Formulation,
+    kind: ElementType,
+    x: Floats,
+    ids: Ints,
+    materials: Sequence[Material],
+    which: Ints,
     factors: Floats | None = None,
-) -> Iterator[tuple[slice, Floats]]:  # fmt: skip
+) -> Iterator[tuple[slice, Floats]]:
     """Stiffness (n, 3k, 3k) of elements with node coordinates ``x`` (ne, k, 3), piece by piece; ``factors`` (ne, nq)
     multiply the volumes."""
     constants = np.stack([material.stiffness for material in materials])

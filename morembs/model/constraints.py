@@ -8,17 +8,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.model.arrays import frozen
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @checked
@@ -128,10 +125,14 @@ def solved_for_first(name: str, sums: Iterable[tuple[str, list[Term]]]) -> Equat
         rest += [(node, component, value / scale) for (node, component), value in total.items() if value != 0.0]
         offsets.append(len(rest))
     return Equations(
-        name=name, nodes=np.array([node for node, _ in first]), components=np.array([c for _, c in first]),
-        offsets=np.array(offsets), term_nodes=np.array([node for node, *_ in rest]),
-        term_components=np.array([c for _, c, _ in rest]), coefficients=np.array([value for *_, value in rest]),
-    )  # fmt: skip
+        name=name,
+        nodes=np.array([node for node, _ in first]),
+        components=np.array([c for _, c in first]),
+        offsets=np.array(offsets),
+        term_nodes=np.array([node for node, *_ in rest]),
+        term_components=np.array([c for _, c, _ in rest]),
+        coefficients=np.array([value for *_, value in rest]),
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

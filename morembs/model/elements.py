@@ -15,10 +15,9 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from morembs.base.types import Floats, Ints
+
 Order = int | tuple[int, int] | str
 # Rules by name, exact to degree 5: 14 points in a hexahedron (Irons 1971), 15 in a tetrahedron (Stroud 1971, T3 5-1).
 IRONS, STROUD = "irons", "stroud"
@@ -37,9 +36,7 @@ _WEDGE = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]]
 _TRI_EDGES = ((0, 1), (1, 2), (2, 0))
 _QUAD_EDGES = ((0, 1), (1, 2), (2, 3), (3, 0))
 _TET_EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
-_HEX_EDGES = (
-    (0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7),
-)  # fmt: skip
+_HEX_EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 _HEX_CENTERS = [[0, 0.5, 0.5], [1, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 1, 0.5], [0.5, 0.5, 0], [0.5, 0.5, 1]]
 _HEX20 = _with_edges(_HEX, _HEX_EDGES)
 _TET_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
@@ -185,13 +182,24 @@ FACES: dict[str, ElementType] = {
 
 
 def _solid(
-    name: str, formula: str, reference: Floats, vtk: int, orders: tuple[Order, Order],
-    faces: tuple[tuple[int, ...], ...], kinds: tuple[str, ...],
-) -> ElementType:  # fmt: skip
+    name: str,
+    formula: str,
+    reference: Floats,
+    vtk: int,
+    orders: tuple[Order, Order],
+    faces: tuple[tuple[int, ...], ...],
+    kinds: tuple[str, ...],
+) -> ElementType:
     return ElementType(
-        name=name, formula=formula, reference=reference, vtk=vtk,
-        stiffness_order=orders[0], mass_order=orders[1], faces=faces, face_types=kinds,
-    )  # fmt: skip
+        name=name,
+        formula=formula,
+        reference=reference,
+        vtk=vtk,
+        stiffness_order=orders[0],
+        mass_order=orders[1],
+        faces=faces,
+        face_types=kinds,
+    )
 
 
 # Stiffness rules are those of the field (4 points in tet10, 3x3x3 in hex20, 3x3 in wedge15); mass is integrated
@@ -204,18 +212,33 @@ TYPES: dict[str, ElementType] = {
         _solid("hex8", "skfem.ElementHex1", np.array(_HEX, dtype=float), 12, (3, 5), _HEX_FACES, ("quad4",) * 6),
         _solid("hex20", "skfem.ElementHexS2", _HEX20, 25, (5, 5), _HEX_FACES, ("quad8",) * 6),
         _solid(
-            "hex27", "skfem.ElementHex2", np.vstack([_HEX20, _HEX_CENTERS, [[0.5] * 3]]), 29, (5, 5),
-            _HEX_FACES, ("quad9",) * 6,
+            "hex27",
+            "skfem.ElementHex2",
+            np.vstack([_HEX20, _HEX_CENTERS, [[0.5] * 3]]),
+            29,
+            (5, 5),
+            _HEX_FACES,
+            ("quad9",) * 6,
         ),
         _solid(
-            "wedge6", "skfem.ElementWedge1", np.array(_WEDGE, dtype=float), 13, (2, 4),
-            _WEDGE_FACES, ("tri3",) * 2 + ("quad4",) * 3,
+            "wedge6",
+            "skfem.ElementWedge1",
+            np.array(_WEDGE, dtype=float),
+            13,
+            (2, 4),
+            _WEDGE_FACES,
+            ("tri3",) * 2 + ("quad4",) * 3,
         ),
         _solid(
-            "wedge15", "morembs.model.wedge15.ElementWedgeS2", WEDGE15, 26, ((2, 5), 5),
-            _WEDGE_FACES, ("tri6",) * 2 + ("quad8",) * 3,
+            "wedge15",
+            "morembs.model.wedge15.ElementWedgeS2",
+            WEDGE15,
+            26,
+            ((2, 5), 5),
+            _WEDGE_FACES,
+            ("tri6",) * 2 + ("quad8",) * 3,
         ),
     )
-}  # fmt: skip
+}
 
 __all__ = ["FACES", "IRONS", "STROUD", "TYPES", "ElementType", "Order", "Rule"]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.model.arrays import frozen
 from morembs.model.constraints import AverageElement, DependentDofs, Equations, RigidElement
@@ -22,8 +23,6 @@ from morembs.summary import summarised
 if TYPE_CHECKING:
     import scipy.sparse as sp
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Matrices that came as text differ from their transposes by round-off.
 SYMMETRIC = 1e-8
 # Coordinates and entries beyond this are damage: volumes and sums of products would overflow.
@@ -125,9 +124,13 @@ class Mesh:
     def _facts(self) -> dict[str, object]:
         kinds = ", ".join(f"{len(block.ids):,} {block.type}" for block in self.blocks)
         return {
-            "nodes": len(self.nodes), "elements": kinds or 0, "node sets": list(self.nodes.sets),
-            "element sets": list(self.element_sets), "source": self.source, "warnings": len(self.warnings) or None,
-        }  # fmt: skip
+            "nodes": len(self.nodes),
+            "elements": kinds or 0,
+            "node sets": list(self.nodes.sets),
+            "element sets": list(self.element_sets),
+            "source": self.source,
+            "warnings": len(self.warnings) or None,
+        }
 
 
 @checked
@@ -166,9 +169,11 @@ class DofMap:
     def _facts(self) -> dict[str, object]:
         turns, scalars = int(self.turning.sum()), int((self.component == SCALAR).sum())
         return {
-            "displacements": len(self) - turns - scalars, "rotations": turns, "scalars": scalars or None,
+            "displacements": len(self) - turns - scalars,
+            "rotations": turns,
+            "scalars": scalars or None,
             "nodes": len(np.unique(self.node)),
-        }  # fmt: skip
+        }
 
     @property
     def turning(self) -> NDArray[np.bool_]:
@@ -308,12 +313,16 @@ class FEModel:
 
     def _facts(self) -> dict[str, object]:
         return {
-            "dofs": self.size, "nodes": len(self.nodes), "elements": self.mesh and self.mesh.element_count,
+            "dofs": self.size,
+            "nodes": len(self.nodes),
+            "elements": self.mesh and self.mesh.element_count,
             "matrices": [name for name in MATRICES if getattr(self, name) is not None],
-            "couplings": list(self.couplings), "inputs": self.inputs and list(self.inputs.names),
-            "outputs": self.outputs and list(self.outputs.names), "source": self.source,
+            "couplings": list(self.couplings),
+            "inputs": self.inputs and list(self.inputs.names),
+            "outputs": self.outputs and list(self.outputs.names),
+            "source": self.source,
             "warnings": len(self.warnings) or None,
-        }  # fmt: skip
+        }
 
 
 def has_places(model: FEModel) -> bool:
@@ -441,10 +450,11 @@ def refuse_unsymmetric(model: FEModel, names: Sequence[str] = ("K", "M", "D")) -
         part = 0.0 if A is None else _unsymmetric(A)
         if part:
             cure = (
-                "leave out what makes it so" if name == "M" else
-                'take [model] unsymmetric = "split" (split_unsymmetric in Python), which keeps its skew part as '
+                "leave out what makes it so"
+                if name == "M"
+                else 'take [model] unsymmetric = "split" (split_unsymmetric in Python), which keeps its skew part as '
                 f'{"circulatory" if name == "K" else "gyroscopic"} matrix, or "symmetrise", which drops it'
-            )  # fmt: skip
+            )
             raise InputError(
                 f"{name} of {model.source or 'the model'} is not symmetric (by {part:.1e} of its largest entry); {cure}"
             )

@@ -12,14 +12,12 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError, nearest
 from morembs.model.elements import IRONS, STROUD, TYPES, ElementType, Order, Rule
 from morembs.model.fe_model import ElementBlock
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Jacobians whose powers are numbers still.
 SMALLEST, LARGEST = 1e-250, 1e250
 # Hourglass stiffness over E V sum |g|^2 (that of CalculiX).
@@ -27,9 +25,9 @@ HOURGLASS = 0.0005
 LINEAR = ("tet4", "hex8", "wedge6")
 # Rules of the mass and the types that they are for; "reduced" takes the points of the stiffness, "row-sum" is lumped,
 # "irons" has 14 points, and "stroud" 15, which differ from the exact mass where sides are curved.
-MASSES: Mapping[str, tuple[str, ...]] = MappingProxyType({
-    "exact": tuple(TYPES), "reduced": tuple(TYPES), "row-sum": LINEAR, IRONS: ("hex20",), STROUD: ("tet10",)
-})  # fmt: skip
+MASSES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"exact": tuple(TYPES), "reduced": tuple(TYPES), "row-sum": LINEAR, IRONS: ("hex20",), STROUD: ("tet10",)}
+)
 
 
 @dataclass(frozen=True)
@@ -195,19 +193,23 @@ def _modulus(C: Floats) -> Floats:
     return np.where(alike, mu * (3 * lam + 2 * mu) / np.where(alike, lam + mu, 1.0), C[:, 0, 0])
 
 
-FORMULATIONS: Mapping[str, Formulation] = MappingProxyType({
-    "full": Formulation(about="the field, with as many points as it needs"),
-    "b-bar": Formulation(about="the mean volume strain", orders={"hex8": 3}, change=_mean_dilatation),
-    "mean-strain": Formulation(
-        about="the mean strain, with hourglass stiffness", orders={"hex8": 3}, mean=True,
-        hourglass=_against_hourglasses,
-    ),
-    "incompatible": Formulation(
-        about="three incompatible modes, condensed", orders={"hex8": 3}, change=_incompatible_modes
-    ),
-    "reduced": Formulation(about="8 points (hexahedra) or 2 (wedges)", orders={"hex20": 3, "wedge6": (1, 3)}),
-    "irons": Formulation(about="14 points", orders={"hex20": IRONS}),
-})  # fmt: skip
+FORMULATIONS: Mapping[str, Formulation] = MappingProxyType(
+    {
+        "full": Formulation(about="the field, with as many points as it needs"),
+        "b-bar": Formulation(about="the mean volume strain", orders={"hex8": 3}, change=_mean_dilatation),
+        "mean-strain": Formulation(
+            about="the mean strain, with hourglass stiffness",
+            orders={"hex8": 3},
+            mean=True,
+            hourglass=_against_hourglasses,
+        ),
+        "incompatible": Formulation(
+            about="three incompatible modes, condensed", orders={"hex8": 3}, change=_incompatible_modes
+        ),
+        "reduced": Formulation(about="8 points (hexahedra) or 2 (wedges)", orders={"hex20": 3, "wedge6": (1, 3)}),
+        "irons": Formulation(about="14 points", orders={"hex20": IRONS}),
+    }
+)
 
 
 def formulation_of(block: ElementBlock) -> Formulation:

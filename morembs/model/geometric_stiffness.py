@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.model.assembly import chunks, material_of_elements, node_graph
@@ -21,9 +21,6 @@ from morembs.model.elements import TYPES
 from morembs.model.fe_model import Mesh
 from morembs.model.formulations import formulation_of
 from morembs.model.material import VOIGT, Material
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

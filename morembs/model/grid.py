@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.model.elements import TYPES
 from morembs.model.fe_model import ElementBlock, Mesh, Nodes
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def grid_cells(shape: Sequence[int], element: str = "hex20") -> Ints:
@@ -41,7 +38,7 @@ def grid_mesh(points: Floats, element: str = "hex20") -> Mesh:
         nodes=Nodes(ids=np.arange(1, len(used) + 1), xyz=points.reshape(-1, 3)[used]),
         blocks=(ElementBlock(type=element, nodes=nodes.reshape(cells.shape), ids=np.arange(1, len(cells) + 1)),),
         source="grid",
-    )  # fmt: skip
+    )
 
 
 def box_mesh(size: Sequence[float], cells: Sequence[int], element: str = "hex20") -> Mesh:

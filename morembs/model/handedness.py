@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.model.elements import TYPES
 from morembs.model.fe_model import ElementBlock, Mesh
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _CHUNK = 20_000
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from morembs.base.types import Floats
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
-
-Floats = NDArray[np.float64]
 
 
 def mass_properties(M: sp.csr_array, R: Floats, pole: Floats) -> tuple[float, Floats, Floats]:

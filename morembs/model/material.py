@@ -6,13 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.summary import summarised
 
-Floats = NDArray[np.float64]
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (2, 0), (0, 1))
 
 
@@ -103,11 +102,7 @@ def orthotropic(
     if not all(0 < modulus < math.inf for modulus in (*young, *shear)):
         raise InputError(f"material of set {set!r}: young and shear moduli must be positive; got {young}, {shear}")
     S = np.zeros((6, 6))
-    S[:3, :3] = [
-        [1 / E1, -nu12 / E1, -nu13 / E1],
-        [-nu12 / E1, 1 / E2, -nu23 / E2],
-        [-nu13 / E1, -nu23 / E2, 1 / E3],
-    ]
+    S[:3, :3] = [[1 / E1, -nu12 / E1, -nu13 / E1], [-nu12 / E1, 1 / E2, -nu23 / E2], [-nu13 / E1, -nu23 / E2, 1 / E3]]
     S[3, 3], S[4, 4], S[5, 5] = 1 / G23, 1 / G13, 1 / G12
     if np.linalg.eigvalsh(S)[0] <= 0:
         raise InputError(

@@ -13,12 +13,11 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.model.elements import TYPES
 from morembs.model.fe_model import Mesh
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _CORNERS = {"tet10": "tet4", "hex20": "hex8", "hex27": "hex8", "wedge15": "wedge6"}
 # By place in the element: the corners (in VTK order) in whose middle the node lies, as other programs list them.
 _NETGEN_TET = "01 02 03 12 13 23"

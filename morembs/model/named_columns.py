@@ -94,7 +94,7 @@ def columns_of_output(source: str, C: Any, size: int, names: Sequence[str] | Non
 
 def _columns(
     source: str, role: str, expected: str, matrix: Any, axis: int, size: int, names: Sequence[str] | None
-) -> NamedColumns:  # fmt: skip
+) -> NamedColumns:
     shape = matrix.shape if hasattr(matrix, "shape") else np.shape(matrix)
     if len(shape) != 2 or shape[axis] != size or not shape[1 - axis]:
         raise InputError(f"{source}: {role} has the shape {tuple(shape)}; expected {expected}, as K has {size} rows")

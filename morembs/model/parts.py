@@ -7,14 +7,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.model.constraints import DependentDofs, Equations
 from morembs.model.fe_model import MATRICES, DofMap, FEModel, Mesh, Nodes
-
-Ints = NDArray[np.int64]
 
 
 def parts_of(model: FEModel) -> list[FEModel]:
@@ -70,7 +68,11 @@ def _part(model: FEModel, nodes: Ints, dofs: Ints, which: str) -> FEModel:
             S=sp.csr_array(dependent.S[dofs][:, dofs]), owner=dependent.owner[dofs], names=dependent.names
         )
     return replace(
-        model, **matrices, nodes=_nodes(model.nodes, nodes, row), mesh=mesh, dependent=dependent,
+        model,
+        **matrices,
+        nodes=_nodes(model.nodes, nodes, row),
+        mesh=mesh,
+        dependent=dependent,
         dofs=DofMap(node=row[model.dofs.node[dofs]], component=model.dofs.component[dofs]),
         materials=tuple(material for material in model.materials if material.set == "all" or material.set in sets),
         source=f"{model.source} ({which})",
@@ -79,10 +81,11 @@ def _part(model: FEModel, nodes: Ints, dofs: Ints, which: str) -> FEModel:
         ),
         average=tuple(
             replace(e, reference=int(row[e.reference]), nodes=row[e.nodes])
-            for e in model.average if row[e.reference] >= 0
+            for e in model.average
+            if row[e.reference] >= 0
         ),
         equations=tuple(own for e in model.equations if len(own := _equations(e, row))),
-    )  # fmt: skip
+    )
 
 
 def _nodes(nodes: Nodes, kept: Ints, row: Ints) -> Nodes:
@@ -96,16 +99,18 @@ def _mesh(mesh: Mesh, nodes: Ints, row: Ints) -> Mesh | None:
     own = [np.flatnonzero(row[block.nodes[:, 0]] >= 0) for block in mesh.blocks]
     blocks = [
         replace(block, nodes=row[block.nodes[rows]], ids=block.ids[rows])
-        for block, rows in zip(mesh.blocks, own, strict=True) if len(rows)
-    ]  # fmt: skip
+        for block, rows in zip(mesh.blocks, own, strict=True)
+        if len(rows)
+    ]
     if not blocks:
         return None
     sets = {}
     for name, members in mesh.element_sets.items():
         picked = tuple(
             np.searchsorted(rows, given[np.isin(given, rows)])
-            for given, rows in zip(members, own, strict=True) if len(rows)
-        )  # fmt: skip
+            for given, rows in zip(members, own, strict=True)
+            if len(rows)
+        )
         if any(len(given) for given in picked):
             sets[name] = picked
     return replace(
@@ -118,8 +123,11 @@ def _equations(given: Equations, row: Ints) -> Equations:
     chosen = row[given.nodes] >= 0
     terms = np.repeat(chosen, np.diff(given.offsets))
     return replace(
-        given, nodes=row[given.nodes[chosen]], components=given.components[chosen],
+        given,
+        nodes=row[given.nodes[chosen]],
+        components=given.components[chosen],
         offsets=np.concatenate([[0], np.cumsum(np.diff(given.offsets)[chosen])]),
-        term_nodes=row[given.term_nodes[terms]], term_components=given.term_components[terms],
+        term_nodes=row[given.term_nodes[terms]],
+        term_components=given.term_components[terms],
         coefficients=given.coefficients[terms],
-    )  # fmt: skip
+    )

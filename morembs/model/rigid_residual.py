@@ -6,13 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Bools, Floats
 from morembs.linalg.congruence import cancelling
 from morembs.model.fe_model import SCALAR, DofMap, Nodes, rigid_motion, skew
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 # Force under rigid motion, against the sum of magnitudes that cancel in it: above the first the motion strains the
 # body, between both the numbers are rounded (or the ground is very soft).
 STRAINED, ROUNDED = 1e-6, 1e-9

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.model.fe_model import FEModel
 from morembs.model.surface import outer_faces
 
-Ints = NDArray[np.int64]
 NUMBERS = {"box": 6, "sphere": 4, "cylinder": 7}
 # Points on the surface of a box, sphere or cylinder belong to it: this part of its size is forgiven.
 SLACK = 1e-6

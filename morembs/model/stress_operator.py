@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints, Reals
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.model import assembly as fem
@@ -27,9 +27,6 @@ from morembs.model.formulations import Elements, Formulation, formulation_of
 from morembs.model.surface import outer_faces
 from morembs.progress import SILENT, Progress
 
-Floats = NDArray[np.float64]
-Reals = NDArray[np.float64] | NDArray[np.float32]
-Ints = NDArray[np.int64]
 NODES = ("skin", "all")
 COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "zx")
 # Where the components lie in the Voigt order xx, yy, zz, yz, zx, xy of the materials.
@@ -92,9 +89,14 @@ class SingleElements:
 
 
 def stress_operator(
-    model: FEModel, nodes: str | Ints = "skin", *, elements: bool = False, budget: Budget = UNLIMITED,
-    progress: Progress = SILENT, collected: int = COLLECTED,
-) -> StressOperator:  # fmt: skip
+    model: FEModel,
+    nodes: str | Ints = "skin",
+    *,
+    elements: bool = False,
+    budget: Budget = UNLIMITED,
+    progress: Progress = SILENT,
+    collected: int = COLLECTED,
+) -> StressOperator:
     """Operator at ``nodes``: "skin", "all" or rows of ``model.nodes``; ``elements`` adds that of single elements.
 
     Only elements that touch these nodes are looked at, a chunk at a time. Peak memory: four times the entries of G
@@ -130,9 +132,13 @@ def stress_operator(
         )
         alone = SingleElements(point=point, element=element, operator=single)
     return StressOperator(
-        nodes=node, material=material, elasticity=C, gradient=_stored(of.averaged(_gradients, 3, n), budget),
-        added=_stored(of.averaged(_additions, 6, 3 * n), budget) if changed else None, elements=alone,
-    )  # fmt: skip
+        nodes=node,
+        material=material,
+        elasticity=C,
+        gradient=_stored(of.averaged(_gradients, 3, n), budget),
+        added=_stored(of.averaged(_additions, 6, 3 * n), budget) if changed else None,
+        elements=alone,
+    )
 
 
 def _stored(matrix: sp.csr_array, budget: Budget) -> sp.csr_array:
@@ -237,9 +243,11 @@ class _Points:
             fitted = extrapolation(kind, elements.rule.points)
             yield _Pairs(
                 np.searchsorted(self.numbers, nodes[element, a] * materials + which[element]),
-                rows[element] + first[id(block)], elements.here.dV.sum(axis=1)[element], columns[element],
+                rows[element] + first[id(block)],
+                elements.here.dV.sum(axis=1)[element],
+                columns[element],
                 np.einsum("aq,eqrc->earc", fitted, at_points, optimize=True)[element, a],
-            )  # fmt: skip
+            )
             self.progress.update(f"stress operator: {block.type} {rows[-1] + 1} of {len(block.ids)}")
 
     def averaged(self, values_of: _Values, rows: int, columns: int) -> sp.csr_array:

@@ -7,11 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.model.elements import FACES, TYPES
 from morembs.model.fe_model import Mesh
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def outer_faces(mesh: Mesh, *, within: Ints | None = None, elements: tuple[Ints, ...] | None = None) -> dict[str, Ints]:

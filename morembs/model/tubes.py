@@ -16,14 +16,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.model.fe_model import DofMap, FEModel, Nodes
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 OUTLETS = ("held", "free")
 # Exact for products of cubic shapes.
 POINTS, WEIGHTS = (0.5 * (np.polynomial.legendre.leggauss(4)[0] + 1), 0.5 * np.polynomial.legendre.leggauss(4)[1])
@@ -143,9 +141,10 @@ def conveying(model: FEModel, path: Ints, flow: Flow) -> FEModel:
     shape, slope, q = elements.shape, elements.slope, flow.mass_flow
     half = q * elements.integral(shape, slope)
     added = {
-        "M": elements.integral(shape, flow.density * flow.area * shape), "G": half - np.swapaxes(half, 1, 2),
+        "M": elements.integral(shape, flow.density * flow.area * shape),
+        "G": half - np.swapaxes(half, 1, 2),
         "K": -q * flow.velocity * elements.integral(slope, slope),
-    }  # fmt: skip
+    }
     if flow.outlet == "free":
         end, tilt = (elements.at_end(derivative=k) for k in (0, 1))
         added["D"] = np.zeros_like(half)

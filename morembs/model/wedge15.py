@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import skfem
-from numpy.typing import NDArray
 from skfem.refdom import RefWedge
 
+from morembs.base.types import Floats
 from morembs.model.elements import WEDGE15, WEDGE_EDGES
-
-Floats = NDArray[np.float64]
 
 
 class ElementWedgeS2(skfem.ElementH1):  # type: ignore[misc]
@@ -38,9 +36,6 @@ class ElementWedgeS2(skfem.ElementH1):  # type: ignore[misc]
             a, b = (corner % 3 for corner in WEDGE_EDGES[i - 6])
             side = -1.0 if i < 9 else 1.0
             height = 1 + side * z
-            return (
-                2 * L[a] * L[b] * height,
-                2 * height * (L[a] * dL[b] + L[b] * dL[a]) + 2 * L[a] * L[b] * side * dz,
-            )
+            return (2 * L[a] * L[b] * height, 2 * height * (L[a] * dL[b] + L[b] * dL[a]) + 2 * L[a] * L[b] * side * dz)
         a = i - 12
         return L[a] * (1 - z**2), (1 - z**2) * dL[a] - 2 * z * L[a] * dz

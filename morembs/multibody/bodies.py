@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.floating.frame import FloatingFrame
 from morembs.floating.integrals import ShapeIntegrals
@@ -16,13 +17,16 @@ from morembs.multibody.component import Marker, checked_rotation, numbers, vecto
 from morembs.multibody.floating_body import FloatingBody
 from morembs.multibody.inertia import Foreshortening, Inertia
 
-Floats = NDArray[np.float64]
-
 
 def _placed(
-    label: str, position: ArrayLike, turn: ArrayLike | None, velocity: ArrayLike, spin: ArrayLike, q: Floats,
+    label: str,
+    position: ArrayLike,
+    turn: ArrayLike | None,
+    velocity: ArrayLike,
+    spin: ArrayLike,
+    q: Floats,
     rate: Floats,
-) -> tuple[Floats, Floats]:  # fmt: skip
+) -> tuple[Floats, Floats]:
     """Configuration and velocity at the start."""
     R = checked_rotation(f"{label}: rotation", turn)
     x = np.concatenate((vector(f"{label}: position", position), R.ravel(), q))
@@ -47,11 +51,18 @@ class RigidBody(FloatingBody):
     """
 
     def __init__(
-        self, mass: float, inertia: ArrayLike, *, center_of_mass: ArrayLike = (0.0, 0.0, 0.0),
-        position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None,
-        velocity: ArrayLike = (0.0, 0.0, 0.0), angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        markers: Mapping[str, ArrayLike] | None = None, name: str = "body",
-    ) -> None:  # fmt: skip
+        self,
+        mass: float,
+        inertia: ArrayLike,
+        *,
+        center_of_mass: ArrayLike = (0.0, 0.0, 0.0),
+        position: ArrayLike = (0.0, 0.0, 0.0),
+        rotation: ArrayLike | None = None,
+        velocity: ArrayLike = (0.0, 0.0, 0.0),
+        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        markers: Mapping[str, ArrayLike] | None = None,
+        name: str = "body",
+    ) -> None:
         label = f"body {name!r}"
         mass = float(numbers(f"{label}: mass", mass, ()))
         if mass <= 0:
@@ -64,9 +75,15 @@ class RigidBody(FloatingBody):
         about_origin = J + mass * (c @ c * np.eye(3) - np.outer(c, c))
         none = np.zeros((0, 0))
         integrals = Inertia(
-            mass=mass, first=mass * c, inertia=about_origin, Ct=np.zeros((0, 3)), Cr=np.zeros((0, 3)), Me=none,
-            x_phi=np.zeros((3, 3, 0)), phi_phi=np.zeros((3, 3, 0, 0)),
-        )  # fmt: skip
+            mass=mass,
+            first=mass * c,
+            inertia=about_origin,
+            Ct=np.zeros((0, 3)),
+            Cr=np.zeros((0, 3)),
+            Me=none,
+            x_phi=np.zeros((3, 3, 0)),
+            phi_phi=np.zeros((3, 3, 0, 0)),
+        )
         x, v = _placed(label, position, rotation, velocity, angular_velocity, np.zeros(0), np.zeros(0))
         super().__init__(name=name, inertia=integrals, Ke=none, De=none, configuration=x, velocity=v)
         for key, point in (markers or {}).items():
@@ -86,12 +103,18 @@ class RigidBody(FloatingBody):
 def inertia_of(parts: ShapeIntegrals, terms: Stiffening | None = None) -> Inertia:
     """Inertia of the integrals of a frame, with stiffening where its terms are given."""
     return Inertia(
-        mass=parts.mass, first=parts.first, inertia=parts.inertia, Ct=parts.Ct, Cr=parts.Cr, Me=parts.Me,
-        x_phi=parts.x_phi, phi_phi=parts.phi_phi,
-        foreshortening=None if terms is None else Foreshortening(
-            linear=terms.acceleration, angular=terms.angular_acceleration, centrifugal=terms.rotation
-        ),
-    )  # fmt: skip
+        mass=parts.mass,
+        first=parts.first,
+        inertia=parts.inertia,
+        Ct=parts.Ct,
+        Cr=parts.Cr,
+        Me=parts.Me,
+        x_phi=parts.x_phi,
+        phi_phi=parts.phi_phi,
+        foreshortening=None
+        if terms is None
+        else Foreshortening(linear=terms.acceleration, angular=terms.angular_acceleration, centrifugal=terms.rotation),
+    )
 
 
 @checked
@@ -111,11 +134,19 @@ class FlexibleBody(FloatingBody):
     """
 
     def __init__(
-        self, frame: FloatingFrame, *, position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None,
-        velocity: ArrayLike = (0.0, 0.0, 0.0), angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        elastic: ArrayLike | None = None, elastic_rate: ArrayLike | None = None, stiffening: bool = False,
-        derivatives: Mapping[str, FloatingFrame] | None = None, name: str = "body",
-    ) -> None:  # fmt: skip
+        self,
+        frame: FloatingFrame,
+        *,
+        position: ArrayLike = (0.0, 0.0, 0.0),
+        rotation: ArrayLike | None = None,
+        velocity: ArrayLike = (0.0, 0.0, 0.0),
+        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        elastic: ArrayLike | None = None,
+        elastic_rate: ArrayLike | None = None,
+        stiffening: bool = False,
+        derivatives: Mapping[str, FloatingFrame] | None = None,
+        name: str = "body",
+    ) -> None:
         n, label, terms = len(frame.Ke), f"body {name!r}", None
         if stiffening:
             terms = frame.stiffening

@@ -15,10 +15,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from morembs.arguments import checked
+from morembs.base.types import Bools, Floats, Ints
 from morembs.errors import InputError, nearest
 from morembs.floating.frame import FloatingFrame, floating_frame
 from morembs.interface import make_interface
@@ -33,9 +34,6 @@ from morembs.multibody.system import System
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 START, END = "START", "END"
 # Difference of pieces, per size and per largest entry, up to which they are equal.
 SAME = 1e-8
@@ -250,7 +248,7 @@ def _owners(mesh: Mesh, line: ArrayLike, pieces: int) -> list[Ints]:
     return [tree.query(centre)[1] // POINTS for centre in centres]
 
 
-def _part(mesh: Mesh, chosen: list[Flags], used: Flags, ends: tuple[Flags, Flags]) -> Mesh:
+def _part(mesh: Mesh, chosen: list[Bools], used: Bools, ends: tuple[Bools, Bools]) -> Mesh:
     """Elements ``chosen`` per block, with their nodes and the sets START and END."""
     new = np.cumsum(used) - 1
     sets = {name: new[np.flatnonzero(used & there)] for name, there in zip((START, END), ends, strict=True)}

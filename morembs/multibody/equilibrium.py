@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.multibody.equilibrium_search import EquilibriumSearch
 from morembs.multibody.forces import Load, PointLoad
@@ -27,8 +27,6 @@ from morembs.multibody.steady_spin import SteadySpin
 from morembs.multibody.system import Assembly, State, System
 from morembs.multibody.variation import StateSlopes, Variation, variations
 from morembs.summary import summarised
-
-Floats = NDArray[np.float64]
 
 
 @summarised
@@ -76,16 +74,23 @@ class Equilibrium:
         hz = [f for f in self.linear.frequencies_hz if f > 0]
         return {
             "stable": "yes" if self.stable else f"no, a disturbance grows by {self.linear.growth:.4g} /s",
-            "lowest frequencies in Hz": ", ".join(f"{f:.4g}" for f in hz[:5]), "mobilities": self.mobilities,
+            "lowest frequencies in Hz": ", ".join(f"{f:.4g}" for f in hz[:5]),
+            "mobilities": self.mobilities,
             "iterations": self.iterations,
-        }  # fmt: skip
+        }
 
 
 @checked
 def equilibrium(
-    system: System, *, guess: Equilibrium | State | None = None, tolerance: float = 1e-9, load_steps: int = 1,
-    time: float = 0.0, spin: SteadySpin | None = None, sensitivities: Sequence[str] | bool = False,
-) -> Equilibrium:  # fmt: skip
+    system: System,
+    *,
+    guess: Equilibrium | State | None = None,
+    tolerance: float = 1e-9,
+    load_steps: int = 1,
+    time: float = 0.0,
+    spin: SteadySpin | None = None,
+    sensitivities: Sequence[str] | bool = False,
+) -> Equilibrium:
     """The static equilibrium nearest to the start of the bodies, or to ``guess``; with ``spin`` that of a system which
     turns steadily as a whole, with its small motion as seen by an observer who turns with it.
 
@@ -178,4 +183,3 @@ def _warn_of_dependent_joints(assembly: Assembly, time: float, x: Floats) -> Non
         assembly.check_positions(time, x)
     except InputError as error:
         warnings.warn(f"at the equilibrium {error}; their reactions are those of least norm", stacklevel=3)
-

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, SolverError
 from morembs.multibody.floating_body import FloatingBody
 from morembs.multibody.reactions import saddle
@@ -20,7 +20,6 @@ from morembs.multibody.steady_spin import SteadySpin
 from morembs.multibody.system import Assembly, State
 from morembs.multibody.tangents import pulls, stiffness_and_damping
 
-Floats = NDArray[np.float64]
 # Singular values of the equilibrated matrix below this part of the largest are motions without stiffness, and joint
 # equations that depend on each other.
 CUT = 1e-11
@@ -127,9 +126,14 @@ class EquilibriumSearch:
         """How an equilibrium changes (k + m,) with forces (k,) that are left and joints (m,) that are open."""
         M, _, _, B = self.assembly.equations(self.time, state.x, self.still)
         K, _ = stiffness_and_damping(
-            self.assembly, self.time, state.x, self.still, self.still, state.multipliers,
+            self.assembly,
+            self.time,
+            state.x,
+            self.still,
+            self.still,
+            state.multipliers,
             known=pulls(self.assembly, state),
-        )  # fmt: skip
+        )
         return lambda forces, Phi: self._newton(K, M, B, forces, Phi)[0]
 
     def _limits(self, step: Floats) -> Sequence[float]:
@@ -144,9 +148,10 @@ class EquilibriumSearch:
 
     def _unbalanced(self, force: Floats) -> str:
         bodies = [
-            c.name for c, j in zip(self.assembly.components, self.assembly.in_v, strict=True)
+            c.name
+            for c, j in zip(self.assembly.components, self.assembly.in_v, strict=True)
             if np.abs(force[j]).max(initial=0.0) > 1e-3 * np.abs(force).max()
-        ]  # fmt: skip
+        ]
         return (
             f"nothing balances the load along a motion of {', '.join(map(repr, bodies))} that the joints allow and no "
             "stiffness resists; add a spring or a joint that holds it, or take the load away"

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.multibody.component import Component, Marker, MarkerState
 from morembs.multibody.inertia import Inertia
 from morembs.multibody.rotations import cross, exponential, hat, orthonormal, tangent, tangent_slope
-
-Floats = NDArray[np.float64]
 
 
 class FloatingBody(Component):

@@ -7,15 +7,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.multibody.component import Marker, MarkerState, direction, vector
 from morembs.multibody.joints import bend_turn, frame_about, turn_angle
 from morembs.multibody.rotations import hat
 
-Floats = NDArray[np.float64]
 Load = ArrayLike | Callable[[float], ArrayLike]
 
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.multibody.rotations import cross, hat
 
-Floats = NDArray[np.float64]
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 
 
@@ -37,9 +36,18 @@ class Inertia:
     """
 
     def __init__(
-        self, *, mass: float, first: Floats, inertia: Floats, Ct: Floats, Cr: Floats, Me: Floats, x_phi: Floats,
-        phi_phi: Floats, foreshortening: Foreshortening | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        *,
+        mass: float,
+        first: Floats,
+        inertia: Floats,
+        Ct: Floats,
+        Cr: Floats,
+        Me: Floats,
+        x_phi: Floats,
+        phi_phi: Floats,
+        foreshortening: Foreshortening | None = None,
+    ) -> None:
         n = len(Me)
         self.n, self.mass, self.first, self.inertia = n, mass, first, inertia
         self.C1, self.Cr = np.ascontiguousarray(Ct.T), np.ascontiguousarray(Cr.T)
@@ -116,24 +124,26 @@ class Inertia:
         flow, N = C1 @ rate, P @ rate
         SP, WP = np.tensordot(S, P, axes=(1, 1)), 2 * np.tensordot(W, P, axes=(1, 1))
         # int a_b phi_a, and the force that turns with the frame.
-        Q = (
-            A[:, None, None] * C1 + np.tensordot(S, P, axes=(1, 0)) + 2 * np.tensordot(W, by[1], axes=(1, 0)) + by[2]
-        )  # fmt: skip
+        Q = A[:, None, None] * C1 + np.tensordot(S, P, axes=(1, 0)) + 2 * np.tensordot(W, by[1], axes=(1, 0)) + by[2]
         F = self.mass * A + S @ moment + 2 * W @ flow + C1 @ second
         K, C = np.zeros((6 + n, 6 + n)), np.zeros((6 + n, 6 + n))
         turned = hat(A)
         K[:3, 3:6], K[3:6, 3:6], K[6:, 3:6] = self.mass * turned - hat(F), hat(moment) @ turned, C1.T @ turned
         K[:3, 6:], C[:3, 6:] = S @ C1, 2 * W @ C1
         # SP[b, a, l] is int s_a (S phi_l)_b.
-        K[3:6, 6:], C[3:6, 6:] = _turned((Q + SP).transpose(1, 0, 2).reshape(9, n)), _turned(
-            WP.transpose(1, 0, 2).reshape(9, n))
+        K[3:6, 6:], C[3:6, 6:] = (
+            _turned((Q + SP).transpose(1, 0, 2).reshape(9, n)),
+            _turned(WP.transpose(1, 0, 2).reshape(9, n)),
+        )
         both = (np.stack((S.ravel(), 2 * W.ravel())) @ self._phi_phi.reshape(9, n * n)).reshape(2, n, n)
         K[6:, 6:], C[6:, 6:] = both[0].T, both[1].T
         C[:3, 3:6] = (dS @ moment + 2 * turns @ flow).T
         H = squares @ dS.transpose(0, 2, 1) + 2 * N @ turns.transpose(0, 2, 1)
         C[3:6, 3:6] = np.stack((H[:, 1, 2] - H[:, 2, 1], H[:, 2, 0] - H[:, 0, 2], H[:, 0, 1] - H[:, 1, 0]))
-        C[6:, 3:6] = (dS.reshape(3, 9) @ P.transpose(1, 0, 2).reshape(9, n)
-                      + 2 * turns.reshape(3, 9) @ by[1].transpose(1, 0, 2).reshape(9, n)).T
+        C[6:, 3:6] = (
+            dS.reshape(3, 9) @ P.transpose(1, 0, 2).reshape(9, n)
+            + 2 * turns.reshape(3, 9) @ by[1].transpose(1, 0, 2).reshape(9, n)
+        ).T
         return K, C
 
     @staticmethod
@@ -143,9 +153,16 @@ class Inertia:
         return 0.5 * gq @ q, gq @ rate, (matrices @ rate) @ rate, gq
 
     def _second_order(
-        self, short: Foreshortening, w: Floats, q: Floats, rate: Floats, force: Floats, moment: Floats, Cr: Floats,
+        self,
+        short: Foreshortening,
+        w: Floats,
+        q: Floats,
+        rate: Floats,
+        force: Floats,
+        moment: Floats,
+        Cr: Floats,
         J: Floats,
-    ) -> tuple[Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
+    ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """Adds the forces of the second-order displacement; returns the corrected moment, C1, Cr, J and Me.
 
         All follow from the kinetic energy v.(w x W + dW/dt) + w.H + w'Jw/2, so that energy is kept. Of the energy of

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, SolverError
 from morembs.multibody.reactions import LU, Iterate, Reactions, saddle
 from morembs.multibody.system import Assembly, State
 from morembs.multibody.tangents import stiffness_and_damping
 
-Floats = NDArray[np.float64]
 _SLOW = 0.15
 
 
@@ -61,9 +60,18 @@ class Stepper:
     """
 
     def __init__(
-        self, scheme: Scheme, reactions: Reactions, *, t: float, x: Floats, v: Floats, h: float, tolerance: float,
-        corrected: bool = True, tangents: tuple[Floats, Floats] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        scheme: Scheme,
+        reactions: Reactions,
+        *,
+        t: float,
+        x: Floats,
+        v: Floats,
+        h: float,
+        tolerance: float,
+        corrected: bool = True,
+        tangents: tuple[Floats, Floats] | None = None,
+    ) -> None:
         self.scheme, self.reactions, self.assembly, self.h = scheme, reactions, reactions.assembly, h
         rate, multipliers = reactions.balance(t, x, v, h)
         state = State(assembly=self.assembly, time=t, x=x, v=v, acceleration=rate, multipliers=multipliers)
@@ -80,15 +88,20 @@ class Stepper:
     def begun(self, assembly: Assembly, x: Floats, v: Floats) -> Stepper:
         """The stepper of another assembly of the same sizes, begun at another state and the same time."""
         return Stepper(
-            self.scheme, Reactions(assembly), t=self.state.time, x=x, v=v, h=self.h, tolerance=self._limit.tolerance,
-            corrected=self._corrected, tangents=self.tangents,
-        )  # fmt: skip
+            self.scheme,
+            Reactions(assembly),
+            t=self.state.time,
+            x=x,
+            v=v,
+            h=self.h,
+            tolerance=self._limit.tolerance,
+            corrected=self._corrected,
+            tangents=self.tangents,
+        )
 
     def _correct_start(self, state: State) -> None:
         """The start values of second order of Arnold, Bruels and Cardona (2015)."""
-        s, a, t, h, x, v, rate = (
-            self.assembly, self.scheme, state.time, self.h, state.x, state.v, state.acceleration
-        )  # fmt: skip
+        s, a, t, h, x, v, rate = (self.assembly, self.scheme, state.time, self.h, state.x, state.v, state.acceleration)
         ahead, behind = (
             self.reactions.accelerations(t + k, s.moved(x, k * v + 0.5 * k * k * rate), v + k * rate, h)[0]
             for k in (h, -h)
@@ -108,11 +121,15 @@ class Stepper:
         c_a = (1 - a.alpha_f) / (1 - a.alpha_m)
         auxiliary = (a.alpha_f * old - a.alpha_m * self.auxiliary) / (1 - a.alpha_m) + c_a * old
         return Iterate(
-            acceleration=old.copy(), multipliers=self._multipliers.copy(), auxiliary=auxiliary,
+            acceleration=old.copy(),
+            multipliers=self._multipliers.copy(),
+            auxiliary=auxiliary,
             step=h * (self.v + h * ((0.5 - a.beta) * self.auxiliary + a.beta * auxiliary)),
             v=self.v + h * ((1 - a.gamma) * self.auxiliary + a.gamma * auxiliary),
-            c_a=c_a, c_v=h * a.gamma * c_a, c_q=h * h * a.beta * c_a,
-        )  # fmt: skip
+            c_a=c_a,
+            c_v=h * a.gamma * c_a,
+            c_q=h * h * a.beta * c_a,
+        )
 
     def _factor(self, iterate: Iterate, mass: Floats, B: Floats) -> LU:
         K, C = self.tangents

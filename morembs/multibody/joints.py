@@ -12,14 +12,14 @@ from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.multibody.component import Marker, MarkerState, direction
 from morembs.multibody.rotations import cross, hat
 
-Floats = NDArray[np.float64]
 Rows = tuple[Floats, Floats, Floats]
 
 

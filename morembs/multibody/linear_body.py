@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.multibody.component import Marker, VectorComponent, numbers, vector
-
-Floats = NDArray[np.float64]
 
 
 @checked
@@ -24,9 +23,16 @@ class LinearBody(VectorComponent):
     """
 
     def __init__(
-        self, M: ArrayLike, K: ArrayLike, D: ArrayLike | None = None, *, weight: ArrayLike | None = None,
-        start: ArrayLike | None = None, rate: ArrayLike | None = None, name: str = "body",
-    ) -> None:  # fmt: skip
+        self,
+        M: ArrayLike,
+        K: ArrayLike,
+        D: ArrayLike | None = None,
+        *,
+        weight: ArrayLike | None = None,
+        start: ArrayLike | None = None,
+        rate: ArrayLike | None = None,
+        name: str = "body",
+    ) -> None:
         label, n = f"body {name!r}", len(np.atleast_1d(K))
         self.name, self.size, self.configuration_size = name, n, n
         self.M, self.K = numbers(f"{label}: M", M, (n, n)), numbers(f"{label}: K", K, (n, n))

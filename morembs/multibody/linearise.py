@@ -12,9 +12,9 @@ from functools import cached_property
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Complexes, Floats
 from morembs.errors import InputError
 from morembs.exporters.ports import UNITS
 from morembs.exporters.state_space import StateSpace
@@ -24,8 +24,6 @@ from morembs.multibody.steady_spin import SteadySpin
 from morembs.multibody.system import State
 from morembs.multibody.tangents import pulls, stiffness_and_damping
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 # Joint equations, equilibrated, that depend on each other.
 RANK = 1e-9
 # Stiffness along a motion, and part of a matrix that is not symmetric, that are round-off of the differences.

@@ -11,9 +11,9 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.multibody.system import Assembly, State
 
-Floats = NDArray[np.float64]
 LU = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.multibody.bodies import FlexibleBody
 from morembs.multibody.component import Component, Marker, MarkerState
@@ -18,8 +18,6 @@ from morembs.multibody.linear_body import LinearBody
 from morembs.multibody.segment import Segment, wrench_on
 from morembs.multibody.variation import CHANGE, StateSlopes, Variation
 from morembs.summary import summarised
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -209,7 +207,7 @@ class ResultSensitivity:
         self._slopes = [
             np.array([getattr(each, name)[:, number] for each in slopes])
             for name in ("x", "v", "acceleration", "multipliers")
-        ]  # fmt: skip
+        ]
         fastest = float(np.abs(self._slopes[0]).max(initial=0.0))
         self._step = min(of.step, CHANGE / fastest) if fastest else of.step
 
@@ -220,12 +218,18 @@ class ResultSensitivity:
 
     def _at(self, change: float) -> Result:
         base, (x, v, acceleration, multipliers) = self._segment, self._slopes
-        return Result(segments=(Segment(
-            assembly=self._of.at(change), time=base.time,
-            x=np.array([base.assembly.moved(a, change * b) for a, b in zip(base.x, x, strict=True)]),
-            v=base.v + change * v, acceleration=base.acceleration + change * acceleration,
-            multipliers=base.multipliers + change * multipliers,
-        ),))  # fmt: skip
+        return Result(
+            segments=(
+                Segment(
+                    assembly=self._of.at(change),
+                    time=base.time,
+                    x=np.array([base.assembly.moved(a, change * b) for a, b in zip(base.x, x, strict=True)]),
+                    v=base.v + change * v,
+                    acceleration=base.acceleration + change * acceleration,
+                    multipliers=base.multipliers + change * multipliers,
+                ),
+            )
+        )
 
     def of(self, values: Callable[[Result], Floats]) -> Floats:
         """Derivative of any smooth ``values`` of a result: ``slope.of(lambda result: result.axes(marker))``."""

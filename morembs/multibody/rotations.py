@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 
-Floats = NDArray[np.float64]
 _SMALL = 1e-3
 # Angle (rad) below which derivatives of the coefficients are series.
 _SERIES = 0.05

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError, SolverError
 from morembs.multibody.equilibrium import Equilibrium
 from morembs.multibody.integrate import Scheme, Stepper
@@ -22,7 +22,6 @@ from morembs.multibody.sensitivity import DirectDifferentiation
 from morembs.multibody.system import Assembly, State, System
 from morembs.multibody.variation import variations
 
-Floats = NDArray[np.float64]
 Repeat = Callable[[float], State]
 # The part of a step that is too short to be a step; an event that near to the end of a step is at its end.
 CLOSE = 1e-6
@@ -110,11 +109,20 @@ class EventHandler(Events, ABC):
 
 @checked
 def simulate(
-    system: System, *, end: float, step: float, rho: float = 0.9, begin: float = 0.0, tolerance: float = 1e-9,
-    events: EventHandler | None = None, corrected_start: bool = True, max_deflection: float | None = 1.0,
-    switch: EventHandler | None = None, start: State | Equilibrium | None = None,
+    system: System,
+    *,
+    end: float,
+    step: float,
+    rho: float = 0.9,
+    begin: float = 0.0,
+    tolerance: float = 1e-9,
+    events: EventHandler | None = None,
+    corrected_start: bool = True,
+    max_deflection: float | None = 1.0,
+    switch: EventHandler | None = None,
+    start: State | Equilibrium | None = None,
     sensitivities: Sequence[str] | bool = False,
-) -> Result:  # fmt: skip
+) -> Result:
     """Integrate from ``begin`` to ``end`` (s) with equal steps of at most ``step``.
 
     Generalised alpha on Lie groups for constraints of index 3 (Chung and Hulbert 1993; Bruels and Cardona 2010).
@@ -138,9 +146,18 @@ def simulate(
     if switch is not None:
         warnings.warn("simulate(switch=...) is now simulate(events=...)", DeprecationWarning, stacklevel=2)
     run = Run(
-        system, events or switch or Events(), begin=begin, end=end, step=step, rho=rho, tolerance=tolerance,
-        corrected=corrected_start, max_deflection=max_deflection, start=start, sensitivities=sensitivities,
-    )  # fmt: skip
+        system,
+        events or switch or Events(),
+        begin=begin,
+        end=end,
+        step=step,
+        rho=rho,
+        tolerance=tolerance,
+        corrected=corrected_start,
+        max_deflection=max_deflection,
+        start=start,
+        sensitivities=sensitivities,
+    )
     run.finish()
     return run.result()
 
@@ -181,10 +198,20 @@ class Run:
     """
 
     def __init__(
-        self, system: System, events: Events, *, begin: float, end: float, step: float, rho: float, tolerance: float,
-        corrected: bool = True, max_deflection: float | None = None, start: State | Equilibrium | None = None,
+        self,
+        system: System,
+        events: Events,
+        *,
+        begin: float,
+        end: float,
+        step: float,
+        rho: float,
+        tolerance: float,
+        corrected: bool = True,
+        max_deflection: float | None = None,
+        start: State | Equilibrium | None = None,
         sensitivities: Sequence[str] | bool = False,
-    ) -> None:  # fmt: skip
+    ) -> None:
         _check_times(begin, end, step, tolerance)
         self.scheme, self.events, self.end, self.step = Scheme(rho=rho), events, end, step
         self.tolerance, self.corrected = tolerance, corrected
@@ -249,9 +276,10 @@ class Run:
             begun = None if self._still is None else self._still.slopes_of([each.name for each in of])
             self._differentiation = DirectDifferentiation(stepper, of, begun)
         self._elastic = [
-            (c, at) for c, at in zip(assembly.components, assembly.in_x, strict=True)
+            (c, at)
+            for c, at in zip(assembly.components, assembly.in_x, strict=True)
             if self.max_deflection < math.inf and c.deflection(x[at]) is not None
-        ]  # fmt: skip
+        ]
         for number in range(1, count + 1):
             before = self.states[-1]
             after = stepper.advance(t + number * h)
@@ -266,14 +294,26 @@ class Run:
         return False
 
     def _stepper(
-        self, reactions: Reactions, t: float, x: Floats, v: Floats, h: float,
+        self,
+        reactions: Reactions,
+        t: float,
+        x: Floats,
+        v: Floats,
+        h: float,
         tangents: tuple[Floats, Floats] | None = None,
-    ) -> Stepper:  # fmt: skip
+    ) -> Stepper:
         try:
             return Stepper(
-                self.scheme, reactions, t=t, x=x, v=v, h=h, tolerance=self.tolerance, corrected=self.corrected,
+                self.scheme,
+                reactions,
+                t=t,
+                x=x,
+                v=v,
+                h=h,
+                tolerance=self.tolerance,
+                corrected=self.corrected,
                 tangents=tangents,
-            )  # fmt: skip
+            )
         except np.linalg.LinAlgError:
             raise SolverError(
                 f"no accelerations fit the joints at t = {t:.9g} s: their equations are dependent there (a lock or "

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.multibody.component import Component, Marker
 from morembs.multibody.joints import Constraint
 from morembs.multibody.system import Assembly, State
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.multibody.integrate import Stepper
 from morembs.multibody.reactions import saddle
 from morembs.multibody.result import ResultSensitivity, sensitivities
@@ -21,7 +21,6 @@ from morembs.multibody.system import Assembly, State
 from morembs.multibody.tangents import pulls, stiffness_and_damping
 from morembs.multibody.variation import StateSlopes, Variation, slope_at_zero
 
-Floats = NDArray[np.float64]
 # Part of the usual change for what a run starts with: its first accelerations, over a step that is long for the highest
 # modes, bend much more with a parameter than the body does.
 START = 0.03
@@ -84,9 +83,7 @@ class DirectDifferentiation:
         x = old.x - np.stack([s.bracket(iterate.step, each) for each in moved.T], axis=1) + T @ step
         M, _, _, B = s.equations(state.time, state.x, state.v)
         at = pulls(s, state)
-        K, C = stiffness_and_damping(
-            s, state.time, state.x, state.v, state.acceleration, state.multipliers, known=at
-        )  # fmt: skip
+        K, C = stiffness_and_damping(s, state.time, state.x, state.v, state.acceleration, state.multipliers, known=at)
         partials = [of.partials(state, at) for of in self.variations]
         forces, Phi = (np.stack(part, axis=1) for part in zip(*partials, strict=True))
         S = saddle(M + iterate.c_v * C + iterate.c_q * K @ T, B)
@@ -94,9 +91,9 @@ class DirectDifferentiation:
         right = np.vstack((K @ x + C @ v + forces, (B @ x + Phi) / iterate.c_q))
         y = -sl.lu_solve(sl.lu_factor(S, check_finite=False), right, check_finite=False)
         self._v, self._auxiliary = v + iterate.c_v * y[:k], auxiliary + iterate.c_a * y[:k]
-        self.motions.append(StateSlopes(
-            x=x + iterate.c_q * T @ y[:k], v=self._v, acceleration=y[:k], multipliers=y[k:]
-        ))  # fmt: skip
+        self.motions.append(
+            StateSlopes(x=x + iterate.c_q * T @ y[:k], v=self._v, acceleration=y[:k], multipliers=y[k:])
+        )
 
     def result(self, segment: Segment) -> dict[str, ResultSensitivity]:
         """Those of a finished ``segment``, by the names of the parameters."""

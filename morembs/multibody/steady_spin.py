@@ -12,16 +12,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.multibody.component import direction, vector
 from morembs.multibody.floating_body import FloatingBody
 from morembs.multibody.rotations import cross, rotation
 from morembs.multibody.system import Assembly
 
-Floats = NDArray[np.float64]
 _STEP = 1e-5
 # Velocities of joints, and changes of forces as the system turns, below this part of what they are made of are none.
 _NONE = 1e-8

@@ -10,15 +10,15 @@ from typing import TypeVar
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.multibody.component import Component, Marker, MarkerState, vector
 from morembs.multibody.forces import Force
 from morembs.multibody.joints import Constraint
 
-Floats = NDArray[np.float64]
 Part = TypeVar("Part", bound=Component | Constraint | Force)
 _RANK = 1e-9
 
@@ -245,8 +245,9 @@ class Assembly:
         length = max([1e-3, *(float(np.abs(self.place(m, x).position).max()) for m in self._markers)])
         far = [
             f"{j.label} by {np.abs(Phi[r]).max():.3g}"
-            for j, r in zip(self.joints, self.in_rows, strict=True) if np.abs(Phi[r]).max() > 1e-8 * max(1.0, length)
-        ]  # fmt: skip
+            for j, r in zip(self.joints, self.in_rows, strict=True)
+            if np.abs(Phi[r]).max() > 1e-8 * max(1.0, length)
+        ]
         if far:
             raise InputError(
                 f"joints are open at t = {t:.9g} s: {'; '.join(far)} (m or rad). Place the bodies so that both markers "

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.multibody.component import Component, Marker, MarkerState
 from morembs.multibody.forces import Force
 from morembs.multibody.joints import Constraint
 from morembs.multibody.system import Assembly, State
 
-Floats = NDArray[np.float64]
 Forces = Callable[[Floats, Floats], Floats]
 Varied = Callable[[Floats], tuple[Floats, Floats]]
 # Steps of one-sided and of central differences, near the square and the cube root of round-off.
@@ -48,24 +47,30 @@ def pulls(assembly: Assembly, state: State) -> list[Pull]:
         first, second = (assembly.place(marker, state.x) for marker in ends)
         _, *G = joint.rows(first, second)
         bend, wrenches = joint.bend(first, second, multipliers), [multipliers @ each for each in G]
-        result.append(Pull(
-            part=joint, ends=ends, places=(first, second), wrenches=wrenches, bend=bend, rows=rows, G=np.hstack(G)
-        ))  # fmt: skip
+        result.append(
+            Pull(part=joint, ends=ends, places=(first, second), wrenches=wrenches, bend=bend, rows=rows, G=np.hstack(G))
+        )
     for force in assembly.forces:
         places = [assembly.place(marker, state.x) for marker in force.markers]
         twists = [assembly.twist(m, place, state.v) for m, place in zip(force.markers, places, strict=True)]
         known, given = force.bend(state.time, places), force.wrenches(state.time, places, twists)
         bend = None if known is None else -known
-        result.append(Pull(
-            part=force, ends=force.markers, places=places, wrenches=[-wrench for wrench in given], bend=bend
-        ))  # fmt: skip
+        result.append(
+            Pull(part=force, ends=force.markers, places=places, wrenches=[-wrench for wrench in given], bend=bend)
+        )
     return result
 
 
 def stiffness_and_damping(
-    assembly: Assembly, t: float, x: Floats, v: Floats, acceleration: Floats, multipliers: Floats, *,
+    assembly: Assembly,
+    t: float,
+    x: Floats,
+    v: Floats,
+    acceleration: Floats,
+    multipliers: Floats,
+    *,
     known: Sequence[Pull] | None = None,
-) -> tuple[Floats, Floats]:  # fmt: skip
+) -> tuple[Floats, Floats]:
     """K and C (k, k): derivatives of M dv/dt + g + B' multipliers by the configuration and by the velocity.
 
     By one-sided differences; with ``known``, the ``pulls`` here, exact as far as parts know their own. Each part is

@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.floating.integrals import ShapeIntegrals
 from morembs.multibody.bodies import FlexibleBody, inertia_of
@@ -21,7 +21,6 @@ from morembs.multibody.rotations import cross, tangent, tangent_slope
 from morembs.multibody.system import Assembly, State
 from morembs.multibody.tangents import Pull
 
-Floats = NDArray[np.float64]
 # Relative change of a body, and change of an angle, in differences of fourth order: these leave, and lose by round-off,
 # about a part of 1e-12.
 CHANGE = 1e-3

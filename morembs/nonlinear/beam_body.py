@@ -17,10 +17,11 @@ from itertools import pairwise
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.model import DofMap, FEModel, Nodes
 from morembs.multibody.component import Component, Marker, MarkerState, checked_rotation, vector
@@ -28,7 +29,6 @@ from morembs.multibody.divided import END, START
 from morembs.nonlinear.rotation_vectors import tangents
 from morembs.nonlinear.spatial_beam import SpatialBeam
 
-Floats = NDArray[np.float64]
 # Of differences, near the square root of round-off.
 _STEP = 1e-6
 
@@ -51,10 +51,16 @@ class BeamBody(Component):
     """
 
     def __init__(
-        self, beam: SpatialBeam, *, position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None,
-        velocity: ArrayLike = (0.0, 0.0, 0.0), angular_velocity: ArrayLike = (0.0, 0.0, 0.0), damping: float = 0.0,
+        self,
+        beam: SpatialBeam,
+        *,
+        position: ArrayLike = (0.0, 0.0, 0.0),
+        rotation: ArrayLike | None = None,
+        velocity: ArrayLike = (0.0, 0.0, 0.0),
+        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        damping: float = 0.0,
         name: str = "beam",
-    ) -> None:  # fmt: skip
+    ) -> None:
         label, n = f"body {name!r}", len(beam.nodes)
         if not (math.isfinite(damping) and damping >= 0):
             raise InputError(f"{label}: damping = {damping} s was given; expected zero or more")

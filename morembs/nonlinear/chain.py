@@ -15,14 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.nonlinear.member import MemberState
 from morembs.nonlinear.planar_beam import Section
-
-Floats = NDArray[np.float64]
 
 
 @checked
@@ -110,9 +109,7 @@ class Chain:
     def at(self, q: Floats) -> MemberState:
         x, J = self._moved(q)
         force = self._K @ q
-        return MemberState(
-            x=x, J=J, V=0.5 * float(q @ force), force=force, stiffness=self._K, strains=lambda: self._K
-        )  # fmt: skip
+        return MemberState(x=x, J=J, V=0.5 * float(q @ force), force=force, stiffness=self._K, strains=lambda: self._K)
 
     def _moved(self, q: Floats) -> tuple[Floats, Floats]:
         """x (N,) and dx/dq (N, k)."""

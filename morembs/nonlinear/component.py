@@ -9,12 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
-import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from morembs.base.types import Floats, Ints
 
 
 @runtime_checkable
@@ -30,11 +27,11 @@ class NonlinearComponent(Protocol):
         """N."""
 
     @property
-    def frames(self) -> Mapping[str, Integers]:
+    def frames(self) -> Mapping[str, Ints]:
         """Interfaces: numbers (3,) or (6,) of their coordinates."""
 
     @property
-    def translations(self) -> Integers:
+    def translations(self) -> Ints:
         """Numbers (n, 2) or (n, 3) of all coordinates that are positions: along x, along y, along z."""
 
     @property

@@ -12,16 +12,14 @@ from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Analysis, Factorization, LinearSolver
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 Load = Floats | Callable[[Floats], Floats]
 _ITERATIONS, _SMALLEST, _GROWTH = 15, 1 / 1024, 2.0
 
@@ -42,7 +40,7 @@ class Conservative(Protocol):
         """Number N of coordinates."""
 
     @property
-    def frames(self) -> Mapping[str, Integers]:
+    def frames(self) -> Mapping[str, Ints]:
         """Interfaces: numbers of their coordinates."""
 
     @property
@@ -65,7 +63,7 @@ class Conservative(Protocol):
 class Tangents(Closing):
     """Factors of the tangent between ``free`` coordinates; a context manager. One factor lives at a time."""
 
-    def __init__(self, free: Integers, solver: LinearSolver | None = None) -> None:
+    def __init__(self, free: Ints, solver: LinearSolver | None = None) -> None:
         self.free, self.solver = free, solver if solver is not None else select_solver()
         self.count = 0
         self._analysis: Analysis | None = None
@@ -109,7 +107,7 @@ class EquilibriumPath:
 def follow_equilibrium(
     component: Conservative,
     *,
-    held: Integers,
+    held: Ints,
     load: Load | None = None,
     motion: Floats | None = None,
     x: Floats | None = None,
@@ -163,8 +161,8 @@ def follow_equilibrium(
 
 
 def _checked(
-    component: Conservative, held: Integers, load: Load | None, motion: Floats | None, x: Floats | None
-) -> tuple[Floats, Integers, Floats, Callable[[Floats], Floats]]:
+    component: Conservative, held: Ints, load: Load | None, motion: Floats | None, x: Floats | None
+) -> tuple[Floats, Ints, Floats, Callable[[Floats], Floats]]:
     start = component.reference if x is None else np.array(x, dtype=float)
     held = np.asarray(held, dtype=np.int64)
     shift = np.zeros(len(held)) if motion is None else np.asarray(motion, dtype=float)
@@ -188,7 +186,7 @@ def _load(component: Conservative, load: Load | None) -> Callable[[Floats], Floa
     return lambda x: constant
 
 
-def _canonical(component: Conservative, x: Floats, held: Integers) -> Floats:
+def _canonical(component: Conservative, x: Floats, held: Ints) -> Floats:
     """Shortened rotation vectors, where the component has any."""
     shorter = getattr(component, "shortened", None)
     return x if shorter is None else np.asarray(shorter(x, held), dtype=float)
@@ -198,9 +196,14 @@ class Newton:
     """Newton's method on the free coordinates of ``tangents``; ``load`` is a function of x (N,)."""
 
     def __init__(
-        self, component: Conservative, tangents: Tangents, held: Integers, load: Callable[[Floats], Floats],
-        tolerance: float, stable: bool,
-    ) -> None:  # fmt: skip
+        self,
+        component: Conservative,
+        tangents: Tangents,
+        held: Ints,
+        load: Callable[[Floats], Floats],
+        tolerance: float,
+        stable: bool,
+    ) -> None:
         self.component, self.tangents, self.held, self.load = component, tangents, held, load
         self.tolerance, self.stable = tolerance, stable
         self.scale = max(1e-300, float(np.ptp(component.reference)))

@@ -9,12 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.model import skew
 from morembs.nonlinear.rotation_vectors import inverse_coefficient, turned
 
-Floats = NDArray[np.float64]
 _EYE = np.eye(3)
 
 

@@ -13,15 +13,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.nonlinear.chain import Chain
 from morembs.nonlinear.member import Member
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +30,7 @@ class Point:
     """
 
     position: Floats
-    numbers: Integers
+    numbers: Ints
     motion: Callable[[float], ArrayLike] | None = None
 
     def at(self, t: float) -> Floats:
@@ -66,7 +64,7 @@ class Mechanism:
         if not (math.isfinite(damping) and damping >= 0):
             raise InputError(f"damping = {damping} s was given; expected zero or more")
         self.members: list[Member] = []
-        self.numbers: list[Integers] = []
+        self.numbers: list[Ints] = []
         self.masses: list[tuple[Point, float]] = []
         self.torques: list[tuple[int, Callable[[float], float]]] = []
         self.drives: list[list[tuple[int, Callable[[float], float]]]] = []
@@ -134,7 +132,9 @@ class Mechanism:
         step = float(value) - seen_from.value
         return Angle(float(value), seen_from.number, lambda t: step + motion(t))
 
-    def add(self, member: Member, first: Point, second: Point, *, start: Angle | None = None, end: Angle | None = None) -> None:  # noqa: E501  # fmt: skip
+    def add(
+        self, member: Member, first: Point, second: Point, *, start: Angle | None = None, end: Angle | None = None
+    ) -> None:
         """A member from point to point. Its ends turn freely unless an angle is given, which they then share.
 
         Raises:

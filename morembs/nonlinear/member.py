@@ -9,14 +9,11 @@ from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.nonlinear.component import NonlinearComponent, StrainStiffness
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
@@ -103,9 +100,13 @@ class FullMember:
         x = q[self._back]
         part = self.component
         return MemberState(
-            x=q, J=None, V=part.energy(x), force=part.force(x)[self._order], stiffness=self._ordered(part.tangent(x)),
+            x=q,
+            J=None,
+            V=part.energy(x),
+            force=part.force(x)[self._order],
+            stiffness=self._ordered(part.tangent(x)),
             strains=(lambda: self._ordered(part.strain_stiffness(x))) if isinstance(part, StrainStiffness) else None,
-        )  # fmt: skip
+        )
 
     def _ordered(self, matrix: sp.spmatrix) -> sp.spmatrix:
         K = sp.coo_matrix(matrix)
@@ -121,7 +122,7 @@ class FullMember:
         return 0.0
 
 
-def ends(component: NonlinearComponent) -> tuple[float, Integers]:
+def ends(component: NonlinearComponent) -> tuple[float, Ints]:
     """Distance of the frames ``start`` and ``end``, and the coordinates with those of the frames first.
 
     Raises:

@@ -16,18 +16,16 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dgetrf as getrf
 from scipy.linalg.lapack import dgetrs as getrs
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError, SolverError
 from morembs.multibody.integrate import Scheme
 from morembs.nonlinear.mechanism import Mechanism
 from morembs.nonlinear.member import MemberState
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 _ITERATIONS, _SLOW = 25, 0.1
 # Static answer of the modes left out, per length, from which a result says so.
 _NEGLECTED = 5e-3
@@ -275,11 +273,15 @@ class _Integration:
             potential[k] = sum(m.V for m in self.states) - float(run.weight @ self.x)
         count = len(run.mechanism.members)
         return MechanismMotion(
-            times=np.asarray(self.h * np.arange(steps + 1), dtype=np.float64), q=q,
+            times=np.asarray(self.h * np.arange(steps + 1), dtype=np.float64),
+            q=q,
             x=tuple(x[:, s].T for s in run.slices[:count]),
-            kinetic=kinetic, potential=potential, dissipated=np.cumsum(dissipated),
-            iterations=self.iterations / max(1, steps), warnings=run.sentences(),
-        )  # fmt: skip
+            kinetic=kinetic,
+            potential=potential,
+            dissipated=np.cumsum(dissipated),
+            iterations=self.iterations / max(1, steps),
+            warnings=run.sentences(),
+        )
 
     def _advance(self, t: float) -> None:
         a, h, run = self.scheme, self.h, self.run_

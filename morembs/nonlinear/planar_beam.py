@@ -20,17 +20,14 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 # From node coordinates (6,) to step d (2,), rotation half way and relative rotation.
-_T = np.array(
-    [[-1, 0, 0, 1, 0, 0], [0, -1, 0, 0, 1, 0], [0, 0, 0.5, 0, 0, 0.5], [0, 0, -1, 0, 0, 1]], dtype=float
-)  # fmt: skip
+_T = np.array([[-1, 0, 0, 1, 0, 0], [0, -1, 0, 0, 1, 0], [0, 0, 0.5, 0, 0, 0.5], [0, 0, -1, 0, 0, 1]], dtype=float)
 
 
 @checked
@@ -156,11 +153,11 @@ class PlanarBeam:
         return self._nodes.size
 
     @property
-    def frames(self) -> Mapping[str, Integers]:
+    def frames(self) -> Mapping[str, Ints]:
         return {"start": np.arange(3), "end": np.arange(self.size - 3, self.size)}
 
     @property
-    def translations(self) -> Integers:
+    def translations(self) -> Ints:
         return np.arange(self.size).reshape(-1, 3)[:, :2]
 
     @property

@@ -10,12 +10,11 @@ import math
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import zeta
 
+from morembs.base.types import Floats
 from morembs.model import skew
 
-Floats = NDArray[np.float64]
 _TERMS, _SERIES = 16, 4.0
 _EYE = np.eye(3)
 _FACTORIALS = [float(math.factorial(k)) for k in range(2 * _TERMS + 5)]
@@ -36,8 +35,11 @@ def coefficients(square: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     far = s > _SERIES
     b_s, c_s = (a - 2 * b) / (2 * large), (b - 3 * c) / (2 * large)
     return (
-        np.where(far, b, sums[0]), np.where(far, c, sums[1]), np.where(far, b_s, -sums[2]), np.where(far, c_s, -sums[3])
-    )  # fmt: skip
+        np.where(far, b, sums[0]),
+        np.where(far, c, sums[1]),
+        np.where(far, b_s, -sums[2]),
+        np.where(far, c_s, -sums[3]),
+    )
 
 
 @cache

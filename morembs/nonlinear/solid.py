@@ -16,18 +16,16 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, nearest
 from morembs.interface import COUPLINGS, Interface
 from morembs.model import FEModel, skew
 from morembs.nonlinear.rotation_vectors import curvature, shortened, tangents, turned
 from morembs.nonlinear.total_lagrangian import SaintVenantKirchhoff
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,16 +19,14 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.nonlinear.helix import Helix
 from morembs.nonlinear.rotation_vectors import curvature, shortened, tangents
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @checked
@@ -73,9 +71,15 @@ class SpatialSection:
         series = float(np.sum(np.tanh(odd * np.pi * long / (2 * short)) / odd**5))
         torsion = long * short**3 / 3 * (1 - 192 * short / (np.pi**5 * long) * series)
         return cls(
-            EA=E * A, GA2=shear * G * A, GA3=shear * G * A, GJ=G * torsion, EI2=E * I2, EI3=E * I3,
-            mass=density * A, rotary=(density * (I2 + I3), density * I2, density * I3),
-        )  # fmt: skip
+            EA=E * A,
+            GA2=shear * G * A,
+            GA3=shear * G * A,
+            GJ=G * torsion,
+            EI2=E * I2,
+            EI3=E * I3,
+            mass=density * A,
+            rotary=(density * (I2 + I3), density * I2, density * I3),
+        )
 
 
 @checked
@@ -121,10 +125,14 @@ class SpatialBeam:
         ones = np.ones_like(length)
         self._C = np.column_stack(
             (
-                s.EA * ones, 1 / (1 / s.GA2 + extra / s.EI3), 1 / (1 / s.GA3 + extra / s.EI2),
-                s.GJ * ones, s.EI2 * ones, s.EI3 * ones,
+                s.EA * ones,
+                1 / (1 / s.GA2 + extra / s.EI3),
+                1 / (1 / s.GA3 + extra / s.EI2),
+                s.GJ * ones,
+                s.EI2 * ones,
+                s.EI3 * ones,
             )
-        )  # fmt: skip
+        )
         dofs = 6 * np.arange(len(xyz) - 1)[:, None] + np.arange(12)
         self._dofs = dofs
         self._rows, self._columns = np.repeat(dofs, 12, axis=1).ravel(), np.tile(dofs, (1, 12)).ravel()
@@ -157,12 +165,12 @@ class SpatialBeam:
         return 2 * self.nodes.size
 
     @property
-    def frames(self) -> Mapping[str, Integers]:
+    def frames(self) -> Mapping[str, Ints]:
         """Interfaces: numbers (6,) of position and rotation vector."""
         return {"start": np.arange(6), "end": np.arange(self.size - 6, self.size)}
 
     @property
-    def translations(self) -> Integers:
+    def translations(self) -> Ints:
         """Numbers (n, 3) of the positions."""
         return np.arange(self.size).reshape(-1, 6)[:, :3]
 

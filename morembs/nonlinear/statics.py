@@ -7,14 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError, SolverError
 from morembs.nonlinear.component import NonlinearComponent
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 _ITERATIONS, _SMALLEST = 30, 1 / 256
 
 
@@ -38,7 +36,7 @@ class Factor:
 
 
 def newton(
-    component: NonlinearComponent, x: Floats, free: Integers, load: Floats | None = None, *, tolerance: float = 1e-12
+    component: NonlinearComponent, x: Floats, free: Ints, load: Floats | None = None, *, tolerance: float = 1e-12
 ) -> tuple[Floats, Factor]:
     """Equilibrium f(x) = load on the ``free`` coordinates, from x (N,) on; the others stay.
 
@@ -70,7 +68,7 @@ def newton(
 def equilibrium(
     component: NonlinearComponent,
     *,
-    held: Integers,
+    held: Ints,
     load: Floats | None = None,
     motion: Floats | None = None,
     x: Floats | None = None,

@@ -14,8 +14,8 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, SolverError
 from morembs.model import FEModel
@@ -25,9 +25,6 @@ from morembs.model.fe_model import ElementBlock
 from morembs.model.formulations import formulation_of, geometry
 from morembs.model.geometric_stiffness import element_stiffness
 from morembs.model.material import VOIGT
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.nonlinear.planar_beam import PlanarBeam
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @checked
@@ -67,11 +65,11 @@ class BeamInTube:
         return self.beam.size
 
     @property
-    def frames(self) -> Mapping[str, Integers]:
+    def frames(self) -> Mapping[str, Ints]:
         return self.beam.frames
 
     @property
-    def translations(self) -> Integers:
+    def translations(self) -> Ints:
         return self.beam.translations
 
     @property

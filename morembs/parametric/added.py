@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from morembs.errors import InputError, nearest
 from morembs.interface import Elimination, Interface
@@ -16,7 +15,6 @@ from morembs.model import FEModel, skew
 from morembs.parametric.parameter import Parameter
 from morembs.parametric.varied import VariedModel
 
-Floats = NDArray[np.float64]
 # Part of the size of a model by which a morph may change the distance of the ends of a spring.
 SAME = 1e-9
 # Most nodes of an average interface with a spring: the term is a full block on them.

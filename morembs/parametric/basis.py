@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.linalg.columns import map_columns, multiply, symmetric
 from morembs.linalg.lanczos import BlockLanczos
@@ -31,7 +31,6 @@ from morembs.problem.damping import Damping
 from morembs.progress import SILENT, Progress
 from morembs.responses.certified import floor_of
 
-Floats = NDArray[np.float64]
 # Modes up to these multiples of the upper frequency: those that are deflated at the anchor, those taken at other p.
 DEFLATED, TAKEN = 1.75, 1.5
 # In wide boxes more are deflated, as modes of the softest and heaviest body lie lower: to this multiple of its own
@@ -297,12 +296,19 @@ class GreedySearch:
         kinds = ("rigid",) * rigid + ("elastic",) * (self.deflated - rigid) + ("krylov",) * (high - self.deflated)
         every = bound.cells.proven.all() and not any(self.damping(p).is_modal for p in self.training[:1])
         return ParametricBasis(
-            V=multiply(self.space.columns(), T[:, :high], self.problem.budget), kinds=kinds,
+            V=multiply(self.space.columns(), T[:, :high], self.problem.budget),
+            kinds=kinds,
             model=replace(model, bound=bound),
-            box_bound=worst.value, worst=worst.p, worst_hz=worst.hz, points=np.array(self.points),
-            factorisations=self.factorisations, counts=self.proofs.count, collected=whole,
-            kind="bound" if every else "estimate", floor=self.floor,
-        )  # fmt: skip
+            box_bound=worst.value,
+            worst=worst.p,
+            worst_hz=worst.hz,
+            points=np.array(self.points),
+            factorisations=self.factorisations,
+            counts=self.proofs.count,
+            collected=whole,
+            kind="bound" if every else "estimate",
+            floor=self.floor,
+        )
 
     def _relative(self, model: ParametricModel, bound: ParametricBound, p: Floats) -> float:
         at = self._bounded(model, bound, p)
@@ -372,8 +378,9 @@ class GreedySearch:
         alone = self._relative(model, replace(bound, eps=0.0), worst.p)
         geometry = (
             f"; most of it is the interpolated geometry, exact to {self.problem.eps:.1e}, beside light damping"
-            if alone < 0.5 * worst.value and self.problem.eps else ""
-        )  # fmt: skip
+            if alone < 0.5 * worst.value and self.problem.eps
+            else ""
+        )
         return InputError(f"{said} {worst.value:.1e} {where}{geometry}; {cure}")
 
 

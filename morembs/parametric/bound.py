@@ -59,11 +59,11 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.parametric.bound_at import BoundAt
 from morembs.parametric.law import LINEAR, SQUARE, Law
 from morembs.problem.damping import Damping
 
-Floats = NDArray[np.float64]
 # Ritz vectors up to the first multiple of the upper frequency are V_L, and those up to the others, one after the other
 # until Lam is this multiple of its square, whose residuals take no more than this part of b together.
 LOW, FAR, BEYOND, TAKEN = 1.5, (4.0, 16.0, 64.0), 1.1, 0.05
@@ -135,12 +135,15 @@ class ParametricBound:
         parts = {name: getattr(self, name) for name in self.__dataclass_fields__}
         size = np.abs(T)
         parts.update(
-            residual_K=self.residual_K @ T, residual_M=self.residual_M @ T, rest_K=self.rest_K @ size,
-            rest_M=self.rest_M @ size, motion_F=T.T @ self.motion_F,
+            residual_K=self.residual_K @ T,
+            residual_M=self.residual_M @ T,
+            rest_K=self.rest_K @ size,
+            rest_M=self.rest_M @ size,
+            motion_F=T.T @ self.motion_F,
             rounding_K=None if self.rounding_K is None else T.T @ self.rounding_K @ T,
             rounding_M=None if self.rounding_M is None else T.T @ self.rounding_M @ T,
             rigid=None if self.rigid is None else np.einsum("nk,nrs->krs", T, self.rigid),
-        )  # fmt: skip
+        )
         return ParametricBound(**parts)
 
     def compressed(self, cut: float = SMALL) -> ParametricBound:
@@ -171,9 +174,7 @@ class ParametricBound:
         K, M = (np.ascontiguousarray(A.reshape(len(A), -1)) for A in (self.residual_K, self.residual_M))
         return K, M
 
-    def at(
-        self, p: Floats, *, K: Floats, M: Floats, B: Floats, rigid: Floats, damping: Damping
-    ) -> BoundAt:
+    def at(self, p: Floats, *, K: Floats, M: Floats, B: Floats, rigid: Floats, damping: Damping) -> BoundAt:
         """What the bound needs at ``p`` (P,): ``K``, ``M`` (n, n) and scaled ``B`` (n, m) of the reduced model there,
         its ``rigid`` motions (n, r) and ``damping``."""
         theta_K, theta_M = self.law_K(p), self.law_M(p)
@@ -217,11 +218,19 @@ class ParametricBound:
         own *= (own / np.sqrt(values))[min(few, len(values) - 1) :].max(initial=0.0)
         off, off_start = off / np.sqrt(part) + own, off_start / np.sqrt(part) + own @ np.abs(static)
         return BoundAt(
-            values=values, b=b, gram=gram, off=off, off_start=off_start, few=few,
-            least=below, damping=damping, soft=soft,
-            unsure_K=unsure_K + self.eps / (1 - self.eps) * np.diag(values), unsure_M=unsure_M,
+            values=values,
+            b=b,
+            gram=gram,
+            off=off,
+            off_start=off_start,
+            few=few,
+            least=below,
+            damping=damping,
+            soft=soft,
+            unsure_K=unsure_K + self.eps / (1 - self.eps) * np.diag(values),
+            unsure_M=unsure_M,
             proven=proven and not damping.is_modal and self.rounding_K is not None,
-        )  # fmt: skip
+        )
 
     def _few(self, values: Floats, own: Floats, far: float) -> int:
         """How many Ritz vectors are V_L, whose residuals have the squares ``own`` (e,) of norms, up to ``far`` times

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.problem.damping import Damping
 from morembs.responses.residual_bound import numerator, slope
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 # Angles psi that are tried, in radians.
 ANGLES = np.radians([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
 KINDS = ("bound", "estimate", "none")
@@ -40,7 +38,7 @@ class BoundAt:
 
     @property
     def kind(self) -> str:
-        """"bound" where all of it is proven in exact arithmetic, "estimate", or "none"."""
+        """ "bound" where all of it is proven in exact arithmetic, "estimate", or "none"."""
         return "none" if not self.least > 0 else KINDS[0] if self.proven else KINDS[1]
 
     def envelope(self, omega: Floats) -> Floats:
@@ -122,9 +120,7 @@ class BoundAt:
             best = np.full(len(c), -np.inf)
         return best, _largest(np.abs(c[:, None] ** 2 / a[:, :few]), gram, off)
 
-    def _unsure(
-        self, a: Complexes, c: Complexes, g: Complexes, missed: Floats, kappa: Floats, reach: Floats
-    ) -> Floats:
+    def _unsure(self, a: Complexes, c: Complexes, g: Complexes, missed: Floats, kappa: Floats, reach: Floats) -> Floats:
         """(nf,) what the error of K and M adds; ``missed`` is |r|_F, ``kappa`` that of sizes and ``reach`` one, each
         over b - kappa."""
         few, part = self.few, np.abs(g / c)

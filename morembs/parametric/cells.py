@@ -24,6 +24,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, SingularMatrixError
 from morembs.linalg.columns import map_columns, symmetric
@@ -37,8 +38,6 @@ from morembs.parametric.model import ParametricModel
 from morembs.parametric.space import GlobalSpace
 from morembs.progress import SILENT, Progress
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Parts of what eigenvalues promise that are tried, one after the other.
 TRIED = (0.97, 0.9, 0.8, 0.65)
 # Cells are split until a proof gives this part of what holds at their corners, up to so many of them, and where nothing
@@ -165,20 +164,24 @@ class Proofs:
             else:
                 done.append((cell, value, held))
         return Cells(
-            low=np.array([cell.low for cell, _, _ in done]), high=np.array([cell.high for cell, _, _ in done]),
-            alpha=np.array([cell.alpha for cell, _, _ in done]), least=np.array([value for _, value, _ in done]),
+            low=np.array([cell.low for cell, _, _ in done]),
+            high=np.array([cell.high for cell, _, _ in done]),
+            alpha=np.array([cell.alpha for cell, _, _ in done]),
+            least=np.array([value for _, value, _ in done]),
             proven=np.array([held and cell.proven for cell, _, held in done]),
-        )  # fmt: skip
+        )
 
     def _least(
         self, cell: Cell, reduced: ParametricModel, W_r: Floats, W: Floats | None, sigma: float
     ) -> tuple[float, float, bool]:
         """Lam^ on a cell, what its corners have, and whether it is proven."""
         rows = [self.controls(law, self.soft, cell.low, cell.high) for law in (self.problem.law_K, self.problem.law_M)]
-        values = np.array([
-            sl.eigvalsh(np.tensordot(a, reduced.K, 1) + sigma * W_r @ W_r.T, np.tensordot(b, reduced.M, 1))[0]
-            for a, b in zip(*rows, strict=True)
-        ])  # fmt: skip
+        values = np.array(
+            [
+                sl.eigvalsh(np.tensordot(a, reduced.K, 1) + sigma * W_r @ W_r.T, np.tensordot(b, reduced.M, 1))[0]
+                for a, b in zip(*rows, strict=True)
+            ]
+        )
         promised, whole = float(values.min()), float(values[self._corners(len(values))].min())
         if W is None or not promised > 0:
             return UNPROVEN * max(promised, 0.0), whole, False
@@ -216,9 +219,14 @@ class Proofs:
 
 
 def is_positive(
-    A: sp.csr_array, solver: LinearSolver, rows: Ints | None = None, *, W: Floats | None = None, sigma: float = 0.0,
+    A: sp.csr_array,
+    solver: LinearSolver,
+    rows: Ints | None = None,
+    *,
+    W: Floats | None = None,
+    sigma: float = 0.0,
     budget: Budget = UNLIMITED,
-) -> bool:  # fmt: skip
+) -> bool:
     """Whether ``A`` + ``sigma`` W W', with ``rows`` held, has no negative eigenvalue, by a count of pivots."""
     lower = Lower.of(A, "a control matrix", regular=False)
     if rows is not None and len(rows):

@@ -7,12 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.budget import UNLIMITED, Budget
 from morembs.linalg.columns import dot, m_norms, orthonormal, project_out, subtract, symmetric
 
-Floats = NDArray[np.float64]
 # What a column has less than this part of its own size beside the others is left out, and counts by its norm.
 CUT = 1e-6
 

@@ -7,10 +7,9 @@ from functools import cached_property
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from morembs.base.types import Floats, Ints
+
 # Factors of a law: one, p, p squared; from LAGRANGE on the polynomials that are one at one of the points of p.
 ONE, LINEAR, SQUARE, LAGRANGE = range(4)
 

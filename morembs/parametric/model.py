@@ -15,6 +15,7 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.errors import InputError, SolverError
 from morembs.linalg.columns import projected, without_rigid_motion
 from morembs.linalg.eigen import graded_modes
@@ -23,8 +24,6 @@ from morembs.parametric.parameter import DAMPING, Box
 from morembs.parametric.terms import AffineProblem
 from morembs.problem.damping import Damping
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 # Relative difference of frequencies below which modes are one cluster.
 CLUSTER = 1e-6
 # Part of a rigid motion that a basis may miss.
@@ -167,9 +166,8 @@ class ModelAt:
         if model.bound is None:
             return None
         return model.bound.at(
-            self.p, K=self.K, M=self.M, B=model.B * model.scale, rigid=model.rigid_at(self.p),
-            damping=self.damping,
-        )  # fmt: skip
+            self.p, K=self.K, M=self.M, B=model.B * model.scale, rigid=model.rigid_at(self.p), damping=self.damping
+        )
 
     @property
     def bound_kind(self) -> str:
@@ -192,10 +190,13 @@ class ModelAt:
         frequencies = {name: self._slopes(dK[j], dM[j], clusters) for j, name in enumerate(box.names)}
         clustered = np.concatenate([np.full(len(c), len(c) > 1) for c in clusters])
         return Sensitivity(
-            at=self, K=dict(zip(box.names, dK, strict=True)), M=dict(zip(box.names, dM, strict=True)),
-            frequencies_hz=frequencies, clustered=clustered,
+            at=self,
+            K=dict(zip(box.names, dK, strict=True)),
+            M=dict(zip(box.names, dM, strict=True)),
+            frequencies_hz=frequencies,
+            clustered=clustered,
             in_band=self.frequencies_hz[: len(clustered)] <= self.model.highest_hz,
-        )  # fmt: skip
+        )
 
     def _slopes(self, dK: Floats, dM: Floats, clusters: list[NDArray[np.int64]]) -> Floats:
         """d f / dp (e,) of the elastic frequencies; of a cluster those of its branches, ascending."""
@@ -273,10 +274,18 @@ def parametric_model(problem: AffineProblem, V: Floats, bound: Any = None, **mor
         for make, law in ((problem.stiffness_sum, problem.law_K), (problem.mass_sum, problem.law_M))
     )
     return ParametricModel(
-        box=problem.box, law_K=problem.law_K, law_M=problem.law_M, K=K, M=M, B=np.asarray((problem.B.T @ V).T),
-        rigid=_rigid(problem, V), damping=problem.damping, scale=problem.motion_scale, bound=bound,
+        box=problem.box,
+        law_K=problem.law_K,
+        law_M=problem.law_M,
+        K=K,
+        M=M,
+        B=np.asarray((problem.B.T @ V).T),
+        rigid=_rigid(problem, V),
+        damping=problem.damping,
+        scale=problem.motion_scale,
+        bound=bound,
         **more,
-    )  # fmt: skip
+    )
 
 
 def _rigid(problem: AffineProblem, V: Floats) -> Floats:

@@ -16,6 +16,7 @@ from itertools import pairwise, product
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.model import ElementBlock, Mesh
 from morembs.model.assembly import chunks
@@ -24,8 +25,6 @@ from morembs.model.formulations import formulation_of, jacobian
 from morembs.parametric.law import bernstein, chebyshev_points, chebyshev_roots, lagrange
 from morembs.parametric.parameter import Parameter
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # det J is a cubic in each parameter.
 CUBIC = 4
 # Points of 1 / det J that are tried.

@@ -8,16 +8,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.problem.damping import Damping
 
-Floats = NDArray[np.float64]
 # What may vary, and the unit of its values in SI.
-PROPERTIES = {
-    "young": "Pa", "density": "kg/m3", "morph": "", "spring": "", "preload": "", "alpha": "1/s", "beta": "s"
-}  # fmt: skip
+PROPERTIES = {"young": "Pa", "density": "kg/m3", "morph": "", "spring": "", "preload": "", "alpha": "1/s", "beta": "s"}
 DAMPING = ("alpha", "beta")
 NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
 

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError, nearest
 from morembs.model import Mesh
 from morembs.model.assembly import material_of_elements
 from morembs.model.material import Material, isotropic
 from morembs.parametric.parameter import Parameter
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Part by which elastic constants may differ from those of an isotropic material.
 ISOTROPIC = 1e-9
 
@@ -36,10 +34,11 @@ def regions_of(
         sets[name] = tuple(np.flatnonzero(part == number) for part in split)
         regions.append(
             Material(
-                set=name, stiffness=given.stiffness if E < 0 else given.stiffness / young_of(given, parameters[E].name),
+                set=name,
+                stiffness=given.stiffness if E < 0 else given.stiffness / young_of(given, parameters[E].name),
                 density=given.density if rho < 0 else 1.0,
             )
-        )  # fmt: skip
+        )
     return replace(mesh, element_sets=sets), tuple(regions), unique[:, 1], unique[:, 2]
 
 

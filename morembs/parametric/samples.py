@@ -7,10 +7,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.parametric.parameter import Box
 from morembs.problem.damping import Damping
 
-Floats = NDArray[np.float64]
 # Corners of boxes with so many parameters at most join the training set.
 CORNERS = 6
 # Frequencies over the band at each p, beside the flanks of its resonances.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.linalg.columns import complement, dot, fix_signs, hstack, multiply_into, symmetric
 from morembs.linalg.congruence import weighted_row_sums
@@ -18,7 +18,6 @@ from morembs.parametric.model import ParametricModel
 from morembs.parametric.terms import AffineProblem
 from morembs.problem import Problem
 
-Floats = NDArray[np.float64]
 # Where sums over all N rows part their round-off, gamma_N |x|' |A x| <= N eps / 2 (x'Dx x'Ax)^(1/2) with row sums D of
 # |A|: up to this part of eps x'Dx, and the rest by x'Ax.
 LONG = 4.0
@@ -137,10 +136,16 @@ class GlobalSpace:
             rigid = np.zeros((self.size, r, 1 + len(problem.morphs)))
             rigid[:, :, 0] = np.eye(self.size, r)
         return ParametricModel(
-            box=problem.box, law_K=problem.law_K, law_M=problem.law_M, K=_symmetric_stack(self._K, self.size),
-            M=_symmetric_stack(self._M, self.size), B=np.asarray((problem.B.T @ V).T), rigid=rigid,
-            damping=problem.damping, scale=problem.motion_scale,
-        )  # fmt: skip
+            box=problem.box,
+            law_K=problem.law_K,
+            law_M=problem.law_M,
+            K=_symmetric_stack(self._K, self.size),
+            M=_symmetric_stack(self._M, self.size),
+            B=np.asarray((problem.B.T @ V).T),
+            rigid=rigid,
+            damping=problem.damping,
+            scale=problem.motion_scale,
+        )
 
     def columns(self) -> Floats:
         """V (Nc, n)."""
@@ -160,12 +165,27 @@ class GlobalSpace:
             for weighted, reduced in zip(self._rounding, (self._K, self._M), strict=True)
         ]
         return ParametricBound(
-            law_K=problem.law_K, law_M=problem.law_M, anchor=problem.box.nominal, soft=soft, cells=cells,
-            residual_B=padded([self._B], q), residual_K=K, residual_M=M,
-            residual_F=np.tensordot(theta, M, 1) @ F, rest_B=self._B_rest, rest_K=rest_K, rest_M=rest_M,
-            rest_F=np.abs(theta) @ rest_M @ np.abs(F), motion_F=F, sigma=sigma, highest=highest, eps=eps,
-            rounding_K=rounding[0], rounding_M=rounding[1], rigid=None if self.loose is None else self._rigid(),
-        )  # fmt: skip
+            law_K=problem.law_K,
+            law_M=problem.law_M,
+            anchor=problem.box.nominal,
+            soft=soft,
+            cells=cells,
+            residual_B=padded([self._B], q),
+            residual_K=K,
+            residual_M=M,
+            residual_F=np.tensordot(theta, M, 1) @ F,
+            rest_B=self._B_rest,
+            rest_K=rest_K,
+            rest_M=rest_M,
+            rest_F=np.abs(theta) @ rest_M @ np.abs(F),
+            motion_F=F,
+            sigma=sigma,
+            highest=highest,
+            eps=eps,
+            rounding_K=rounding[0],
+            rounding_M=rounding[1],
+            rigid=None if self.loose is None else self._rigid(),
+        )
 
 
 def _positive(terms: Floats) -> Floats:

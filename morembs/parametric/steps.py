@@ -8,8 +8,8 @@ from glob import escape
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.parametric.terms import AffineProblem
 from morembs.storage.checksums import Checksums
@@ -17,7 +17,6 @@ from morembs.storage.contents import own_files
 from morembs.storage.hdf5 import reading
 from morembs.storage.writer import writing
 
-Floats = NDArray[np.float64]
 MARK = ".search-"
 
 
@@ -58,9 +57,11 @@ class SearchSteps:
                 if file["signature"][()] != self.signature.encode():
                     return None
                 return Step(
-                    p=file["p"][()], value=float(file["value"][()]), hz=float(file["hz"][()]),
+                    p=file["p"][()],
+                    value=float(file["value"][()]),
+                    hz=float(file["hz"][()]),
                     columns=file["columns"][()] if columns else None,
-                )  # fmt: skip
+                )
         except InputError:
             return None
 

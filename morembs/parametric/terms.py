@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError
 from morembs.interface import Interface, couple
@@ -27,7 +27,6 @@ from morembs.parametric.varied import VariedModel, varied_model
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
 
-Floats = NDArray[np.float64]
 # Part of the size of a model by which the displacements of the nodes of an interface may differ.
 SAME = 1e-9
 # Part of the stiffness of springs against rigid motion that may be round-off.
@@ -47,9 +46,16 @@ class AffineProblem(Problem):
     """
 
     def __init__(
-        self, varied: VariedModel, interfaces: Sequence[Interface] = (), *, damping: Damping | None = None,
-        budget: Budget | None = None, model: FEModel | None = None, output: Path | None = None, **options: Any,
-    ) -> None:  # fmt: skip
+        self,
+        varied: VariedModel,
+        interfaces: Sequence[Interface] = (),
+        *,
+        damping: Damping | None = None,
+        budget: Budget | None = None,
+        model: FEModel | None = None,
+        output: Path | None = None,
+        **options: Any,
+    ) -> None:
         nominal = varied.box.nominal
         bare, varied = varied, with_springs(varied, interfaces)
         model = varied.model(nominal, budget or UNLIMITED) if model is None or varied is not bare else model
@@ -162,9 +168,12 @@ class AffineProblem(Problem):
         if not (self.morphs and "spring" in self.box.kinds) or self.rigid.shape[1]:
             return None
         free = Problem(
-            self._bare.model(self.box.nominal, self.budget), self.interfaces, solver=self.solver, budget=self.budget,
+            self._bare.model(self.box.nominal, self.budget),
+            self.interfaces,
+            solver=self.solver,
+            budget=self.budget,
             progress=self.progress,
-        )  # fmt: skip
+        )
         if free.rigid.shape[1] == 6:
             return free
         free.close()
@@ -187,9 +196,13 @@ class AffineProblem(Problem):
         """The problem at ``p`` (P,), K and M being sums of the terms, or ``assembled`` by direct integration."""
         model = (self.varied.assembled if assembled else self.varied.model)(p, self.budget)
         return Problem(
-            model, self.interfaces_at(p), solver=self.solver, damping=self.damping_at(p), budget=self.budget,
+            model,
+            self.interfaces_at(p),
+            solver=self.solver,
+            damping=self.damping_at(p),
+            budget=self.budget,
             progress=self.progress,
-        )  # fmt: skip
+        )
 
     def interfaces_at(self, p: Floats) -> tuple[Interface, ...]:
         """The interfaces at ``p`` (P,), which a morph moves along."""

@@ -6,14 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares, linear_sum_assignment
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError, SolverError, nearest
 from morembs.parametric.model import ModelAt, ParametricModel
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Standard deviation of a measured frequency of which none is given, as a part of it.
 SIGMA = 0.01
 # Directions whose singular value is below this part of the largest are not told by the data.
@@ -167,9 +165,15 @@ class _Fit:
         # From the very end of a range the method would not leave it.
         start = np.clip(start, 1e-3, 1 - 1e-3)
         fit = least_squares(
-            self.residuals, start, jac=self.jacobian, bounds=(0.0, 1.0), method="trf", xtol=1e-10, ftol=1e-10,
+            self.residuals,
+            start,
+            jac=self.jacobian,
+            bounds=(0.0, 1.0),
+            method="trf",
+            xtol=1e-10,
+            ftol=1e-10,
             gtol=1e-10,
-        )  # fmt: skip
+        )
         if not fit.success:
             raise SolverError(
                 f"the parameters do not converge in {fit.nfev} evaluations: {fit.message}; fix some of them, or "
@@ -245,11 +249,18 @@ class _Fit:
         frequencies = at.frequencies_hz[pairs]
         band = np.inf if self.model.bound is None else self.model.bound.highest / (2 * np.pi)
         return Updated(
-            names=box.names, p=p, sigma=sigma, covariance=covariance, singular_values=s, untold=tuple(untold),
-            at_end=tuple(box.names[k] for k in self.free if ends[k]), measured=self.measured,
-            frequencies_hz=frequencies, above=tuple(self.measured.modes[frequencies > band].tolist()),
+            names=box.names,
+            p=p,
+            sigma=sigma,
+            covariance=covariance,
+            singular_values=s,
+            untold=tuple(untold),
+            at_end=tuple(box.names[k] for k in self.free if ends[k]),
+            measured=self.measured,
+            frequencies_hz=frequencies,
+            above=tuple(self.measured.modes[frequencies > band].tolist()),
             evaluations=evaluations,
-        )  # fmt: skip
+        )
 
 
 def _mac(A: Floats, B: Floats) -> Floats:

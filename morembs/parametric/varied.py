@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.budget import UNLIMITED, Budget
 from morembs.model import FEModel, Mesh
 from morembs.model.assembly import (
@@ -25,7 +26,7 @@ from morembs.model.assembly import (
     mass_warnings,
     material_of_elements,
     stiffness_matrix,
-)  # fmt: skip
+)
 from morembs.model.elements import TYPES, Rule
 from morembs.model.fe_model import DofMap, ElementBlock
 from morembs.model.formulations import formulation_of, mass_rule
@@ -38,8 +39,6 @@ from morembs.parametric.regions import regions_of
 from morembs.parametric.volumes import VolumeRatios, volume_ratios
 from morembs.progress import SILENT, Progress
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Chosen = dict[int, NDArray[np.bool_]]
 # Parts of the tolerance of a body that the stiffness of a morph may take, and that it takes where the terms of one
 # morph can give it: its error counts many times beside a resonance, and a point more costs one term.
@@ -128,11 +127,12 @@ class VariedModel:
         """The material of each region at ``p`` (P,)."""
         return tuple(
             replace(
-                region, stiffness=region.stiffness if E < 0 else region.stiffness * p[E],
+                region,
+                stiffness=region.stiffness if E < 0 else region.stiffness * p[E],
                 density=region.density if rho < 0 else float(p[rho]),
             )
             for region, E, rho in zip(self.regions, self.young.tolist(), self.density.tolist(), strict=True)
-        )  # fmt: skip
+        )
 
     def model(self, p: Floats, budget: Budget = UNLIMITED) -> FEModel:
         """The model at ``p`` (P,) from the terms."""
@@ -146,16 +146,25 @@ class VariedModel:
         size = 3 * len(mesh.nodes)
         empty = sp.csr_array((size, size))
         return FEModel(
-            K=empty, M=empty, nodes=mesh.nodes, dofs=DofMap.translations(len(mesh.nodes)), mesh=mesh,
-            materials=self.materials(p), source=mesh.source, warnings=self.warnings,
-        )  # fmt: skip
+            K=empty,
+            M=empty,
+            nodes=mesh.nodes,
+            dofs=DofMap.translations(len(mesh.nodes)),
+            mesh=mesh,
+            materials=self.materials(p),
+            source=mesh.source,
+            warnings=self.warnings,
+        )
 
     def assembled(self, p: Floats, budget: Budget = UNLIMITED) -> FEModel:
         """The model at ``p`` (P,) by direct integration, of which the terms know nothing."""
         model = assemble(
-            self.morph.moved(p), self.materials(p), mass_integration=self.mass_integration, seams=self.seams,
+            self.morph.moved(p),
+            self.materials(p),
+            mass_integration=self.mass_integration,
+            seams=self.seams,
             budget=budget,
-        )  # fmt: skip
+        )
         return replace(model, K=self._with_added(model.K, self.law_K(p)[len(self.stiffness) :]))
 
     def volume_ratios(self) -> tuple[Ints, VolumeRatios]:
@@ -167,9 +176,16 @@ class VariedModel:
 
 
 def varied_model(
-    mesh: Mesh, materials: Sequence[Material], parameters: Sequence[Parameter], *, tolerance: float = 1e-3,
-    mass_integration: str = "element", seams: bool = False, budget: Budget = UNLIMITED, progress: Progress = SILENT,
-) -> VariedModel:  # fmt: skip
+    mesh: Mesh,
+    materials: Sequence[Material],
+    parameters: Sequence[Parameter],
+    *,
+    tolerance: float = 1e-3,
+    mass_integration: str = "element",
+    seams: bool = False,
+    budget: Budget = UNLIMITED,
+    progress: Progress = SILENT,
+) -> VariedModel:
     """Affine terms of ``mesh`` with ``materials``, those of parameters replaced.
 
     Args:
@@ -188,11 +204,21 @@ def varied_model(
     points, eps = morph.points_for(SHARE * tolerance, (FINE if len(morph.which) == 1 else SHARE) * tolerance)
     make = _Maker(morph, graph, regions, mass_integration, budget, progress)
     return VariedModel(
-        parameters=tuple(parameters), box=box, morph=morph, graph=graph, regions=regions, young=young,
-        density=density, stiffness=make.terms(young, points, stiffness=True),
-        mass=make.terms(density, points, stiffness=False), eps=eps, points=points, mass_integration=mass_integration,
-        seams=seams, warnings=warnings,
-    )  # fmt: skip
+        parameters=tuple(parameters),
+        box=box,
+        morph=morph,
+        graph=graph,
+        regions=regions,
+        young=young,
+        density=density,
+        stiffness=make.terms(young, points, stiffness=True),
+        mass=make.terms(density, points, stiffness=False),
+        eps=eps,
+        points=points,
+        mass_integration=mass_integration,
+        seams=seams,
+        warnings=warnings,
+    )
 
 
 def _stiffness_rule(block: ElementBlock) -> Rule:
@@ -207,9 +233,14 @@ class _Maker:
     """Integrates the terms of groups of elements that the same parameters change."""
 
     def __init__(
-        self, morph: Morph, graph: sp.csr_array, regions: Sequence[Material], mass_integration: str, budget: Budget,
+        self,
+        morph: Morph,
+        graph: sp.csr_array,
+        regions: Sequence[Material],
+        mass_integration: str,
+        budget: Budget,
         progress: Progress,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.morph, self.graph, self.regions, self.mass_integration = morph, graph, regions, mass_integration
         self.budget, self.progress = budget, progress
         self.owner = material_of_elements(morph.mesh, regions)
@@ -251,10 +282,18 @@ class _Maker:
         if stiffness and bits:
             weights = self.morph.factors(p, self.morph.roots(bits, points))
         integrate(
-            self.morph.moved(p), self.regions, self.owner, self.graph, stiffness=data if stiffness else None,
-            mass=None if stiffness else data, mass_integration=self.mass_integration, chosen=chosen, weights=weights,
-            budget=self.budget, progress=self.progress,
-        )  # fmt: skip
+            self.morph.moved(p),
+            self.regions,
+            self.owner,
+            self.graph,
+            stiffness=data if stiffness else None,
+            mass=None if stiffness else data,
+            mass_integration=self.mass_integration,
+            chosen=chosen,
+            weights=weights,
+            budget=self.budget,
+            progress=self.progress,
+        )
         return data
 
 

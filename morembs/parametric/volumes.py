@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.model import ElementBlock
 from morembs.model.assembly import chunks
 from morembs.model.elements import Rule
 from morembs.parametric.law import lagrange
 from morembs.parametric.morph import CUBIC, Morph, on_grid
 
-Floats = NDArray[np.float64]
 # Ratios are known to this part.
 ROUND_OFF = 1e-12
 # Values of the morphs at which the extremes of volumes are kept, and points that are sampled at once.

@@ -6,6 +6,14 @@ from morembs.problem.dynamics import Dynamics, crew_of
 from morembs.problem.problem import AS_A_RULE, LOST, SOFTER, Problem
 
 __all__ = [
-    "AS_A_RULE", "LOST", "SOFTER", "STRUCTURAL", "Damping", "Dynamics", "Problem", "crew_of", "frequency_domain_only",
+    "AS_A_RULE",
+    "LOST",
+    "SOFTER",
+    "STRUCTURAL",
+    "Damping",
+    "Dynamics",
+    "Problem",
+    "crew_of",
+    "frequency_domain_only",
     "modal_steps",
-]  # fmt: skip
+]

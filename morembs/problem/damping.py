@@ -19,13 +19,12 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.model.fe_model import STRUCTURAL
 
-Floats = NDArray[np.float64]
 Steps = tuple[tuple[float, float], ...]
 # The default of Adams: 1 % below 100 Hz, 10 % from there to 1 kHz, critical above.
 ADAMS: Steps = ((0.0, 0.01), (100.0, 0.1), (1000.0, 1.0))

@@ -55,19 +55,28 @@ def crew_of(problem: Problem, others: Any, *, tasks: int, columns: int, structur
         room = max(1, left // needed)
         if room < workers:
             log.warning(
-                "%d of %d workers run: each needs %.2f GB, and %.2f GB are left of the memory budget", room, workers,
-                needed / 1e9, left / 1e9,
-            )  # fmt: skip
+                "%d of %d workers run: each needs %.2f GB, and %.2f GB are left of the memory budget",
+                room,
+                workers,
+                needed / 1e9,
+                left / 1e9,
+            )
         workers = min(workers, room)
         share = left // workers
     if workers == 1:
         return Crew((problem, others))
     own = Budget(share, budget.scratch, in_memory=budget.in_memory, widest=budget.widest)
     dynamics = Dynamics(
-        K=problem.K, M=problem.M, velocity_matrix=problem.velocity_matrix, N=problem.N, rigid=problem.rigid,
-        damping=problem.damping, damps_rigid_motion=problem.damps_rigid_motion,
-        stiffness=problem.stiffness.for_worker(own), budget=own,
-    )  # fmt: skip
+        K=problem.K,
+        M=problem.M,
+        velocity_matrix=problem.velocity_matrix,
+        N=problem.N,
+        rigid=problem.rigid,
+        damping=problem.damping,
+        damps_rigid_motion=problem.damps_rigid_motion,
+        stiffness=problem.stiffness.for_worker(own),
+        budget=own,
+    )
     return Crew((dynamics, others), workers, scratch=budget.scratch)
 
 

@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.budget import Budget
 from morembs.closing import Closing
 from morembs.errors import InputError, MorembsError, SingularMatrixError, SolverError
@@ -31,7 +31,6 @@ from morembs.problem.rigid_motions import need_factor, nodes_of_rows, rigid_moti
 from morembs.progress import SILENT, Progress
 from morembs.summary import summarised
 
-Floats = NDArray[np.float64]
 Shared = TypeVar("Shared")
 # Round-off adds up at random: part of its bound that is seen as a rule.
 AS_A_RULE = 0.1
@@ -68,10 +67,16 @@ class Problem(Closing):
     """
 
     def __init__(
-        self, model: FEModel, interfaces: Sequence[Interface] = (), *, solver: LinearSolver | None = None,
-        damping: Damping | None = None, budget: Budget | None = None, progress: Progress = SILENT,
+        self,
+        model: FEModel,
+        interfaces: Sequence[Interface] = (),
+        *,
+        solver: LinearSolver | None = None,
+        damping: Damping | None = None,
+        budget: Budget | None = None,
+        progress: Progress = SILENT,
         workers: int = 1,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.model = model
         self.interfaces = tuple(interfaces)
         self.solver = solver if solver is not None else select_solver()
@@ -94,9 +99,15 @@ class Problem(Closing):
         self.B = self.coupling.B
         self.budget.release_pages()
         self.stiffness = DynamicStiffness(
-            self.K, self.M, self.D, G=self.G, N=self.N, solver=self.solver, budget=self.budget,
+            self.K,
+            self.M,
+            self.D,
+            G=self.G,
+            N=self.N,
+            solver=self.solver,
+            budget=self.budget,
             regular=has_places(model),
-        )  # fmt: skip
+        )
         self.budget.release_pages()
         if not need_factor(model, self.K):
             self._refuse_free_flutter()
@@ -128,11 +139,13 @@ class Problem(Closing):
 
     def _facts(self) -> dict[str, object]:
         return {
-            "model": f"{self.model.size:,} dofs", "interfaces": [each.name for each in self.interfaces],
-            "coupled dofs": self.K.shape[0], "inputs": self.B.shape[1],
+            "model": f"{self.model.size:,} dofs",
+            "interfaces": [each.name for each in self.interfaces],
+            "coupled dofs": self.K.shape[0],
+            "inputs": self.B.shape[1],
             "rigid-body modes": self.rigid.shape[1] if "_motions" in self.__dict__ else "not known yet",
             "solver": self.solver_name,
-        }  # fmt: skip
+        }
 
     def shared(self, key: object, make: Callable[[], Shared]) -> Shared:
         """What ``make`` gives, computed once: solutions that several reducers need."""
@@ -190,9 +203,12 @@ class Problem(Closing):
         if own is None or given is None or not own.nnz or not self.rigid.shape[1]:
             return False
         return resists(
-            own, self.rigid, terms_in_rows(self.model, self.coupling, given, self.rigid),
-            nodes_of_rows(self.model, self.coupling), written(given.data),
-        )  # fmt: skip
+            own,
+            self.rigid,
+            terms_in_rows(self.model, self.coupling, given, self.rigid),
+            nodes_of_rows(self.model, self.coupling),
+            written(given.data),
+        )
 
     @cached_property
     def statics(self) -> Statics:
@@ -411,4 +427,3 @@ def _cut(modes: Modes, count: int | None, below: float | None) -> Modes:
     if count is None:
         count = int((modes.eigenvalues <= below * (1 + GAP)).sum()) if below is not None else len(modes.eigenvalues)
     return modes.first(count)
-

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.types import Floats, Ints
 from morembs.budget import Budget
 from morembs.errors import InputError
 from morembs.interface import Coupling
@@ -23,8 +23,6 @@ from morembs.linalg.sparse.solver import LinearSolver
 from morembs.model import FEModel
 from morembs.model.fe_model import SCALAR, has_places
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Number of terms up to which round-off of their sum is that of a row of an assembled matrix.
 FEW_TERMS = 100
 # Part of the inertia of a motion below which it depends on the others.
@@ -117,7 +115,7 @@ def _refuse_massless(count: int) -> None:
 
 def _refuse_free_parts(
     model: FEModel, coupling: Coupling, K: sp.csr_array, Phi: Floats, free: int, last: float
-) -> None:  # fmt: skip
+) -> None:
     """Refuse groups of dofs that K does not couple and that have more motions free of strain than the ``free`` of all.
 
     Raises:

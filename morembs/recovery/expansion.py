@@ -12,14 +12,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.body.stress_shapes import Recovery
 from morembs.errors import InputError
 from morembs.recovery.trajectory import Trajectory
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,9 +38,14 @@ class Expansion:
 
 
 def expand(
-    source: StoredBodies, body: StoredBody, trajectory: Trajectory, *, recovery: Recovery | None = None,
-    scale: float = 1.0, kept_bytes: int = 2**30,
-) -> Expansion:  # fmt: skip
+    source: StoredBodies,
+    body: StoredBody,
+    trajectory: Trajectory,
+    *,
+    recovery: Recovery | None = None,
+    scale: float = 1.0,
+    kept_bytes: int = 2**30,
+) -> Expansion:
     """Displacements at all times, and stresses if ``recovery`` is given; all in memory.
 
     ``scale`` magnifies the deformation in ``motion``. A basis of up to ``kept_bytes`` is read whole. Loads correct

@@ -46,9 +46,16 @@ class Recovered:
 
 @keeping_ledger()
 def recover(
-    body_file: str | Path, trajectory_file: str | Path | Trajectory, out: str | Path, *, body: str | None = None,
-    stress: bool = True, scale: float = 1.0, every: int = 1, progress: Progress = SILENT,
-) -> Recovered:  # fmt: skip
+    body_file: str | Path,
+    trajectory_file: str | Path | Trajectory,
+    out: str | Path,
+    *,
+    body: str | None = None,
+    stress: bool = True,
+    scale: float = 1.0,
+    every: int = 1,
+    progress: Progress = SILENT,
+) -> Recovered:
     """Write a trajectory at the nodes of a body as a VTKHDF time series for ParaView.
 
     Point data: displacement, motion (where a frame moves, or deformations are magnified by ``scale``; warp by this
@@ -93,10 +100,15 @@ def recover(
 
     write_series(target, grid, trajectory.times, wanted, steps, progress, notes=notes)
     return Recovered(
-        path=target, body=chosen.name, steps=len(trajectory.times), nodes=len(grid.points),
-        peak=None if shown is None else shown.peak, peak_jump=None if shown is None else shown.peak_jump,
-        worst_jump=None if shown is None else shown.worst_jump, notes=notes(),
-    )  # fmt: skip
+        path=target,
+        body=chosen.name,
+        steps=len(trajectory.times),
+        nodes=len(grid.points),
+        peak=None if shown is None else shown.peak,
+        peak_jump=None if shown is None else shown.peak_jump,
+        worst_jump=None if shown is None else shown.worst_jump,
+        notes=notes(),
+    )
 
 
 def _steps(

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.body.stress_shapes import Recovery
 from morembs.model.stress_operator import von_mises
 from morembs.recovery.trajectory import Trajectory
 
-Floats = NDArray[np.float64]
 # Jumps between elements, relative to the largest stress, from which its mesh is called coarse.
 LARGE_JUMP = 0.05
 # Displacements within the frame, relative to the size of the body, that no linear body should have.
@@ -75,8 +74,10 @@ class ShownStress:
             lost = len(np.unique(self.recovery.points[~self.known]))
             notes.append(f"{lost} nodes with stress are not among the nodes of the file; they only count for the peak")
         if self.recovery.jump is None:
-            notes.append("the file does not tell stresses of single elements, so nothing says whether the mesh is too "
-                         "coarse for them (jump = true in [stress])")  # fmt: skip
+            notes.append(
+                "the file does not tell stresses of single elements, so nothing says whether the mesh is too "
+                "coarse for them (jump = true in [stress])"
+            )
         if self.peak is not None and self.peak_jump is not None and self.peak_jump > LARGE_JUMP * self.peak[0]:
             notes.append(
                 f"around node {self.peak[1]} with the largest stress, elements miss the average by "
@@ -126,8 +127,10 @@ def notes_on_correction(
     if not body.input_matrix.shape[1]:
         return ()
     loads = trajectory.loads
-    held = {"stress": recovery is not None and recovery.correction is not None,
-            "displacements": recovery is not None and recovery.displacement is not None}  # fmt: skip
+    held = {
+        "stress": recovery is not None and recovery.correction is not None,
+        "displacements": recovery is not None and recovery.displacement is not None,
+    }
     # Static shapes of all interfaces are in the basis: nothing to speak of is missing from displacements.
     complete = any(kind in STATIC_KINDS for kind in body.mode_kind)
     shown = (*(("stress",) if stress else ()), *(() if complete else ("displacements",)))

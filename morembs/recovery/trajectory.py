@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body.vtkhdf_series import read_arrays
 from morembs.errors import InputError, MorembsError, nearest
 from morembs.storage.archive import refuse_unsafe_archive
 from morembs.summary import summarised
 
-Floats = NDArray[np.float64]
 TABLES = (".csv", ".txt", ".dat")
 HDF5 = (".h5", ".hdf5", ".hdf")
 # Rotations may miss orthonormality by this much, as printed ones do.

@@ -37,8 +37,23 @@ REDUCERS: Registry[type[Reducer]] = Registry(
 )
 
 __all__ = [
-    "MODE_KINDS", "REDUCERS", "AutoReducer", "Balanced", "Basis", "CraigBampton", "Facts", "FreeInterface", "Gramian",
-    "Guyan", "Irka", "Krylov", "Modal", "ParametricReducer", "ReducedModel", "Reducer", "StaticModesSwitching",
-]  # fmt: skip
+    "MODE_KINDS",
+    "REDUCERS",
+    "AutoReducer",
+    "Balanced",
+    "Basis",
+    "CraigBampton",
+    "Facts",
+    "FreeInterface",
+    "Gramian",
+    "Guyan",
+    "Irka",
+    "Krylov",
+    "Modal",
+    "ParametricReducer",
+    "ReducedModel",
+    "Reducer",
+    "StaticModesSwitching",
+]
 
 __getattr__ = renamed(__name__, {"Automatic": "AutoReducer"})

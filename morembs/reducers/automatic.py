@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, SolverError
 from morembs.problem import SOFTER, Problem
 from morembs.progress import Progress
@@ -30,7 +30,6 @@ from morembs.responses.band import band_frequencies, checked_band
 from morembs.responses.certified import TOLERANCE, CertifiedReference, certified_reference, checked_floor, floor_of
 from morembs.responses.measures import checked_measure
 
-Floats = NDArray[np.float64]
 # The reference is better than the tolerance by this factor.
 BETTER = 1e-3
 KINDS = {"gramian": "gramian", "krylov": "krylov", "modal": "elastic"}
@@ -92,9 +91,13 @@ class AutoReducer(OfResponses):
         inertia = self.inertia_loads or problem.rigid.shape[1] < 6
         try:
             certified = certified_reference(
-                problem, self.band_hz, tolerance=min(BETTER * self.tolerance, TOLERANCE), damping_floor=floor,
-                inertia_loads=inertia, progress=progress,
-            )  # fmt: skip
+                problem,
+                self.band_hz,
+                tolerance=min(BETTER * self.tolerance, TOLERANCE),
+                damping_floor=floor,
+                inertia_loads=inertia,
+                progress=progress,
+            )
             self._refuse_lost(certified)
         except SolverError as fault:
             raise SolverError(f"tolerance = {self.tolerance:g} cannot be certified: {fault}") from fault
@@ -113,9 +116,14 @@ class AutoReducer(OfResponses):
         if not coefficients:
             raise unreachable(self, search)
         ((best, C),) = coefficients.items()
-        notes = {"family": best, "orders": orders, "reference_order": len(certified.values),
-                 "measure": self.measure, "damping_floor": floor,
-                 "choice": _words(best, orders, self.band_hz, self.tolerance)}  # fmt: skip
+        notes = {
+            "family": best,
+            "orders": orders,
+            "reference_order": len(certified.values),
+            "measure": self.measure,
+            "damping_floor": floor,
+            "choice": _words(best, orders, self.band_hz, self.tolerance),
+        }
         if best == "krylov":
             notes["frequencies_hz"] = [float(w / (2 * np.pi)) for w in search.chosen]
         basis = elastic_basis(problem, certified.model.vectors(C), KINDS[best], notes)

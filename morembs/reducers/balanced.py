@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Values
 from morembs.errors import InputError, SolverError
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
 from morembs.linalg.columns import multiply, project_out, projected
@@ -41,9 +41,6 @@ from morembs.reducers.second_order_balancing import (
 from morembs.responses.band import checked_band
 from morembs.responses.loads import elastic_part, unit_loads
 from morembs.responses.reference import Reference, reference_model
-
-Floats = NDArray[np.float64]
-Values = NDArray[Any]
 
 INSTEAD = "give band_hz = [lower, upper], or replace the modal damping by alpha and beta"
 BALANCING = ("bfsr", "sr")
@@ -178,9 +175,13 @@ class Balanced(OfResponses):
         with _pencil(problem) as (pencil, notes):
             system = _system(problem, pencil)
             gramian = low_rank_gramian(
-                system, _loads(problem), tolerance=self.adi_tolerance, max_steps=self.adi_steps,
-                budget=problem.budget, progress=progress,
-            )  # fmt: skip
+                system,
+                _loads(problem),
+                tolerance=self.adi_tolerance,
+                max_steps=self.adi_steps,
+                budget=problem.budget,
+                progress=progress,
+            )
         M, K, budget, (alpha, beta) = problem.M, problem.K, problem.budget, _rayleigh(problem)
         Zp, Zv = gramian.Zp, gramian.Zv
         Mpp, Mpv, Mvv = projected(Zp, M, budget), projected(Zv, M, budget, Zp), projected(Zv, M, budget)
@@ -190,9 +191,11 @@ class Balanced(OfResponses):
         if problem.D is not None:
             Dpp, Dpv = Dpp + projected(Zp, problem.D, budget), Dpv + projected(Zv, problem.D, budget, Zp)
         notes = {
-            **notes, "gramian": "low-rank ADI over all frequencies", "adi_residual": gramian.residual,
+            **notes,
+            "gramian": "low-rank ADI over all frequencies",
+            "adi_residual": gramian.residual,
             "adi_shifts": len(gramian.shifts),
-        }  # fmt: skip
+        }
         products = Products.of(Mpp, Mpv, Mvv, Dpp, Dpv)
         return _Gramian(Zp=Zp, Zv=Zv, products=products, reference=None, notes=notes)
 
@@ -356,6 +359,12 @@ def _two_sided(
         project_out(Z, X, M)
     notes = {**notes, "stability": "all poles checked; this variant does not guarantee it at other orders"}
     return two_sided_basis(
-        problem, right, W, "balanced", notes, V_velocity=V_velocity, what=f'variant = "{variant}"',
+        problem,
+        right,
+        W,
+        "balanced",
+        notes,
+        V_velocity=V_velocity,
+        what=f'variant = "{variant}"',
         instead='take variant = "fv" or "pv", which are always stable, or another order',
-    )  # fmt: skip
+    )

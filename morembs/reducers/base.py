@@ -11,6 +11,7 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, SolverError
 from morembs.linalg.columns import (
     complement,
@@ -21,7 +22,7 @@ from morembs.linalg.columns import (
     multiply_into,
     projected,
     without_rigid_motion,
-)  # fmt: skip
+)
 from morembs.linalg.complex_modes import small_complex_modes
 from morembs.linalg.eigen import graded_modes
 from morembs.model.fe_model import STRUCTURAL, WITHOUT_MASS
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from morembs.parametric.model import ParametricModel
     from morembs.reducers.switching_tables import StaticModeTables
 
-Floats = NDArray[np.float64]
 
 # Part by which a reduced stiffness may differ from that of the model, between coordinates of unit stiffness.
 STIFFNESS_ERROR = 1e-2
@@ -51,9 +51,17 @@ LOW = 0.03
 SHOWN_ORDER = 400
 # What a reduced coordinate is; the body file stores the index in this table.
 MODE_KINDS = (
-    "rigid", "elastic", "constraint", "fixed-interface", "attachment", "krylov", "gramian", "balanced",
-    "characteristic", "foreign",
-)  # fmt: skip
+    "rigid",
+    "elastic",
+    "constraint",
+    "fixed-interface",
+    "attachment",
+    "krylov",
+    "gramian",
+    "balanced",
+    "characteristic",
+    "foreign",
+)
 
 
 @with_old_names(left="W", inertial="V_velocity")
@@ -133,10 +141,12 @@ class ReducedModel:
     def _facts(self) -> dict[str, object]:
         values = self.modes()[0][self.rigid_count :] if self.order <= SHOWN_ORDER else None
         return {
-            "name": self.name, "order": self.order, "coordinates": kinds_words(self.mode_kind),
+            "name": self.name,
+            "order": self.order,
+            "coordinates": kinds_words(self.mode_kind),
             "elastic frequencies": None if values is None else hertz(np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)),
             "inputs": self.B.shape[1],
-        }  # fmt: skip
+        }
 
     def modes(self) -> tuple[Floats, Floats]:
         """Eigenvalues (n,) of (K, M) in (rad/s)2, rigid-body modes first, and vectors (n, n).
@@ -158,7 +168,6 @@ class ReducedModel:
         Y = np.eye(self.order)
         Y[r:, r:] = vectors[:, order].real
         return np.concatenate([np.zeros(r), values.real[order]]), Y
-
 
     def complex_modes(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """Eigenvalues s (m,) in 1/s of s^2 M + s D + K on or above the real axis, by size, and vectors (n, m).
@@ -241,9 +250,13 @@ class Reducer(ABC):
         return self
 
     def switching(
-        self, problem: Problem, reduced: ReducedModel, *, operator: StressOperator | None = None,
+        self,
+        problem: Problem,
+        reduced: ReducedModel,
+        *,
+        operator: StressOperator | None = None,
         progress: Progress = SILENT,
-    ) -> StaticModeTables | None:  # fmt: skip
+    ) -> StaticModeTables | None:
         """Tables of static modes that complement ``reduced`` of this reducer; None for all but one method."""
         return None
 
@@ -313,10 +326,20 @@ class Reducer(ABC):
         if massless:
             recipe[WITHOUT_MASS] = massless_words(massless)
         return ReducedModel(
-            name=name or self.method, M=M, K=K, D=D, B=B, C=outputs, V=V, mode_kind=basis.kinds,
-            rigid_count=basis.rigid.shape[1], recipe=recipe, W=W, is_projection=basis.V_velocity is None,
+            name=name or self.method,
+            M=M,
+            K=K,
+            D=D,
+            B=B,
+            C=outputs,
+            V=V,
+            mode_kind=basis.kinds,
+            rigid_count=basis.rigid.shape[1],
+            recipe=recipe,
+            W=W,
+            is_projection=basis.V_velocity is None,
             structural=structural,
-        )  # fmt: skip
+        )
 
 
 def _refuse_singular_mass(method: str, M: Floats, kinds: Sequence[str]) -> None:

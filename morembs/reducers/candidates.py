@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.interface import Interface
 from morembs.model import DofMap, FEModel
@@ -16,8 +16,6 @@ from morembs.model.stress_operator import StressOperator, stress_operator
 from morembs.model.surface import outer_faces
 from morembs.problem import Problem
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 NORMALS = "normals"
 # A step along the path that is longer than this multiple of its neighbours is a gap.
 GAP = 3.5
@@ -35,9 +33,16 @@ class Candidates:
     """
 
     def __init__(
-        self, model: FEModel, interfaces: Sequence[Interface], nodes: str, directions: list[int] | str, *, kind: str,
-        band: int | None, length: float,
-    ) -> None:  # fmt: skip
+        self,
+        model: FEModel,
+        interfaces: Sequence[Interface],
+        nodes: str,
+        directions: list[int] | str,
+        *,
+        kind: str,
+        band: int | None,
+        length: float,
+    ) -> None:
         self.model, self.kind, self.band = model, kind, band
         try:
             rows = select_nodes(model, nodes, length=length)
@@ -139,9 +144,13 @@ def _operator(problem: Problem, rows: Ints) -> StressOperator:
     N = 3 * len(model.nodes)
     empty = sp.csr_array((N, N))
     whole = FEModel(
-        K=empty, M=empty, nodes=model.nodes, dofs=DofMap.translations(len(model.nodes)), mesh=model.mesh,
+        K=empty,
+        M=empty,
+        nodes=model.nodes,
+        dofs=DofMap.translations(len(model.nodes)),
+        mesh=model.mesh,
         materials=model.materials,
-    )  # fmt: skip
+    )
     return stress_operator(whole, rows, budget=problem.budget)
 
 

@@ -39,9 +39,11 @@ class Facts:
     def of(cls, problem: Problem) -> Self:
         """Those of ``problem``."""
         return cls(
-            model=problem.model, interfaces=problem.interfaces, coupling=replace(problem.coupling, B=problem.B),
+            model=problem.model,
+            interfaces=problem.interfaces,
+            coupling=replace(problem.coupling, B=problem.B),
             damping=problem.damping,
-        )  # fmt: skip
+        )
 
     @property
     def size(self) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.quadrature import trapezoid
 from morembs.problem.damping import Damping
@@ -20,7 +21,6 @@ from morembs.responses.pencils import response_of
 from morembs.responses.rational import product
 from morembs.responses.rounding import Response
 
-Floats = NDArray[np.float64]
 # Directions whose share of the leading one is below this are round-off.
 NOISE = 1e-13
 GREEDY_STEPS = 40
@@ -113,8 +113,10 @@ class FamilySearch:
     def smallest(self, family: str, fewer: int) -> Floats | None:
         """Certified basis of the lowest order, if that is below ``fewer``; ``reached`` tells the order without it."""
         candidates: dict[str, Callable[[float, float], Floats]] = {
-            "gramian": self._gramian, "krylov": self._krylov, "modal": self._modal,
-        }  # fmt: skip
+            "gramian": self._gramian,
+            "krylov": self._krylov,
+            "modal": self._modal,
+        }
         smallest: Floats | None = None
         self.reached[family] = None
         for exponent in WEIGHTS if family != "modal" else WEIGHTS[:1]:
@@ -174,9 +176,15 @@ class FamilySearch:
         b, theta = reduced.B[:, : self.reference.inputs], reduced.theta
         D = np.diag(reduced.damping.of_modes(theta)) if reduced.D is None else reduced.D
         return response_of(
-            np.eye(len(theta)), D, np.diag(theta), b, b.T, layout, structural=reduced.damping.structural,
+            np.eye(len(theta)),
+            D,
+            np.diag(theta),
+            b,
+            b.T,
+            layout,
+            structural=reduced.damping.structural,
             highest=2 * np.pi * self.certified.band_hz[1],
-        )  # fmt: skip
+        )
 
     def zero(self, hz: float) -> bool:
         """Whether the response is as good as zero at ``hz``."""

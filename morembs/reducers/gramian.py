@@ -24,6 +24,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.crew import Crew
 from morembs.errors import InputError
 from morembs.linalg.columns import hstack, m_norms, map_columns, orthonormal, project_out
@@ -39,7 +40,6 @@ from morembs.responses.direct import state, states_crew, why_no_response
 from morembs.responses.loads import elastic_part, load_scale, unit_loads
 from morembs.responses.reference import Reference, reference_model
 
-Floats = NDArray[np.float64]
 WEIGHTS = ("position", "velocity")
 # Shift off the imaginary axis where there is no damping, as a part of the upper end of the band.
 SHIFT = 0.01
@@ -134,9 +134,12 @@ class Gramian(OfResponses):
     ) -> Floats:
         """Basis (Nc, n) from snapshots in the modal coordinates of the reference model, where X is diagonal."""
         reference = reference_model(
-            problem, np.linspace(low, high, GRID), tolerance=ACCURACY, inertia_loads=self.inertia_loads,
+            problem,
+            np.linspace(low, high, GRID),
+            tolerance=ACCURACY,
+            inertia_loads=self.inertia_loads,
             progress=progress,
-        )  # fmt: skip
+        )
         values = reference.values
         F = reference.F * load_scale(problem.motion_scale, reference.F, reference.F / values[:, None])
         X = sp.diags_array(values + mu).tocsr()
@@ -194,9 +197,13 @@ class Gramian(OfResponses):
         return snapshot_factor(s[:, None, None] * U if self.weight == "velocity" else U, weights)
 
     def _pod(
-        self, snapshots: Iterator[Floats], statics: Floats, X: sp.csr_array, svd: WeightedSVD | StreamedSVD,
+        self,
+        snapshots: Iterator[Floats],
+        statics: Floats,
+        X: sp.csr_array,
+        svd: WeightedSVD | StreamedSVD,
         notes: dict[str, object],
-    ) -> tuple[Floats, Floats]:  # fmt: skip
+    ) -> tuple[Floats, Floats]:
         """Static directions that are kept (n, j) and the dominant ones of the rest, all X-orthonormal."""
         first = orthonormal(statics, X) if self.static else np.zeros((len(statics), 0))
         energy = 0.0

@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.closing import Closing
 from morembs.errors import InputError
 from morembs.linalg.columns import dot, fix_signs, multiply_into, project_out
@@ -30,8 +30,6 @@ from morembs.linalg.statics import ConstrainedStatics, Statics
 from morembs.problem import Problem
 from morembs.progress import SILENT, Progress
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Up to this many interface dofs, or where so large a part of them is wanted, all constraint modes are computed.
 DENSE = 400
 PART = 4
@@ -110,9 +108,14 @@ class FixedInterfaceBody(Closing):
 
 
 def interface_modes(
-    problem: Problem, held: FixedInterfaceBody, *, count: int | None = None, below: float | None = None,
-    progress: Progress = SILENT, from_all: bool | None = None,
-) -> InterfaceModes:  # fmt: skip
+    problem: Problem,
+    held: FixedInterfaceBody,
+    *,
+    count: int | None = None,
+    below: float | None = None,
+    progress: Progress = SILENT,
+    from_all: bool | None = None,
+) -> InterfaceModes:
     """The lowest ``count`` elastic characteristic modes, or all up to ``below`` in (rad/s)2.
 
     Args:
@@ -177,9 +180,10 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
     V = multiply_into(Psi, scale[:, None] * (Q @ Y[:, :kept]), out, problem.budget)
     project_out(problem.rigid, V, problem.M)
     return InterfaceModes(
-        eigenvalues=values[:kept], vectors=fix_signs(V, problem.budget),
+        eigenvalues=values[:kept],
+        vectors=fix_signs(V, problem.budget),
         next_hz=float(np.sqrt(values[kept]) / (2 * np.pi)) if kept < len(values) else None,
-    )  # fmt: skip
+    )
 
 
 def _lowest(
@@ -203,9 +207,10 @@ def _lowest(
     V = V[:, :kept]
     project_out(problem.rigid, V, problem.M)
     return InterfaceModes(
-        eigenvalues=values[:kept], vectors=fix_signs(V, problem.budget),
+        eigenvalues=values[:kept],
+        vectors=fix_signs(V, problem.budget),
         next_hz=float(np.sqrt(values[kept]) / (2 * np.pi)),
-    )  # fmt: skip
+    )
 
 
 def _capacity(wanted: int, most: int) -> int:

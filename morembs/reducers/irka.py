@@ -18,6 +18,7 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.errors import InputError
 from morembs.linalg.columns import orthonormal
 from morembs.linalg.quadrature import trapezoid
@@ -30,8 +31,6 @@ from morembs.reducers.families import OfResponses
 from morembs.responses.band import checked_band
 from morembs.responses.reference import Reference, reference_model
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 # Frequencies at which the reference model is held to its tolerance, and those of the error measure.
 CHECKED, MEASURED, TOLERANCE = 60, 300, 1e-8
 # Modes with less damping than this ratio have no H2 norm to speak of; then s moves to the right by this part of
@@ -108,10 +107,13 @@ class Irka(OfResponses):
         s = best.shifts.s + band.delta
         notes: dict[str, object] = {
             "kept": "shifts" if best is met else "modes",
-            "converged": best.change <= self.tolerance, "steps": best.steps, "kept_step": best.kept,
-            "first_h2_error": best.first, "h2_error": best.error,
+            "converged": best.change <= self.tolerance,
+            "steps": best.steps,
+            "kept_step": best.kept,
+            "first_h2_error": best.first,
+            "h2_error": best.error,
             "shifts": [[float(x.real), float(x.imag)] for x in s],
-        }  # fmt: skip
+        }
         if best.change > self.tolerance:
             notes["not_converged"] = f"the shifts still moved by {best.change:.1e}; the best model met was kept"
         if band.delta:
@@ -134,8 +136,15 @@ class Irka(OfResponses):
                 break
             moved = band.next_shifts(X, shifts)
             change, shifts = _change(shifts, moved), moved
-        return _Run(C=best, shifts=kept, first=errors[0], error=min(errors), kept=int(np.argmin(errors)),
-                    steps=len(errors) - 1, change=change)  # fmt: skip
+        return _Run(
+            C=best,
+            shifts=kept,
+            first=errors[0],
+            error=min(errors),
+            kept=int(np.argmin(errors)),
+            steps=len(errors) - 1,
+            change=change,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

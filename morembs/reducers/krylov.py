@@ -19,6 +19,7 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.linalg.columns import complement, dot, hstack, map_columns, multiply_into, projected
 from morembs.linalg.second_order_arnoldi import PASSES
@@ -27,17 +28,9 @@ from morembs.progress import Progress
 from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.petrov_galerkin import two_sided_basis
-from morembs.reducers.shifts import (
-    RIGID_LOAD,
-    Wanted,
-    apply,
-    expansion_point,
-    frequency,
-    grow_at_once,
-)
+from morembs.reducers.shifts import RIGID_LOAD, Wanted, apply, expansion_point, frequency, grow_at_once
 from morembs.responses.loads import elastic_part, inertia_loads, load_scale
 
-Floats = NDArray[np.float64]
 MOST_COLUMNS = 500
 # Loads that the columns so far carry up to this part need no direction of their own.
 CARRIED = 1e-7
@@ -206,10 +199,11 @@ class Krylov(Reducer):
             wanted_at: list[dict[object, Wanted]] = [
                 {
                     (space.names, *side): Wanted(space.F, count, bool(side))
-                    for space in spaces for side in _sides(problem, point.asked)
+                    for space in spaces
+                    for side in _sides(problem, point.asked)
                 }
                 for point, count in points
-            ]  # fmt: skip
+            ]
             grow_at_once(problem, [point for point, _ in points], wanted_at, progress)
         for s, count in self._points():
             shift = expansion_point(problem, s)
@@ -247,9 +241,7 @@ class _LoadSpace:
     ``counts`` says that inertia loads are to count as ``load_scale`` has it, which takes a static solution.
     """
 
-    def __init__(
-        self, problem: Problem, interfaces: list[str] | None, name: str, inertia: bool, counts: bool
-    ) -> None:
+    def __init__(self, problem: Problem, interfaces: list[str] | None, name: str, inertia: bool, counts: bool) -> None:
         self.problem, self.name, self.size = problem, name, 0
         columns = problem.coupling.columns
         chosen = [columns[interface] for interface in columns if interfaces is None or interface in interfaces]
@@ -341,8 +333,12 @@ class _LoadSpace:
             samples += [x.real / np.linalg.norm(x), x.imag / np.linalg.norm(x)]
         R = sl.qr(np.hstack(samples).T, mode="r")[0]
         directions = np.linalg.svd(R[: self.size])[2][:order].T
-        multiply_into(self.V, sl.qr(Y @ (directions / np.sqrt(values + mu)[:, None]), mode="economic")[0],
-                self._room[:, :order], self.problem.budget)  # fmt: skip
+        multiply_into(
+            self.V,
+            sl.qr(Y @ (directions / np.sqrt(values + mu)[:, None]), mode="economic")[0],
+            self._room[:, :order],
+            self.problem.budget,
+        )
         self.size = order
 
 
@@ -369,6 +365,11 @@ def _two_sided(problem: Problem, V: Floats, W: Floats, notes: dict[str, object])
         )
     V, W = V @ (T.T / np.sqrt(cosines)), W @ (U / np.sqrt(cosines))
     return two_sided_basis(
-        problem, V, W, "krylov", notes, what="two_sided = true",
+        problem,
+        V,
+        W,
+        "krylov",
+        notes,
+        what="two_sided = true",
         instead="leave two_sided out, or take other shifts, moments or damping",
-    )  # fmt: skip
+    )

@@ -74,9 +74,13 @@ class ParametricReducer(Reducer):
                 'method = "auto"'
             )
         wanted = Wanted(
-            band_hz=(float(self.band_hz[0]), float(self.band_hz[1])), tolerance=self.tolerance, training=self.training,
-            order_limit=self.order_limit, floor=self.damping_floor, accept_bound=self.accept_bound,
-        )  # fmt: skip
+            band_hz=(float(self.band_hz[0]), float(self.band_hz[1])),
+            tolerance=self.tolerance,
+            training=self.training,
+            order_limit=self.order_limit,
+            floor=self.damping_floor,
+            accept_bound=self.accept_bound,
+        )
         return problem.shared((self.method, wanted), lambda: GreedySearch(problem, wanted, progress).run())
 
     def variation(
@@ -90,7 +94,11 @@ class ParametricReducer(Reducer):
         rigid, n = problem.rigid.shape[1], basis.V.shape[1]
         K = basis.model.matrices(basis.model.box.nominal)[0]
         notes = {
-            "bound_kind": basis.kind, "box_bound": basis.box_bound, "box_bound_is": "a maximum over samples",
-            "factorisations": basis.factorisations, "counts": basis.counts, "damping_floor": basis.floor,
-        }  # fmt: skip
+            "bound_kind": basis.kind,
+            "box_bound": basis.box_bound,
+            "box_bound_is": "a maximum over samples",
+            "factorisations": basis.factorisations,
+            "counts": basis.counts,
+            "damping_floor": basis.floor,
+        }
         return Basis(V=basis.V, kinds=basis.kinds, K=K, rigid=np.eye(n, rigid), notes=notes)

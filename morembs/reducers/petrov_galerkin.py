@@ -6,22 +6,28 @@ from collections.abc import Mapping
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import SolverError
 from morembs.linalg.columns import hstack, multiply, projected
 from morembs.problem import Problem
 from morembs.reducers.base import Basis
 
-Floats = NDArray[np.float64]
 # A pole this far to the right, as part of its size, is unstable.
 GROWING = 1e-8
 
 
 def two_sided_basis(
-    problem: Problem, V: Floats, W: Floats, kind: str, notes: Mapping[str, object], *,
-    V_velocity: Floats | None = None, what: str, instead: str,
-) -> Basis:  # fmt: skip
+    problem: Problem,
+    V: Floats,
+    W: Floats,
+    kind: str,
+    notes: Mapping[str, object],
+    *,
+    V_velocity: Floats | None = None,
+    what: str,
+    instead: str,
+) -> Basis:
     """Rigid-body modes and elastic columns ``V``, tested with the rigid-body modes and the span of ``W``, all (Nc, n).
 
     ``V_velocity`` (Nc, n) expands velocities and accelerations where V does not. ``what`` was made and what to take
@@ -47,10 +53,14 @@ def two_sided_basis(
         D = D + projected(velocity, problem.D, budget, W)
     refuse_unstable(mass, D, K[r:, r:], what, instead)
     return Basis(
-        V=hstack(Z, V, budget=budget), W=hstack(Z, W, budget=budget),
+        V=hstack(Z, V, budget=budget),
+        W=hstack(Z, W, budget=budget),
         V_velocity=None if V_velocity is None else hstack(Z, V_velocity, budget=budget),
-        K=K, kinds=("rigid",) * r + (kind,) * n, rigid=np.eye(r + n, r), notes=notes,
-    )  # fmt: skip
+        K=K,
+        kinds=("rigid",) * r + (kind,) * n,
+        rigid=np.eye(r + n, r),
+        notes=notes,
+    )
 
 
 def refuse_unstable(M: Floats, D: Floats, K: Floats, what: str, instead: str) -> None:

@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.optional import optional
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 
-Floats = NDArray[np.float64]
 # Part of the largest entry by which a symmetric matrix may miss its transpose.
 ROUND_OFF = 1e-12
 
@@ -82,11 +81,18 @@ def from_pymor(
         M, E, K, Cp = (M + M.T) / 2, (E + E.T) / 2, (K + K.T) / 2, B.T
     none = np.zeros((0, n))
     return ReducedModel(
-        name=name, M=M, K=K, D=E, B=B, C=Cp, V=none if V is None else np.asarray(V, dtype=float),
+        name=name,
+        M=M,
+        K=K,
+        D=E,
+        B=B,
+        C=Cp,
+        V=none if V is None else np.asarray(V, dtype=float),
         W=None if galerkin else none if W is None else np.asarray(W, dtype=float),
-        mode_kind=("foreign",) * n, rigid_count=rigid_count,
+        mode_kind=("foreign",) * n,
+        rigid_count=rigid_count,
         recipe={"method": "pymor"},
-    )  # fmt: skip
+    )
 
 
 def _alike(A: Floats, B: Floats) -> bool:

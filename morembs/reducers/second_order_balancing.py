@@ -14,12 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.linalg.quadrature import modal_poles, resonant
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 VARIANTS = ("p", "v", "pv", "vp", "fv", "so")
 # These project with one basis, which keeps symmetry and with it stability.
@@ -97,10 +94,13 @@ def truncated(products: Products, variant: str, order: int, balancing: str) -> T
     if balancing == "sr":
         trial_change = test_change = np.diag(1 / np.sqrt(values[:order]))
     return Truncation(
-        right=right @ trial_change, left=None if left is None else left @ test_change,
+        right=right @ trial_change,
+        left=None if left is None else left @ test_change,
         velocity=None if velocity is None else velocity @ trial_change,
-        right_of_velocities=variant in ("v", "vp"), values=values, cosine=cosine,
-    )  # fmt: skip
+        right_of_velocities=variant in ("v", "vp"),
+        values=values,
+        cosine=cosine,
+    )
 
 
 def usable_order(products: Products, variant: str) -> int:
@@ -115,8 +115,14 @@ def usable_order(products: Products, variant: str) -> int:
 
 def _leading(products: Products, variant: str) -> Floats:
     """The product whose singular values decide in ``variant``."""
-    table = {"p": products.pp, "fv": products.pp, "v": products.vv, "so": products.vv, "pv": products.pv,
-             "vp": products.vp}  # fmt: skip
+    table = {
+        "p": products.pp,
+        "fv": products.pp,
+        "v": products.vv,
+        "so": products.vv,
+        "pv": products.pv,
+        "vp": products.vp,
+    }
     return table[variant]
 
 
@@ -161,9 +167,12 @@ def lyapunov_factor(values: Floats, damping: Floats, F: Floats) -> tuple[Floats,
 
 
 def band_factor(
-    states: Callable[[Complexes], Complexes], values: Floats, damping: Floats, band: tuple[float, float],
+    states: Callable[[Complexes], Complexes],
+    values: Floats,
+    damping: Floats,
+    band: tuple[float, float],
     delta: float = 0.0,
-) -> tuple[Floats, Floats]:  # fmt: skip
+) -> tuple[Floats, Floats]:
     """Zp and Zv (k, 2k) of the Gramian over ``band`` (rad/s), (1/pi) int Re [U; sU][U; sU]* d omega.
 
     ``states(s)`` (ns, k, m) gives U on the line s = ``delta`` + i omega; ``values`` and ``damping`` (k,) the poles.

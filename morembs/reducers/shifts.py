@@ -13,12 +13,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Values
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.columns import complement, map_columns
 from morembs.linalg.second_order_arnoldi import PASSES, SecondOrderArnoldi
@@ -26,8 +25,6 @@ from morembs.linalg.sparse.solver import STRUCTURES
 from morembs.problem import Dynamics, Problem, crew_of
 from morembs.progress import Progress
 
-Floats = NDArray[np.float64]
-Values = NDArray[Any]
 Solve = Callable[[Values], Values]
 # Backward error that a solution may have.
 BACKWARD_ERROR = 1e-8
@@ -92,7 +89,11 @@ class KrylovChain:
                 raise InputError("the second-order Krylov space needs a damping matrix; this model has none")
             start, self.F = solve(self.F), np.zeros((0, 0))
             self.space = SecondOrderArnoldi(
-                problem.M, D.T if self.transposed else D, start, shift=self.s, scale=self._scale(start),
+                problem.M,
+                D.T if self.transposed else D,
+                start,
+                shift=self.s,
+                scale=self._scale(start),
                 budget=problem.budget,
             )
         else:

@@ -15,8 +15,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.budget import Budget
 from morembs.errors import InputError, nearest
 from morembs.interface import Interface
@@ -35,8 +35,6 @@ from morembs.reducers.krylov import Krylov
 from morembs.reducers.modal import Modal
 from morembs.reducers.switching_tables import KINDS, StaticModeTables
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _BASES: tuple[type[Reducer], ...] = (Modal, CraigBampton, FreeInterface, Krylov, Gramian)
 BASES = {reducer.method: reducer for reducer in _BASES}
 # Static modes with less than this part of the largest static answer are round-off.
@@ -102,9 +100,10 @@ class StaticModesSwitching(Reducer):
             keys = {field.name: field for field in fields(BASES[self.base])}
             wrong = [f"{key!r} is no key of it" for key in self.base_options if key not in keys]
             lacking = [
-                f"{key!r} is missing" for key, field in keys.items()
+                f"{key!r} is missing"
+                for key, field in keys.items()
                 if field.default is MISSING and field.default_factory is MISSING and key not in self.base_options
-            ]  # fmt: skip
+            ]
             raise InputError(
                 f"base_options = {self.base_options} does not fit base = {self.base!r}: "
                 f"{', '.join([*wrong, *lacking]) or error}; its keys are {', '.join(keys)}"
@@ -117,9 +116,14 @@ class StaticModesSwitching(Reducer):
             InputError: as ``switching`` for its candidates.
         """
         return Candidates(
-            model, interfaces, self.candidates, self.directions, kind=self.kind, band=self.band,
+            model,
+            interfaces,
+            self.candidates,
+            self.directions,
+            kind=self.kind,
+            band=self.band,
             length=self.length or 1.0,
-        )  # fmt: skip
+        )
 
     @property
     def mode_count(self) -> int:
@@ -153,9 +157,13 @@ class StaticModesSwitching(Reducer):
         return self.base_reducer()._basis(problem, progress)
 
     def switching(
-        self, problem: Problem, reduced: ReducedModel, *, operator: StressOperator | None = None,
+        self,
+        problem: Problem,
+        reduced: ReducedModel,
+        *,
+        operator: StressOperator | None = None,
         progress: Progress = SILENT,
-    ) -> StaticModeTables:  # fmt: skip
+    ) -> StaticModeTables:
         """Tables of all candidates that complement ``reduced``, the result of this reducer.
 
         One solve for each candidate, in blocks. Peak memory: the factor, and the columns of a block and of the band
@@ -197,9 +205,13 @@ def _constant_flexibility(problem: Problem, reduced: ReducedModel) -> Callable[[
 
 
 def _tables(
-    problem: Problem, candidates: Candidates, reduced: ReducedModel, static: Callable[[Floats], tuple[Floats, Floats]],
-    stress: Callable[[Floats], Floats] | None, progress: Progress,
-) -> StaticModeTables:  # fmt: skip
+    problem: Problem,
+    candidates: Candidates,
+    reduced: ReducedModel,
+    static: Callable[[Floats], tuple[Floats, Floats]],
+    stress: Callable[[Floats], Floats] | None,
+    progress: Progress,
+) -> StaticModeTables:
     """All tables, a block of candidates at a time; only the band's columns before the block stay."""
     budget = problem.budget
     T, M, V, c, w = problem.coupling.T, problem.M, reduced.V, candidates.count, candidates.width()
@@ -241,17 +253,29 @@ def _tables(
         )
     cosine = np.abs(coupling[:, alive]) / sizes[:, None] / np.sqrt(Q[0, alive])
     return StaticModeTables(
-        kind=candidates.kind, node_ids=model.nodes.ids[candidates.rows], xyz=model.nodes.xyz[candidates.rows],
-        node=candidates.node, direction=candidates.direction, turns=candidates.turns,
-        modes=np.asarray(Bt @ V), stiffness=R, mass=Q, coupling=coupling, weight=V.T @ moving, static_weight=gravity,
+        kind=candidates.kind,
+        node_ids=model.nodes.ids[candidates.rows],
+        xyz=model.nodes.xyz[candidates.rows],
+        node=candidates.node,
+        direction=candidates.direction,
+        turns=candidates.turns,
+        modes=np.asarray(Bt @ V),
+        stiffness=R,
+        mass=Q,
+        coupling=coupling,
+        weight=V.T @ moving,
+        static_weight=gravity,
         stress=None if stress is None else np.asarray(stress(V), dtype=np.float32),
         static_stress=None if on_stress is None else on_stress.values,
         stress_first=None if on_stress is None else on_stress.first,
         notes={
-            "mass_coupling": float(cosine.max(initial=0.0)), "empty_candidates": int((~alive).sum()),
-            "nodes": nodes, "candidates": c, "band": w,
+            "mass_coupling": float(cosine.max(initial=0.0)),
+            "empty_candidates": int((~alive).sum()),
+            "nodes": nodes,
+            "candidates": c,
+            "band": w,
         },
-    )  # fmt: skip
+    )
 
 
 def _keep_last(kept: Floats, count: int, filled: int) -> None:

@@ -15,14 +15,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints, Reals
 from morembs.errors import InputError
 from morembs.model import frozen
 from morembs.moved import renamed
 from morembs.summary import summarised
 
-Floats = NDArray[np.float64]
-Reals = NDArray[np.float32] | Floats
-Ints = NDArray[np.int64]
 KINDS = ("path", "surface")
 INTERPOLATIONS = ("catmull-rom", "linear")
 # Eigenvalues of the scaled stiffness of an active set below this part of the largest count as zero.
@@ -70,9 +68,16 @@ class StaticModeTables:
         c, n = self.modes.shape
         band = len(self.stiffness)
         shapes = {
-            "xyz": (len(self.node_ids), 3), "node": (c,), "direction": (c, 3), "turns": (c,), "stiffness": (band, c),
-            "mass": (band, c), "coupling": (n, c), "weight": (n, 3), "static_weight": (c, 3),
-        }  # fmt: skip
+            "xyz": (len(self.node_ids), 3),
+            "node": (c,),
+            "direction": (c, 3),
+            "turns": (c,),
+            "stiffness": (band, c),
+            "mass": (band, c),
+            "coupling": (n, c),
+            "weight": (n, 3),
+            "static_weight": (c, 3),
+        }
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise InputError(f"switching: {name} has the shape {getattr(self, name).shape}; expected {shape}")
@@ -320,5 +325,6 @@ def active_set(tables: StaticModeTables, candidates: Ints) -> ActiveSet:
     heavy = inverse > RANK * inverse[-1]
     omega = 1.0 / np.sqrt(inverse[heavy])
     return ActiveSet(candidates, np.asarray((X @ W[:, heavy]) * omega), omega)
+
 
 __getattr__ = renamed(__name__, {"Switching": "StaticModeTables"})

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.problem import Problem
 from morembs.responses.clusters import damping_of_clusters
 
-Floats = NDArray[np.float64]
 POINTS = 200
 # Upper ends of bands: squares of frequencies far below or above are no numbers.
 LEAST_HZ, MOST_HZ = 1e-9, 1e12
@@ -25,9 +24,7 @@ ON = 1e-9
 UNDAMPED = 1e-12
 
 
-def band_frequencies(
-    problem: Problem, band_hz: Sequence[float], points: int = POINTS, floor: float = 0.0
-) -> Floats:
+def band_frequencies(problem: Problem, band_hz: Sequence[float], points: int = POINTS, floor: float = 0.0) -> Floats:
     """Frequencies (nf,) in Hz: ``points`` over the band, half of them in equal steps, half in equal ratios, and the
     flanks of every resonance in it, damped by the ratio ``floor`` at least. None is an undamped resonance.
 

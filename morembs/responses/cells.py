@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from morembs.base.types import Bools, Floats
+
 # Cells to begin with, and the most that are made: limits hold with any number, but are sharp with enough of them.
 FIRST, MOST = 32, 30_000
 # Narrowest cell, as part of the upper end of the band.
@@ -28,13 +27,17 @@ class Bounds:
     upper: Floats
     lower: Floats
     at: Floats
-    final: Flags
+    final: Bools
 
     @classmethod
     def joined(cls, parts: list[Bounds]) -> Bounds:
         """Those of all ``parts``."""
-        return cls(**{name: np.concatenate([getattr(part, name) for part in parts])
-                      for name in ("upper", "lower", "at", "final")})  # fmt: skip
+        return cls(
+            **{
+                name: np.concatenate([getattr(part, name) for part in parts])
+                for name in ("upper", "lower", "at", "final")
+            }
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,10 +55,15 @@ class Cells:
 
 
 def search(
-    bounds: Callable[[Floats, Floats], Bounds], resolved: Callable[[Floats, Floats], Flags], edges: Floats,
-    done: Callable[[Bounds, Floats], Flags], quantities: int, allowed: Floats | None = None, per_cell: int = 1,
+    bounds: Callable[[Floats, Floats], Bounds],
+    resolved: Callable[[Floats, Floats], Bools],
+    edges: Floats,
+    done: Callable[[Bounds, Floats], Bools],
+    quantities: int,
+    allowed: Floats | None = None,
+    per_cell: int = 1,
     most: int = MOST,
-) -> Cells:  # fmt: skip
+) -> Cells:
     """Halve cells until all are done.
 
     ``bounds(low, high)`` of cells, ``resolved(low, high)`` where they mean anything; ``edges`` (n + 1,) to begin with;

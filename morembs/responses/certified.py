@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.errors import InputError, SolverError
 from morembs.linalg.columns import dot, subtract
 from morembs.linalg.congruence import scaled_row_sums
@@ -36,8 +36,6 @@ from morembs.responses.residual_bound import CLOSE, Residual, numerator, slope
 from morembs.responses.rounding import EPS, Rounding
 from morembs.summary import summarised, upwards
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 # Error of the reference, as part of the envelope of the response.
 TOLERANCE = 1e-9
 # Ratio of critical damping that is given to the stiffness of models without any.
@@ -119,9 +117,12 @@ class CertifiedReference:
 
     def _facts(self) -> dict[str, object]:
         return {
-            "band": list(self.band_hz), "modes": len(self.values), "error": upwards(float(self.off.max(initial=0.0))),
-            "proven": self.proven, "damping floor": self.floor or None,
-        }  # fmt: skip
+            "band": list(self.band_hz),
+            "modes": len(self.values),
+            "error": upwards(float(self.off.max(initial=0.0))),
+            "proven": self.proven,
+            "damping floor": self.floor or None,
+        }
 
     @property
     def proven(self) -> bool:
@@ -164,9 +165,15 @@ class CertifiedReference:
         H = modes
         if D is not None:
             H = response_of(
-                np.eye(len(self.values)), D, np.diag(self.values), self.b, self.b.T, layout,
-                structural=damping.structural, highest=2 * np.pi * self.band_hz[1],
-            ).terms  # fmt: skip
+                np.eye(len(self.values)),
+                D,
+                np.diag(self.values),
+                self.b,
+                self.b.T,
+                layout,
+                structural=damping.structural,
+                highest=2 * np.pi * self.band_hz[1],
+            ).terms
         highest = abs(1 + 1j * (damping.structural + damping.beta * 2 * np.pi * self.band_hz[1]))
         lost = np.sqrt(highest * self.unsure)
         rounding = Rounding.of(layout, self.b, self.b, lost, lost, self.b_off, self.b_off)
@@ -175,9 +182,15 @@ class CertifiedReference:
         above = self.values[self.values >= self.cut]
         floor = SMALL * EPS * float(above.max(initial=0.0)) / float(above.min(initial=np.inf))
         return Standard(
-            H=H, modes=modes, sizes=layout.sizes(self.b, clusters(self.values)), rounding=rounding, layout=layout,
-            floor=floor, edges=self.edges, off=self.off,
-        )  # fmt: skip
+            H=H,
+            modes=modes,
+            sizes=layout.sizes(self.b, clusters(self.values)),
+            rounding=rounding,
+            layout=layout,
+            floor=floor,
+            edges=self.edges,
+            off=self.off,
+        )
 
     def H(self, omega: Floats) -> Complexes:
         """(nf, m, m) scaled response at ``omega`` (nf,) in rad/s."""
@@ -214,9 +227,14 @@ class CertifiedReference:
 
 
 def certified_reference(
-    problem: Problem, band_hz: Sequence[float], *, tolerance: float = TOLERANCE, damping_floor: float | None = None,
-    inertia_loads: bool = False, progress: Progress = SILENT,
-) -> CertifiedReference:  # fmt: skip
+    problem: Problem,
+    band_hz: Sequence[float],
+    *,
+    tolerance: float = TOLERANCE,
+    damping_floor: float | None = None,
+    inertia_loads: bool = False,
+    progress: Progress = SILENT,
+) -> CertifiedReference:
     """Reference whose error is below ``tolerance`` times the envelope of the response on all of ``band_hz``, or as
     small as the space of the loads allows; kept for later calls.
 
@@ -250,9 +268,15 @@ class _Build:
     """Makes a certified reference from the Krylov space of the loads."""
 
     def __init__(
-        self, problem: Problem, band_hz: tuple[float, float], damping: Damping, floor: float, tolerance: float,
-        inertia: bool, progress: Progress,
-    ) -> None:  # fmt: skip
+        self,
+        problem: Problem,
+        band_hz: tuple[float, float],
+        damping: Damping,
+        floor: float,
+        tolerance: float,
+        inertia: bool,
+        progress: Progress,
+    ) -> None:
         self.problem, self.band_hz, self.damping, self.floor = problem, band_hz, damping, floor
         self.tolerance, self.inertia, self.progress = tolerance, inertia, progress
         self.band = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
@@ -265,19 +289,23 @@ class _Build:
         """The space of a damping matrix of the model's own, whose error is an estimate."""
         problem, omega = self.problem, np.linspace(*self.band, LOOKED_AT)
         omega = np.unique(np.concatenate([omega, _inside(np.sqrt(self.modes.eigenvalues), self.band)]))
-        model = reference_model(
-            problem, omega, tolerance=DAMPED, inertia_loads=self.inertia, progress=self.progress
-        )  # fmt: skip
+        model = reference_model(problem, omega, tolerance=DAMPED, inertia_loads=self.inertia, progress=self.progress)
         return CertifiedReference(
-            model=replace(model, damping=self.damping), band_hz=self.band_hz, floor=self.floor,
+            model=replace(model, damping=self.damping),
+            band_hz=self.band_hz,
+            floor=self.floor,
             unsure=np.maximum(self._rounding(model), 4 * EPS * (model.values + self.band[1] ** 2)),
             b_off=np.zeros((len(model.values), problem.B.shape[1])),
-            vectors=self.modes.vectors, sigma=np.zeros(len(self.modes.eigenvalues)), cut=self.cut,
-            edges=np.array(self.band), off=np.array([max(model.error, DAMPED)]),
+            vectors=self.modes.vectors,
+            sigma=np.zeros(len(self.modes.eigenvalues)),
+            cut=self.cut,
+            edges=np.array(self.band),
+            off=np.array([max(model.error, DAMPED)]),
             doubts=("the error of the full response, with the model's own damping, is an estimate",),
-            solve_errors=np.zeros(len(model.values)), start=0.0,
+            solve_errors=np.zeros(len(model.values)),
+            start=0.0,
             counted=self.modes.counted,
-        )  # fmt: skip
+        )
 
     def _rounding(self, model: Reference) -> Floats:
         """What round-off in K and D, that of stiff links and dampers too, makes of the energies (n,) of all modes."""
@@ -345,9 +373,15 @@ class _Build:
         modes = space.modes(Y, values, k, self.band[1])
         self.hidden, start = False, self._start(growth, space, modes)
         left = Residual(
-            values=modes.values, b=modes.b, tau=modes.tau, lost=modes.lost, start=start, k=k, cut=self.cut,
+            values=modes.values,
+            b=modes.b,
+            tau=modes.tau,
+            lost=modes.lost,
+            start=start,
+            k=k,
+            cut=self.cut,
             damping=self.damping,
-        )  # fmt: skip
+        )
         edges, off = left.bounds(self.band, self.tolerance)
         if off.max() > self.tolerance and left.poles.z.imag.any():
             modes = space.sharpened(modes)
@@ -357,15 +391,33 @@ class _Build:
             self.hidden = off.max() > self.tolerance >= without.max()
         sigma = modes.values * np.sqrt(left.own)
         model = Reference(
-            values=modes.values, D=None, damping=self.damping, F=self._loads(space, modes), inputs=problem.B.shape[1],
-            V=space.V, Y=modes.Y, error=float(off.max()), problem=problem,
-        )  # fmt: skip
+            values=modes.values,
+            D=None,
+            damping=self.damping,
+            F=self._loads(space, modes),
+            inputs=problem.B.shape[1],
+            V=space.V,
+            Y=modes.Y,
+            error=float(off.max()),
+            problem=problem,
+        )
         return CertifiedReference(
-            model=model, band_hz=self.band_hz, floor=self.floor, unsure=modes.unsure, b_off=modes.b_off,
-            vectors=modes.vectors, sigma=sigma[:k], cut=self.cut, edges=edges, off=off,
-            doubts=self._doubts(growth, modes, left, sigma), solve_errors=modes.lost, start=start,
-            counted=self.modes.counted, least=left.least,
-        )  # fmt: skip
+            model=model,
+            band_hz=self.band_hz,
+            floor=self.floor,
+            unsure=modes.unsure,
+            b_off=modes.b_off,
+            vectors=modes.vectors,
+            sigma=sigma[:k],
+            cut=self.cut,
+            edges=edges,
+            off=off,
+            doubts=self._doubts(growth, modes, left, sigma),
+            solve_errors=modes.lost,
+            start=start,
+            counted=self.modes.counted,
+            least=left.least,
+        )
 
     def _loads(self, space: KrylovSpace, modes: RitzModes) -> Floats:
         """(n, p) of the modes, those of inertia behind those of the interfaces."""
@@ -395,8 +447,10 @@ class _Build:
         off = values * (sigma / np.sqrt(np.maximum(values, CLOSE)) + CLOSE)
         straddled = (np.abs(values[:, None] - jumps) <= off[:, None]).any()
         if len(jumps) and (straddled or len(values) < growth.room):
-            doubts += ("the modal damping table jumps among modes that the reference does not know one by one, so that "
-                       "limits are estimates",)  # fmt: skip
+            doubts += (
+                "the modal damping table jumps among modes that the reference does not know one by one, so that "
+                "limits are estimates",
+            )
         return doubts
 
 

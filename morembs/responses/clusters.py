@@ -5,9 +5,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from morembs.base.types import Floats
+
 # Part of a frequency: an eigensolver turns modes that are nearer by about its own error, 1e-8, over their distance.
 EQUAL = 1e-6
 

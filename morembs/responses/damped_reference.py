@@ -15,8 +15,8 @@ from functools import partial
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.errors import SolverError
 from morembs.linalg.columns import complement, dot, hstack, multiply, orthonormal, projected, symmetric
 from morembs.linalg.eigen import graded_modes
@@ -25,8 +25,6 @@ from morembs.problem import SOFTER, Problem
 from morembs.progress import Progress
 from morembs.responses.direct import DENSE, state, states_crew
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 MAX_ORDER = 2000
 # Blocks of the second-order Krylov space to begin with.
 BLOCKS = 4

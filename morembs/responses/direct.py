@@ -10,8 +10,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats, Values
 from morembs.crew import Crew
 from morembs.errors import InputError, SingularMatrixError
 from morembs.linalg.columns import map_columns
@@ -19,9 +19,6 @@ from morembs.linalg.sparse.solver import STRUCTURES
 from morembs.problem import Damping, Dynamics, Problem, crew_of
 from morembs.progress import SILENT, Progress
 
-Values = NDArray[Any]
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 # Models with a damping matrix are taken whole up to this size.
 DENSE = 400
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.linalg.columns import (
     dot,
     hstack,
@@ -26,7 +26,6 @@ from morembs.responses.reference import ReferenceSpace
 from morembs.responses.rounding import EPS, with_left
 from morembs.responses.solves import Softness
 
-Floats = NDArray[np.float64]
 # Modes of which the Krylov space misses more than this part join it.
 MISSED = 1e-6
 # Rows of V that are read at once.
@@ -91,10 +90,16 @@ class KrylovSpace:
         left = self.residuals @ np.abs(Y)
         left[:k] = self.solves.of_modes(U, values[:k], KU, MU, self.forces @ Y[self.rows, :k])
         return RitzModes(
-            softness=softness, values=values, Y=Y, vectors=U, b=b, tau=self.residual(Y), lost=softness.value * left,
+            softness=softness,
+            values=values,
+            Y=Y,
+            vectors=U,
+            b=b,
+            tau=self.residual(Y),
+            lost=softness.value * left,
             unsure=with_left(np.sqrt(unsure), np.sqrt(unsure), rest)[0] ** 2,
             b_off=self._rows(U, Y[:, k:], np.sqrt(unsure) / values),
-        )  # fmt: skip
+        )
 
     def _rows(self, U: Floats, Y: Floats, turned: Floats) -> Floats:
         """(n, m) how far the loads of the modes ``U`` and V ``Y`` may be off.

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.responses.rational import squares
-
-Floats = NDArray[np.float64]
 
 
 class Layout:

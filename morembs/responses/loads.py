@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 
-Floats = NDArray[np.float64]
 # An inertia load that deforms the body by less than this part of what a rigid motion weighs does not deform it.
 RIGID = 1e-8
 

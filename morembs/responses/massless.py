@@ -10,14 +10,12 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from morembs.errors import InputError
 from morembs.linalg.null_space import groups_of, null_space
 from morembs.problem import Problem
 from morembs.responses.loads import static_response
 
-Floats = NDArray[np.float64]
 # Rows that M couples and that are looked at for motions without mass: the dofs of a node or a frame.
 SMALL = 100
 # Mass of a motion per stiffness, as part of the largest, that is round-off: lower modes than a millionth of the highest

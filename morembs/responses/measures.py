@@ -17,23 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.responses.cells import MOST, Bounds, Cells, first_edges, search
 from morembs.responses.layout import Layout
-from morembs.responses.rational import (
-    BULGE,
-    DEGREE,
-    GRID,
-    POINTS,
-    SEGMENTS,
-    Terms,
-    cell_points,
-    on_grid,
-    squares,
-)  # fmt: skip
+from morembs.responses.rational import BULGE, DEGREE, GRID, POINTS, SEGMENTS, Terms, cell_points, on_grid, squares
 from morembs.responses.rounding import Lost, Response, Rounding
 
-Floats = NDArray[np.float64]
 MEASURES = ("envelope", "peak", "pointwise")
 SHARPNESS = 1.05
 # A limit of a cell is at most this times a value that is reached in it.
@@ -140,21 +130,42 @@ class Comparison:
         bulge_H = BULGE * _spread(H, None)[:, :1] + rest_H
         least_H = _chords(H) - bulge_H
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            pure = [most[..., :1] / e_least[..., :1], most[..., :1],
-                    most[..., :1] / np.maximum(least_H, 0.0)[..., None],
-                    (np.maximum(size_H[:, 1:], size_H[:, :-1]) + bulge_H)[..., None], most[..., 1:] / e_least[..., 1:]]
+            pure = [
+                most[..., :1] / e_least[..., :1],
+                most[..., :1],
+                most[..., :1] / np.maximum(least_H, 0.0)[..., None],
+                (np.maximum(size_H[:, 1:], size_H[:, :-1]) + bulge_H)[..., None],
+                most[..., 1:] / e_least[..., 1:],
+            ]
             whole = most + unsure_most
-            upper = [whole[..., :1] / e_least[..., :1], whole[..., :1],
-                     whole[..., :1] / np.maximum(least_H - unsure_most[..., 0], 0.0)[..., None],
-                     pure[3] + unsure_most[..., :1], whole[..., 1:] / e_least[..., 1:]]  # fmt: skip
+            upper = [
+                whole[..., :1] / e_least[..., :1],
+                whole[..., :1],
+                whole[..., :1] / np.maximum(least_H - unsure_most[..., 0], 0.0)[..., None],
+                pure[3] + unsure_most[..., :1],
+                whole[..., 1:] / e_least[..., 1:],
+            ]
             least = np.maximum(size - rest - unsure, 0.0)
-            reached = np.concatenate([
-                least[..., :1] / e[..., :1], least[..., :1],
-                least[..., :1] / (size_H + rest_H + unsure[..., 0])[..., None],
-                np.maximum(size_H - rest_H - unsure[..., 0], 0.0)[..., None], least[..., 1:] / e[..., 1:],
-            ], axis=2)  # fmt: skip
-            seen = np.concatenate([size[..., :1] / e[..., :1], size[..., :1], size[..., :1] / size_H[..., None],
-                                   size_H[..., None], size[..., 1:] / e[..., 1:]], axis=2).max(axis=1)  # fmt: skip
+            reached = np.concatenate(
+                [
+                    least[..., :1] / e[..., :1],
+                    least[..., :1],
+                    least[..., :1] / (size_H + rest_H + unsure[..., 0])[..., None],
+                    np.maximum(size_H - rest_H - unsure[..., 0], 0.0)[..., None],
+                    least[..., 1:] / e[..., 1:],
+                ],
+                axis=2,
+            )
+            seen = np.concatenate(
+                [
+                    size[..., :1] / e[..., :1],
+                    size[..., :1],
+                    size[..., :1] / size_H[..., None],
+                    size_H[..., None],
+                    size[..., 1:] / e[..., 1:],
+                ],
+                axis=2,
+            ).max(axis=1)
             pure_upper, total = (np.concatenate(limits, axis=2).max(axis=1) for limits in (pure, upper))
             # nan: infinite limits on both sides of a difference.
             cost = np.nan_to_num(pure_upper - seen, nan=np.inf, posinf=np.inf)
@@ -163,9 +174,11 @@ class Comparison:
         final &= np.isfinite(cost)
         where = reached.argmax(axis=1)
         return Bounds(
-            upper=np.nan_to_num(total, nan=np.inf, posinf=np.inf), lower=reached.max(axis=1),
-            at=np.take_along_axis(grid, where, axis=1), final=final,
-        )  # fmt: skip
+            upper=np.nan_to_num(total, nan=np.inf, posinf=np.inf),
+            lower=reached.max(axis=1),
+            at=np.take_along_axis(grid, where, axis=1),
+            final=final,
+        )
 
     def _envelope(self, grid: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """Envelopes on the grid and their least and largest values between its points; round-off, and its largest."""
@@ -200,8 +213,10 @@ def _most(lost: Lost, shrunk: list[Floats]) -> Floats:
 def _shrunk(half: Floats, near: Floats, far: Floats) -> list[Floats]:
     """By how much 1 / |a_p| grows at most up to ``half`` a segment away from its ends."""
     with np.errstate(divide="ignore"):
-        return [1.0 / (np.maximum(1 - half / near[:, s], 0.0) * np.maximum(1 - half / far[:, s], 0.0))
-                for s in (slice(1, None), slice(-1))]  # fmt: skip
+        return [
+            1.0 / (np.maximum(1 - half / near[:, s], 0.0) * np.maximum(1 - half / far[:, s], 0.0))
+            for s in (slice(1, None), slice(-1))
+        ]
 
 
 def _spread(p: NDArray[np.complex128], layout: Layout | None) -> Floats:
@@ -221,9 +236,14 @@ def _chords(p: NDArray[np.complex128]) -> Floats:
 
 
 def compare(
-    standard: Standard, body: Response, low: float, high: float, sharpness: float = SHARPNESS,
-    asked: tuple[str, float] | None = None, most_cells: int = MOST,
-) -> tuple[dict[str, Limit], Floats, Cells]:  # fmt: skip
+    standard: Standard,
+    body: Response,
+    low: float,
+    high: float,
+    sharpness: float = SHARPNESS,
+    asked: tuple[str, float] | None = None,
+    most_cells: int = MOST,
+) -> tuple[dict[str, Limit], Floats, Cells]:
     """Limits by measure, those (ni, ni) of the blocks by their envelopes, and the cells with upper limits (nc, 3).
 
     ``low`` and ``high`` in rad/s; an upper limit is at most ``sharpness`` times the lower one, where neither round-off
@@ -247,9 +267,14 @@ def compare(
         return np.asarray(sharp)
 
     cells = search(
-        comparison.bounds, comparison.resolved, first_edges(low, high, comparison.poles), done,
-        quantities=comparison.quantities, per_cell=_numbers(comparison), most=most_cells,
-    )  # fmt: skip
+        comparison.bounds,
+        comparison.resolved,
+        first_edges(low, high, comparison.poles),
+        done,
+        quantities=comparison.quantities,
+        per_cell=_numbers(comparison),
+        most=most_cells,
+    )
     upper, lower = cells.upper.max(axis=0), cells.lower
     hz = cells.at / (2 * np.pi)
     # The largest |H| is known from both sides; where its lower limit is 0, no error is known relative to it.
@@ -286,10 +311,14 @@ def decide(standard: Standard, body: Response, low: float, high: float, measure:
     else:
         allowed[number] = tolerance
     cells = search(
-        comparison.bounds, comparison.resolved, first_edges(low, high, comparison.poles),
-        lambda bounds, _: bounds.upper <= allowed, quantities=comparison.quantities, allowed=allowed,
+        comparison.bounds,
+        comparison.resolved,
+        first_edges(low, high, comparison.poles),
+        lambda bounds, _: bounds.upper <= allowed,
+        quantities=comparison.quantities,
+        allowed=allowed,
         per_cell=_numbers(comparison),
-    )  # fmt: skip
+    )
     if cells.decided and (cells.upper[:, number] <= allowed[number]).all():
         return Verdict(decided=True, at=np.zeros(0))
     worst = int(cells.upper[:, number].argmax())

@@ -24,11 +24,10 @@ from the band: it is known at the points of a grid, and in between by the theore
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.responses.rational import Terms
 
-Floats = NDArray[np.float64]
 # Degree of the interpolant, and steps of the grid.
 DEGREE, STEPS = 48, 192
 # Parts of the way to the nearest pole that Bernstein ellipses take.
@@ -49,8 +48,9 @@ def largest(poles: Terms, b: Floats, N: Floats, band: tuple[float, float]) -> fl
     w = middle + half * np.cos(np.pi * np.arange(STEPS + 1) / STEPS)
     inverse = poles.inverse(w)
     # Real and imaginary parts of Z one after the other: N is real.
-    seen = sum(np.einsum("wp,pq,wq->w", part, N * (b @ b.T), part, optimize=True)
-               for part in (inverse.real, inverse.imag))  # fmt: skip
+    seen = sum(
+        np.einsum("wp,pq,wq->w", part, N * (b @ b.T), part, optimize=True) for part in (inverse.real, inverse.imag)
+    )
     sizes = np.sqrt(np.maximum(np.diag(N), 0.0)) * np.linalg.norm(b, axis=1)
     rest = _remainder(poles, sizes, middle, half)
     return float((np.sqrt(seen.max().clip(0)) + rest) / np.cos(0.5 * DEGREE * np.pi / STEPS) + rest)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.linalg.eigen import graded_modes
 from morembs.responses.layout import Layout
 from morembs.responses.rational import Terms
 from morembs.responses.rounding import EPS, Response, Rounding, couplings, with_left
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 # Damping that couples modes by less than this part of their own counts as round-off.
 UNCOUPLED = 1e-8
 TINY = np.finfo(float).tiny
@@ -36,9 +34,18 @@ def modes_of(M: Floats, K: Floats, rigid: int, symmetric: bool) -> tuple[Complex
 
 
 def response_of(
-    M: Floats, D: Floats, K: Floats, B: Floats, C: Floats, layout: Layout, *, structural: float, highest: float,
-    rigid: int = 0, symmetric: bool = True,
-) -> Response:  # fmt: skip
+    M: Floats,
+    D: Floats,
+    K: Floats,
+    B: Floats,
+    C: Floats,
+    layout: Layout,
+    *,
+    structural: float,
+    highest: float,
+    rigid: int = 0,
+    symmetric: bool = True,
+) -> Response:
     """C ((1 + i structural) K + i w D - w^2 M)^-1 B without rigid motion: ``M``, ``D``, ``K`` (n, n), ``B`` (n, m),
     ``C`` (m, n), for frequencies up to ``highest`` rad/s.
 
@@ -48,8 +55,10 @@ def response_of(
     off_c, off_b = (4 * EPS * np.abs(side).T @ np.abs(modes) for side, modes in ((C.T, X), (B, L)))
     turned = _turned(M, K, theta, L, X, rigid), _turned(M.T, K.T, theta, X, L, rigid)
     outputs, inputs = C @ X, B.T @ L
-    off_c, off_b = (off[:, rigid:] + np.abs(rows[:, :rigid]) @ turn
-                    for off, rows, turn in ((off_c, outputs, turned[0]), (off_b, inputs, turned[1])))  # fmt: skip
+    off_c, off_b = (
+        off[:, rigid:] + np.abs(rows[:, :rigid]) @ turn
+        for off, rows, turn in ((off_c, outputs, turned[0]), (off_b, inputs, turned[1]))
+    )
     outputs, inputs, theta, X, L = outputs[:, rigid:].T, inputs[:, rigid:].T, theta[rigid:], X[:, rigid:], L[:, rigid:]
     loss = abs(1 + 1j * structural)
     s, t = couplings(loss * np.abs(K) + highest * np.abs(D) + highest**2 * np.abs(M), L, X)
@@ -62,7 +71,7 @@ def response_of(
         return Response(
             terms=Terms.second_order(stiffness, d, N.real if symmetric else N),
             rounding=Rounding.of(layout, outputs, inputs, *with_left(s, t, left + highest * off), off_c.T, off_b.T),
-        )  # fmt: skip
+        )
     return _first_order(stiffness, coupled, outputs, inputs, with_left(s, t, left), (off_c.T, off_b.T), layout)
 
 
@@ -74,9 +83,14 @@ def _turned(M: Floats, K: Floats, theta: Complexes, L: Complexes, X: Complexes, 
 
 
 def _first_order(
-    stiffness: Complexes, D: Complexes, outputs: Complexes, inputs: Complexes, lost: tuple[Floats, Floats],
-    off: tuple[Floats, Floats], layout: Layout,
-) -> Response:  # fmt: skip
+    stiffness: Complexes,
+    D: Complexes,
+    outputs: Complexes,
+    inputs: Complexes,
+    lost: tuple[Floats, Floats],
+    off: tuple[Floats, Floats],
+    layout: Layout,
+) -> Response:
     """Poles of q'' + D q' + stiffness q = inputs, from the states (omega q, q'); ``lost`` s and t of the modes, and
     ``off`` of their rows."""
     omega = np.sqrt(stiffness)
@@ -92,8 +106,10 @@ def _first_order(
     s, t = np.hypot(s, lost[0] @ np.abs(bottom)), np.hypot(t, lost[1] @ np.abs(top))
     s, t = with_left(s, t, np.abs(L.T @ A @ X - np.diag(mu)) + np.abs(mu) * np.abs(L.T @ X - np.eye(2 * k)))
     c, b = top.T @ outputs, bottom.T @ inputs
-    off_c, off_b = (np.abs(side).T @ (rows + 4 * EPS * np.abs(known))
-                    for side, rows, known in ((top, off[0], outputs), (bottom, off[1], inputs)))  # fmt: skip
+    off_c, off_b = (
+        np.abs(side).T @ (rows + 4 * EPS * np.abs(known))
+        for side, rows, known in ((top, off[0], outputs), (bottom, off[1], inputs))
+    )
     return Response(
         terms=Terms.first_order(mu, layout.rows(c, b)), rounding=Rounding.of(layout, c, b, s, t, off_c, off_b)
     )

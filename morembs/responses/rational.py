@@ -21,8 +21,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from morembs.base.types import Complexes, Floats
+
 DEGREE, SEGMENTS = 10, 60
 TINY = np.finfo(float).tiny
 # Bernstein ellipses that are tried.
@@ -97,8 +97,10 @@ class Terms:
         bounds = np.full((len(middle), sizes.shape[1]), np.inf)
         for rho in RHO:
             A, B = (half[:, None] * (rho + sign / rho) / 2 for sign in (1.0, -1.0))
-            least = [np.maximum(np.maximum(off - B, along_axis - A), whole - A)
-                     for along_axis, off, whole in zip(along, across, reach, strict=True)]  # fmt: skip
+            least = [
+                np.maximum(np.maximum(off - B, along_axis - A), whole - A)
+                for along_axis, off, whole in zip(along, across, reach, strict=True)
+            ]
             free = reduce(np.minimum, least).min(axis=1, initial=np.inf) > 0
             inverse = 1.0 / reduce(np.multiply, [np.where(free[:, None], distance, 1.0) for distance in least])
             if slope is not None:

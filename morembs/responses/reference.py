@@ -23,6 +23,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.errors import InputError, SolverError
 from morembs.linalg.columns import dot, hstack, multiply, orthonormal_pair, projected, take_out
 from morembs.linalg.eigen import graded_modes
@@ -38,8 +39,6 @@ from morembs.responses.massless import refuse_massless
 from morembs.responses.rational import product
 from morembs.responses.solves import Solves
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 MAX_ORDER = 2000
 # Frequencies that a space is looked at first.
 LOOKED_AT = 12
@@ -114,9 +113,14 @@ class Reference:
 
 
 def reference_model(
-    problem: Problem, omega: Floats, *, tolerance: float = 1e-8, inertia_loads: bool = False,
-    damping: Damping | None = None, progress: Progress = SILENT,
-) -> Reference:  # fmt: skip
+    problem: Problem,
+    omega: Floats,
+    *,
+    tolerance: float = 1e-8,
+    inertia_loads: bool = False,
+    damping: Damping | None = None,
+    progress: Progress = SILENT,
+) -> Reference:
     """Reference whose error is below ``tolerance`` times the largest entry of H at all ``omega`` (nf,) in rad/s.
 
     Forces and moments are scaled to equal static energy for that. With modal damping every Ritz mode has the ratio of
@@ -163,9 +167,16 @@ def _damped(
     # Only models that are taken whole come here with Rayleigh damping beside their matrix.
     seen = seen + np.diag(problem.damping.of_modes(values))
     return Reference(
-        values=values, D=seen, damping=problem.damping, F=Y.T @ dot(V, F, problem.budget), inputs=problem.B.shape[1],
-        V=V, Y=Y, error=error, problem=problem,
-    )  # fmt: skip
+        values=values,
+        D=seen,
+        damping=problem.damping,
+        F=Y.T @ dot(V, F, problem.budget),
+        inputs=problem.B.shape[1],
+        V=V,
+        Y=Y,
+        error=error,
+        problem=problem,
+    )
 
 
 def _beside_resonances(omega: Floats, reference: Reference) -> Floats:
@@ -238,9 +249,16 @@ class ReferenceSpace:
             # G F = V g, so F seen by the modes is V' K V g.
             F = Y.T @ (self.stiffness @ g)
             reference = Reference(
-                values=values, D=None, damping=damping, F=F, inputs=self.inputs, V=lanczos.V, Y=Y,
-                error=np.inf, problem=self.problem,
-            )  # fmt: skip
+                values=values,
+                D=None,
+                damping=damping,
+                F=F,
+                inputs=self.inputs,
+                V=lanczos.V,
+                Y=Y,
+                error=np.inf,
+                problem=self.problem,
+            )
             at = _beside_resonances(omega, reference)
             error, jumps = self._error(reference, g, at, tolerance), 0.0
             if damping.is_modal:

@@ -40,15 +40,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Complexes, Floats
 from morembs.problem.damping import Damping
 from morembs.responses.cells import Bounds, first_edges, search
 from morembs.responses.modal_residual import form, largest
 from morembs.responses.rational import BULGE, POINTS, SEGMENTS, Terms, cell_points, on_grid, squares
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 CLOSE = 1e-12
 TINY = np.finfo(float).tiny
 # Part of the tolerance that modes may take which count one by one.
@@ -159,10 +157,13 @@ class Residual:
             return Bounds(upper=off[:, None], lower=np.zeros((len(lo), 1)), at=middle[:, None], final=fine[:, None])
 
         cells = search(
-            bounds, lambda lo, hi: 0.5 * (hi - lo) < 0.7 * T.nearest(0.5 * (lo + hi)),
-            first_edges(low, high, T.z.real.ravel()), lambda bounds, _: bounds.upper <= tolerance, quantities=1,
+            bounds,
+            lambda lo, hi: 0.5 * (hi - lo) < 0.7 * T.nearest(0.5 * (lo + hi)),
+            first_edges(low, high, T.z.real.ravel()),
+            lambda bounds, _: bounds.upper <= tolerance,
+            quantities=1,
             per_cell=4 * SEGMENTS * rows.shape[1] + 20 * len(size),
-        )  # fmt: skip
+        )
         return np.append(cells.edges[:, 0], high), cells.upper[:, 0]
 
     def _modal(self) -> Floats:

@@ -22,10 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.responses.layout import Layout
 from morembs.responses.rational import Terms
 
-Floats = NDArray[np.float64]
 EPS = float(np.finfo(float).eps)
 # Round-off of the evaluation itself, as a multiple of eps times the envelope.
 EVALUATION = 10.0
@@ -44,25 +44,36 @@ class Rounding:
 
     @classmethod
     def of(
-        cls, layout: Layout, c: NDArray[np.number], b: NDArray[np.number], s: Floats, t: Floats,
-        off_c: Floats | float = 0.0, off_b: Floats | float = 0.0,
-    ) -> Rounding:  # fmt: skip
+        cls,
+        layout: Layout,
+        c: NDArray[np.number],
+        b: NDArray[np.number],
+        s: Floats,
+        t: Floats,
+        off_c: Floats | float = 0.0,
+        off_b: Floats | float = 0.0,
+    ) -> Rounding:
         """For rows ``c`` and ``b`` (P, m), known up to ``off_c`` and ``off_b`` (P, m), and s_p and t_p (P,)."""
         long_c, long_b = layout.lengths(c), layout.lengths(b)
-        far_c, far_b = (long + layout.lengths(np.broadcast_to(off, c.shape))
-                        for long, off in ((long_c, off_c), (long_b, off_b)))  # fmt: skip
+        far_c, far_b = (
+            long + layout.lengths(np.broadcast_to(off, c.shape)) for long, off in ((long_c, off_c), (long_b, off_b))
+        )
         size = layout.products(long_c, long_b)
         return cls(
-            left=far_c * s[:, None], right=far_b * t[:, None], own=s * t,
-            rows=layout.products(far_c, far_b) - size + EVALUATION * EPS * size, layout=layout,
-        )  # fmt: skip
+            left=far_c * s[:, None],
+            right=far_b * t[:, None],
+            own=s * t,
+            rows=layout.products(far_c, far_b) - size + EVALUATION * EPS * size,
+            layout=layout,
+        )
 
     def at(self, inverse: Floats) -> Lost:
         """What is lost where 1 / |a_p| are ``inverse`` (..., P)."""
         return Lost(
-            coupled=self.layout.products(inverse @ self.left, inverse @ self.right), own=inverse @ self.own,
+            coupled=self.layout.products(inverse @ self.left, inverse @ self.right),
+            own=inverse @ self.own,
             rows=inverse @ self.rows,
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

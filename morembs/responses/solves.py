@@ -22,12 +22,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.linalg.congruence import extended_product, scaled_row_sums
 from morembs.problem import Problem
 
-Floats = NDArray[np.float64]
 EPS = float(np.finfo(float).eps)
 # P(|v'g| < SMALLEST) = 0.032 for one vector, 1e-12 for all.
 TRIALS, SMALLEST = 8, 0.04

@@ -13,12 +13,11 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Values
 from morembs.errors import InputError
 from morembs.storage.storable import text
 
-Array = NDArray[Any]
 GROUP = "checksums"
 # Rows of a dataset that are in memory at a time.
 _BLOCK = 1 << 24
@@ -99,7 +98,7 @@ class Checksums:
             if not same:
                 raise self._refused(name, "is not what was written, as its checksum says")
 
-    def verify_column(self, name: str, column: int, values: Array) -> None:
+    def verify_column(self, name: str, column: int, values: Values) -> None:
         """Compare ``values`` that were read as a column of the dataset ``name``.
 
         Raises:
@@ -135,7 +134,7 @@ def _sum(item: Any, *, whole: bool | None = None) -> str:
     return total.hexdigest()
 
 
-def _sum_of(values: Array) -> str:
+def _sum_of(values: Values) -> str:
     return hashlib.sha256(_kind(values) + _bytes(values)).hexdigest()
 
 
@@ -144,7 +143,7 @@ def _kind(values: Any) -> bytes:
     return f"{values.dtype.kind}{values.dtype.itemsize} {values.shape}\n".encode()
 
 
-def _bytes(values: Array) -> bytes:
+def _bytes(values: Values) -> bytes:
     """Numbers with their lowest byte first, row by row; texts of any length with a zero behind each."""
     if values.dtype.kind in "OU":
         lines = [line if isinstance(line, bytes) else str(line).encode() for line in np.ravel(values).tolist()]
@@ -152,7 +151,7 @@ def _bytes(values: Array) -> bytes:
     return values.astype(values.dtype.newbyteorder("<"), copy=False).tobytes()
 
 
-def _blocks(item: Any) -> Iterator[Array]:
+def _blocks(item: Any) -> Iterator[Values]:
     """All values of a dataset, row by row."""
     if not item.shape or item.size * item.dtype.itemsize <= _BLOCK:
         if item.shape is not None:

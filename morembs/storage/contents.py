@@ -56,9 +56,14 @@ class Content:
             status = os.fstat(file.fileno())
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         return cls(
-            os.path.realpath(path), status.st_size, status.st_ino, status.st_mtime_ns, status.st_ctime_ns, looked,
+            os.path.realpath(path),
+            status.st_size,
+            status.st_ino,
+            status.st_mtime_ns,
+            status.st_ctime_ns,
+            looked,
             digest,
-        )  # fmt: skip
+        )
 
     @classmethod
     def from_plain(cls, values: Mapping[str, Any]) -> Content:

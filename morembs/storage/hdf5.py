@@ -22,8 +22,16 @@ from morembs.memory import available_bytes
 
 # What the libraries raise where a file is damaged.
 DAMAGE = (
-    OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, MemoryError, EOFError,
-)  # fmt: skip
+    OSError,
+    RuntimeError,
+    LookupError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    ArithmeticError,
+    MemoryError,
+    EOFError,
+)
 # How much smaller the compressions of HDF5 make data at best; below _SMALL bytes nobody asks.
 _RATIO = 1100
 _SMALL = 1 << 20

@@ -40,10 +40,14 @@ def read_lemmas(stored: Mapping[str, Any]) -> tuple[Lemma, ...]:
     """
     try:
         return tuple(
-            Lemma(name=str(each["name"]), statement=str(each["statement"]), kind=str(each["kind"]),
-                  numbers={str(key): float(value) for key, value in each["numbers"].items()})
+            Lemma(
+                name=str(each["name"]),
+                statement=str(each["statement"]),
+                kind=str(each["kind"]),
+                numbers={str(key): float(value) for key, value in each["numbers"].items()},
+            )
             for each in stored["lemmas"]
-        )  # fmt: skip
+        )
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"the proof of a certificate cannot be read ({error!r}); expected lemmas with a name, a statement, numbers "

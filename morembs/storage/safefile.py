@@ -53,7 +53,7 @@ class SafeFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = open(path, "x+b", buffering=0)  # noqa: SIM115  (closed in close)
+        self._file = open(path, "x+b", buffering=0)  # noqa: SIM115
         self.error: BaseException | None = None
         self.doing = "the file"
 

@@ -68,9 +68,11 @@ def remember(folder: Path, manifest: Manifest) -> None:
             output.write_bytes(b"a body")
         deck = part.path.with_name("part.inp")
         end = Ended(
-            key=part.key, inputs={deck: Content.of(deck)}, facts={},
+            key=part.key,
+            inputs={deck: Content.of(deck)},
+            facts={},
             outputs={path.resolve(): Content.of(path) for path in part.outputs},
-        )  # fmt: skip
+        )
         manifest.ended(part.loaded.output, end)
 
 
@@ -158,7 +160,7 @@ def test_a_terminal_shows_each_job_above_a_bar(tmp_path: Path, monkeypatch: pyte
         (lambda folder: (folder / "a" / "a.toml").write_text(decks.job({"solver": "threads = 1"})), set()),
         (lambda folder: (folder / "a" / "a.toml").write_text("# a comment\n" + decks.job()), set()),
     ],
-)  # fmt: skip
+)
 def test_a_job_is_due_when_its_inputs_or_results_change(
     tmp_path: Path, change: Callable[[Path], object], due: set[str]
 ) -> None:
@@ -384,9 +386,10 @@ def test_a_child_that_starts_as_a_signal_comes_ends_with_the_others(
 def test_a_command_leaves_with_its_input(tmp_path: Path) -> None:
     job = decks.folder(tmp_path)
     done = subprocess.run(
-        [sys.executable, "-m", "morembs", "reduce", str(job), "--attached"], stdin=subprocess.DEVNULL,
+        [sys.executable, "-m", "morembs", "reduce", str(job), "--attached"],
+        stdin=subprocess.DEVNULL,
         capture_output=True,
-    )  # fmt: skip
+    )
     assert done.returncode == 128 + 15 and not (tmp_path / "part.h5").exists()
 
 

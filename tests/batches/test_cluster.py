@@ -69,9 +69,13 @@ def events(folder: Path, kind: str) -> list[dict[str, object]]:
 def begin(folder: Path, *options: str) -> subprocess.Popen[str]:
     """A batch in a process of its own."""
     return subprocess.Popen(
-        [sys.executable, "-m", "morembs", "batch", str(folder), *options], text=True, stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+        [sys.executable, "-m", "morembs", "batch", str(folder), *options],
+        text=True,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
 
 
 def running(
@@ -202,8 +206,10 @@ def test_workers_that_cannot_be_used_are_named(alone: Cluster, tmp_path: Path) -
 
 @pytest.mark.skipif(
     subprocess.run(["unshare", "-m", "mount", "-t", "tmpfs", "none", "/mnt"], capture_output=True).returncode != 0
-    if shutil.which("unshare") else True, reason="this system gives processes no disks of their own",
-)  # fmt: skip
+    if shutil.which("unshare")
+    else True,
+    reason="this system gives processes no disks of their own",
+)
 def test_a_folder_that_a_worker_does_not_see_is_named(alone: Cluster, tmp_path: Path) -> None:
     folder = jobs(tmp_path, 1)
     hidden = 'mount -t tmpfs none "$1" && shift && exec "$@"'
@@ -227,12 +233,14 @@ def test_without_dask_a_message_says_how_to_get_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ('kind = "slurm"', "memory is missing"), ('kind = "slum"', "kind = 'slum' was given; expected"),
+        ('kind = "slurm"', "memory is missing"),
+        ('kind = "slum"', "kind = 'slum' was given; expected"),
         ('kind = "pbs"\nmemory = "4"', "has no unit"),
         ('kind = "slurm"\nmemory = "4 GB"\nwall = "1"', "unknown key 'wall'"),
-        ('kind = "address"', "is needed there"), ('kind = "slurm"\nmemory = "4 GB"\nwalltime = "4h"', "such as"),
+        ('kind = "address"', "is needed there"),
+        ('kind = "slurm"\nmemory = "4 GB"\nwalltime = "4h"', "such as"),
     ],
-)  # fmt: skip
+)
 def test_faults_of_a_cluster_file_are_named(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "cluster.toml"
     path.write_text(f"[cluster]\n{text}\n")

@@ -118,11 +118,15 @@ def test_a_stray_file_a_lost_file_and_a_false_code_are_seen(tmp_path: Path, monk
 @pytest.mark.parametrize(
     ("work", "result"),
     [
-        (lambda: 1 / 0, "traceback"), (lambda: signal.pause(), "hang"), (lambda: np.ones(10**8).sum(), "memory"),
-        (lambda: sys.exit(3), "exit code"), (lambda: sys.stderr.write("Warn: x"), "noise"),
-        (lambda: Path("more").write_bytes(b""), "half output"), (lambda: sys.exit(2), "messages"),
+        (lambda: 1 / 0, "traceback"),
+        (lambda: signal.pause(), "hang"),
+        (lambda: np.ones(10**8).sum(), "memory"),
+        (lambda: sys.exit(3), "exit code"),
+        (lambda: sys.stderr.write("Warn: x"), "noise"),
+        (lambda: Path("more").write_bytes(b""), "half output"),
+        (lambda: sys.exit(2), "messages"),
     ],
-)  # fmt: skip
+)
 def test_what_a_damaged_input_does_is_seen(tmp_path: Path, work: object, result: str) -> None:
     def whole() -> None:
         if Path("in").read_bytes() != b"1 2 3\n":

@@ -34,10 +34,18 @@ def steel(shape: str, dofs: int) -> FEModel:
 def spec(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Options of a small cube, with the file of its responses."""
     settings: dict[str, Any] = {
-        "shape": "cube", "dofs": 1029, "top_hz": TOP_HZ, "ratio": 0.01, "points": 4, "moments": 1, "tolerance": 1e-10,
-        "shifts_hz": [0.34 * TOP_HZ, 0.6 * TOP_HZ], "block": True, "limit_seconds": 600.0,
+        "shape": "cube",
+        "dofs": 1029,
+        "top_hz": TOP_HZ,
+        "ratio": 0.01,
+        "points": 4,
+        "moments": 1,
+        "tolerance": 1e-10,
+        "shifts_hz": [0.34 * TOP_HZ, 0.6 * TOP_HZ],
+        "block": True,
+        "limit_seconds": 600.0,
         "file": str(tmp_path_factory.mktemp("exact") / "exact.npz"),
-    }  # fmt: skip
+    }
     interpolation.direct(settings, steel)
     return settings
 

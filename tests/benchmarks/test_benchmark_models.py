@@ -48,9 +48,10 @@ def crankshaft_volume(crank: models.Crank) -> float:
     throws = len(crank.throws)
     shaft = crank.nose_length + (throws - 1) * crank.journal_length + crank.rear_length
     round_parts = (
-        (crank.journal_radius, shaft), (crank.pin_radius, throws * crank.pin_length),
+        (crank.journal_radius, shaft),
+        (crank.pin_radius, throws * crank.pin_length),
         (crank.flange_radius, crank.flange_length),
-    )  # fmt: skip
+    )
     return 2 * throws * crank.web_length * web + sum(math.pi * r**2 * length for r, length in round_parts)
 
 

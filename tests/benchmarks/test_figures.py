@@ -13,9 +13,12 @@ import figures
 from measure import Report, Settings
 from tables import FIGURES, TABLES, Table
 
-TABLE = Table("case", "body", (("seconds", "seconds", "s"), ("twice", lambda row: 2 * row["seconds"], "s")), (
-    ("first", "a"), ("second", "b"), ("third", "c"),
-))  # fmt: skip
+TABLE = Table(
+    "case",
+    "body",
+    (("seconds", "seconds", "s"), ("twice", lambda row: 2 * row["seconds"], "s")),
+    (("first", "a"), ("second", "b"), ("third", "c")),
+)
 MACHINE = {"cores": 2, "model": "some processor", "system": "Linux", "blas_threads": 1}
 
 

@@ -113,8 +113,10 @@ def test_a_motion_is_recovered_with_its_stress(delivered, direct, tmp_path):
     jumps = shapes.jumps_at(q)
     step, point = np.unravel_index(np.argmax(jumps), jumps.shape)
     assert document["worst_jump"] == {
-        "jump_pa": pytest.approx(jumps.max(), rel=1e-5), "node": shapes.points[point], "time_s": 0.1 * step
-    }  # fmt: skip
+        "jump_pa": pytest.approx(jumps.max(), rel=1e-5),
+        "node": shapes.points[point],
+        "time_s": 0.1 * step,
+    }
     at_peak = jumps[2, np.argmax(von_mises(shapes.at(q))[2])]
     assert document["peak"]["jump_pa"] == pytest.approx(at_peak, rel=1e-5)
     output = run("recover", delivered[0], table, "--out", tmp_path / "motion.vtkhdf").stdout
@@ -123,9 +125,9 @@ def test_a_motion_is_recovered_with_its_stress(delivered, direct, tmp_path):
     assert ("mesh is coarse there" in output) == (at_peak > 0.05 * expected)
 
 
-@pytest.mark.parametrize("target", [
-    "exudyn", "sid", "simscape", "mbdyn", "op4", "dmig", "abaqus", "matrix-market", "fmu", "c",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "target", ["exudyn", "sid", "simscape", "mbdyn", "op4", "dmig", "abaqus", "matrix-market", "fmu", "c"]
+)
 def test_every_target_takes_the_body(delivered, tmp_path, target):
     out = tmp_path / {"exudyn": "part.hdf5", "c": "part.c"}.get(target, "part.out")
     done = run("export", delivered[0], "--to", target, "--out", out, "--json")
@@ -146,25 +148,37 @@ def test_the_frame_can_be_changed_at_export(delivered, tmp_path):
         assert not (tmp_path / "b.SID_FEM").exists()
 
 
-@pytest.mark.parametrize("arguments, words", [
-    ((), "export needs a body file"), (("--to", "exodyn"), "did you mean 'exudyn'"),
-    (("--to", "sid", "--set", "dialect"), "expected KEY=VALUE"), (("--to", "sid", "--set", "dialekt=1"), "'dialect'"),
-    (("--to", "sid", "--set", "dialect=other"), "fembs"), (("--to", "op4", "--body", "cc"), "no body 'cc'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        ((), "export needs a body file"),
+        (("--to", "exodyn"), "did you mean 'exudyn'"),
+        (("--to", "sid", "--set", "dialect"), "expected KEY=VALUE"),
+        (("--to", "sid", "--set", "dialekt=1"), "'dialect'"),
+        (("--to", "sid", "--set", "dialect=other"), "fembs"),
+        (("--to", "op4", "--body", "cc"), "no body 'cc'"),
+    ],
+)
 def test_impossible_exports_are_refused_in_one_line(delivered, arguments, words):
     done = run("export", *([delivered[0]] if arguments else []), *arguments)
     assert done.exit_code == 2 and words in done.output and done.output.count("\n") == 1
 
 
-@pytest.mark.parametrize("tables, words", [
-    ({"frame": 'kind = "tangent"\ninterfaces = ["leftt"]'}, "did you mean 'left'"),
-    ({"frame": 'kind = "chord"\ninterfaces = ["left"]'}, "expected 2"),
-    ({"frame": 'kind = "tangential"'}, "tangent"),
-    ({"envelope": "speed = -1.0"}, "zero or more"),
-    ({"stiffening": "share = 2.0"}, "from 0 to 1"),
-    ({"stress": 'nodes = "set:NOWHERE"'}, "NOWHERE"),
-    ({"frame": TABLES["frame"], "reduce": 'method = "modal"\nmodes = 3\ninterfaces = "fixed"'}, "a free body with six"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "tables, words",
+    [
+        ({"frame": 'kind = "tangent"\ninterfaces = ["leftt"]'}, "did you mean 'left'"),
+        ({"frame": 'kind = "chord"\ninterfaces = ["left"]'}, "expected 2"),
+        ({"frame": 'kind = "tangential"'}, "tangent"),
+        ({"envelope": "speed = -1.0"}, "zero or more"),
+        ({"stiffening": "share = 2.0"}, "from 0 to 1"),
+        ({"stress": 'nodes = "set:NOWHERE"'}, "NOWHERE"),
+        (
+            {"frame": TABLES["frame"], "reduce": 'method = "modal"\nmodes = 3\ninterfaces = "fixed"'},
+            "a free body with six",
+        ),
+    ],
+)
 def test_impossible_deliveries_are_refused_in_one_line(tmp_path, tables, words):
     done = run("reduce", folder(tmp_path, tables))
     assert done.exit_code == 2 and words in done.output and done.output.count("\n") == 1

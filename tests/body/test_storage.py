@@ -35,10 +35,15 @@ from tests.support.stored import everything
 ROOT = Path(__file__).parents[2]
 SCHEMA = ROOT / "docs" / "schema.md"
 PROVENANCE = {
-    "created": "2024-05-06T07:08:09+00:00", "solver": "superlu", "threads": 2, "checked": True, "nothing": None,
-    "host": {"system": "Linux", "cores": [1, 2]}, "mixed": [1, "a"],
+    "created": "2024-05-06T07:08:09+00:00",
+    "solver": "superlu",
+    "threads": 2,
+    "checked": True,
+    "nothing": None,
+    "host": {"system": "Linux", "cores": [1, 2]},
+    "mixed": [1, "a"],
     "stages": [Stage(name=n, seconds=s, peak_memory_bytes=9) for n, s in (("read", 0.5), ("modes", 1.5))],
-}  # fmt: skip
+}
 EXPOSED = {"left": (0, 1, 2, 4), "right": (0, 1, 2), "mid point": (1, 2)}
 needs_octave = pytest.mark.skipif(shutil.which("octave") is None, reason="octave is not installed")
 
@@ -48,8 +53,9 @@ def bar():
     """A bar with one interface of each coupling, reduced in two ways."""
     model = steel(box("hex20", (4, 1, 1), (0.5, 0.05, 0.03)))
     chosen = (("left", 0.0, "rigid"), ("right", 0.5, "average"), ("mid point", 0.25, "direct"))
-    interfaces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling=c, components=EXPOSED[n])
-                  for n, x, c in chosen]  # fmt: skip
+    interfaces = [
+        make_interface(model, name=n, nodes=where(model, 0, x), coupling=c, components=EXPOSED[n]) for n, x, c in chosen
+    ]
     with Problem(model, interfaces) as problem:
         part = make_part(problem)
         modal = Modal(modes=6).reduce(problem, "modal")
@@ -78,10 +84,17 @@ class Made:
         x = np.arange(3.0 * n_nodes).reshape(-1, 3)
         zero, rows = np.zeros((order, order)), np.arange(n_nodes)
         self.part = SimpleNamespace(
-            mass=1.0, center_of_mass=np.zeros(3), inertia=np.eye(3), nodes=Rows(ids=rows + 1, xyz=x),
-            cells=(Cells(vtk=1, connectivity=rows[:, None]),), interfaces=(), columns={}, node_ids=rows + 1, source="",
+            mass=1.0,
+            center_of_mass=np.zeros(3),
+            inertia=np.eye(3),
+            nodes=Rows(ids=rows + 1, xyz=x),
+            cells=(Cells(vtk=1, connectivity=rows[:, None]),),
+            interfaces=(),
+            columns={},
+            node_ids=rows + 1,
+            source="",
             warnings=(),
-        )  # fmt: skip
+        )
         self.reduced = reduced_model(np.eye(order), np.diag(np.arange(1.0, order + 1)), D=zero)
         self.name, self.recipe, self.full_frequencies_hz, self.certificate = "made", {}, None, None
         self.floating, self.ranking, self.recovery, self.switching = None, (), None, None
@@ -107,9 +120,13 @@ def child(code, folder, **environment):
     """Run Python code in another process, where it may ruin limits and memory."""
     head = f"import sys; sys.path[:0] = [{str(ROOT)!r}]\nfrom tests.body.test_storage import *\n"
     return subprocess.run(
-        [sys.executable, "-c", head + code], cwd=folder, capture_output=True, text=True, timeout=600,
+        [sys.executable, "-c", head + code],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=600,
         env={**os.environ, **environment},
-    )  # fmt: skip
+    )
 
 
 def test_everything_comes_back_to_the_last_bit(bar, stored):
@@ -118,15 +135,22 @@ def test_everything_comes_back_to_the_last_bit(bar, stored):
     assert list(back.interfaces) == ["left", "right", "mid point"]
     part = bar.part
     assert back.mass == part.mass
-    for read, written in ((back.center_of_mass, part.center_of_mass), (back.inertia, part.inertia),
-                         (back.node_ids, part.nodes.ids), (back.coordinates, part.nodes.xyz)):  # fmt: skip
+    for read, written in (
+        (back.center_of_mass, part.center_of_mass),
+        (back.inertia, part.inertia),
+        (back.node_ids, part.nodes.ids),
+        (back.coordinates, part.nodes.xyz),
+    ):
         np.testing.assert_array_equal(read, written)
     for body in bar.bodies:
         body_read, reduced = back.bodies[body.name], body.reduced
         for name, value in (
-            ("mass_matrix", reduced.M), ("stiffness_matrix", reduced.K), ("damping_matrix", reduced.D),
-            ("input_matrix", reduced.B), ("frequencies_hz", body.frequencies_hz),
-        ):  # fmt: skip
+            ("mass_matrix", reduced.M),
+            ("stiffness_matrix", reduced.K),
+            ("damping_matrix", reduced.D),
+            ("input_matrix", reduced.B),
+            ("frequencies_hz", body.frequencies_hz),
+        ):
             np.testing.assert_array_equal(getattr(body_read, name), value, err_msg=name)
         assert body_read.mode_kind == reduced.mode_kind and body_read.rigid_count == reduced.rigid_count == 6
         assert body_read.recipe == body.recipe and body_read.reduced().structural == 0

@@ -170,11 +170,16 @@ def plate_with_hole(kind, count):
     x, y, z = model.nodes.xyz.T
     r, phi, k, c = np.hypot(x, y), np.arctan2(y, x), (3 - nu) / (1 + nu), S * a * (1 + nu) / (4 * E)
     cos, sin, far, near = np.cos, np.sin, r / a, a / r
-    u = np.stack([
-        c * (far * (k + 1) * cos(phi) + 2 * near * ((1 + k) * cos(phi) + cos(3 * phi)) - 2 * near**3 * cos(3 * phi)),
-        c * (far * (k - 3) * sin(phi) + 2 * near * ((1 - k) * sin(phi) + sin(3 * phi)) - 2 * near**3 * sin(3 * phi)),
-        -nu / E * S * (1 - 2 * near**2 * cos(2 * phi)) * z,
-    ], axis=1)  # fmt: skip
+    u = np.stack(
+        [
+            c
+            * (far * (k + 1) * cos(phi) + 2 * near * ((1 + k) * cos(phi) + cos(3 * phi)) - 2 * near**3 * cos(3 * phi)),
+            c
+            * (far * (k - 3) * sin(phi) + 2 * near * ((1 - k) * sin(phi) + sin(3 * phi)) - 2 * near**3 * sin(3 * phi)),
+            -nu / E * S * (1 - 2 * near**2 * cos(2 * phi)) * z,
+        ],
+        axis=1,
+    )
     edge = np.flatnonzero((r > 4 * a * (1 - 1e-9)) | (np.abs(np.abs(x) - y) < 1e-9))
     with Problem(model, [make_interface(model, name="edge", nodes=edge, coupling="direct")]) as problem:
         recovery = stress_recovery(problem, Guyan().reduce(problem), correction=False)
@@ -212,8 +217,10 @@ def test_bending_beam(kind):
     """Cantilever under a tip force: sigma = F (L - x) (z - h/2) / I at the skin, away from the ends."""
     L, b, h, F = 0.5, 0.03, 0.05, 1000.0
     model = steel(box(kind, (10, 1, 2), (L, b, h)), poisson=0.0)
-    interfaces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling="average")
-                  for n, x in (("root", 0.0), ("tip", L))]  # fmt: skip
+    interfaces = [
+        make_interface(model, name=n, nodes=where(model, 0, x), coupling="average")
+        for n, x in (("root", 0.0), ("tip", L))
+    ]
     with Problem(model, interfaces) as problem:
         reduced = CraigBampton(modes=0).reduce(problem)
         recovery = stress_recovery(problem, reduced, single=False)
@@ -233,8 +240,11 @@ def bar(**change):
     """Bar with one interface of each coupling, rigid at the left, direct at few nodes in the middle."""
     model = steel(box("hex20", (6, 2, 2), (0.5, 0.06, 0.04)), **change)
     middle = np.flatnonzero(np.linalg.norm(model.nodes.xyz - [0.25, 0.03, 0.04], axis=1) < 1e-6)
-    chosen = ((("left"), where(model, 0, 0.0), "rigid"), ("right", where(model, 0, 0.5), "average"),
-              ("middle", middle, "direct"))  # fmt: skip
+    chosen = (
+        (("left"), where(model, 0, 0.0), "rigid"),
+        ("right", where(model, 0, 0.5), "average"),
+        ("middle", middle, "direct"),
+    )
     return model, [make_interface(model, name=n, nodes=rows, coupling=c) for n, rows, c in chosen]
 
 
@@ -255,8 +265,11 @@ def full_static(problem, operator, loads):
     return operator.stress((problem.coupling.T @ u)[:, None]).reshape(-1, 6)
 
 
-@pytest.mark.parametrize("reducer", [Modal(modes=6), FreeInterface(modes=3), CraigBampton(modes=4),
-                                     Modal(modes=3, interfaces="fixed")], ids=repr)  # fmt: skip
+@pytest.mark.parametrize(
+    "reducer",
+    [Modal(modes=6), FreeInterface(modes=3), CraigBampton(modes=4), Modal(modes=3, interfaces="fixed")],
+    ids=repr,
+)
 def test_correction_makes_static_stress_exact(problem, reducer):
     operator = stress_operator(problem.model)
     reduced = reducer.reduce(problem)
@@ -277,10 +290,12 @@ def test_correction_makes_static_stress_exact(problem, reducer):
 
 @pytest.mark.parametrize(
     "reducer",
-    [Krylov(shifts_hz=[9000.0], order=7),
-     Krylov(shifts_hz=[3000.0], two_sided=True, inputs=["left"], outputs=["left", "middle"])],
+    [
+        Krylov(shifts_hz=[9000.0], order=7),
+        Krylov(shifts_hz=[3000.0], two_sided=True, inputs=["left"], outputs=["left", "middle"]),
+    ],
     ids=["one-sided", "two-sided"],
-)  # fmt: skip
+)
 def test_correction_of_bases_that_are_no_modes(problem, reducer):
     """What the reduced model gives and what is added make the static response, also where V is not the test space."""
     operator = stress_operator(problem.model, where(problem.model, 2, 0.0))
@@ -368,8 +383,10 @@ def test_connecting_rod_at_its_ten_most_loaded_points(rod):
         exact = stress_shapes(problem, full, rod.operator).reshape(-1, 6)
         top = np.argsort(von_mises(exact))[-10:]
         q = np.linalg.pinv(rod.reduced.K, rcond=1e-9) @ (rod.reduced.B @ loads)
-        worst = [np.abs(von_mises(s[0, top]) / von_mises(exact[top]) - 1).max()
-                 for s in (recovery.at(q[None], loads[None]), recovery.at(q[None]))]  # fmt: skip
+        worst = [
+            np.abs(von_mises(s[0, top]) / von_mises(exact[top]) - 1).max()
+            for s in (recovery.at(q[None], loads[None]), recovery.at(q[None]))
+        ]
         assert worst[0] < 1e-6 and worst[1] > without
 
 
@@ -383,8 +400,10 @@ def test_correction_in_slow_motion(rod):
     A = sp.csc_array(problem.K - omega**2 * problem.M)
     exact = rod.operator.stress(problem.coupling.T @ spl.spsolve(A, problem.B @ loads)[:, None]).reshape(-1, 6)
     q = np.linalg.solve(reduced.K - omega**2 * reduced.M, reduced.B @ loads)
-    corrected, plain = (np.abs(s[0] - exact).max() / np.abs(exact).max() for s in (recovery.at(q[None], loads[None]),
-                                                                                  recovery.at(q[None])))  # fmt: skip
+    corrected, plain = (
+        np.abs(s[0] - exact).max() / np.abs(exact).max()
+        for s in (recovery.at(q[None], loads[None]), recovery.at(q[None]))
+    )
     assert plain > 0.02 and corrected < 0.05 * plain
 
 

@@ -21,8 +21,10 @@ DAMPED = Damping(alpha=2.0, beta=4e-7)
 def beam(damping=DAMPED, components=None):
     model = steel(box("hex20", (6, 1, 1), (0.5, 0.05, 0.03)))
     options = {} if components is None else {"components": components}
-    ends = [make_interface(model, name=name, nodes=where(model, 0, x), coupling="average", **options)
-            for name, x in (("left", 0.0), ("right", 0.5))]  # fmt: skip
+    ends = [
+        make_interface(model, name=name, nodes=where(model, 0, x), coupling="average", **options)
+        for name, x in (("left", 0.0), ("right", 0.5))
+    ]
     return Problem(model, ends, damping=damping)
 
 
@@ -42,9 +44,10 @@ def test_modes_below_the_band_are_not_in_it(damping):
         assert upper.verified_below_hz == whole.verified_below_hz > 1.2 * high
 
 
-@pytest.mark.parametrize(("low", "high", "first", "last"), [
-    (1.0, 1.0, 2, 6), (1 + 1e-4, 1 - 1e-4, 3, 5), (1 - 1e-4, 1 + 1e-4, 2, 6), (1.0, 1 - 1e-4, 2, 5),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("low", "high", "first", "last"),
+    [(1.0, 1.0, 2, 6), (1 + 1e-4, 1 - 1e-4, 3, 5), (1 - 1e-4, 1 + 1e-4, 2, 6), (1.0, 1 - 1e-4, 2, 5)],
+)
 def test_a_mode_on_an_end_of_the_band_is_in_it(low, high, first, last):
     """The numbers of modes 2 to 5, by ends at, above or below the frequencies of the first and the last."""
     with beam() as problem:
@@ -75,8 +78,13 @@ def test_auto_is_not_blamed_for_modes_below_its_band():
 
 def test_the_commands_speak_of_the_modes_in_the_band(tmp_path):
     """Reports of a body for a band above its first modes, when it is made and from its file."""
-    job = folder(tmp_path, {"reduce": 'method = "auto"\nband_hz = [80000.0, 120000.0]\ntolerance = 0.3',
-                            "damping": "rayleigh = { alpha = 2.0, beta = 1e-8 }"})  # fmt: skip
+    job = folder(
+        tmp_path,
+        {
+            "reduce": 'method = "auto"\nband_hz = [80000.0, 120000.0]\ntolerance = 0.3',
+            "damping": "rayleigh = { alpha = 2.0, beta = 1e-8 }",
+        },
+    )
     made = RUNNER.invoke(cli.app, ["reduce", str(job)])
     assert made.exit_code == 0, made.stderr
     shown = RUNNER.invoke(cli.app, ["info", str(tmp_path / "part.h5")])

@@ -63,8 +63,10 @@ def beam(n=(5, 1, 1), size=(0.5, 0.05, 0.03), kind="hex20"):
 
 def pair(model, coupling, axis=0, **options):
     low, high = (float(f(model.nodes.xyz[:, axis])) for f in (np.min, np.max))
-    return [make_interface(model, name=name, nodes=where(model, axis, x), coupling=coupling, **options)
-            for name, x in (("left", low), ("right", high))]  # fmt: skip
+    return [
+        make_interface(model, name=name, nodes=where(model, axis, x), coupling=coupling, **options)
+        for name, x in (("left", low), ("right", high))
+    ]
 
 
 def ends(coupling, **options):
@@ -74,8 +76,10 @@ def ends(coupling, **options):
 
 def direct():
     model = beam()
-    return model, [make_interface(model, name=name, nodes=where(model, 0, x)[:3], coupling="direct")
-                   for name, x in (("left", 0.0), ("right", 0.5))]  # fmt: skip
+    return model, [
+        make_interface(model, name=name, nodes=where(model, 0, x)[:3], coupling="direct")
+        for name, x in (("left", 0.0), ("right", 0.5))
+    ]
 
 
 def one_interface():
@@ -87,8 +91,12 @@ def held():
     """A bar clamped at one end, as matrices."""
     free = beam()
     keep = np.setdiff1d(np.arange(free.size), free.dofs.of_nodes(where(free, 0, 0.0)).ravel())
-    model = FEModel(K=free.K[keep][:, keep], M=free.M[keep][:, keep], nodes=free.nodes,
-                    dofs=DofMap(node=free.dofs.node[keep], component=free.dofs.component[keep]))  # fmt: skip
+    model = FEModel(
+        K=free.K[keep][:, keep],
+        M=free.M[keep][:, keep],
+        nodes=free.nodes,
+        dofs=DofMap(node=free.dofs.node[keep], component=free.dofs.component[keep]),
+    )
     return model, [make_interface(model, name="tip", nodes=where(free, 0, 0.5), coupling="average")]
 
 
@@ -102,8 +110,10 @@ def disc():
     model = steel(box("hex8", (4, 4, 1), (1.0, 1.0, 1.0), warp=drawn))
     away = np.linalg.norm(model.nodes.xyz[:, :2], axis=1)
     rim = np.flatnonzero((away > 0.099) & (model.nodes.xyz[:, 0] > 0.06))
-    return model, [make_interface(model, name="hub", nodes=np.flatnonzero(away < 0.06), coupling="average"),
-                   make_interface(model, name="rim", nodes=rim, coupling="average")]  # fmt: skip
+    return model, [
+        make_interface(model, name="hub", nodes=np.flatnonzero(away < 0.06), coupling="average"),
+        make_interface(model, name="rim", nodes=rim, coupling="average"),
+    ]
 
 
 def angle():
@@ -111,15 +121,18 @@ def angle():
     cells = [(i, 0, 0) for i in range(3)] + [(0, j, 0) for j in (1, 2)]
     model = steel(merged("hex20", points_and_cells("hex20", cells) * [0.05, 0.04, 0.03]))
     xyz = model.nodes.xyz
-    return model, [make_interface(model, name="a", nodes=np.flatnonzero(xyz[:, 0] > 0.149), coupling="rigid"),
-                   make_interface(model, name="b", nodes=np.flatnonzero(xyz[:, 1] > 0.119), coupling="average")]
+    return model, [
+        make_interface(model, name="a", nodes=np.flatnonzero(xyz[:, 0] > 0.149), coupling="rigid"),
+        make_interface(model, name="b", nodes=np.flatnonzero(xyz[:, 1] > 0.119), coupling="average"),
+    ]
 
 
 def small(name, coupling, first="ROOT", second="TIP", units="mm-t-s"):
     def make():
         model = steel(read_mesh(SMALL / name, parse_units(units)))
-        return model, [make_interface(model, name=s, nodes=model.nodes.sets[s], coupling=coupling)
-                       for s in (first, second)]  # fmt: skip
+        return model, [
+            make_interface(model, name=s, nodes=model.nodes.sets[s], coupling=coupling) for s in (first, second)
+        ]
 
     return make
 
@@ -132,8 +145,9 @@ def foreign(name, axis, units="m-kg-s"):
         along = model.nodes.xyz[:, axis]
         edge = 0.02 * np.ptp(along)
         rows = {"low": along < along.min() + edge, "high": along > along.max() - edge}
-        return model, [make_interface(model, name=end, nodes=np.flatnonzero(on), coupling="average")
-                       for end, on in rows.items()]  # fmt: skip
+        return model, [
+            make_interface(model, name=end, nodes=np.flatnonzero(on), coupling="average") for end, on in rows.items()
+        ]
 
     return make
 
@@ -182,8 +196,10 @@ def methods():
         "free-interface": lambda low, high, m: FreeInterface(modes=8),
         "auto": lambda low, high, m: AutoReducer(band_hz=[low, high], tolerance=1e-4),
     }
-    Krylov, Gramian, Balanced = _optional("krylov", "Krylov"), _optional("gramian", "Gramian"), _optional(
-        "balanced", "Balanced"
+    Krylov, Gramian, Balanced = (
+        _optional("krylov", "Krylov"),
+        _optional("gramian", "Gramian"),
+        _optional("balanced", "Balanced"),
     )
     if Krylov:
         reducers["krylov"] = lambda low, high, m: Krylov(shifts_hz=[0.0, 0.9 * high])
@@ -277,9 +293,11 @@ CASES = [(name, damping) for i, name in enumerate(BODIES) for j, damping in enum
 
 
 CASES = [
-    (name, damping, method) for name, damping in CASES for method in METHODS
+    (name, damping, method)
+    for name, damping in CASES
+    for method in METHODS
     if method != TWO_SIDED or (damping != "undamped" and name.split()[0] in ("beam", "square", "thick"))
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("name", "damping", "method"), CASES)
@@ -293,8 +311,10 @@ def test_the_bound_holds_and_is_sharp(name, damping, method):
     cell = np.clip(np.searchsorted(certificate.cells_hz[:, 0], hz, side="right") - 1, 0, None)
     limit = certificate.cell_limit[cell, 2]
     over = (certificate.bound[seen] / error[seen]).max(initial=0)
-    show(f"{name:14s} {damping:9s} {method:22s} error {error.max():.1e} limit {limit.max():.1e} "
-          f"over it {over:.2f} round-off {floor.max():.0e}")  # fmt: skip
+    show(
+        f"{name:14s} {damping:9s} {method:22s} error {error.max():.1e} limit {limit.max():.1e} "
+        f"over it {over:.2f} round-off {floor.max():.0e}"
+    )
     # What is proven holds without any allowance.
     assert (error <= certificate.bound).all() and (error <= limit).all()
     assert (certificate.error <= certificate.bound).all()
@@ -400,9 +420,15 @@ def test_a_body_of_one_coordinate():
         tiny = Modal(modes=1).reduce(problem)
         r, part = tiny.rigid_count, slice(tiny.rigid_count)
         none = dataclasses.replace(
-            tiny, M=tiny.M[part, part], K=tiny.K[part, part], D=tiny.D[part, part], B=tiny.B[part], C=tiny.C[:, part],
-            V=tiny.V[:, part], mode_kind=tiny.mode_kind[:r],
-        )  # fmt: skip
+            tiny,
+            M=tiny.M[part, part],
+            K=tiny.K[part, part],
+            D=tiny.D[part, part],
+            B=tiny.B[part],
+            C=tiny.C[:, part],
+            V=tiny.V[:, part],
+            mode_kind=tiny.mode_kind[:r],
+        )
         certificate, nothing = certify(problem, [tiny, none], hz)
         error = errors_of(tiny, omega, H, scale)
         assert np.abs(certificate.error - error).max() < 1e-7 and (error <= certificate.bound).all()
@@ -463,17 +489,24 @@ def test_without_a_mode_there_is_no_certificate():
         sound = Modal(modes=20).reduce(problem)
         keep = np.delete(np.arange(26), 6 + 1)
         body = replace(
-            sound, **{k: getattr(sound, k)[np.ix_(keep, keep)] for k in "MKD"}, B=sound.B[keep], C=sound.C[:, keep],
-            V=sound.V[:, keep], mode_kind=tuple(sound.mode_kind[k] for k in keep),
-        )  # fmt: skip
+            sound,
+            **{k: getattr(sound, k)[np.ix_(keep, keep)] for k in "MKD"},
+            B=sound.B[keep],
+            C=sound.C[:, keep],
+            V=sound.V[:, keep],
+            mode_kind=tuple(sound.mode_kind[k] for k in keep),
+        )
         hz = np.sqrt(values[1]) / (2 * np.pi) * np.array([0.5, 0.97, 0.995, 1.005])
         omega = 2 * np.pi * hz
         error = errors_of(body, omega, Truth(problem)(omega), np.outer(problem.motion_scale, problem.motion_scale))
         (certificate,) = certify(problem, [body], hz)
         assert (error <= certificate.bound * (1 + 1e-6)).all()
         without = np.delete(np.arange(8), 1)
-        missing = Modes(eigenvalues=known.eigenvalues[without], vectors=known.vectors[:, without],
-                        verified_below=float(known.eigenvalues[8]))  # fmt: skip
+        missing = Modes(
+            eigenvalues=known.eigenvalues[without],
+            vectors=known.vectors[:, without],
+            verified_below=float(known.eigenvalues[8]),
+        )
     refused = pytest.raises(SolverError, match=r"modes lie below .* Hz and the reference has")
     with known_by(model, interfaces, missing) as problem, refused:
         certify(problem, [body], [0.1, hz[-1]])
@@ -489,8 +522,9 @@ def test_modal_damping_is_proven(coupling):
         S = problem.motion_scale
         L = (problem.B.T @ phi) * S[:, None]
         H = np.array([(L / (values + 2j * w * 0.01 * np.sqrt(values) - w**2)) @ L.T for w in omega])
-        bodies = [method(60.0, 3000.0, 12).reduce(problem, name=name) for name, method in METHODS.items()
-                  if name != TWO_SIDED]  # fmt: skip
+        bodies = [
+            method(60.0, 3000.0, 12).reduce(problem, name=name) for name, method in METHODS.items() if name != TWO_SIDED
+        ]
         for body, certificate in zip(bodies, certify(problem, bodies, hz), strict=True):
             error = errors_of(body, omega, H, np.outer(S, S))
             assert np.abs(certificate.error - error).max() < 1e-8 * (1 + error.max()) ** 2

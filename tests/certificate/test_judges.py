@@ -55,8 +55,10 @@ def test_the_peak_lies_between_level_sets_of_the_error(seed):
             return w[(w > low) & (w < high)]
 
         whole, full = slice(None), slice(len(values))
-        top = [np.abs((b[full] ** 2 / (values + 1j * w * d[full] - w**2)).sum())
-               for w in np.sqrt(values[(values > 0) & (values < high**2)])]  # fmt: skip
+        top = [
+            np.abs((b[full] ** 2 / (values + 1j * w * d[full] - w**2)).sum())
+            for w in np.sqrt(values[(values > 0) & (values < high**2)])
+        ]
         peak = max(top)
         while len(levels(1.0001 * peak, full)):
             peak *= 1.0001
@@ -115,10 +117,15 @@ def test_every_spoiled_body_is_seen(number):
         K[p, p] *= 1.0001
         keep = np.delete(np.arange(len(sound.K)), p)
         without = replace(
-            sound, K=sound.K[np.ix_(keep, keep)], M=sound.M[np.ix_(keep, keep)], D=sound.D[np.ix_(keep, keep)],
-            B=sound.B[keep], C=sound.C[:, keep], V=sound.V[:, keep],
+            sound,
+            K=sound.K[np.ix_(keep, keep)],
+            M=sound.M[np.ix_(keep, keep)],
+            D=sound.D[np.ix_(keep, keep)],
+            B=sound.B[keep],
+            C=sound.C[:, keep],
+            V=sound.V[:, keep],
             mode_kind=tuple(np.array(sound.mode_kind)[keep]),
-        )  # fmt: skip
+        )
         bodies = [sound, replace(sound, B=B, C=B.T), replace(sound, K=K), without]
         before, *after = (certificate.limit for certificate in certify(problem, bodies, band))
         # The share that the mode has in the envelope at its own resonance, and what the change makes of it there.

@@ -34,8 +34,10 @@ def beam(n=(6, 1, 1), kind="hex20"):
 
 
 def ends(model, coupling="average"):
-    return [make_interface(model, name=name, nodes=where(model, 0, x), coupling=coupling)
-            for name, x in (("left", 0.0), ("right", 0.5))]  # fmt: skip
+    return [
+        make_interface(model, name=name, nodes=where(model, 0, x), coupling=coupling)
+        for name, x in (("left", 0.0), ("right", 0.5))
+    ]
 
 
 @pytest.mark.parametrize(("seed", "number"), [(1, 0), (1, 3), (1, 6), (1, 11), (9, 0)])
@@ -94,14 +96,21 @@ def test_bodies_that_are_no_projections_and_bodies_of_files(tmp_path):
     model = beam()
     with Problem(model, ends(model), damping=DAMPED) as problem:
         band = [50.0, 3000.0]
-        bodies = [FreeInterface(modes=8).reduce(problem, "free"),
-                  Balanced(band_hz=band, order=24, variant="pv").reduce(problem, "pv")]  # fmt: skip
+        bodies = [
+            FreeInterface(modes=8).reduce(problem, "free"),
+            Balanced(band_hz=band, order=24, variant="pv").reduce(problem, "pv"),
+        ]
         certificates = certify(problem, bodies, band)
         assert [certificate.kind for certificate in certificates] == ["proven", "proven"]
         assert certificates[1].limit.upper < 1
         part = make_part(problem)
-        write_body(tmp_path / "two.h5", [elastic_body(problem, body, part, certificate)
-                                         for body, certificate in zip(bodies, certificates, strict=True)])  # fmt: skip
+        write_body(
+            tmp_path / "two.h5",
+            [
+                elastic_body(problem, body, part, certificate)
+                for body, certificate in zip(bodies, certificates, strict=True)
+            ],
+        )
         stored = read_body(tmp_path / "two.h5").bodies
         for body, certificate in zip(bodies, certificates, strict=True):
             again = error_limits(certified_reference(problem, band), stored[body.name].reduced())
@@ -159,8 +168,10 @@ def test_frequencies_of_the_full_model_are_enclosed():
 def test_modes_that_no_load_excites_are_there_and_not_missing():
     """Only axial motion is asked for: bending modes count in the reference and are no fault of a body."""
     model = beam()
-    faces = [make_interface(model, name=str(x), nodes=where(model, 0, x), coupling="average", components=[0])
-             for x in (0.0, 0.5)]  # fmt: skip
+    faces = [
+        make_interface(model, name=str(x), nodes=where(model, 0, x), coupling="average", components=[0])
+        for x in (0.0, 0.5)
+    ]
     with Problem(model, faces, damping=DAMPED) as problem:
         hz = problem.elastic_modes(count=14).frequencies_hz
         body = AutoReducer(band_hz=[0.0, float(hz[-1])], tolerance=1e-3).reduce(problem)
@@ -238,8 +249,10 @@ def test_a_band_far_below_the_first_mode_has_sharp_limits(damping):
         for reduced in (body, Modal(modes=3).reduce(problem)):
             (certificate,) = certify(problem, [reduced], band)
             H = Truth(problem)(2 * np.pi * np.array(band))
-            true = (norms(response_of(reduced, 2 * np.pi * np.array(band)) * np.outer(*[problem.motion_scale] * 2) - H)
-                    / envelope(problem, 2 * np.pi * np.array(band))).max()  # fmt: skip
+            true = (
+                norms(response_of(reduced, 2 * np.pi * np.array(band)) * np.outer(*[problem.motion_scale] * 2) - H)
+                / envelope(problem, 2 * np.pi * np.array(band))
+            ).max()
             limit = certificate.limit
             assert true <= limit.upper + 1e-9 and limit.upper <= max(1.06 * limit.lower, 1e-8)
 

@@ -26,16 +26,25 @@ RUNNER = CliRunner()
 METHODS = Path(__file__).parents[2] / "docs" / "methods.md"
 DAMPED = Damping(alpha=2.0, beta=4e-7)
 BAND = [700.0, 3000.0]
-CHAIN = ["dense-spectrum", "ritz-enclosures", "complement-bound", "reference-residual", "damping", "round-off",
-         "cells-of-the-band"]  # fmt: skip
+CHAIN = [
+    "dense-spectrum",
+    "ritz-enclosures",
+    "complement-bound",
+    "reference-residual",
+    "damping",
+    "round-off",
+    "cells-of-the-band",
+]
 
 
 def beam(damping=DAMPED, own=None, cells=(6, 1, 1)):
     model = steel(box("hex20", cells, (0.5, 0.05, 0.03)))
     if own is not None:
         model = replace(model, D=sp.csr_array(model.K * own))
-    ends = [make_interface(model, name=name, nodes=where(model, 0, x), coupling="average")
-            for name, x in (("left", 0.0), ("right", 0.5))]  # fmt: skip
+    ends = [
+        make_interface(model, name=name, nodes=where(model, 0, x), coupling="average")
+        for name, x in (("left", 0.0), ("right", 0.5))
+    ]
     return Problem(model, ends, damping=damping)
 
 
@@ -56,10 +65,13 @@ def test_a_proven_certificate_is_a_chain_of_proven_lemmas():
     assert [cells["low_hz"], cells["high_hz"]] == BAND and cells["envelope"] == certificate.limit.upper
 
 
-@pytest.mark.parametrize(("damping", "own", "which"), [
-    (Damping(), 1e-6, {"ritz-enclosures", "reference-residual", "damping"}),
-    (Damping(modal_table=((0.0, 0.01), (1.0, 0.02))), None, {"damping"}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("damping", "own", "which"),
+    [
+        (Damping(), 1e-6, {"ritz-enclosures", "reference-residual", "damping"}),
+        (Damping(modal_table=((0.0, 0.01), (1.0, 0.02))), None, {"damping"}),
+    ],
+)
 def test_an_estimate_names_the_lemma_that_is_one(damping, own, which):
     if damping.is_modal:
         with beam(damping) as problem:

@@ -16,8 +16,9 @@ OMEGA = 2 * np.pi * np.linspace(20.0, 3000.0, 25)
 @pytest.mark.parametrize("coupling", ["rigid", "average"])
 def test_full_response_solves_the_damped_equations(coupling):
     model = steel(box("hex20", (8, 1, 1), (0.5, 0.05, 0.03)))
-    interfaces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling=coupling)
-            for n, x in (("l", 0.0), ("r", 0.5))]  # fmt: skip
+    interfaces = [
+        make_interface(model, name=n, nodes=where(model, 0, x), coupling=coupling) for n, x in (("l", 0.0), ("r", 0.5))
+    ]
     damping = Damping(alpha=5.0, beta=2e-6)
     with Problem(model, interfaces, damping=damping) as problem:
         H = full_response(problem, OMEGA)
@@ -38,8 +39,9 @@ def test_full_response_solves_the_damped_equations(coupling):
 def test_few_vectors_suffice_whatever_the_damping():
     """The error estimate is sharp enough to stop early, with stiffness damping too."""
     model = steel(box("hex20", (8, 1, 1), (0.5, 0.05, 0.03)))
-    interfaces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling="rigid")
-            for n, x in (("l", 0.0), ("r", 0.5))]  # fmt: skip
+    interfaces = [
+        make_interface(model, name=n, nodes=where(model, 0, x), coupling="rigid") for n, x in (("l", 0.0), ("r", 0.5))
+    ]
 
     class Orders:
         def stage(self, name):

@@ -123,12 +123,17 @@ def losing(way: str, number: int, holder: ModuleType, place: str, *arguments: ob
 @pytest.mark.parametrize(
     ("way", "number"),
     [
-        ("weakref", signal.SIGINT), ("weakref", signal.SIGTERM), ("del", signal.SIGINT),
-        ("del with another error", signal.SIGTERM), ("ctypes", signal.SIGTERM),
-        ("swallowed", signal.SIGINT), ("another error", signal.SIGTERM),
-        ("a fault of a library", signal.SIGINT), ("printed by a library", signal.SIGINT),
+        ("weakref", signal.SIGINT),
+        ("weakref", signal.SIGTERM),
+        ("del", signal.SIGINT),
+        ("del with another error", signal.SIGTERM),
+        ("ctypes", signal.SIGTERM),
+        ("swallowed", signal.SIGINT),
+        ("another error", signal.SIGTERM),
+        ("a fault of a library", signal.SIGINT),
+        ("printed by a library", signal.SIGINT),
     ],
-)  # fmt: skip
+)
 def test_no_signal_is_lost(tmp_path: Path, way: str, number: signal.Signals) -> None:
     """Where Python drops the exception of the handler, or somebody makes another one of it."""
     job = folder(tmp_path)

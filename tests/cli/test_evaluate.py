@@ -101,9 +101,10 @@ def numbers(file):
     held = {}
     with h5py.File(file) as opened:
         opened.visititems(
-            lambda name, item: held.update({name: item[()]})
-            if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" else None
-        )  # fmt: skip
+            lambda name, item: (
+                held.update({name: item[()]}) if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" else None
+            )
+        )
     return held
 
 

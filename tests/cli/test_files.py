@@ -28,8 +28,16 @@ def part(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("part")
     job = decks.folder(folder, {"check": "full_modes = 12"})
     assert RUNNER.invoke(commands.app, ["reduce", str(job), "-q"]).exit_code == 0
-    model = ["import", str(folder / "part.inp"), "--units", "mm-t-s", "-o", str(folder / "part.model.h5"),
-             "--material", "young=210e3,poisson=0.3,density=7.85e-9"]  # fmt: skip
+    model = [
+        "import",
+        str(folder / "part.inp"),
+        "--units",
+        "mm-t-s",
+        "-o",
+        str(folder / "part.model.h5"),
+        "--material",
+        "young=210e3,poisson=0.3,density=7.85e-9",
+    ]
     assert RUNNER.invoke(commands.app, model).exit_code == 0
     return folder
 

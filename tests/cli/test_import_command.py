@@ -216,9 +216,16 @@ def test_a_job_on_the_model_file_gives_the_body_of_the_job_on_the_mesh(tmp_path:
     write_nodes(tmp_path / "part.inp", block(), 1000.0)
     steel_mm = "[[material]]\nyoung = 210e3\npoisson = 0.3\ndensity = 7.85e-9"
     run(
-        tmp_path / "part.inp", "--format", "mesh", "--units", "mm-t-s", "-o", tmp_path / "part.model.h5",
-        "--material", "young=210e3,poisson=0.3,density=7.85e-9",
-    )  # fmt: skip
+        tmp_path / "part.inp",
+        "--format",
+        "mesh",
+        "--units",
+        "mm-t-s",
+        "-o",
+        tmp_path / "part.model.h5",
+        "--material",
+        "young=210e3,poisson=0.3,density=7.85e-9",
+    )
     jobs = [
         job_on(tmp_path, 'mesh = "part.inp"', "mesh", steel_mm),
         job_on(tmp_path, 'file = "part.model.h5"', "native", ""),
@@ -240,11 +247,25 @@ def test_a_job_on_a_coupling_of_the_model_file(tmp_path: Path) -> None:
     deck = write_nodes(tmp_path / "part.inp", model)
     ends = [model.nodes.ids[np.isclose(model.nodes.xyz[:, 0], x)] for x in (0.0, 0.2)]
     more = [
-        "*NODE", "900, 0.25, 0.05, 0.05", "*NSET, NSET=END", ", ".join(map(str, ends[1])), "*NSET, NSET=START",
-        ", ".join(map(str, ends[0])), "*RIGID BODY, REF NODE=900, TIE NSET=END", "*MATERIAL, NAME=STEEL", "*ELASTIC",
-        "2.1e11, 0.3", "*DENSITY", "7850.", "*SOLID SECTION, ELSET=BODY, MATERIAL=STEEL",
-        "*ELEMENT, TYPE=MASS, ELSET=P", "901, 900", "*MASS, ELSET=P", "2.0", "",
-    ]  # fmt: skip
+        "*NODE",
+        "900, 0.25, 0.05, 0.05",
+        "*NSET, NSET=END",
+        ", ".join(map(str, ends[1])),
+        "*NSET, NSET=START",
+        ", ".join(map(str, ends[0])),
+        "*RIGID BODY, REF NODE=900, TIE NSET=END",
+        "*MATERIAL, NAME=STEEL",
+        "*ELASTIC",
+        "2.1e11, 0.3",
+        "*DENSITY",
+        "7850.",
+        "*SOLID SECTION, ELSET=BODY, MATERIAL=STEEL",
+        "*ELEMENT, TYPE=MASS, ELSET=P",
+        "901, 900",
+        "*MASS, ELSET=P",
+        "2.0",
+        "",
+    ]
     deck.write_text(deck.read_text() + "\n".join(more))
     (document,) = json.loads(run(deck, "-o", tmp_path / "part.model.h5", "--json"))
     (name,) = document["couplings"]
@@ -361,15 +382,21 @@ LOWER = b"%%MatrixMarket matrix coordinate real symmetric\n2 2 6\n"
     ("name", "content", "words"),
     [
         ("k.mtx", LOWER + 2 * TWICE.encode(), "3 entries twice, with the same value: the first in row 1, column 1"),
-        ("k.mtx", LOWER.replace(b"symmetric", b"general").replace(b"6", b"4") + TWICE.encode() + b"2 1 -3\n",
-         "1 entry twice: the first in row 2, column 1 (-1 and -3)"),
-        ("k.mtx", LOWER.replace(b"6", b"4").replace(b"real", b"complex") + b"1 1 2 1\n2 1 -1 1\n2 2 2 1\n2 2 2 1\n",
-         "1 entry twice, with the same value: the first in row 2, column 2"),
+        (
+            "k.mtx",
+            LOWER.replace(b"symmetric", b"general").replace(b"6", b"4") + TWICE.encode() + b"2 1 -3\n",
+            "1 entry twice: the first in row 2, column 1 (-1 and -3)",
+        ),
+        (
+            "k.mtx",
+            LOWER.replace(b"6", b"4").replace(b"real", b"complex") + b"1 1 2 1\n2 1 -1 1\n2 2 2 1\n2 2 2 1\n",
+            "1 entry twice, with the same value: the first in row 2, column 2",
+        ),
         ("k_STIF1.mtx", 2 * TWICE.encode(), "3 entries twice, with the same value: the first in row 1, column 1"),
         ("k_STIF1.mtx", 2 * LABELLED.encode(), "the first in the row of node 7, dof 1, the column of node 7, dof 1"),
         ("k.pch", CARDS.encode(), "the first in the row of grid 7, component 1, the column of grid 7, component 1"),
     ],
-)  # fmt: skip
+)
 def test_entries_that_a_text_gives_twice_are_refused(tmp_path: Path, name: str, content: bytes, words: str) -> None:
     """The sum would be a part of twice the stiffness, whose frequencies are too high by 41 %."""
     (tmp_path / name).write_bytes(content)
@@ -544,9 +571,16 @@ def test_matrices_of_calculix_on_the_mesh_by_labels(tmp_path: Path, shared_data:
 def test_matrices_of_abaqus_without_labels(tmp_path: Path, shared_data: Path) -> None:
     there = shared_data / "abaqus_block"
     run(
-        "--stiffness", there / "blockC3D10_STIF1.mtx", "--mass", there / "blockC3D10_MASS1.mtx",
-        "--nodes", there / "blockC3D10.inp", "-o", tmp_path / "a.model.h5", "--strict",
-    )  # fmt: skip
+        "--stiffness",
+        there / "blockC3D10_STIF1.mtx",
+        "--mass",
+        there / "blockC3D10_MASS1.mtx",
+        "--nodes",
+        there / "blockC3D10.inp",
+        "-o",
+        tmp_path / "a.model.h5",
+        "--strict",
+    )
     with Problem(read_model(tmp_path / "a.model.h5")) as problem:
         assert problem.mass_properties[0] == pytest.approx(11600, rel=1e-6)
         assert problem.elastic_modes(count=4).frequencies_hz == pytest.approx(BLOCK_HZ, rel=1e-6)

@@ -23,8 +23,11 @@ from tests.support import decks
 
 RUNNER = CliRunner()
 MATERIAL = ("--material", "young=210e3,poisson=0.3,density=7.85e-9")
-XDMF = {"model": 'mesh = "part.xdmf"\nunits = "mm-t-s"', "interface": 'name = "left"\nnodes = "box:-1,-1,-1,1,99,99"',
-        "interface2": 'name = "right"\nnodes = "box:59,-1,-1,61,99,99"'}  # fmt: skip
+XDMF = {
+    "model": 'mesh = "part.xdmf"\nunits = "mm-t-s"',
+    "interface": 'name = "left"\nnodes = "box:-1,-1,-1,1,99,99"',
+    "interface2": 'name = "right"\nnodes = "box:59,-1,-1,61,99,99"',
+}
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -65,12 +68,14 @@ def test_a_companion_of_the_mesh_stays(tmp_path: Path, verb: str) -> None:
 NAMES: dict[str, Callable[[Path], object]] = {
     "itself": lambda folder: None,
     "a link": lambda folder: (folder / "out.h5").symlink_to("nodes.h5"),
-    "a link of a link": lambda folder: [(folder / "a.h5").symlink_to(folder / "nodes.h5"),
-                                        (folder / "out.h5").symlink_to("a.h5")],
+    "a link of a link": lambda folder: [
+        (folder / "a.h5").symlink_to(folder / "nodes.h5"),
+        (folder / "out.h5").symlink_to("a.h5"),
+    ],
     "a second name": lambda folder: os.link(folder / "nodes.h5", folder / "out.h5"),
     "another case": lambda folder: os.link(folder / "nodes.h5", folder / "NODES.h5"),
     "a folder that is a link": lambda folder: (folder / "there").symlink_to(".", target_is_directory=True),
-}  # fmt: skip
+}
 PLACES = {"itself": "nodes.h5", "another case": "NODES.h5", "a folder that is a link": "there/nodes.h5"}
 
 
@@ -202,9 +207,14 @@ def test_a_file_of_the_same_size_and_times_is_another(tmp_path: Path) -> None:
     link.symlink_to("two")
     other = os.stat(tmp_path / "two")
     settled = Content(
-        target=content.target, bytes=content.bytes, inode=content.inode, modified_ns=other.st_mtime_ns,
-        changed_ns=other.st_ctime_ns, looked_ns=other.st_ctime_ns + 10**12, sha256=content.sha256,
-    )  # fmt: skip
+        target=content.target,
+        bytes=content.bytes,
+        inode=content.inode,
+        modified_ns=other.st_mtime_ns,
+        changed_ns=other.st_ctime_ns,
+        looked_ns=other.st_ctime_ns + 10**12,
+        sha256=content.sha256,
+    )
     assert not settled.still_in(link)
 
 

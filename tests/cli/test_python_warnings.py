@@ -27,9 +27,13 @@ def test_warnings_of_python_are_one_line_each(tmp_path: Path) -> None:
 
     def said(**more: str) -> list[str]:
         done = subprocess.run(
-            [sys.executable, "-m", "morembs", "check", "job.toml"], cwd=tmp_path, capture_output=True, text=True,
-            env={**os.environ, "PYTHONPATH": str(place), **more}, check=False,
-        )  # fmt: skip
+            [sys.executable, "-m", "morembs", "check", "job.toml"],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(place), **more},
+            check=False,
+        )
         assert done.returncode == 2
         *warned, error = done.stderr.splitlines()
         assert "cannot be used" in error and error.startswith("error: ")

@@ -47,9 +47,12 @@ def whole(tmp_path_factory):
         frame = floating_frame(problem, reduced, kind="tangent", interfaces=["root"])
         stiff = geometric_stiffening(problem, reduced, frame)
         body = elastic_body(
-            problem, reduced, make_part(problem), floating=replace(frame, stiffening=stiff),
+            problem,
+            reduced,
+            make_part(problem),
+            floating=replace(frame, stiffening=stiff),
             certificate=certify(problem, [reduced], [100.0, 500.0])[0],
-        )  # fmt: skip
+        )
         body = replace(body, recovery=stress_recovery(problem, reduced))
         write_body(path, [body])
     with h5py.File(path, "r+") as file:
@@ -86,6 +89,7 @@ def damaged(whole, folder, change):
 
 def put(name, value):
     """Another dataset in the place of ``name``."""
+
     def change(file):
         del file[name]
         file[name] = value
@@ -165,10 +169,18 @@ def test_the_whole_file_is_used_up(whole, tmp_path):
         (put("interfaces/tip/coupling", np.bytes_(b"glued")), "coupling 'glued', which this installation does"),
         (put("interfaces/tip/coupling", np.bytes_(b"\xff")), "/interfaces/tip/coupling cannot be read"),
         (put("bodies/cb/floating_frame/kind", np.bytes_(b"loose")), "floating_frame/kind is 'loose'; expected one of"),
-        (lambda f: f.move("bodies/cb/floating_frame/markers/tip", "bodies/cb/floating_frame/markers/top"),
-         "/bodies/cb/floating_frame/markers has 'top'"),
-        (lambda f: put("bodies/cb/output_matrix", 1)(f) if "output_matrix" in f["bodies/cb"] else
-         f.create_group("bodies/cb/output_matrix"), "/bodies/cb/output_matrix is a group; expected a dataset"),
+        (
+            lambda f: f.move("bodies/cb/floating_frame/markers/tip", "bodies/cb/floating_frame/markers/top"),
+            "/bodies/cb/floating_frame/markers has 'top'",
+        ),
+        (
+            lambda f: (
+                put("bodies/cb/output_matrix", 1)(f)
+                if "output_matrix" in f["bodies/cb"]
+                else f.create_group("bodies/cb/output_matrix")
+            ),
+            "/bodies/cb/output_matrix is a group; expected a dataset",
+        ),
         (put("interfaces/tip/axes", np.diag([1.0, 1.0, -1.0])), "/interfaces/tip/axes is no rotation"),
         (put("interfaces/tip/axes", np.diag([1.0, 1.0, 1.1])), "axes is no rotation (A A' - I = 2.1e-01"),
         (put("unit_system", np.bytes_(b"mm")), "/unit_system is 'mm'; expected one of SI"),
@@ -181,11 +193,13 @@ def test_the_whole_file_is_used_up(whole, tmp_path):
         (put("VTKHDF/Types", np.full(3, 12, dtype="u1")), "/VTKHDF/Offsets has 5 numbers; expected 4"),
         (lambda f: f.__delitem__("VTKHDF/Types"), "cannot be read as a body file"),
     ],
-)  # fmt: skip
+)
 def test_values_that_cannot_be(whole, tmp_path, change, words):
     path = damaged(whole, tmp_path, change)
-    for act in (lambda: export_body(path, "exudyn", path=tmp_path / "o.hdf5"),
-                lambda: recover(path, motion(28), tmp_path / "o.vtkhdf")):  # fmt: skip
+    for act in (
+        lambda: export_body(path, "exudyn", path=tmp_path / "o.hdf5"),
+        lambda: recover(path, motion(28), tmp_path / "o.vtkhdf"),
+    ):
         with pytest.raises(InputError, match=re.escape(words)):
             act()
     assert [left_over.name for left_over in tmp_path.iterdir()] == ["bad.h5"]
@@ -216,6 +230,7 @@ def test_a_compressed_copy_is_the_same_body(whole, tmp_path):
 @pytest.mark.parametrize("diagonal", [-1.0, 1.0])
 def test_matrices_that_no_body_has(whole, tmp_path, target, diagonal):
     """Finite numbers, but no mass: what linear algebra says becomes one message."""
+
     def change(file):
         for name in ("bodies/cb/mass_matrix", "bodies/cb/floating_frame/integrals/Me"):
             n = len(file[name])
@@ -245,6 +260,7 @@ def mass_for_stiffness(file):
 
 def sealed(change):
     """As ``change``, with checksums made again."""
+
     def changed(file):
         change(file)
         seal(file)
@@ -253,10 +269,14 @@ def sealed(change):
 
 
 CHANGES = {
-    "K times 4": scaled("stiffness_matrix", 4.0), "K times -1": scaled("stiffness_matrix", -1.0),
-    "M for K": mass_for_stiffness, "K not symmetric": unsymmetric, "B twice": scaled("input_matrix", 2.0),
-    "M twice": scaled("mass_matrix", 2.0), "sealed again": sealed(scaled("stiffness_matrix", 4.0)),
-}  # fmt: skip
+    "K times 4": scaled("stiffness_matrix", 4.0),
+    "K times -1": scaled("stiffness_matrix", -1.0),
+    "M for K": mass_for_stiffness,
+    "K not symmetric": unsymmetric,
+    "B twice": scaled("input_matrix", 2.0),
+    "M twice": scaled("mass_matrix", 2.0),
+    "sealed again": sealed(scaled("stiffness_matrix", 4.0)),
+}
 
 
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
@@ -269,9 +289,13 @@ def test_a_body_that_contradicts_itself_leaves_by_no_door(whole, tmp_path, chang
         '[output]\npath = "out.h5"\n'
     )
     doors = [["export", path, "--to", to, "-o", tmp_path / f"out.{to}"] for to in EXPORTERS]
-    doors += [["info", path], ["recover", path, tmp_path / "m.npz", "-o", tmp_path / "out.vtkhdf"],
-              ["evaluate", path, "--at", "E=1"], ["campbell", path, "-o", tmp_path / "out.csv"],
-              ["reduce", tmp_path / "job.toml"]]  # fmt: skip
+    doors += [
+        ["info", path],
+        ["recover", path, tmp_path / "m.npz", "-o", tmp_path / "out.vtkhdf"],
+        ["evaluate", path, "--at", "E=1"],
+        ["campbell", path, "-o", tmp_path / "out.csv"],
+        ["reduce", tmp_path / "job.toml"],
+    ]
     for door in doors:
         result = CliRunner().invoke(app, [*map(str, door)])
         assert result.exit_code == 2 and "bad.h5 is not sound" in result.stderr, (door, result.stdout, result.stderr)

@@ -26,8 +26,10 @@ WAYS = ("geometry", "stiffness", "eigenvectors")
 
 def body_of(reducer=None, coupling="rigid", damping=None, model=None):
     model = steel(box("hex20", (6, 1, 1), SIZE)) if model is None else model
-    ends = [make_interface(model, name=name, nodes=where(model, 0, x), coupling=coupling)
-            for name, x in (("left", 0.0), ("right", SIZE[0]))]  # fmt: skip
+    ends = [
+        make_interface(model, name=name, nodes=where(model, 0, x), coupling=coupling)
+        for name, x in (("left", 0.0), ("right", SIZE[0]))
+    ]
     with Problem(model, ends, damping=damping) as problem:
         reduced = (reducer or CraigBampton(modes=8)).reduce(problem)
         return elastic_body(problem, reduced, make_part(problem))
@@ -67,16 +69,20 @@ def test_quantities_are_those_of_cbcheck():
     uset = None
     for label, interface in enumerate(body.part.interfaces, start=1):
         uset = nastran.addgrid(uset, label, "b", 0, interface.point.tolist(), 0)
-    reference = cb.cbcheck(io.StringIO(), r.M, r.K, constraint, constraint[:6], uset, uref=(0, 0, 0), rb_norm=True,
-                        n_freefree_modes=10)  # fmt: skip
+    reference = cb.cbcheck(
+        io.StringIO(), r.M, r.K, constraint, constraint[:6], uset, uref=(0, 0, 0), rb_norm=True, n_freefree_modes=10
+    )
     facts = check_delivery(body).facts
     fixed = reference.cb_frq if hasattr(reference, "cb_frq") else reference.effmass.index
     assert facts["fixed_hz"] == pytest.approx(fixed)
     assert facts["effective_mass"] == pytest.approx(reference.effmass.to_numpy(), rel=1e-6, abs=1e-9)
     share = reference.effmass_percent.to_numpy().sum(axis=0) / 100
     assert facts["effective_mass_share"] == pytest.approx(share, rel=1e-8)
-    rigid = {"geometry": np.vstack([reference.rbg, np.zeros((r.order - 12, 6))]), "stiffness": reference.rbs,
-             "eigenvectors": reference.rbe}  # fmt: skip
+    rigid = {
+        "geometry": np.vstack([reference.rbg, np.zeros((r.order - 12, 6))]),
+        "stiffness": reference.rbs,
+        "eigenvectors": reference.rbe,
+    }
     scale = np.abs(facts["rigid_mass"]["geometry"]).max()
     for way, q in rigid.items():
         tolerance = 1e-6 if way == "eigenvectors" else 1e-9
@@ -218,8 +224,10 @@ def test_stored_bodies_are_checked_alike(tmp_path):
 def test_bodies_of_any_size_are_judged_alike(size, coupling):
     """Rigid motion by stiffness was swamped in bodies of some micrometres, and interfaces could be anywhere in them."""
     model = steel(box("hex8", (6, 2, 2), tuple(size * np.array(SIZE))))
-    ends = [make_interface(model, name=name, nodes=where(model, 0, x * size), coupling=coupling)
-            for name, x in (("left", 0.0), ("right", SIZE[0]))]  # fmt: skip
+    ends = [
+        make_interface(model, name=name, nodes=where(model, 0, x * size), coupling=coupling)
+        for name, x in (("left", 0.0), ("right", SIZE[0]))
+    ]
     with Problem(model, ends, damping=Damping(modal=0.02)) as problem:
         body = elastic_body(problem, CraigBampton(modes=8).reduce(problem), make_part(problem))
     assert grave(check_delivery(body)) == set(), check_delivery(body).text()

@@ -49,10 +49,25 @@ def beam(count=8, length=1.2, radius=0.01, direction=(1.0, 0.0, 0.0)):
     E, nu, rho = 2.1e11, 0.3, 7850.0
     A, Iy, J = np.pi * radius**2, np.pi * radius**4 / 4, np.pi * radius**4 / 2
     h = length / count
-    EI = E * Iy / h**3 * np.array([[12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
-                                  [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h]])  # fmt: skip
-    mass = [[156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h],
-            [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h]]  # fmt: skip
+    EI = (
+        E
+        * Iy
+        / h**3
+        * np.array(
+            [
+                [12, 6 * h, -12, 6 * h],
+                [6 * h, 4 * h * h, -6 * h, 2 * h * h],
+                [-12, -6 * h, 12, -6 * h],
+                [6 * h, 2 * h * h, -6 * h, 4 * h * h],
+            ]
+        )
+    )
+    mass = [
+        [156, 22 * h, 54, -13 * h],
+        [22 * h, 4 * h * h, 13 * h, -3 * h * h],
+        [54, 13 * h, 156, -22 * h],
+        [-13 * h, -3 * h * h, -22 * h, 4 * h * h],
+    ]
     mass = rho * A * h / 420 * np.array(mass)
     k, m = np.zeros((12, 12)), np.zeros((12, 12))
     for rows, stiff, heavy in (([0, 6], E * A / h, rho * A * h), ([3, 9], E / (2 + 2 * nu) * J / h, rho * J * h)):
@@ -299,8 +314,11 @@ def test_bodies_that_touch_are_no_seam():
     both = type(block)(type="hex8", nodes=np.vstack([block.nodes, block.nodes + n]), ids=np.arange(2 * len(block.ids)))
     model = steel(Mesh(nodes=Nodes(ids=np.arange(1, 2 * n + 1), xyz=xyz), blocks=(both,)))
     low, high = (np.flatnonzero(xyz[:, 0] == x) for x in (0.0, 2 * SIZE[0]))
-    joined = changed(model.K, [(3 * a + c, 3 * b + c, -1e6) for a in low for b in high for c in range(3)]
-                     + [(3 * a + c, 3 * a + c, 4e6) for a in (*low, *high) for c in range(3)])  # fmt: skip
+    joined = changed(
+        model.K,
+        [(3 * a + c, 3 * b + c, -1e6) for a in low for b in high for c in range(3)]
+        + [(3 * a + c, 3 * a + c, 4e6) for a in (*low, *high) for c in range(3)],
+    )
     seen = examine(joined, model.M, **known(model), mesh=model.mesh)
     assert "coincident-nodes" not in seen.codes and finding(seen, "touching-bodies").severity == "note"
     assert not any("at one place" in sentence for sentence in examined_mesh(model))
@@ -429,9 +447,12 @@ def test_one_number_of_a_material_in_another_unit_is_named(units, young, density
 
 
 STEEL_IN = {
-    "mm-t-s": (2.1e5, 7.85e-9, 500.0), "mm-kg-ms": (210.0, 7.85e-6, 500.0), "cm-g-s": (2.1e12, 7.85, 50.0),
-    "in-slinch-s": (3.05e7, 7.35e-4, 20.0), "mm-g-ms": (2.1e5, 7.85e-3, 500.0),
-}  # fmt: skip
+    "mm-t-s": (2.1e5, 7.85e-9, 500.0),
+    "mm-kg-ms": (210.0, 7.85e-6, 500.0),
+    "cm-g-s": (2.1e12, 7.85, 50.0),
+    "in-slinch-s": (3.05e7, 7.35e-4, 20.0),
+    "mm-g-ms": (2.1e5, 7.85e-3, 500.0),
+}
 
 
 @pytest.mark.parametrize("name", STEEL_IN)
@@ -659,8 +680,14 @@ def rubber_on_steel():
 
 
 def as_input(model):
-    return {"K": model.K, "M": model.M, "nodes": model.nodes, "dofs": model.dofs, "mesh": model.mesh,
-            "materials": model.materials}  # fmt: skip
+    return {
+        "K": model.K,
+        "M": model.M,
+        "nodes": model.nodes,
+        "dofs": model.dofs,
+        "mesh": model.mesh,
+        "materials": model.materials,
+    }
 
 
 def with_point_mass():
@@ -718,7 +745,7 @@ SOUND = {
     "beams along x": lambda: of_beams((1.0, 0.0, 0.0)),
     "beams across": lambda: of_beams((1.0, 2.0, 2.0)),
     "joined": lambda: as_input(joined_boxes(4)),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", SOUND)

@@ -79,9 +79,10 @@ def expected(source, steps, step, inputs, method):
 
 
 @needs_compiler
-@pytest.mark.parametrize(("method", "precision", "limit"), [
-    ("exponential", "double", 1e-10), ("midpoint", "double", 1e-10), ("exponential", "single", 1e-4),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("method", "precision", "limit"),
+    [("exponential", "double", 1e-10), ("midpoint", "double", 1e-10), ("exponential", "single", 1e-4)],
+)
 def test_a_linear_body_moves_as_scipy_has_it(source, method, precision, limit):
     options = {"structure": "linear", "step": 2e-5, "method": method, "precision": precision, "damping_ratio": 0.01}
     done = export_body(source, "c", path=source.with_name(f"{method}_{precision}.c"), options=options)
@@ -159,11 +160,15 @@ def test_without_a_compiler_single_precision_is_not_measured_and_that_is_said(so
     assert [path.name for path in done.paths] == ["unmeasured.c", "unmeasured.h"]
 
 
-@pytest.mark.parametrize(("name", "options", "words"), [
-    ("x.c", {"step": 0.0}, "the step in s, above zero"), ("x.txt", {}, "ends in .c"),
-    ("x.c", {"method": "exponential"}, 'floating bodies take "midpoint"'),
-    ("x.c", {"method": "euler"}, "'auto', 'exponential' or 'midpoint'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("x.c", {"step": 0.0}, "the step in s, above zero"),
+        ("x.txt", {}, "ends in .c"),
+        ("x.c", {"method": "exponential"}, 'floating bodies take "midpoint"'),
+        ("x.c", {"method": "euler"}, "'auto', 'exponential' or 'midpoint'"),
+    ],
+)
 def test_what_cannot_be_is_refused(source, name, options, words):
     with pytest.raises(InputError, match=words):
         export_body(source, "c", path=source.with_name(name), options=options)

@@ -24,17 +24,31 @@ items = pytest.importorskip("exudyn.itemInterface")
 
 LENGTH, WIDTH, HEIGHT = 1.0, 0.04, 0.02
 ARRAYS = (
-    "massMatrixReduced", "stiffnessMatrixReduced", "inertiaLocal", "Mtt", "chiU", "chiUtilde", "mPsiTildePsi",
-    "mPsiTildePsiTilde", "mPhitTPsi", "mPhitTPsiTilde", "mXRefTildePsi", "mXRefTildePsiTilde", "modeBasis", "xRef",
-)  # fmt: skip
+    "massMatrixReduced",
+    "stiffnessMatrixReduced",
+    "inertiaLocal",
+    "Mtt",
+    "chiU",
+    "chiUtilde",
+    "mPsiTildePsi",
+    "mPsiTildePsiTilde",
+    "mPhitTPsi",
+    "mPhitTPsiTilde",
+    "mXRefTildePsi",
+    "mXRefTildePsiTilde",
+    "modeBasis",
+    "xRef",
+)
 
 
 def beam_file(path, *, nodes="all", origin=(0, 0, 0), damping=None, modes=6, kind="hex20"):
     """A steel beam along x, its left end at the origin, as a body file; returns the model."""
     mesh = box(kind, (8, 2, 1), (LENGTH, WIDTH, HEIGHT), warp=lambda x: x - [0, WIDTH / 2, HEIGHT / 2])
     model = steel(mesh)
-    faces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling="average", point=[x, 0, 0])
-             for n, x in (("left", 0.0), ("right", LENGTH))]  # fmt: skip
+    faces = [
+        make_interface(model, name=n, nodes=where(model, 0, x), coupling="average", point=[x, 0, 0])
+        for n, x in (("left", 0.0), ("right", LENGTH))
+    ]
     with Problem(model, faces, **({} if damping is None else {"damping": damping})) as problem:
         reduced = CraigBampton(modes=modes).reduce(problem, "cb")
         floating = floating_frame(problem, reduced, kind="tangent", interfaces=("left",), origin=origin)
@@ -74,13 +88,18 @@ def pendulum(cms, path, steps=1000, end=0.5):
     left, right = (exudyn_marker(read_body(path), name) for name in ("left", "right"))
     ground = mbs.AddObject(items.ObjectGround())
     held = mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=ground))
-    hinge = mbs.AddMarker(items.MarkerSuperElementRigid(
-        bodyNumber=body, meshNodeNumbers=left.numbers, weightingFactors=left.weights, offset=left.offset))  # fmt: skip
+    hinge = mbs.AddMarker(
+        items.MarkerSuperElementRigid(
+            bodyNumber=body, meshNodeNumbers=left.numbers, weightingFactors=left.weights, offset=left.offset
+        )
+    )
     mbs.AddObject(items.GenericJoint(markerNumbers=[held, hinge], constrainedAxes=[1, 1, 1, 1, 0, 1]))
-    tip = mbs.AddMarker(items.MarkerSuperElementPosition(
-        bodyNumber=body, meshNodeNumbers=right.numbers, weightingFactors=right.weights))  # fmt: skip
-    sensor = mbs.AddSensor(items.SensorMarker(
-        markerNumber=tip, outputVariableType=exu.OutputVariableType.Position, storeInternal=True))  # fmt: skip
+    tip = mbs.AddMarker(
+        items.MarkerSuperElementPosition(bodyNumber=body, meshNodeNumbers=right.numbers, weightingFactors=right.weights)
+    )
+    sensor = mbs.AddSensor(
+        items.SensorMarker(markerNumber=tip, outputVariableType=exu.OutputVariableType.Position, storeInternal=True)
+    )
     mbs.Assemble()
     settings = exu.SimulationSettings()
     settings.timeIntegration.numberOfSteps = steps
@@ -139,8 +158,7 @@ def test_spinning_beam_stretches_as_a_rod(beam):
     mbs.AddObject(items.GenericJoint(markerNumbers=[held, frame], constrainedAxes=[1, 1, 1, 1, 1, 0]))
     turn = mbs.AddMarker(items.MarkerNodeRotationCoordinate(nodeNumber=ffrf["nRigidBody"], rotationCoordinate=2))
     fixed = mbs.AddMarker(items.MarkerNodeCoordinate(nodeNumber=mbs.AddNode(items.NodePointGround()), coordinate=0))
-    mbs.AddObject(items.CoordinateConstraint(
-        markerNumbers=[fixed, turn], velocityLevel=True, offset=speed))  # fmt: skip
+    mbs.AddObject(items.CoordinateConstraint(markerNumbers=[fixed, turn], velocityLevel=True, offset=speed))
     cms_damping = exu.MatrixContainer()
     cms_damping.SetWithDenseMatrix(1e-4 * cms.stiffnessMatrixReduced, useDenseMatrix=True)
     mbs.SetObjectParameter(ffrf["oFFRFreducedOrder"], "dampingMatrixReduced", cms_damping)

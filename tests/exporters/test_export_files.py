@@ -48,10 +48,19 @@ def files(tmp_path_factory):
             paths[name] = write_body(folder / f"{name}.h5", [body])
     with Problem(model) as problem:
         modal = Modal(modes=1).reduce(problem, "rigid")
-        rigid = replace(modal, M=np.eye(6), K=np.zeros((6, 6)), D=np.zeros((6, 6)), B=modal.B[:6], C=modal.C[:, :6],
-                        V=modal.V[:, :6], mode_kind=modal.mode_kind[:6])  # fmt: skip
-        body = replace(elastic_body(problem, modal, make_part(problem)), reduced=rigid, floating=None,
-                       frequencies_hz=np.zeros(6))  # fmt: skip
+        rigid = replace(
+            modal,
+            M=np.eye(6),
+            K=np.zeros((6, 6)),
+            D=np.zeros((6, 6)),
+            B=modal.B[:6],
+            C=modal.C[:, :6],
+            V=modal.V[:, :6],
+            mode_kind=modal.mode_kind[:6],
+        )
+        body = replace(
+            elastic_body(problem, modal, make_part(problem)), reduced=rigid, floating=None, frequencies_hz=np.zeros(6)
+        )
         paths["rigid"] = write_body(folder / "rigid.h5", [body])
     return paths
 
@@ -233,8 +242,10 @@ def test_the_body_file_is_not_overwritten_by_a_file_beside(files, tmp_path, to, 
 
 def test_damping_of_an_abaqus_deck(files, tmp_path):
     """The deck names the damping matrix, and with it the response is that of the body."""
-    for name, line in (("a", "*MATRIX ASSEMBLE, STIFFNESS=K, MASS=M, VISCOUS DAMPING=D"),
-                       ("c", "*MATRIX ASSEMBLE, STIFFNESS=K, MASS=M")):  # fmt: skip
+    for name, line in (
+        ("a", "*MATRIX ASSEMBLE, STIFFNESS=K, MASS=M, VISCOUS DAMPING=D"),
+        ("c", "*MATRIX ASSEMBLE, STIFFNESS=K, MASS=M"),
+    ):
         done = exported(files[name], "abaqus", tmp_path / name)
         deck = done.paths[0].read_text().splitlines()
         assert deck[-1] == line
@@ -306,10 +317,18 @@ def test_a_body_without_stiffness(files, tmp_path, to):
 
 @pytest.mark.parametrize(
     ("given", "words"),
-    [("simpack", "take 'sid'"), ("SID", "did you mean 'sid'"), ("Nastran", "take 'dmig' or 'op4'"),
-     ("SID_FEM", "take 'sid'"), ("exodyn", "did you mean 'exudyn'"),
-     ("adams", "not written"), ("matlab", "take 'simscape'"), ("FMI", "take 'fmu'"), ("vtk", "known: abaqus")],
-)  # fmt: skip
+    [
+        ("simpack", "take 'sid'"),
+        ("SID", "did you mean 'sid'"),
+        ("Nastran", "take 'dmig' or 'op4'"),
+        ("SID_FEM", "take 'sid'"),
+        ("exodyn", "did you mean 'exudyn'"),
+        ("adams", "not written"),
+        ("matlab", "take 'simscape'"),
+        ("FMI", "take 'fmu'"),
+        ("vtk", "known: abaqus"),
+    ],
+)
 def test_other_names_of_targets(files, given, words):
     with pytest.raises(InputError, match=words):
         export_body(files["a"], given)
@@ -353,8 +372,12 @@ def test_each_frame_has_its_own_file(files, tmp_path):
     source.write_bytes(files["a"].read_bytes())
     frames = (None, "mean-axes", "tangent:right", "chord:left, right")
     names = [export_body(source, "sid", frame=frame).paths[0].name for frame in frames]
-    assert names == ["beam.SID_FEM", "beam_mean-axes.SID_FEM", "beam_tangent-right.SID_FEM",
-                     "beam_chord-left-right.SID_FEM"]  # fmt: skip
+    assert names == [
+        "beam.SID_FEM",
+        "beam_mean-axes.SID_FEM",
+        "beam_tangent-right.SID_FEM",
+        "beam_chord-left-right.SID_FEM",
+    ]
     assert len({(tmp_path / name).read_bytes() for name in names}) == 4
 
 

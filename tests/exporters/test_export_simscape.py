@@ -34,8 +34,10 @@ def stored(tmp_path_factory):
     model = steel(box("hex8", (6, 2, 2), (LENGTH, 0.05, 0.03)))
     # "cb" begins with the frames already, but the direct interface moves with them.
     chosen = (("left", 0.0, "rigid"), ("right", LENGTH, "average"), ("mid", LENGTH / 2, "direct"))
-    faces = [make_interface(model, name=n, nodes=where(model, 0, x)[:2] if c == "direct" else where(model, 0, x),
-                            coupling=c) for n, x, c in chosen]  # fmt: skip
+    faces = [
+        make_interface(model, name=n, nodes=where(model, 0, x)[:2] if c == "direct" else where(model, 0, x), coupling=c)
+        for n, x, c in chosen
+    ]
     path = tmp_path_factory.mktemp("simscape") / "bar.h5"
     with Problem(model, faces, damping=Damping(alpha=2.0, beta=1e-5)) as problem:
         part = make_part(problem)
@@ -103,21 +105,30 @@ def test_frames_at_an_angle_and_same_bytes(stored, tmp_path):
         q = rng.normal(size=4) * rng.choice([1, 1e-3], size=4)
         q *= np.sign(q[0]) / np.linalg.norm(q)
         w, x, y, z = q
-        R = np.array([
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ])  # fmt: skip
+        R = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
         assert quaternion(R) == pytest.approx(q, abs=1e-12)
 
 
 @pytest.mark.skipif(shutil.which("octave") is None, reason="octave is not installed")
 def test_octave_reads_it(stored, tmp_path):
     path = export_body(stored, "simscape", body="cb", path=tmp_path / "a.mat").paths[0]
-    script = "s = load('a.mat'); printf('%.15g %d %d %s %s', s.K(1,1), size(s.interface_origins), " \
-             "s.interface_names{2}, class(s.dof_order));"  # fmt: skip
-    printed = subprocess.run(["octave", "--no-gui", "--no-init-file", "--eval", script], cwd=tmp_path, check=True,
-                           capture_output=True, text=True).stdout.split()  # fmt: skip
+    script = (
+        "s = load('a.mat'); printf('%.15g %d %d %s %s', s.K(1,1), size(s.interface_origins), "
+        "s.interface_names{2}, class(s.dof_order));"
+    )
+    printed = subprocess.run(
+        ["octave", "--no-gui", "--no-init-file", "--eval", script],
+        cwd=tmp_path,
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout.split()
     assert float(printed[0]) == pytest.approx(sio.loadmat(path)["K"][0, 0], rel=1e-14)
     assert printed[1:] == ["2", "3", "right", "char"]
 

@@ -76,8 +76,10 @@ def test_a_free_body_moves_as_scipy_has_it(fmpy, source, fmi):
     system = A, np.vstack([0 * B, B]), outputs, np.zeros((24, 12))
     _, expected, _ = scipy.signal.lsim(system, loads, times, interp=False)
     names = by_axes("left_end.force", "left_end.moment", "tip.force", "tip.moment")
-    moved = [by_axes(*(f"{end}.{kind}" for end in ("left_end", "tip") for kind in kinds))
-             for kinds in (("displacement", "rotation"), ("velocity", "angular_velocity"))]  # fmt: skip
+    moved = [
+        by_axes(*(f"{end}.{kind}" for end in ("left_end", "tip") for kind in kinds))
+        for kinds in (("displacement", "rotation"), ("velocity", "angular_velocity"))
+    ]
     given = signals(times, dict(zip(names, loads.T, strict=True)) | no_gravity(count + 1))
     motions = run(fmpy, fmu, times[-1], step, [*moved[0], *moved[1]], input=given)
     for at in (slice(3 * k, 3 * k + 3) for k in range(8)):
@@ -88,8 +90,10 @@ def test_model_exchange_takes_the_same_way(fmpy, source):
     fmu = exported(source, "exchange", structure="linear", damping_ratio=0.05)
     given = {"tip.force.z": 1.0, "tip.moment.x": 0.2, "gravity.y": -9.81}
     names = by_axes("tip.displacement", "left_end.velocity")
-    ends = [run(fmpy, fmu, 2e-3, 1e-4, names, start_values=given, **options)
-            for options in ({}, {"fmi_type": "ModelExchange", "relative_tolerance": 1e-10})]  # fmt: skip
+    ends = [
+        run(fmpy, fmu, 2e-3, 1e-4, names, start_values=given, **options)
+        for options in ({}, {"fmi_type": "ModelExchange", "relative_tolerance": 1e-10})
+    ]
     # What the integrator of the importer leaves, at its tolerance, of modes up to 1e5 rad/s.
     assert np.abs(ends[0] - ends[1]).max() < 1e-5 * np.abs(ends[0]).max()
 
@@ -157,9 +161,10 @@ def test_states_are_kept_and_nonsense_is_refused(fmpy, held, source, fmi):
     body.exitInitializationMode()
     read, write = (body.getReal, body.setReal) if fmi == "2.0" else (body.getFloat64, body.setFloat64)
     keep, bring, pack, unpack = (
-        (body.getFMUstate, body.setFMUstate, body.serializeFMUstate, body.deSerializeFMUstate) if fmi == "2.0"
+        (body.getFMUstate, body.setFMUstate, body.serializeFMUstate, body.deSerializeFMUstate)
+        if fmi == "2.0"
         else (body.getFMUState, body.setFMUState, body.serializeFMUState, body.deserializeFMUState)
-    )  # fmt: skip
+    )
     tip = [at["tip.displacement.z"]]
     write([at["tip.force.z"]], [1.0])
     body.doStep(0.0, 1e-3)
@@ -174,8 +179,13 @@ def test_states_are_kept_and_nonsense_is_refused(fmpy, held, source, fmi):
     body.doStep(1e-3, 1e-3)
     assert read(tip) == first
     force = [at["tip.force.z"]]
-    for wrong, arguments in ((write, (force, [np.nan])), (write, (tip, [1.0])), (read, ([100_000],)),
-                             (body.doStep, (0.0, 0.0)), (body.doStep, (0.0, np.inf))):  # fmt: skip
+    for wrong, arguments in (
+        (write, (force, [np.nan])),
+        (write, (tip, [1.0])),
+        (read, ([100_000],)),
+        (body.doStep, (0.0, 0.0)),
+        (body.doStep, (0.0, np.inf)),
+    ):
         with pytest.raises(Exception, match="failed with status 3"):
             wrong(*arguments)
     body.reset()
@@ -206,8 +216,11 @@ def test_values_that_no_body_has_are_refused_and_leave_it_as_it_was(fmpy, source
     body.exitInitializationMode()
     second = fmi == "2.0"
     read, write = (body.getReal, body.setReal) if second else (body.getFloat64, body.setFloat64)
-    pack, unpack = (body.serializeFMUstate, body.deSerializeFMUstate) if second else (
-        body.serializeFMUState, body.deserializeFMUState)  # fmt: skip
+    pack, unpack = (
+        (body.serializeFMUstate, body.deSerializeFMUstate)
+        if second
+        else (body.serializeFMUState, body.deserializeFMUState)
+    )
     keep = body.getFMUstate if second else body.getFMUState
     outputs = [at[name] for name in ("tip.velocity.x", "tip.velocity.z")]
     write([at["tip.force.z"]], [1.0])
@@ -215,8 +228,13 @@ def test_values_that_no_body_has_are_refused_and_leave_it_as_it_was(fmpy, source
     force, ratio = at["tip.force.z"], at["damping_ratio"]
     # The first of the packed numbers behind the time is a parameter.
     negative = packed[:8] + np.array([-1.0]).tobytes() + packed[16:]
-    bad = [(write, ([ratio], [-1.0])), (write, ([ratio], [np.inf])), (write, ([force, ratio], [7.0, -1.0])),
-           (unpack, (b"\xff" * len(packed),)), (unpack, (negative,))]  # fmt: skip
+    bad = [
+        (write, ([ratio], [-1.0])),
+        (write, ([ratio], [np.inf])),
+        (write, ([force, ratio], [7.0, -1.0])),
+        (unpack, (b"\xff" * len(packed),)),
+        (unpack, (negative,)),
+    ]
     if not exchange:
         bad += [(body.doStep, (np.nan, 1e-3)), (body.doStep, (0.0, -1.0))]
     for call, arguments in bad:
@@ -266,12 +284,16 @@ def test_a_compiler_that_fails_is_told_of(source, monkeypatch):
     assert any("the C compiler false failed" in note for note in done.notes) and done.paths[0].exists()
 
 
-@pytest.mark.parametrize(("options", "words"), [
-    ({"held": ["tipp"]}, "did you mean 'tip'"),
-    ({"structure": "floating", "held": ["tip"]}, 'take structure = "linear"'),
-    ({"stress": [99999]}, "node 99999 has no stress in the file; the nearest labels are"),
-    ({"damping_ratio": -0.1}, "zero or more"), ({"fmi": "1.0"}, "'2.0' or '3.0'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"held": ["tipp"]}, "did you mean 'tip'"),
+        ({"structure": "floating", "held": ["tip"]}, 'take structure = "linear"'),
+        ({"stress": [99999]}, "node 99999 has no stress in the file; the nearest labels are"),
+        ({"damping_ratio": -0.1}, "zero or more"),
+        ({"fmi": "1.0"}, "'2.0' or '3.0'"),
+    ],
+)
 def test_what_cannot_be_is_refused_before_anything_is_written(source, options, words):
     with pytest.raises(InputError, match=words):
         export_body(source, "fmu", path=source.with_name("refused.fmu"), options=options)

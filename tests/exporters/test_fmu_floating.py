@@ -125,13 +125,19 @@ def test_a_body_swings_on_a_spring_as_in_the_simulator(fmpy, soft):
     """Model exchange, with the spring of the hinge in another program that sees what comes out."""
     frame, end, (k, d) = read_body(soft).bodies["strip"].floating, 0.1, (500.0, 0.2)
     hinge = np.array([0.0, WIDTH / 2, HEIGHT / 2])
-    expected = reference(frame, end, 100, lambda body: SpringDamper(
-        ground.marker_at(hinge), body.marker("left-end"), stiffness=k, damping=d, length=0.0), SLOW)  # fmt: skip
+    expected = reference(
+        frame,
+        end,
+        100,
+        lambda body: SpringDamper(ground.marker_at(hinge), body.marker("left-end"), stiffness=k, damping=d, length=0.0),
+        SLOW,
+    )
     fmu = exported(soft, "swinging")
     description, folder = fmpy.read_model_description(str(fmu)), fmpy.extract(str(fmu))
     at = {variable.name: variable.valueReference for variable in description.modelVariables}
     body = pytest.importorskip("fmpy.fmi2").FMU2Model(
-        guid=description.guid, modelIdentifier="swinging", unzipDirectory=folder, instanceName="body")  # fmt: skip
+        guid=description.guid, modelIdentifier="swinging", unzipDirectory=folder, instanceName="body"
+    )
     body.instantiate()
     body.setupExperiment()
     body.enterInitializationMode()
@@ -140,8 +146,10 @@ def test_a_body_swings_on_a_spring_as_in_the_simulator(fmpy, soft):
     body.enterContinuousTimeMode()
     n = description.numberOfContinuousStates
     x, rate = (ctypes.c_double * n)(), (ctypes.c_double * n)()
-    seen, force, tip = ([at[name] for name in by_axes(*names)] for names in (
-        ("left_end.position", "left_end.velocity"), ("left_end.force",), ("tip.position",)))  # fmt: skip
+    seen, force, tip = (
+        [at[name] for name in by_axes(*names)]
+        for names in (("left_end.position", "left_end.velocity"), ("left_end.force",), ("tip.position",))
+    )
 
     def rates(_, state):
         x[:] = state.tolist()

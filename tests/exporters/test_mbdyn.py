@@ -22,8 +22,10 @@ from tests.support.meshes import box, steel, where
 
 def make(path, names=("left", "right"), damping=None, stiff=False):
     model = steel(box("hex8", (5, 2, 1), (0.5, 0.06, 0.03), warp=lambda x: x - [0.1, 0.03, 0.0]))
-    faces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling=c)
-             for n, x, c in zip(names, (-0.1, 0.4), ("rigid", "average"), strict=True)]  # fmt: skip
+    faces = [
+        make_interface(model, name=n, nodes=where(model, 0, x), coupling=c)
+        for n, x, c in zip(names, (-0.1, 0.4), ("rigid", "average"), strict=True)
+    ]
     with Problem(model, faces, **({} if damping is None else {"damping": damping})) as problem:
         reduced = CraigBampton(modes=4).reduce(problem, "cb")
         frame = floating_frame(problem, reduced, kind="tangent", interfaces=(names[0],), origin=(-0.1, 0.0, 0.01))

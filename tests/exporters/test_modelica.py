@@ -20,8 +20,10 @@ from tests.support.meshes import box, steel, where
 
 def write_rod(folder, names=("left", "right"), couplings=("rigid", "average"), **options):
     model = steel(box("hex8", (4, 1, 1), (0.5, 0.02, 0.01)), young=1e8)
-    faces = [make_interface(model, name=name, nodes=where(model, 0, x), coupling=coupling)
-             for name, x, coupling in zip(names, (0.0, 0.5), couplings, strict=True)]  # fmt: skip
+    faces = [
+        make_interface(model, name=name, nodes=where(model, 0, x), coupling=coupling)
+        for name, x, coupling in zip(names, (0.0, 0.5), couplings, strict=True)
+    ]
     with Problem(model, faces, damping=Damping(beta=1e-4)) as problem:
         reduced = CraigBampton(modes=2).reduce(problem, "cb")
         frame = floating_frame(problem, reduced, origin=(0.1, 0.0, 0.005), **options)
@@ -57,8 +59,14 @@ def test_large_rotations(tmp_path, options):
     names = [f"b.{name}_r[{i}]" for name in ("left", "right") for i in (1, 2, 3)]
     positions = simulated_modelica(text, "T", 0.05, names)
     system = System(gravity=(0, 0, -9.81))
-    rod = system.add(FlexibleBody(read_body(source).bodies["cb"].floating, name="rod",
-                                  angular_velocity=(3.0, -2.0, 20.0), velocity=(0.1, 0.0, 0.0)))  # fmt: skip
+    rod = system.add(
+        FlexibleBody(
+            read_body(source).bodies["cb"].floating,
+            name="rod",
+            angular_velocity=(3.0, -2.0, 20.0),
+            velocity=(0.1, 0.0, 0.0),
+        )
+    )
     system.add(PointLoad(rod.marker("right"), force=(0.0, 5.0, 10.0), moment=(0.05, 0.0, 0.0)))
     result = simulate(system, end=0.05, step=5e-5)
     wanted = np.concatenate([result.position(rod.marker(name))[-1] for name in ("left", "right")])
@@ -71,8 +79,14 @@ def test_large_rotations(tmp_path, options):
 def test_names_that_are_no_identifiers_are_mapped_and_listed(tmp_path):
     given = ["big end", "big_end", "2nd", "der", "Größe", "MultiBody"]
     known = identifiers(given, ["MultiBody"])
-    assert known == {"big_end": "big_end", "der": "der_2", "MultiBody": "MultiBody_2", "big end": "big_end_2",
-                     "2nd": "n2nd", "Größe": "Gr__e"}  # fmt: skip
+    assert known == {
+        "big_end": "big_end",
+        "der": "der_2",
+        "MultiBody": "MultiBody_2",
+        "big end": "big_end_2",
+        "2nd": "n2nd",
+        "Größe": "Gr__e",
+    }
     source, _ = write_rod(tmp_path, names=("big end", "der"))
     done = export_body(source, "modelica", path=tmp_path / "my rod.mo")
     notes = "\n".join(done.notes)

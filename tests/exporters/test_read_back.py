@@ -15,11 +15,18 @@ from tests.support.fmus import strip
 
 # Target, its options and the end of the file.
 WAYS = [
-    ("matrix-market", {}, ""), ("op4", {}, ""), ("op4", {"text": True}, ""), ("dmig", {}, ""), ("abaqus", {}, ""),
-    ("simscape", {}, ""), ("sid", {}, ""), ("sid", {"nodes": "all"}, ""), ("statespace", {}, ".npz"),
+    ("matrix-market", {}, ""),
+    ("op4", {}, ""),
+    ("op4", {"text": True}, ""),
+    ("dmig", {}, ""),
+    ("abaqus", {}, ""),
+    ("simscape", {}, ""),
+    ("sid", {}, ""),
+    ("sid", {"nodes": "all"}, ""),
+    ("statespace", {}, ".npz"),
     ("statespace", {"held": ["left-end"], "outputs": ["left-end:reaction"], "inputs": ["tip:force"]}, ".mat"),
     ("statespace", {"step": 1e-5}, ".npz"),
-]  # fmt: skip
+]
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +48,11 @@ def careless(to, options, change):
 
 def stiffer(body):
     factor = 1 + 1e-4
-    return replace(body, stiffness_matrix=factor * body.stiffness_matrix,
-                   floating=replace(body.floating, Ke=factor * body.floating.Ke))  # fmt: skip
+    return replace(
+        body,
+        stiffness_matrix=factor * body.stiffness_matrix,
+        floating=replace(body.floating, Ke=factor * body.floating.Ke),
+    )
 
 
 def turned(body):

@@ -28,6 +28,7 @@ J_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     """A lopsided block with three interfaces, its frame following the first; the body file."""
+
     def warp(x):
         return x + 0.05 * x[..., [1]] * np.array([1.0, 0.0, 2.0])
 
@@ -145,10 +146,13 @@ def test_reader_gives_back_what_was_written(exported, tmp_path):
     assert sid.mass == pytest.approx(integrals.mass, rel=1e-11)
     assert sid.frequencies_hz == pytest.approx(np.sqrt(np.diag(frame.Ke)) / (2 * np.pi), rel=1e-5)
     for read, written in (
-        (sid.Cr.M1, integrals.Cr1), (sid.Gr, integrals.Gr), (sid.Ge, integrals.Ge),
+        (sid.Cr.M1, integrals.Cr1),
+        (sid.Gr, integrals.Gr),
+        (sid.Ge, integrals.Ge),
         (sid.Oe.M1, integrals.Oe1.transpose(0, 2, 1)),
-        (sid.J.M0[:, 0], np.array([integrals.inertia[a, b] for a, b in J_PAIRS])), (sid.Ke.M0, frame.Ke),
-    ):  # fmt: skip
+        (sid.J.M0[:, 0], np.array([integrals.inertia[a, b] for a, b in J_PAIRS])),
+        (sid.Ke.M0, frame.Ke),
+    ):
         assert np.abs(read - written).max() <= 1e-11 * np.abs(written).max()
 
 
@@ -179,8 +183,14 @@ def test_energy_of_a_moving_body_from_the_file_is_that_of_its_mass_points(tmp_pa
     energy = 0.5 * sid.mass * v @ v + v @ np.cross(w, first) + 0.5 * w @ J @ w
     energy += v @ (sid.Ct.M0.T @ qd) + w @ (Cr.T @ qd) + 0.5 * qd @ sid.Me.M0 @ qd
     # The file has no second order in J.
-    second = sum(0.5 * np.sum(np.cross(w, p - p0) ** 2) for p, p0 in
-                 zip(x, (node.origin.M0[:, 0] for node in nodes), strict=True)) * sid.mass / len(x)  # fmt: skip
+    second = (
+        sum(
+            0.5 * np.sum(np.cross(w, p - p0) ** 2)
+            for p, p0 in zip(x, (node.origin.M0[:, 0] for node in nodes), strict=True)
+        )
+        * sid.mass
+        / len(x)
+    )
     assert energy == pytest.approx(expected, abs=2 * second + 1e-10 * expected)
     assert second < 1e-4 * expected
 
@@ -193,11 +203,15 @@ def test_normal_coordinates_are_the_same_body(exported):
     old, new = before.integrals, after.integrals
     assert changed and not normal_coordinates(after)[1]
     for actual, expected in (
-        (new.Me, np.eye(after.count)), (after.Ke, np.diag(np.diag(after.Ke))), (after.De, T.T @ before.De @ T),
-        (new.Ct, T.T @ old.Ct), (new.Cr, T.T @ old.Cr), (new.C4, np.einsum("lk,lab->kab", T, old.C4)),
+        (new.Me, np.eye(after.count)),
+        (after.Ke, np.diag(np.diag(after.Ke))),
+        (after.De, T.T @ before.De @ T),
+        (new.Ct, T.T @ old.Ct),
+        (new.Cr, T.T @ old.Cr),
+        (new.C4, np.einsum("lk,lab->kab", T, old.C4)),
         (new.C6, np.einsum("ki,lj,klab->ijab", T, T, old.C6)),
         (after.markers["tip"].motion, before.markers["tip"].motion @ T),
-    ):  # fmt: skip
+    ):
         assert np.abs(actual - expected).max() <= 1e-9 * np.abs(actual).max()
 
 
@@ -295,9 +309,11 @@ def test_stiffening_joins_the_terms_of_first_order(exported, tmp_path, dialect):
         "f": -np.einsum("jli,l,j->i", np.vstack([sid.nodes[2].phi.M1, sid.nodes[2].psi.M1]), q, f),
     }
     wanted = {
-        "a": np.tensordot(a, stiff.acceleration, 1), "wd": np.tensordot(wd, stiff.angular_acceleration, 1),
-        "w": np.tensordot(omega, stiff.rotation, 1), "f": np.tensordot(f, stiff.wrench["tip"], 1),
-    }  # fmt: skip
+        "a": np.tensordot(a, stiff.acceleration, 1),
+        "wd": np.tensordot(wd, stiff.angular_acceleration, 1),
+        "w": np.tensordot(omega, stiff.rotation, 1),
+        "f": np.tensordot(f, stiff.wrench["tip"], 1),
+    }
     for key, G in wanted.items():
         expected = T.T @ G @ (T @ q)
         assert np.abs(terms[key] - expected).max() < 1e-8 * np.abs(expected).max(), key
@@ -305,8 +321,10 @@ def test_stiffening_joins_the_terms_of_first_order(exported, tmp_path, dialect):
 
 def test_layout_of_other_programs_is_detected(exported, tmp_path):
     """Gr mode by mode beside Ge axis by axis; then columns that fit nothing, and the other order of indices."""
-    paths = {d: export_body(exported, "sid", path=tmp_path / f"{d}.SID_FEM", options={"dialect": d}).paths[0]
-             for d in ("fembs", "mode-major")}  # fmt: skip
+    paths = {
+        d: export_body(exported, "sid", path=tmp_path / f"{d}.SID_FEM", options={"dialect": d}).paths[0]
+        for d in ("fembs", "mode-major")
+    }
     plain, flat = (paths[d].read_text() for d in ("fembs", "mode-major"))
     pattern = re.compile(r"\n {11}Gr .*?end Gr", re.DOTALL)
     mixed = tmp_path / "mixed.SID_FEM"
@@ -349,8 +367,10 @@ def test_one_coordinate(tmp_path):
     with Problem(model, faces) as problem:
         reduced = CraigBampton(modes=1).reduce(problem, "one")
         write_body(tmp_path / "b.h5", [elastic_body(problem, reduced, make_part(problem))])
-    files = [export_body(tmp_path / "b.h5", "sid", path=tmp_path / f"{d}.x", options={"dialect": d}).paths[0]
-             for d in ("fembs", "mode-major")]  # fmt: skip
+    files = [
+        export_body(tmp_path / "b.h5", "sid", path=tmp_path / f"{d}.x", options={"dialect": d}).paths[0]
+        for d in ("fembs", "mode-major")
+    ]
     assert files[0].read_bytes() == files[1].read_bytes()
     assert read_sid(files[0]).Gr.shape == (1, 3, 3)
 
@@ -366,8 +386,10 @@ def test_default_name_and_notes(exported):
 
 def test_a_large_file_is_noted_with_what_makes_it_small(exported, tmp_path, monkeypatch):
     whole, few = {"nodes": "all"}, {"nodes": "interfaces"}
-    sizes = [export_body(exported, "sid", path=tmp_path / f"{n}.SID_FEM", options=o).paths[0].stat().st_size
-             for n, o in enumerate((whole, few))]  # fmt: skip
+    sizes = [
+        export_body(exported, "sid", path=tmp_path / f"{n}.SID_FEM", options=o).paths[0].stat().st_size
+        for n, o in enumerate((whole, few))
+    ]
     monkeypatch.setattr("morembs.exporters.sid.LARGE", sizes[0] - 1)
     for number, options in enumerate((whole, few)):
         notes = " | ".join(export_body(exported, "sid", path=tmp_path / f"{number}.SID_FEM", options=options).notes)
@@ -384,11 +406,13 @@ def test_bad_input(exported, tmp_path):
         (replace(body, name="frame_1"), "contains 'frame'"),
         (replace(body, floating=replace(floating, markers={})), "needs interface frames with rotations"),
         (replace(body, floating=replace(floating, Ke=floating.Ke * 1e95)), "Ke has the value .*check the units"),
-        (replace(body, floating=replace(floating, Ke=np.diag(np.r_[0.0, np.diag(floating.Ke)[1:]]))),
-         "contain rigid-body motion"),
+        (
+            replace(body, floating=replace(floating, Ke=np.diag(np.r_[0.0, np.diag(floating.Ke)[1:]]))),
+            "contain rigid-body motion",
+        ),
         (replace(body, floating=replace(floating, elastic=floating.elastic[:, :0])), "no elastic coordinate"),
         (replace(body, mass_matrix=np.full_like(body.mass_matrix, np.nan)), "entries that are no numbers"),
-    )  # fmt: skip
+    )
     for wrong, message in cases:
         with pytest.raises(InputError, match=message):
             SidFem().export(source, wrong, path)

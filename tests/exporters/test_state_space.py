@@ -64,8 +64,12 @@ def exact(body, omega):
 
 def blockwise(H, wanted):
     """Largest error of each block of six rows and six columns, in parts of its largest entry."""
-    return max(np.abs(H[r : r + 6, c : c + 6] - wanted[r : r + 6, c : c + 6]).max()
-               / np.abs(wanted[r : r + 6, c : c + 6]).max() for r in range(0, len(H), 6) for c in (0, 6))  # fmt: skip
+    return max(
+        np.abs(H[r : r + 6, c : c + 6] - wanted[r : r + 6, c : c + 6]).max()
+        / np.abs(wanted[r : r + 6, c : c + 6]).max()
+        for r in range(0, len(H), 6)
+        for c in (0, 6)
+    )
 
 
 @pytest.mark.parametrize("omega", [1.0, 30.0, 200.0])
@@ -112,8 +116,9 @@ def test_a_shaken_part_pulls_with_its_mass(body):
     part = damped.part
     arm = part.center_of_mass - part.interfaces[0].point
     cross = np.array([[0, -arm[2], arm[1]], [arm[2], 0, -arm[0]], [-arm[1], arm[0], 0]])
-    rigid = np.block([[part.mass * np.eye(3), -part.mass * cross],
-                      [part.mass * cross, part.inertia - part.mass * cross @ cross]])  # fmt: skip
+    rigid = np.block(
+        [[part.mass * np.eye(3), -part.mass * cross], [part.mass * cross, part.inertia - part.mass * cross @ cross]]
+    )
     assert gain[:6] == pytest.approx(rigid, rel=1e-9, abs=1e-9 * part.mass)
     assert gain[6:9, :3] == pytest.approx(np.eye(3), abs=1e-9)
 
@@ -226,8 +231,11 @@ def test_python_control_reads_it(body, tmp_path):
     (path,) = export_body(source, "statespace", options=options).paths
     assert path.name == "b.statespace.npz"
     with np.load(path) as file:
-        system = control.ss(*(file[key] for key in "ABCD"), float(file["dt"]),
-                            **{key: file[key].tolist() for key in ("states", "inputs", "outputs")})  # fmt: skip
+        system = control.ss(
+            *(file[key] for key in "ABCD"),
+            float(file["dt"]),
+            **{key: file[key].tolist() for key in ("states", "inputs", "outputs")},
+        )
     H = system["tip:acceleration:z", "base:acceleration:z"](200j)
     assert complex(H) == pytest.approx(complex(exact(body, 200.0)[18 + 2, 2]), rel=1e-9)
     (path,) = export_body(source, "statespace", options={**options, "step": 1e-6}).paths
@@ -266,11 +274,15 @@ def test_bad_input(body, tmp_path):
         (["base:acceleration", "base:force:z"], ["tip:velocity"], [], "a support prescribes that motion"),
         (["base:acceleration", "base:displacement:z"], ["tip:velocity"], [], "a support has one motion"),
         (["tip:force"], ["base:reaction"], [], "nothing holds it; name its motion as an input, base:acceleration:x"),
-        (["base:acceleration:x+y+z+ry+rz"], ["tip:velocity"], [],
-         r"not held by the supports 'base'; 1 rigid motion is left \(rotation about x\); prescribe it as well"),
+        (
+            ["base:acceleration:x+y+z+ry+rz"],
+            ["tip:velocity"],
+            [],
+            r"not held by the supports 'base'; 1 rigid motion is left \(rotation about x\); prescribe it as well",
+        ),
         (["base:acceleration:x+z+rx+ry+rz"], ["tip:velocity"], [], r"left \(translation along y\)"),
         (["tip:force"], ["tip:velocity"], ["base:x+y+z"], "3 rigid motions are left; prescribe them"),
-    ]  # fmt: skip
+    ]
     for inputs, outputs, held, message in cases:
         with pytest.raises(InputError, match=message):
             state_space(body, inputs, outputs, held=held)
@@ -281,8 +293,12 @@ def test_bad_input(body, tmp_path):
         state_space(hysteretic, ["tip:force"], ["tip:velocity"])
     source = write_body(tmp_path / "b.h5", [body])
     with pytest.raises(InputError, match="a proper state space takes the acceleration of a support"):
-        export_body(source, "statespace", path=tmp_path / "x.mat",
-                    options={"inputs": ["base:displacement"], "outputs": ["base:reaction"]})  # fmt: skip
+        export_body(
+            source,
+            "statespace",
+            path=tmp_path / "x.mat",
+            options={"inputs": ["base:displacement"], "outputs": ["base:reaction"]},
+        )
     (tmp_path / "y.npz").write_bytes(b"PK nothing")
     for name in ("y.npz", "no.npz", "no.mat"):
         with pytest.raises(InputError, match="cannot be read as a state space"):
@@ -292,15 +308,29 @@ def test_bad_input(body, tmp_path):
 
 def test_on_the_command_line(tmp_path):
     write_body(tmp_path / "b.h5", [reduced_body(modal=0.02)])
-    done = command("export", "b.h5", "--to", "statespace", "--set", "inputs=base:acceleration:z", "--set",
-                   "outputs=base:reaction:z,tip:acceleration:z", "--set", "held=base:x+y+rx+ry+rz",
-                   "--out", "x.mat", folder=tmp_path)  # fmt: skip
+    done = command(
+        "export",
+        "b.h5",
+        "--to",
+        "statespace",
+        "--set",
+        "inputs=base:acceleration:z",
+        "--set",
+        "outputs=base:reaction:z,tip:acceleration:z",
+        "--set",
+        "held=base:x+y+rx+ry+rz",
+        "--out",
+        "x.mat",
+        folder=tmp_path,
+    )
     assert done.code == 0, done.errors
     lines = done.output.splitlines()
     assert lines[:2] == ["written: x.mat", "note: 28 states, 1 inputs, 2 outputs"]
     assert lines[2].startswith("note: poles and their damping: ")
-    assert lines[3] == "note: static gain: base:reaction:z by base:acceleration:z 5.8875, "\
-                       "tip:acceleration:z by base:acceleration:z 1"  # fmt: skip
+    assert (
+        lines[3] == "note: static gain: base:reaction:z by base:acceleration:z 5.8875, "
+        "tip:acceleration:z by base:acceleration:z 1"
+    )
     assert read_state_space(tmp_path / "x.mat").names["inputs"] == ("base:acceleration:z",)
     done = command("export", "b.h5", "--to", "statespace", "--set", "inputs=base:push", folder=tmp_path)
     assert done.code == 2 and done.errors.startswith("error: input 'base:push': 'push' was given; expected base: with")

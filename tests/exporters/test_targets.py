@@ -37,10 +37,13 @@ ROOT = Path(__file__).parents[2]
 def rod(tmp_path_factory):
     """Files that every target makes of the rod, and its body."""
     folder = tmp_path_factory.mktemp("rod")
-    model = assemble(read_mesh(ROOT / "data" / "small_meshes" / "conrod.msh", "mm-t-s"),
-                     [isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)])  # fmt: skip
-    ends = [make_interface(model, name=name, nodes=select_nodes(model, f"set:{name}"))
-            for name in ("BIGEND", "SMALLEND")]  # fmt: skip
+    model = assemble(
+        read_mesh(ROOT / "data" / "small_meshes" / "conrod.msh", "mm-t-s"),
+        [isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)],
+    )
+    ends = [
+        make_interface(model, name=name, nodes=select_nodes(model, f"set:{name}")) for name in ("BIGEND", "SMALLEND")
+    ]
     with Problem(model, ends, damping=Damping(beta=2e-7)) as problem:
         reduced = CraigBampton(modes=4).reduce(problem, "rod")
         source = write_body(folder / "rod.h5", [elastic_body(problem, reduced, make_part(problem, nodes="skin"))])
@@ -141,10 +144,19 @@ def mujoco(source, paths):
 
 
 CLIENTS = {
-    "exudyn": exudyn, "sid": sid, "simscape": simscape, "mbdyn": mbdyn, "op4": op4, "dmig": dmig, "abaqus": abaqus,
-    "matrix-market": matrix_market, "statespace": statespace, "modelica": modelica, "extptfm": extptfm,
+    "exudyn": exudyn,
+    "sid": sid,
+    "simscape": simscape,
+    "mbdyn": mbdyn,
+    "op4": op4,
+    "dmig": dmig,
+    "abaqus": abaqus,
+    "matrix-market": matrix_market,
+    "statespace": statespace,
+    "modelica": modelica,
+    "extptfm": extptfm,
     "mujoco": mujoco,
-}  # fmt: skip
+}
 
 
 def table():

@@ -25,8 +25,10 @@ SIZE = (0.5, 0.05, 0.03)
 @pytest.fixture(scope="module")
 def beam():
     model = steel(box("hex20", (6, 2, 1), SIZE))
-    interfaces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling=c)
-            for n, x, c in (("l", 0.0, "rigid"), ("r", 0.5, "average"))]  # fmt: skip
+    interfaces = [
+        make_interface(model, name=n, nodes=where(model, 0, x), coupling=c)
+        for n, x, c in (("l", 0.0, "rigid"), ("r", 0.5, "average"))
+    ]
     with Problem(model, interfaces) as problem:
         yield problem
 
@@ -196,9 +198,11 @@ def test_rotating_masses_keep_their_consistent_parts():
     free = np.eye(30) - R @ np.linalg.pinv(R)
     K = free @ np.diag(rng.uniform(1e4, 1e5, 30)) @ free
     model = FEModel(
-        K=sp.csr_array(0.5 * (K + K.T)), M=sp.csr_array(0.5 * (M + M.T)), nodes=Nodes(ids=np.arange(5), xyz=x),
+        K=sp.csr_array(0.5 * (K + K.T)),
+        M=sp.csr_array(0.5 * (M + M.T)),
+        nodes=Nodes(ids=np.arange(5), xyz=x),
         dofs=DofMap(node=node, component=component),
-    )  # fmt: skip
+    )
     with Problem(model) as problem:
         reduced = Modal(modes=6).reduce(problem)
         frame = floating_frame(problem, reduced)
@@ -226,9 +230,11 @@ def test_different_masses_along_the_axes_count_as_their_mean():
     free = np.eye(18) - R @ np.linalg.pinv(R)
     K = free @ np.diag(rng.uniform(1e4, 1e5, 18)) @ free
     model = FEModel(
-        K=sp.csr_array(0.5 * (K + K.T)), M=sp.csr_array(np.diag(masses.ravel())), nodes=Nodes(ids=np.arange(6), xyz=x),
+        K=sp.csr_array(0.5 * (K + K.T)),
+        M=sp.csr_array(np.diag(masses.ravel())),
+        nodes=Nodes(ids=np.arange(6), xyz=x),
         dofs=DofMap(node=np.repeat(np.arange(6), 3), component=np.tile(np.arange(3), 6)),
-    )  # fmt: skip
+    )
     with Problem(model) as problem:
         reduced = Modal(modes=5).reduce(problem)
         frame = floating_frame(problem, reduced)
@@ -250,11 +256,16 @@ def test_bodies_without_a_frame_say_why(beam, bodies):
     assert "two-sided" in why_not_floating(beam, two_sided)
 
 
-@pytest.mark.parametrize("kind, interfaces, words", [
-    ("tangents", ("l",), "did you mean 'tangent'"), ("tangent", (), "was given 0 interfaces"),
-    ("chord", ("l",), "expected 2"), ("chord", ("l", "l"), "twice"),
-    ("tangent", ("x",), "cannot follow the interface 'x'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "kind, interfaces, words",
+    [
+        ("tangents", ("l",), "did you mean 'tangent'"),
+        ("tangent", (), "was given 0 interfaces"),
+        ("chord", ("l",), "expected 2"),
+        ("chord", ("l", "l"), "twice"),
+        ("tangent", ("x",), "cannot follow the interface 'x'"),
+    ],
+)
 def test_impossible_frames_are_refused(beam, bodies, kind, interfaces, words):
     with pytest.raises(InputError, match=words):
         floating_frame(beam, bodies["cb"], kind=kind, interfaces=interfaces)

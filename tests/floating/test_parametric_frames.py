@@ -37,9 +37,16 @@ def test_frames_are_those_of_the_model_assembled_at_the_values(problem, kind, fo
         frame = terms.frame(at, kind=kind, interfaces=followed, origin=origin)
         with problem.at(p, assembled=True) as there:
             reduced = ReducedModel(
-                name="here", M=at.M, K=at.K, D=at.D, B=at.B, C=at.B.T, V=V, mode_kind=("krylov",) * len(at.K),
+                name="here",
+                M=at.M,
+                K=at.K,
+                D=at.D,
+                B=at.B,
+                C=at.B.T,
+                V=V,
+                mode_kind=("krylov",) * len(at.K),
                 rigid_count=6,
-            )  # fmt: skip
+            )
             expected = floating_frame(there, reduced, kind=kind, interfaces=followed, origin=origin)
         for name in ("origin", "Ke", "De", "rigid"):
             assert close(getattr(frame, name), getattr(expected, name), 1e-8), name

@@ -157,11 +157,14 @@ def round_shaft(turn=None, shift=(0.0, 0.0, 0.0), cells=(12, 4, 4)):
     along = (model.nodes.xyz - shift) @ turn[:, 0]
     interfaces = [
         make_interface(
-            model, name=name, nodes=np.flatnonzero(np.abs(along - x) < 1e-9), coupling="rigid",
+            model,
+            name=name,
+            nodes=np.flatnonzero(np.abs(along - x) < 1e-9),
+            coupling="rigid",
             point=turn[:, 0] * x + shift,
         )
         for name, x in (("left", 0.0), ("right", 0.5))
-    ]  # fmt: skip
+    ]
     return model, interfaces
 
 
@@ -304,8 +307,10 @@ def test_matrices_spin_where_their_nodes_have_all_translations():
         assert (lag**2 - rest**2) / 40.0**2 == pytest.approx(-1.0, rel=2e-2)
     three = [np.eye(k) for k in (2, 2)]
     flat = FEModel(
-        K=three[0], M=three[1], nodes=Nodes(ids=np.array([1]), xyz=np.zeros((1, 3))),
+        K=three[0],
+        M=three[1],
+        nodes=Nodes(ids=np.array([1]), xyz=np.zeros((1, 3))),
         dofs=DofMap(node=np.zeros(2, int), component=np.array([0, 1])),
-    )  # fmt: skip
+    )
     with Problem(flat) as problem, pytest.raises(InputError, match="x, y and z of every node"):
         spinning(problem, Rotation(axis=(0, 0, 1)))

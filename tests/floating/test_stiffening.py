@@ -94,10 +94,13 @@ def test_it_is_the_cubic_part_of_the_nonlinear_strain_energy(kind):
     rng = np.random.default_rng(3)
     fields = 0.05 * rng.standard_normal((3, model.size))
     # The third derivative of the energy in three directions, exact as the energy is of fourth degree.
-    third = sum(
-        s[0] * s[1] * s[2] * green_energy(model, wood.stiffness, np.array(s) @ fields)
-        for s in itertools.product((1, -1), repeat=3)
-    ) / 8  # fmt: skip
+    third = (
+        sum(
+            s[0] * s[1] * s[2] * green_energy(model, wood.stiffness, np.array(s) @ fields)
+            for s in itertools.product((1, -1), repeat=3)
+        )
+        / 8
+    )
 
     def term(a, b, u):
         kg = geometric_stiffness(mesh, [wood], u)
@@ -179,8 +182,11 @@ def test_a_hanging_beam_in_strong_gravity_swings_like_a_chain(slender):
     # EI w'''' - (T w')' = m omega^2 w with T = m g (L - x), clamped above, by a Ritz series for reference.
     x, weight = np.polynomial.legendre.leggauss(80)
     x, weight = 0.5 * (x + 1), 0.5 * weight
-    powers = [np.polynomial.Legendre.basis(k, domain=[0, 1]) * np.polynomial.Polynomial([0, 0, 1]).convert(
-        kind=np.polynomial.Legendre, domain=[0, 1]) for k in range(14)]  # fmt: skip
+    powers = [
+        np.polynomial.Legendre.basis(k, domain=[0, 1])
+        * np.polynomial.Polynomial([0, 0, 1]).convert(kind=np.polynomial.Legendre, domain=[0, 1])
+        for k in range(14)
+    ]
     w, slope, bend = (np.array([p.deriv(d)(x) if d else p(x) for p in powers]) for d in range(3))
     K = EI * (bend * weight) @ bend.T + LINE_MASS * g * (slope * weight * (1 - x)) @ slope.T
     ritz = np.sqrt(sl.eigh(K, LINE_MASS * (w * weight) @ w.T, eigvals_only=True)[0])
@@ -190,8 +196,13 @@ def test_a_hanging_beam_in_strong_gravity_swings_like_a_chain(slender):
     assert chain < omega < 1.25 * chain
 
 
-LOADS = [("rigid", "tangent", ["root"]), ("average", "chord", ["root", "tip"]), ("average", "mean-axes", []),
-         ("rigid", "mean-axes", []), ("rigid", "center-of-mass", ["tip"])]  # fmt: skip
+LOADS = [
+    ("rigid", "tangent", ["root"]),
+    ("average", "chord", ["root", "tip"]),
+    ("average", "mean-axes", []),
+    ("rigid", "mean-axes", []),
+    ("rigid", "center-of-mass", ["tip"]),
+]
 
 
 @pytest.mark.parametrize(("coupling", "kind", "names"), LOADS)
@@ -267,8 +278,12 @@ def test_dead_loads_move_a_pressed_free_body_the_same_in_all_frames(coupling, of
     displacements = []
     with Problem(model, ends(model, LENGTH, coupling, offset)) as problem:
         reduced = CraigBampton(modes=8).reduce(problem)
-        for kind, names in (("mean-axes", []), ("tangent", ["root"]), ("chord", ["tip", "root"]),
-                            ("center-of-mass", ["tip"])):  # fmt: skip
+        for kind, names in (
+            ("mean-axes", []),
+            ("tangent", ["root"]),
+            ("chord", ["tip", "root"]),
+            ("center-of-mass", ["tip"]),
+        ):
             frame = floating_frame(problem, reduced, kind=kind, interfaces=names)
             M, K = dead_loads(frame, geometric_stiffening(problem, reduced, frame), force)
             displacements.append(sl.eigh(K, M, eigvals_only=True))

@@ -108,15 +108,26 @@ def _coupled(part: Truth, length: float, degrees: float, stiffness: tuple[float,
     B = keep.T @ np.eye(2 * n, dtype=Long)[:, [*range(n - 12, n - 6), *range(2 * n - 6, 2 * n)]]
     R = np.linalg.pinv(keep.astype(float)).astype(Long) @ R
     turned = f"\nrotation = {{ axis = [1, 0, 0], degrees = {degrees} }}" if degrees else ""
-    text = "\n".join([
-        '[[substructure]]\nname = "a"\nbody = "part.h5"',
-        f'[[substructure]]\nname = "b"\nbody = "part.h5"\nposition = [{length!r}, 0.0, 0.0]{turned}', *lines,
-        '[[interface]]\nname = "base"\nnodes = "set:a:root"\n[[interface]]\nname = "tip"\nnodes = "set:b:end"',
-    ])  # fmt: skip
+    text = "\n".join(
+        [
+            '[[substructure]]\nname = "a"\nbody = "part.h5"',
+            f'[[substructure]]\nname = "b"\nbody = "part.h5"\nposition = [{length!r}, 0.0, 0.0]{turned}',
+            *lines,
+            '[[interface]]\nname = "base"\nnodes = "set:a:root"\n[[interface]]\nname = "tip"\nnodes = "set:b:end"',
+        ]
+    )
     model = Model(
-        family="mesh", support="assembly", K=K.astype(float), M=M.astype(float), xyz=part.model.xyz,
-        node=np.zeros(len(K), int), component=np.zeros(len(K), int), free=6,
-    )  # fmt: skip
-    ports = tuple(Port(name=name, nodes=np.array([0]), coupling="rigid", point=np.zeros(3), components=tuple(range(6)))
-                  for name in ("base", "tip"))  # fmt: skip
+        family="mesh",
+        support="assembly",
+        K=K.astype(float),
+        M=M.astype(float),
+        xyz=part.model.xyz,
+        node=np.zeros(len(K), int),
+        component=np.zeros(len(K), int),
+        free=6,
+    )
+    ports = tuple(
+        Port(name=name, nodes=np.array([0]), coupling="rigid", point=np.zeros(3), components=tuple(range(6)))
+        for name in ("base", "tip")
+    )
     return Assembly(model=model, ports=ports, text=text, stiffness=stiffness, K=K, M=M, B=B, R=R)

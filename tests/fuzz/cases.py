@@ -15,9 +15,7 @@ import numpy as np
 
 # Their cases are in the register once they are imported.
 from tests.fuzz import model_cases as model_cases
-from tests.fuzz.stage import (
-    CASES as CASES,
-)  # fmt: skip
+from tests.fuzz.stage import CASES as CASES
 from tests.fuzz.stage import (
     MESH,
     MODAL,

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tests.fuzz import assemblies, files, parametric
 from tests.fuzz.models import Model, draw_model
@@ -15,16 +14,26 @@ from tests.fuzz.ports import draw_ports, port_tables
 from tests.fuzz.reductions import Drawn, draw_reductions, guyan
 from tests.fuzz.truth import Damping, Port, Truth
 
-Floats = NDArray[np.float64]
 FLOOR = 0.01
 # Share of jobs that couple two bodies.
 ASSEMBLIES = 0.05
 DAMPINGS = ("none", "rayleigh", "modal", "table", "structural", "rayleigh+structural", "modal+structural")
 DAMPING_SHARES = (0.28, 0.2, 0.18, 0.12, 0.12, 0.05, 0.05)
 TARGETS = (
-    "statespace", "matrix-market", "sid", "c", "op4", "dmig", "simscape", "mbdyn", "modelica", "abaqus", "mujoco",
-    "exudyn", "fmu",
-)  # fmt: skip
+    "statespace",
+    "matrix-market",
+    "sid",
+    "c",
+    "op4",
+    "dmig",
+    "simscape",
+    "mbdyn",
+    "modelica",
+    "abaqus",
+    "mujoco",
+    "exudyn",
+    "fmu",
+)
 
 
 @dataclass(kw_only=True)
@@ -64,10 +73,13 @@ def _draw_assembly(rng: np.random.Generator, folder: Path) -> Job:
     text = "\n".join([made.text, damping_text, *(each.text for each in drawn), certify, '[output]\npath = "body.h5"'])
     job = Job(text=text, truth=truth, prepare=[["reduce", "part.toml", "--quiet"]], reductions=drawn, floor=floor)
     job.features = {
-        "model": "assembly", "support": "free", "coupling": "springs" if made.stiffness else "one motion",
-        "damping": damping_name + floor_name, "band": band_name if certify else "none",
+        "model": "assembly",
+        "support": "free",
+        "coupling": "springs" if made.stiffness else "one motion",
+        "damping": damping_name + floor_name,
+        "band": band_name if certify else "none",
         "reduction": "+".join(each.method for each in drawn),
-    }  # fmt: skip
+    }
     _validity(job, damping_name, "none")
     job.after.append(["info", "body.h5"])
     return job
@@ -98,12 +110,15 @@ def _draw_part(rng: np.random.Generator, folder: Path) -> Job:
     extra, extra_text = _extra(rng, job.truth, units, damping_name, spring is not None)
     job.text = "\n".join([*parts, extra_text, '[output]\npath = "body.h5"'])
     job.features = {
-        "model": model.family + (f" {model.solid.kind}" if model.solid else ""), "support": model.support,
-        "coupling": "+".join(sorted({p.coupling for p in ports})), "damping": damping_name + floor_name,
-        "band": band_name if certify or spring else "none", "extra": extra,
+        "model": model.family + (f" {model.solid.kind}" if model.solid else ""),
+        "support": model.support,
+        "coupling": "+".join(sorted({p.coupling for p in ports})),
+        "damping": damping_name + floor_name,
+        "band": band_name if certify or spring else "none",
+        "extra": extra,
         "reduction": "parametric" if spring else "+".join(drawn.method for drawn in job.reductions),
         "parameter": "+".join(spring.properties) if spring else "none",
-    }  # fmt: skip
+    }
     # A preload changes K, which the truth does not follow; its body is only run.
     job.judged = extra != "preload"
     _validity(job, damping_name, extra)
@@ -192,8 +207,12 @@ def _extra(rng: np.random.Generator, truth: Truth, units: str, damping: str, par
     """A further table, where the model may have it."""
     model = truth.model
     framed = [p for p in truth.ports if p.coupling in ("rigid", "average") and len(p.components) == 6]
-    choice = str(rng.choice(["none", "frame", "stress", "preload", "spin", "response", "state space", "envelope"],
-                            p=[0.55, 0.07, 0.07, 0.07, 0.08, 0.06, 0.05, 0.05]))  # fmt: skip
+    choice = str(
+        rng.choice(
+            ["none", "frame", "stress", "preload", "spin", "response", "state space", "envelope"],
+            p=[0.55, 0.07, 0.07, 0.07, 0.08, 0.06, 0.05, 0.05],
+        )
+    )
     length = files.UNITS[units][0]
     axis = [float(x) for x in np.round(rng.standard_normal(3), 3)]
     name = framed[0].name if framed else ""

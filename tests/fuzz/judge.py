@@ -12,9 +12,9 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from tests.fuzz.truth import Truth, eliminated, refined
 
-Floats = NDArray[np.float64]
 Long = np.longdouble
 MEASURES = ("envelope", "peak", "pointwise")
 # Proven limits may be exceeded by what the last digits of limits as they are stored may be.
@@ -87,13 +87,21 @@ def bodies(path: Path) -> tuple[list[Reduced], dict[str, Floats]]:
                 own = group["certificate"]
                 certificate = {key: own[key][()] for key in own if isinstance(own[key], h5py.Dataset)}
                 certificate |= {f"limits/{key}": own["limits"][key][()] for key in own.get("limits", {})}
-            found.append(Reduced(
-                name=name, K=take["stiffness_matrix"], M=take["mass_matrix"], D=take["damping_matrix"],
-                B=take["input_matrix"], C=take.get("output_matrix", take["input_matrix"].T),
-                free=int(take["rigid_count"]), frequencies_hz=take["frequencies_hz"],
-                full_hz=take.get("full_frequencies_hz", np.zeros(0)), recipe=json.loads(take["recipe"]),
-                certificate=certificate,
-            ))  # fmt: skip
+            found.append(
+                Reduced(
+                    name=name,
+                    K=take["stiffness_matrix"],
+                    M=take["mass_matrix"],
+                    D=take["damping_matrix"],
+                    B=take["input_matrix"],
+                    C=take.get("output_matrix", take["input_matrix"].T),
+                    free=int(take["rigid_count"]),
+                    frequencies_hz=take["frequencies_hz"],
+                    full_hz=take.get("full_frequencies_hz", np.zeros(0)),
+                    recipe=json.loads(take["recipe"]),
+                    certificate=certificate,
+                )
+            )
         mass = {key: file["mass_properties"][key][()] for key in file["mass_properties"]}
     return found, mass
 
@@ -111,9 +119,14 @@ class Verdict:
 
 
 def judge(
-    path: Path, truth: Truth, rng: np.random.Generator, *, exact: set[str], tolerances: dict[str, tuple],  # type: ignore[type-arg]
+    path: Path,
+    truth: Truth,
+    rng: np.random.Generator,
+    *,
+    exact: set[str],
+    tolerances: dict[str, tuple],  # type: ignore[type-arg]
     promised: dict[str, str],
-) -> Verdict:  # fmt: skip
+) -> Verdict:
     """All bodies of a file. ``exact``: those with all modes; ``tolerances``: name -> (measure, tolerance, band, floor);
     ``promised``: name -> method."""
     verdict = Verdict([])
@@ -190,10 +203,17 @@ def _points(truth: Truth, band: Floats, rng: np.random.Generator, more: Floats) 
     low, high = band
     near = truth.hz[(truth.hz >= 0.8 * low) & (truth.hz <= 1.2 * high)][:12]
     width = np.maximum(truth.damping.ratio(near), 0.01)
-    hz = np.concatenate([
-        [low, high], rng.uniform(low, high, 10), near, near * (1 - width), near * (1 + width), more,
-        near * (1 + 1e-3 * rng.standard_normal(len(near))),
-    ])  # fmt: skip
+    hz = np.concatenate(
+        [
+            [low, high],
+            rng.uniform(low, high, 10),
+            near,
+            near * (1 - width),
+            near * (1 + width),
+            more,
+            near * (1 + 1e-3 * rng.standard_normal(len(near))),
+        ]
+    )
     return 2 * np.pi * np.unique(np.clip(hz[np.isfinite(hz)], low, high))
 
 

@@ -20,7 +20,7 @@ from tests.fuzz.stage import (
     write_job,
     write_mesh,
     write_model,
-)  # fmt: skip
+)
 from tests.fuzz.trials import Folder, reason
 from tests.fuzz.truth import Damping, Port, Truth
 
@@ -34,14 +34,7 @@ def band_from_above_zero_with_a_mode_below(place: Folder) -> None:
     f = truth.hz
     certify = f"[certify]\nband_hz = [{(f[1] + f[2]) / 2:.6g}, {(f[3] + f[4]) / 2:.6g}]\n"
     auto = certify.replace("[certify]", '[[reduce]]\nmethod = "auto"\ntolerance = 1e-3')
-    write_job(
-        place,
-        MODEL,
-        END.format(labels=n) + 'coupling = "direct"\n',
-        auto,
-        certify,
-        OUTPUT,
-    )
+    write_job(place, MODEL, END.format(labels=n) + 'coupling = "direct"\n', auto, certify, OUTPUT)
     if gives(place, "reduce", "job.toml"):
         judged(place, truth, auto="auto")
 
@@ -51,8 +44,14 @@ def modal_coordinates(place: Folder) -> None:
     K = np.diag((2 * np.pi * np.linspace(1.0, 60.0, 30)) ** 2)
     write_model(place, K, np.eye(30))
     truth = abstract(K, np.eye(30), (4, 9))
-    write_job(place, MODEL, END.format(labels="5,10") + 'coupling = "direct"\n', MODAL,
-         "[certify]\nband_hz = [0.0, 25.1]\n", OUTPUT)  # fmt: skip
+    write_job(
+        place,
+        MODEL,
+        END.format(labels="5,10") + 'coupling = "direct"\n',
+        MODAL,
+        "[certify]\nband_hz = [0.0, 25.1]\n",
+        OUTPUT,
+    )
     if gives(place, "reduce", "job.toml"):
         judged(place, truth, modal="modal")
 
@@ -69,8 +68,14 @@ def cantilever(place: Folder, n: int, held: tuple[int, ...]) -> None:
     K = K[np.ix_(keep, keep)]
     write_model(place, K, M, nodes=xyz, node=node, component=component)
     tip = int(node[-1])
-    write_job(place, MODEL, END.format(labels=tip + 1) + 'coupling = "direct"\n',
-         MODAL, "[certify]\nband_hz = [0.0, 40.0]\n", OUTPUT)  # fmt: skip
+    write_job(
+        place,
+        MODEL,
+        END.format(labels=tip + 1) + 'coupling = "direct"\n',
+        MODAL,
+        "[certify]\nband_hz = [0.0, 40.0]\n",
+        OUTPUT,
+    )
     model = Model(family="beams", support="clamped", K=K, M=M, xyz=xyz, node=node, component=component, free=0)
     port = Port(name="end", nodes=np.array([tip]), coupling="direct", point=xyz[tip], components=tuple(range(6)))
     if gives(place, "reduce", "job.toml"):
@@ -108,8 +113,10 @@ def spring_beside_a_morph(place: Folder) -> None:
     rows = [f"{k},{0.1 * x[0]!r},0,0" for k, x in enumerate(solid.xyz.tolist(), 1)]
     (place.place / "longer.csv").write_text("id,dx,dy,dz\n" + "\n".join(rows) + "\n")
     tables = '[[parameter]]\nname = "t"\nproperty = "morph"\ndisplacement = "longer.csv"\nrange = [-1.0, 1.0]\n'
-    tables += ('[[parameter]]\nname = "k"\nproperty = "spring"\ninterface = "end"\nrange = [0.5, 2.0]\n'
-               "stiffness = [1e6, 1e6, 1e6, 1e3, 1e3, 1e3]\n")  # fmt: skip
+    tables += (
+        '[[parameter]]\nname = "k"\nproperty = "spring"\ninterface = "end"\nrange = [0.5, 2.0]\n'
+        "stiffness = [1e6, 1e6, 1e6, 1e3, 1e3, 1e3]\n"
+    )
     method = '[[reduce]]\nmethod = "parametric"\nband_hz = [0.0, 2000.0]\ntolerance = 1e-2\ntraining = 8\n'
     write_job(place, MESH.format(name="part.vtk"), end, tables, method, OUTPUT)
     gives(place, "reduce", "job.toml")
@@ -125,15 +132,20 @@ def hinge_between_two_free_bodies(place: Folder) -> None:
     write_job(place, MESH.format(name="part.vtk"), end, other, part, name="part.toml")
     if not gives(place, "reduce", "part.toml"):
         return
-    parts = ['[[substructure]]\nname = "a"\nbody = "part.h5"\n',
-             '[[substructure]]\nname = "b"\nbody = "part.h5"\nposition = [0.3, 0.0, 0.0]\n']  # fmt: skip
+    parts = [
+        '[[substructure]]\nname = "a"\nbody = "part.h5"\n',
+        '[[substructure]]\nname = "b"\nbody = "part.h5"\nposition = [0.3, 0.0, 0.0]\n',
+    ]
     couple = '[[couple]]\nbetween = ["a:end", "b:root"]\ncomponents = [0, 1, 2, 3, 5]\n'
     base = '[[interface]]\nname = "base"\nnodes = "set:a:root"\n'
     write_job(place, *parts, couple, base, MODAL, OUTPUT)
     ended = place.run(["reduce", "job.toml"])
     if ended.code == 2:
-        expect(place, "hinge" in ended.errors or "component" in ended.errors,
-                f"the refusal does not say what is held where: {reason(ended.errors)}")  # fmt: skip
+        expect(
+            place,
+            "hinge" in ended.errors or "component" in ended.errors,
+            f"the refusal does not say what is held where: {reason(ended.errors)}",
+        )
 
 
 @case
@@ -161,6 +173,12 @@ def undamped_mode_beside_dampers(place: Folder) -> None:
     n = 11
     K = 1e5 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
     write_model(place, K, np.eye(n), D=np.diag(5.0 * (np.arange(n) == n // 2)))
-    write_job(place, MODEL, END.format(labels="2,5") + 'coupling = "direct"\n', MODAL,
-         "[certify]\nband_hz = [0.0, 60.0]\n", OUTPUT)  # fmt: skip
+    write_job(
+        place,
+        MODEL,
+        END.format(labels="2,5") + 'coupling = "direct"\n',
+        MODAL,
+        "[certify]\nband_hz = [0.0, 60.0]\n",
+        OUTPUT,
+    )
     place.run(["reduce", "job.toml"])

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from tests.fuzz.solids import KINDS, Solid, block
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 FAMILIES = ("mesh", "solid", "framework", "beams", "chain", "modal")
 SHARES = (0.38, 0.14, 0.15, 0.15, 0.09, 0.09)
 SUPPORTS = ("free", "clamped", "both ends", "single dofs", "springs")
@@ -70,9 +68,13 @@ def _solid(rng: np.random.Generator, family: str) -> Model:
     size = length * np.array([1.0, *rng.uniform(0.1, 0.6, 2)])
     xyz, elements = block(kind, cells, size, taper=0.0 if kind == "wedge6" else float(rng.choice([0.0, 0.3])))
     solid = Solid(
-        kind=kind, xyz=xyz, cells=elements, young=float(f"{10 ** rng.uniform(9, 11.4):.4g}"),
-        poisson=float(np.round(rng.uniform(0.0, 0.42), 3)), density=float(f"{rng.uniform(900, 8000):.4g}"),
-    )  # fmt: skip
+        kind=kind,
+        xyz=xyz,
+        cells=elements,
+        young=float(f"{10 ** rng.uniform(9, 11.4):.4g}"),
+        poisson=float(np.round(rng.uniform(0.0, 0.42), 3)),
+        density=float(f"{rng.uniform(900, 8000):.4g}"),
+    )
     K, M = solid.matrices()
     node, component = np.repeat(np.arange(len(xyz)), 3), np.tile(np.arange(3), len(xyz))
     model = Model(family=family, support="free", K=K, M=M, xyz=xyz, node=node, component=component, free=6, solid=solid)
@@ -167,8 +169,18 @@ def _modal(rng: np.random.Generator) -> Model:
 
 def _abstract(family: str, support: str, K: Floats, M: Floats, D: Floats | None) -> Model:
     n = len(K)
-    return Model(family=family, support=support, K=K, M=M, D=D, xyz=np.zeros((n, 3)), node=np.arange(n),
-                 component=np.zeros(n, int), free=0, nodes=False)  # fmt: skip
+    return Model(
+        family=family,
+        support=support,
+        K=K,
+        M=M,
+        D=D,
+        xyz=np.zeros((n, 3)),
+        node=np.arange(n),
+        component=np.zeros(n, int),
+        free=0,
+        nodes=False,
+    )
 
 
 def _held(rng: np.random.Generator, model: Model) -> Model:
@@ -204,6 +216,12 @@ def _held(rng: np.random.Generator, model: Model) -> Model:
     keep = np.flatnonzero(~held)
     sub = np.ix_(keep, keep)
     return replace(
-        model, support=support, K=K[sub], M=model.M[sub], D=None if model.D is None else model.D[sub],
-        node=model.node[keep], component=model.component[keep], free=6 - rank,
-    )  # fmt: skip
+        model,
+        support=support,
+        K=K[sub],
+        M=model.M[sub],
+        D=None if model.D is None else model.D[sub],
+        node=model.node[keep],
+        component=model.component[keep],
+        free=6 - rank,
+    )

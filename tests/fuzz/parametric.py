@@ -59,8 +59,9 @@ class Evaluation:
         """The model at ``values``, ``truth`` being that without parameters."""
         model, solid, damping = truth.model, truth.model.solid, truth.damping
         ones = np.ones(len(solid.cells))
-        K, M = solid.matrices(young=values.get("young", solid.young) * ones,
-                              density=values.get("density", solid.density) * ones)  # fmt: skip
+        K, M = solid.matrices(
+            young=values.get("young", solid.young) * ones, density=values.get("density", solid.density) * ones
+        )
         damping = replace(damping, **{k: values[k] for k in ("alpha", "beta") if k in values})
         there = Truth(replace(model, K=K, M=M), truth.ports, damping)
         if "spring" in values:
@@ -118,6 +119,13 @@ def draw(rng: np.random.Generator, truth: Truth, units: str, band: Band) -> Eval
     at = ",".join(f"{name}={value!r}" for name, value in values.items())
     commands = [["evaluate", "body.h5", "--at", at, "-o", AT], ["info", AT]]
     return Evaluation(
-        text="\n".join(tables) + text, properties=chosen, nominal=nominals, values=values, tolerance=tolerance,
-        band=band, stiffness=stiffness, port=port, commands=commands,
-    )  # fmt: skip
+        text="\n".join(tables) + text,
+        properties=chosen,
+        nominal=nominals,
+        values=values,
+        tolerance=tolerance,
+        band=band,
+        stiffness=stiffness,
+        port=port,
+        commands=commands,
+    )

@@ -10,9 +10,17 @@ from tests.fuzz.truth import Truth
 
 Band = tuple[float, float]
 METHODS = (
-    "auto", "modal", "guyan", "craig-bampton", "free-interface", "krylov", "gramian", "balanced-truncation", "irka",
+    "auto",
+    "modal",
+    "guyan",
+    "craig-bampton",
+    "free-interface",
+    "krylov",
+    "gramian",
+    "balanced-truncation",
+    "irka",
     "static-modes-switching",
-)  # fmt: skip
+)
 SHARES = (0.22, 0.16, 0.05, 0.2, 0.09, 0.1, 0.07, 0.05, 0.04, 0.02)
 
 LOOSE = "the interfaces leave rigid motions free"
@@ -45,8 +53,16 @@ def guyan(name: str) -> Drawn:
 
 
 def _one(rng: np.random.Generator, truth: Truth, band: Band, damping: str, method: str, name: str) -> Drawn:
-    make = {"auto": _auto, "modal": _modal, "craig-bampton": _craig, "free-interface": _free, "krylov": _krylov,
-            "gramian": _gramian, "balanced-truncation": _balanced, "irka": _irka}.get(method)  # fmt: skip
+    make = {
+        "auto": _auto,
+        "modal": _modal,
+        "craig-bampton": _craig,
+        "free-interface": _free,
+        "krylov": _krylov,
+        "gramian": _gramian,
+        "balanced-truncation": _balanced,
+        "irka": _irka,
+    }.get(method)
     lines, more = make(rng, truth, band, damping) if make else ([], {})
     if method == "static-modes-switching":
         nodes = sorted(set(truth.model.node.tolist()))[-3:]

@@ -106,7 +106,16 @@ def judged(place: Folder, truth: Truth, **kinds: str) -> None:
 
 def abstract(K: np.ndarray, M: np.ndarray, rows: tuple[int, ...]) -> Truth:
     """Coordinates without places, and the truth of direct interfaces at some."""
-    model = Model(family="chain", support="clamped", K=K, M=M, xyz=np.zeros((len(K), 3)), node=np.arange(len(K)),
-                  component=np.zeros(len(K), int), free=0, nodes=False)  # fmt: skip
+    model = Model(
+        family="chain",
+        support="clamped",
+        K=K,
+        M=M,
+        xyz=np.zeros((len(K), 3)),
+        node=np.arange(len(K)),
+        component=np.zeros(len(K), int),
+        free=0,
+        nodes=False,
+    )
     port = Port(name="end", nodes=np.array(rows), coupling="direct", point=np.zeros(3), components=(0,))
     return Truth(model, (port,), Damping())

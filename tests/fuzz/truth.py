@@ -14,10 +14,9 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from tests.fuzz.models import Model
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Long = np.longdouble
 BITS = 128
 

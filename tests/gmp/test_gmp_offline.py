@@ -348,9 +348,12 @@ def test_a_checkpoint_of_another_run_is_refused_and_left_alone(tmp_path):
 
 def test_bad_plans_are_named():
     for options, words in (
-        ({"workers": 0}, "workers = 0"), ({"tolerance": 0.0}, "tolerance = 0"), ({"reach": "far"}, "reach = 'far'"),
-        ({"workers": "two"}, "workers = 'two'"), ({"points_per_angle": 5.5}, "points_per_angle = 5.5"),
-    ):  # fmt: skip
+        ({"workers": 0}, "workers = 0"),
+        ({"tolerance": 0.0}, "tolerance = 0"),
+        ({"reach": "far"}, "reach = 'far'"),
+        ({"workers": "two"}, "workers = 'two'"),
+        ({"points_per_angle": 5.5}, "points_per_angle = 5.5"),
+    ):
         with pytest.raises(InputError, match=words):
             tabulated(**options)
     with pytest.raises(InputError, match="expected one of angle, moment, load"):

@@ -1,6 +1,5 @@
 """Abaqus and CalculiX decks: labels, sets, instances, materials, couplings, masses; what is left out is told."""
 
-
 import meshio
 import numpy as np
 import pytest
@@ -84,10 +83,14 @@ def test_all_that_hangs_on_a_body_keeps_its_labels(deck):
     assert nodes.ids.tolist() == [*mesh.nodes.ids.tolist(), 500, 600]
     labels = {name: nodes.ids[rows].tolist() for name, rows in {**nodes.sets, **imported.surfaces}.items()}
     assert labels == {
-        "Every": [10, 20, 30, 40, 50, 60, 70, 80], "Ref": [500], "Bottom": [10, 20, 30, 40],
-        "Both": [10, 20, 30, 40, 50], "Top": [50, 60, 70, 80], "Skin": [10, 20, 30, 40, 50, 60, 70, 80],
+        "Every": [10, 20, 30, 40, 50, 60, 70, 80],
+        "Ref": [500],
+        "Bottom": [10, 20, 30, 40],
+        "Both": [10, 20, 30, 40, 50],
+        "Top": [50, 60, 70, 80],
+        "Skin": [10, 20, 30, 40, 50, 60, 70, 80],
         "Points": [10, 20, 30, 40, 50],
-    }  # fmt: skip
+    }
     assert mesh.element_sets["Alias"][0].tolist() == [0] and "Tip" not in mesh.element_sets
     (rigid,), (average,), (mass, spin) = imported.rigid, imported.average, imported.masses
     assert rigid.name == "Flange" and nodes.ids[rigid.master] == 500 and rigid.components == (0, 1, 2)
@@ -166,9 +169,7 @@ def test_instances_are_moved_with_their_material_directions(deck):
     c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
     assert np.allclose((y - [1, 2, 3])[..., 0], c * x[..., 0] - s * x[..., 1])
     assert np.allclose((y - [1, 2, 3])[..., 1:], np.stack([s * x[..., 0] + c * x[..., 1], x[..., 2]], axis=-1))
-    constants = {
-        "young": (100e9, 20e9, 10e9), "poisson": (0.3, 0.25, 0.2), "shear": (5e9, 4e9, 3e9), "density": 2700.0,
-    }  # fmt: skip
+    constants = {"young": (100e9, 20e9, 10e9), "poisson": (0.3, 0.25, 0.2), "shear": (5e9, 4e9, 3e9), "density": 2700.0}
     turned = orthotropic(set="", **constants, axes=np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]))
     assert [m.set for m in imported.materials] == ["One.Body", "Two.Body"]
     assert np.allclose(imported.materials[0].stiffness, orthotropic(set="", **constants).stiffness)
@@ -192,13 +193,17 @@ def test_one_instance_keeps_names_and_labels(deck):
 @pytest.mark.parametrize(
     ("constants", "places"),
     [
-        ("*ELASTIC, TYPE=ORTHOTROPIC\n11., 2., 12., 3., 4., 13., 7., 8.,\n9.\n",
-         {(0, 1): 2, (1, 2): 4, (5, 5): 7, (3, 3): 9}),
-        ("*ELASTIC, TYPE=ANISO\n11., 2., 12., 3., 4., 13., .1, .2,\n.3, 7., .4, .5, .6, .7, 8., .8,\n"
-         ".9, .15, .25, .35, 9.\n",
-         {(0, 5): 0.1, (4, 4): 8, (5, 4): 0.7, (3, 0): 0.8, (3, 5): 0.25, (3, 4): 0.35}),
+        (
+            "*ELASTIC, TYPE=ORTHOTROPIC\n11., 2., 12., 3., 4., 13., 7., 8.,\n9.\n",
+            {(0, 1): 2, (1, 2): 4, (5, 5): 7, (3, 3): 9},
+        ),
+        (
+            "*ELASTIC, TYPE=ANISO\n11., 2., 12., 3., 4., 13., .1, .2,\n.3, 7., .4, .5, .6, .7, 8., .8,\n"
+            ".9, .15, .25, .35, 9.\n",
+            {(0, 5): 0.1, (4, 4): 8, (5, 4): 0.7, (3, 0): 0.8, (3, 5): 0.25, (3, 4): 0.35},
+        ),
     ],
-)  # fmt: skip
+)
 def test_stiffness_given_by_its_entries(deck, constants, places):
     text = "*NODE\n" + CUBE + "*ORIENTATION, NAME=O\n1,0,0,0,1,0\n*MATERIAL, NAME=M\n*DENSITY\n1.\n" + constants
     C = deck(text + "*SOLID SECTION, ELSET=Cube, MATERIAL=M, ORIENTATION=O\n").materials[0].stiffness
@@ -235,8 +240,11 @@ def test_other_ways_to_tie(deck):
     text += "*MPC\nBEAM, T, 500\n*KINEMATIC COUPLING, REF NODE=501\nT, 1, 2\n70\n"
     ties = deck(text + "*RIGID BODY, ELSET=E, REF NODE=500\n").rigid
     assert [(len(tie.slaves), tie.components) for tie in ties] == [
-        (2, (0, 1, 2, 3, 4, 5)), (2, (0, 1)), (1, (0, 1, 2, 3, 4, 5)), (8, (0, 1, 2, 3, 4, 5)),
-    ]  # fmt: skip
+        (2, (0, 1, 2, 3, 4, 5)),
+        (2, (0, 1)),
+        (1, (0, 1, 2, 3, 4, 5)),
+        (8, (0, 1, 2, 3, 4, 5)),
+    ]
     assert len({tie.name for tie in ties}) == 4
 
 
@@ -250,8 +258,10 @@ MATERIAL = "*SOLID SECTION, ELSET=Cube, MATERIAL=M\n*MATERIAL, NAME=M\n*DENSITY\
         (SOLID + "*EQUATION\n2\n10,1,0.,20,1,-1.\n", "first coefficient of .* direction 1 of node 10, is zero"),
         (SOLID + "*EQUATION\n3\n10,1,1.,20,1,-1.\n", "an equation of 3 terms has another number"),
         (SOLID + "*TIE, NAME=Glue\nA, B\n", r"deck.inp, line 13: \*TIE names the surface 'A'"),
-        (SOLID + "*ELEMENT, TYPE=S4\n8, 10,20,30,40\n9, 10,20,30,40\n*ELEMENT,TYPE=B31\n11,10,20\n",
-         "2 of the type 'S4', 1 of the type 'B31'"),
+        (
+            SOLID + "*ELEMENT, TYPE=S4\n8, 10,20,30,40\n9, 10,20,30,40\n*ELEMENT,TYPE=B31\n11,10,20\n",
+            "2 of the type 'S4', 1 of the type 'B31'",
+        ),
         (SOLID + "*FANCY THING\n1.\n", "FANCY THING.*not known"),
         (SOLID + "*NSET, NSET=A\n10, 11\n", "'A' names the node 11, which is not defined"),
         (SOLID + "*ELSET, ELSET=A\n8\n", "'A' names the element 8"),
@@ -276,7 +286,7 @@ MATERIAL = "*SOLID SECTION, ELSET=Cube, MATERIAL=M\n*MATERIAL, NAME=M\n*DENSITY\
         (SOLID + "\0", "binary"),
         (SOLID + "*NSET, NSET=A\n10, 2", "ends within the line '10, 2'"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_carried_is_refused_by_name(deck, text, words):
     with pytest.raises(InputError, match=words):
         deck(text)
@@ -339,7 +349,7 @@ def test_damaged_decks_end_in_one_message(tmp_path):
     path = tmp_path / "deck.inp"
     sources = [FULL, PARTS.format(mesh=abaqus_mesh(box("tet4", (1, 1, 1), (1, 1, 1))))]
     refused = 0
-    for data in damaged(sources, 400, 5, b"0123456789,.*-=\n\r\t AzE\"\xff\x00"):
+    for data in damaged(sources, 400, 5, b'0123456789,.*-=\n\r\t AzE"\xff\x00'):
         path.write_bytes(data)
         try:
             import_abaqus(path)

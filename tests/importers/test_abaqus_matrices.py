@@ -189,8 +189,10 @@ def bar(tmp_path_factory):
     faces = [make_interface(model, name=n, nodes=where(model, 0, x)) for n, x in (("left", 0.0), ("right", 0.5))]
     with Problem(model, faces) as problem:
         part = make_part(problem)
-        bodies = [elastic_body(problem, reduced_model, part) for reduced_model in
-                (CraigBampton(modes=4).reduce(problem, "cb"), Modal(modes=20).reduce(problem, "modal"))]  # fmt: skip
+        bodies = [
+            elastic_body(problem, reduced_model, part)
+            for reduced_model in (CraigBampton(modes=4).reduce(problem, "cb"), Modal(modes=20).reduce(problem, "modal"))
+        ]
     return write_body(tmp_path_factory.mktemp("abaqus") / "bar.h5", bodies)
 
 
@@ -226,9 +228,10 @@ def test_reduced_body_in_matrix_market_files(bar, tmp_path):
 
 def test_what_does_not_fit_is_not_written(tmp_path):
     for matrix, node, dof, message in (
-        (np.ones((2, 3)), None, None, "expected a square one"), (np.eye(2), None, None, "as many node labels"),
+        (np.ones((2, 3)), None, None, "expected a square one"),
+        (np.eye(2), None, None, "as many node labels"),
         (np.eye(2), np.array([1, 1]), np.array([1, 1]), "repeat"),
         (np.diag([1, np.inf]), np.array([1, 2]), np.array([1, 1]), "9.9e99"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(InputError, match=message):
             write_abaqus_matrix(tmp_path / "a.mtx", matrix, node, dof)

@@ -174,12 +174,17 @@ def test_full_file_with_lumped_mass_or_without_mass(model, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({0: 4}, "frontal"), ({13: 1}, "unsymmetric"), ({62: 1}, "distributed"), ({4: 1}, "buckling"),
-        ({20: 6}, "6 constraint equations"), ({1: 10**9}, "header says 1000000000 equations"),
-        ({8: 2**31 - 1}, "header says 2147483647 entries"), ({8: 5}, "where its header says 5"),
+        ({0: 4}, "frontal"),
+        ({13: 1}, "unsymmetric"),
+        ({62: 1}, "distributed"),
+        ({4: 1}, "buckling"),
+        ({20: 6}, "6 constraint equations"),
+        ({1: 10**9}, "header says 1000000000 equations"),
+        ({8: 2**31 - 1}, "header says 2147483647 entries"),
+        ({8: 5}, "where its header says 5"),
         ({18: 7}, "cut off or"),
     ],
-)  # fmt: skip
+)
 def test_full_files_that_are_refused(model, tmp_path, changes, message):
     matrices, labels = shuffled(model)
     n = len(labels)
@@ -258,8 +263,10 @@ def boeing(path, matrix, per_line=1, symmetric=True):
         return ["".join(format(v, text).rjust(width) for v in row).replace("E", "D") + "\n" for row in rows]
 
     sections = [
-        lines(part.indptr + 1, 14, "d", 1), lines(part.indices + 1, 14, "d", 1), lines(part.data, 23, ".16E", per_line)
-    ]  # fmt: skip
+        lines(part.indptr + 1, 14, "d", 1),
+        lines(part.indices + 1, 14, "d", 1),
+        lines(part.data, 23, ".16E", per_line),
+    ]
     counts = [len(section) for section in sections]
     head = "Stiffness matrix".ljust(72) + "KEY\n" + "".join(f"{c:14d}" for c in (sum(counts), *counts, 0)) + "\n"
     head += f"{'RSA' if symmetric else 'RUA'}{'':11}{matrix.shape[0]:14d}{matrix.shape[1]:14d}{part.nnz:14d}{0:14d}\n"
@@ -319,11 +326,14 @@ def test_solver_order_by_nod2solv(model, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("symmetric", "hermitian", "hermitian, which is not read"), ("coordinate", "pattern", "starts with"),
-        ("real", "complex", "complex symmetric"), ("\n36 36 ", "\n99999999 99999999 ", "99999999 rows but only"),
-        ("\n2 1 ", "\n1 2 ", "entries in both triangles"), ("\n3 1 ", "\n37 1 ", "row or column 37; expected 1 to 36"),
+        ("symmetric", "hermitian", "hermitian, which is not read"),
+        ("coordinate", "pattern", "starts with"),
+        ("real", "complex", "complex symmetric"),
+        ("\n36 36 ", "\n99999999 99999999 ", "99999999 rows but only"),
+        ("\n2 1 ", "\n1 2 ", "entries in both triangles"),
+        ("\n3 1 ", "\n37 1 ", "row or column 37; expected 1 to 36"),
     ],
-)  # fmt: skip
+)
 def test_damaged_market_files(tmp_path, old, new, message):
     path = market(tmp_path / "K.mtx", steel(box("hex8", (2, 1, 1), (2.0, 1.0, 1.0))).K)
     assert old in path.read_text()
@@ -333,8 +343,6 @@ def test_damaged_market_files(tmp_path, old, new, message):
 
 
 # ---- archives
-
-
 
 
 def write(tmp_path, text):
@@ -349,9 +357,10 @@ def hex_deck(**options):
 
 @pytest.mark.parametrize("plain", [False, True])
 @pytest.mark.parametrize("form", ARCHIVE_FORMS)
-@pytest.mark.parametrize(("kind", "tets"), [
-    ("hex8", 0), ("hex20", 0), ("wedge6", 0), ("wedge15", 0), ("tet4", 0), ("tet10", 187), ("tet10", 95),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("kind", "tets"),
+    [("hex8", 0), ("hex20", 0), ("wedge6", 0), ("wedge15", 0), ("tet4", 0), ("tet10", 187), ("tet10", 95)],
+)
 def test_every_solid_and_its_degenerate_forms(tmp_path, kind, tets, form, plain):
     """K of the archive is K of the mesh that it was written from."""
     mesh = box(kind, (2, 1, 1), (0.2, 0.1, 0.1), lambda x: x - [0.1, 0.3, 0.2])
@@ -405,9 +414,12 @@ def components(*given):
 
 def test_components_with_ranges_and_what_is_left_out(tmp_path):
     blocks = components(
-        ("ENDS", "NODE", [101, 103, -106, 108]), ("MANY", "NODE", [*range(101, 111), 112]), ("BOTH", "ELEM", [1, -2]),
-        ("LAST", "ELEMENT", [2]), ("FACES", "AREA", [1]),
-    )  # fmt: skip
+        ("ENDS", "NODE", [101, 103, -106, 108]),
+        ("MANY", "NODE", [*range(101, 111), 112]),
+        ("BOTH", "ELEM", [1, -2]),
+        ("LAST", "ELEMENT", [2]),
+        ("FACES", "AREA", [1]),
+    )
     after = blocks + "D,101,UX,0.0\nD,101,UY,0.0\nF,102,FX,1.0,0.0\n/UNITS,MPA\nCM,PICKED,NODE\n"
     imported = import_ansys_cdb(write(tmp_path, hex_deck(after=after)))
     sets = {name: imported.nodes.ids[rows].tolist() for name, rows in imported.nodes.sets.items()}
@@ -455,11 +467,12 @@ def test_two_materials_own_their_elements(tmp_path):
 
 
 REALS = {
-    "RLBLOCK,1,7,6,7\n(2i8,6g16.9)\n(7g16.9)\n" + f"{7:8d}{6:8d}"
+    "RLBLOCK,1,7,6,7\n(2i8,6g16.9)\n(7g16.9)\n"
+    + f"{7:8d}{6:8d}"
     + "".join(f"{v:16.9g}" for v in (2, 2, 2, 3, 4, 5)): 5,
     "R,7,2.0,2.0,2.0,3.0,4.0,5.0": 5,
     "R,7,2.0,2.0,2.0\n": 0,
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("text", "izz"), REALS.items())
@@ -493,16 +506,21 @@ TWISTED = [(7, 1, 1, 1, [101, 102, 103, 104, 105, 105, 106, 107])]
         ({"extra": [(7, 3, 1, 1, [101])]}, "type 3, which no ET defines"),
         ({"before": "ET,3,174\n", "extra": [(7, 3, 1, 1, [101] * 4)]}, "1 elements CONTA174 .* --contact skip"),
         ({"before": "ET,3,188\n", "extra": [(7, 3, 1, 1, [101, 102])]}, "BEAM188"),
-        ({"before": "ET,3,181\n", "extra": [(7, 3, 1, 1, [101, 102, 103, 104])]},
-         r"1 elements SHELL181 .first: 7.*Let ANSYS write K and M .*--skip SHELL181"),
+        (
+            {"before": "ET,3,181\n", "extra": [(7, 3, 1, 1, [101, 102, 103, 104])]},
+            r"1 elements SHELL181 .first: 7.*Let ANSYS write K and M .*--skip SHELL181",
+        ),
         ({"after": "EBLOCK,10,COMPACT\n(10i9)\n-1\n"}, "compact form"),
         ({"after": "CP,1,TEMP,101,102\n"}, "CP gives no direction of some nodes"),
         ({"after": "CE,1,0,101,TEMP,1.0\n"}, "CE is on the motion 'TEMP'"),
         ({"after": "CE,1,0,101,UX,0.0,102,UX,1.0\n"}, "first coefficient of .* CE is zero"),
-        ({"after": "CERIG,101,102\n"}, "rigid regions .CERIG."), ({"after": "RBE3,101,ALL,102\n"}, "RBE3"),
-        ({"after": "CDREAD,DB,other,cdb\n"}, "another archive"), ({"after": "N,7,1.0,2.0\n"}, "UNBLOCKED"),
+        ({"after": "CERIG,101,102\n"}, "rigid regions .CERIG."),
+        ({"after": "RBE3,101,ALL,102\n"}, "RBE3"),
+        ({"after": "CDREAD,DB,other,cdb\n"}, "another archive"),
+        ({"after": "N,7,1.0,2.0\n"}, "UNBLOCKED"),
         ({"after": "MP,EX,1,modulus\n"}, "not a program with parameters"),
-        ({"after": "MP,EX,1,nan\n"}, "cannot be read"), ({"after": "CERIG,101,102\nTB,ANEL,1\n"}, "TB,ANEL"),
+        ({"after": "MP,EX,1,nan\n"}, "cannot be read"),
+        ({"after": "CERIG,101,102\nTB,ANEL,1\n"}, "TB,ANEL"),
         ({"after": "MP,EX,1,2e11\nMP,NUXY,1,0.6\nMP,DENS,1,7850\n"}, "poisson = 0.6"),
         ({"after": components(("C", "NODE", [101, 999]))}, r"C names 1 nodes that are not defined .first: 999"),
         ({"after": components(("C", "ELEM", [1, 999]))}, "component C names 1 elements that are not defined"),
@@ -510,7 +528,7 @@ TWISTED = [(7, 1, 1, 1, [101, 102, 103, 104, 105, 105, 106, 107])]
         ({"after": components(("C", "NODE", [105, -102]))}, "does not run from a label"),
         ({"after": components(("C", "NODE", [105, -99999999]))}, "C names 99999887 nodes .* .first: 113"),
     ],
-)  # fmt: skip
+)
 def test_archives_that_are_refused_by_name(tmp_path, options, message):
     with pytest.raises(InputError, match=message):
         import_ansys_cdb(write(tmp_path, hex_deck(**options)))
@@ -520,14 +538,15 @@ def test_damaged_archives(tmp_path):
     text = hex_deck()
     for old, new, message in (
         ("N,R5.3", "      101        0        0\nN,R5.3", "holds 13 nodes where it announces 12"),
-        ("(3i9,6e21.13e3)", "(3z9)", "has the format"), ("      102 ", "      101 ", "the node 101 twice"),
+        ("(3i9,6e21.13e3)", "(3z9)", "has the format"),
+        ("      102 ", "      101 ", "the node 101 twice"),
         ("1.0000000000000E+000", "1.0000000000000E+00x", "not as its format says"),
         ("1.0000000000000E+000", "                 nan", "not finite"),
         ("(19i10)", "(2i10)", "longer than its format|2 columns"),
         ("        -1\nEN", "EN", "ends within EBLOCK"),
         ("SOLID,2,2", "SOLID,2,3", "EBLOCK holds 2 elements where it announces 3"),
         ("FINISH", "\0", "not a text of lines"),
-    ):  # fmt: skip
+    ):
         assert old in text
         with pytest.raises(InputError, match=message):
             import_ansys_cdb(write(tmp_path, text.replace(old, new, 1)))
@@ -673,9 +692,12 @@ def test_damaged_files_raise_nothing_but_input_errors(model, tmp_path):
         "market": (M, read_ansys_matrix, {}),
         "boeing": (boeing(tmp_path / "K.hb", small["K"], 3), read_ansys_matrix, {}),
         "archive": (write(tmp_path, hex_deck(after=after)), import_ansys_cdb, {}),
-        "mass": (boeing(tmp_path / "M.hb", matrices["M"]), lambda p, **o: import_ansys_matrices(p, mass=p, **o),
-                 {"mapping": mapping, "nodes": nodes}),
-    }  # fmt: skip
+        "mass": (
+            boeing(tmp_path / "M.hb", matrices["M"]),
+            lambda p, **o: import_ansys_matrices(p, mass=p, **o),
+            {"mapping": mapping, "nodes": nodes},
+        ),
+    }
     rng = random.Random(7)
     refused = 0
     for name, (source, reader, options) in sources.items():

@@ -21,9 +21,7 @@ from tests.support.meshes import box
 CCX = next((path for name in ("ccx", "ccx_2.20") if (path := shutil.which(name))), None)
 pytestmark = pytest.mark.skipif(CCX is None, reason="ccx is not installed (Debian package calculix-ccx)")
 NAMES = {"tet4": "C3D4", "tet10": "C3D10", "hex8": "C3D8", "hex20": "C3D20", "wedge6": "C3D6", "wedge15": "C3D15"}
-MATERIAL = (
-    "*MATERIAL, NAME=STEEL\n*ELASTIC\n2.1e11, 0.3\n*DENSITY\n7850.\n*SOLID SECTION, ELSET=BODY, MATERIAL=STEEL\n"
-)
+MATERIAL = "*MATERIAL, NAME=STEEL\n*ELASTIC\n2.1e11, 0.3\n*DENSITY\n7850.\n*SOLID SECTION, ELSET=BODY, MATERIAL=STEEL\n"
 STEP = "*STEP\n*FREQUENCY, SOLVER=MATRIXSTORAGE\n1\n*END STEP\n"
 
 
@@ -42,9 +40,14 @@ def torn(x: np.ndarray) -> np.ndarray:
 
 
 def write_deck(
-    path: Path, kind: str, n: Sequence[int] = (3, 2, 2), material: str = MATERIAL, *, code: str = "",
+    path: Path,
+    kind: str,
+    n: Sequence[int] = (3, 2, 2),
+    material: str = MATERIAL,
+    *,
+    code: str = "",
     warp: Callable[[np.ndarray], np.ndarray] = bent,
-) -> Path:  # fmt: skip
+) -> Path:
     """A bar of one element type (``code`` in CalculiX) with labels in no order and with gaps."""
     mesh = box(kind, n, (0.3, 0.1, 0.08), warp)
     label = 7 + 3 * np.random.default_rng(4).permutation(len(mesh.nodes))

@@ -25,7 +25,7 @@ COUPLINGS = {
     "*DISTRIBUTING\n1, 6\n",
     "DISTRIBUTING COUPLING": "*ELEMENT, TYPE=DCOUP3D, ELSET=C\n999, {0}\n*DISTRIBUTING COUPLING, ELSET=C\n"
     + "".join(f"{node}, 1.\n" for node in END),
-}  # fmt: skip
+}
 # A corner of the other end moves along x as the reference does.
 EQUATION = "*EQUATION\n2\n1, 1, 1., {0}, 1, -1.\n"
 
@@ -91,9 +91,11 @@ def test_both_roads_say_whether_a_bolt_is_cut(frequencies, ccx_frequencies):
 def test_programs_differ_in_what_moves_the_reference_of_a_coupling(frequencies, ccx_frequencies):
     """The premise: ccx and the meaning of Abaqus are other bodies, but where the reference is amid its nodes."""
     for kind, reference, same in (
-        ("COUPLING", 90, False), ("COUPLING", 91, False), ("DISTRIBUTING COUPLING", 90, False),
+        ("COUPLING", 90, False),
+        ("COUPLING", 91, False),
+        ("DISTRIBUTING COUPLING", 90, False),
         ("DISTRIBUTING COUPLING", 91, True),
-    ):  # fmt: skip
+    ):
         deck = BAR + COUPLINGS[kind].format(reference) + EQUATION.format(reference)
         own, _ = frequencies(deck, dialect="abaqus")
         assert (np.abs(own / ccx_frequencies(deck) - 1).max() < 1e-6) == same
@@ -115,10 +117,12 @@ def test_an_equation_on_a_reference_is_refused_where_its_meaning_is_not_told(kin
 @pytest.mark.parametrize(
     ("lines", "keyword"),
     [
-        (EQUATION.format(90), "EQUATION"), ("*MPC\nPIN, 1, 90\n", "MPC"),
-        ("*BOUNDARY\n90, 1, 3\n", "BOUNDARY"), ("*STEP\n*STATIC\n*BOUNDARY\n90, 1\n*END STEP\n", "BOUNDARY"),
+        (EQUATION.format(90), "EQUATION"),
+        ("*MPC\nPIN, 1, 90\n", "MPC"),
+        ("*BOUNDARY\n90, 1, 3\n", "BOUNDARY"),
+        ("*STEP\n*STATIC\n*BOUNDARY\n90, 1\n*END STEP\n", "BOUNDARY"),
     ],
-)  # fmt: skip
+)
 def test_the_engine_refuses_what_acts_on_a_reference(kind, lines, keyword, frequencies):
     """Its matrices do not hold the coupling, so the equation or support would be lost."""
     with pytest.raises(InputError, match=rf"\*{keyword} names node 90, the reference of the distributing coupling"):

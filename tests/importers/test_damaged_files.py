@@ -147,7 +147,8 @@ def test_damaged_exudyn_files(tmp_path: Path, model: FEModel, name: str, value: 
 @pytest.mark.parametrize(
     ("name", "change", "words"),
     [
-        ("matrices/K/data", hollow, "announces"), ("nodes/coordinates", hollow, "announces"),
+        ("matrices/K/data", hollow, "announces"),
+        ("nodes/coordinates", hollow, "announces"),
         ("node_sets/offsets", put(np.array([0, 9])), "do not fit their names"),
         ("dofs/node", put(np.array([0.5] * 36)), "expected integers"),
         ("matrices/M/data", put(np.array([1 + 1j] * 9)), "M/data holds values of type complex128"),
@@ -159,7 +160,7 @@ def test_damaged_exudyn_files(tmp_path: Path, model: FEModel, name: str, value: 
         ("nodes/coordinates", put(np.ones((12, 2))), "/nodes/coordinates has the shape (12, 2)"),
         ("materials/density", put(np.ones((3, 1))), "/materials/density has the shape (3, 1)"),
     ],
-)  # fmt: skip
+)
 def test_damaged_model_files(
     tmp_path: Path, model: FEModel, name: str, change: Callable[[h5py.File, str], None], words: str
 ) -> None:
@@ -176,9 +177,12 @@ def test_damaged_npz(tmp_path: Path, model: FEModel, part: str) -> None:
     sp.save_npz(path, sp.csc_array(model.K))
     held = dict(np.load(path))
     damaged: dict[str, Any] = {
-        "indices": held["indices"] + 10**6, "indptr": held["indptr"][::-1], "data": held["data"][:-3],
-        "shape": np.array([3, -1]), "format": np.array(b"xyz"),
-    }  # fmt: skip
+        "indices": held["indices"] + 10**6,
+        "indptr": held["indptr"][::-1],
+        "data": held["data"][:-3],
+        "shape": np.array([3, -1]),
+        "format": np.array(b"xyz"),
+    }
     np.savez(path, **{**held, part: damaged[part]})
     assert "k.npz" in refused(path)
 
@@ -215,10 +219,13 @@ def element(kind: int, body: bytes) -> bytes:
 def mat_v5(path: Path, rows: list[int], values_kind: int = 9, packed: bool = False) -> Path:
     """A file with a sparse K of 2 x 2 with the given rows of its two entries."""
     parts = [
-        element(6, struct.pack("<II", 5, 2)), element(5, struct.pack("<ii", 2, 2)), element(1, b"K"),
-        element(5, struct.pack("<ii", *rows)), element(5, struct.pack("<iii", 0, 1, 2)),
+        element(6, struct.pack("<II", 5, 2)),
+        element(5, struct.pack("<ii", 2, 2)),
+        element(1, b"K"),
+        element(5, struct.pack("<ii", *rows)),
+        element(5, struct.pack("<iii", 0, 1, 2)),
         element(values_kind, struct.pack("<dd", 3.0, 4.0)),
-    ]  # fmt: skip
+    ]
     body = element(14, b"".join(parts))
     if packed:
         packed_body = zlib.compress(body)
@@ -272,10 +279,12 @@ def flat(points: np.ndarray, cells: np.ndarray) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (missing, "on a point that is not there"), (far(1e80), "is damaged, or the units are wrong"),
-        (far(np.nan), "not finite"), (flat, "degenerate"),
+        (missing, "on a point that is not there"),
+        (far(1e80), "is damaged, or the units are wrong"),
+        (far(np.nan), "not finite"),
+        (flat, "degenerate"),
     ],
-)  # fmt: skip
+)
 @pytest.mark.filterwarnings("error")
 def test_damaged_meshes(tmp_path: Path, change: Callable[[np.ndarray, np.ndarray], None], words: str) -> None:
     assert words in refused(vtk(tmp_path / "a.vtu", change), "--material", STEEL)

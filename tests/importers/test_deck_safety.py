@@ -136,22 +136,29 @@ def test_byte_order_marks_are_read(tmp_path: Path, ending: str) -> None:
         import_file(path)
 
 
-@pytest.mark.parametrize(("text", "words"), [
-    ("*HEADING\na title\n*INCLUDE, INPUT=nodes.txt\n", "HEADING, which takes none"),
-    ("*HEADING\na title\nINCLUDE, INPUT=nodes.txt\n", "without a star"),
-    ("*BOUNDARY\n include , input=nodes.txt\n", "without a star"),
-    ("*PART, NAME=A\n*INCLUDE, INPUT=nodes.txt\n*END PART\n", "PART is followed by data lines"),
-    ("*PART, NAME=A\n1, 0., 0., 0.\n*END PART\n", "PART is followed by data lines"),
-    ("*MATERIAL, NAME=A\n2.1e5, 0.3\n", "MATERIAL is followed by data lines"),
-    ("*SOLID SECTION, ELSET=EVERY, MATERIAL=STEEL\n1.,\n*INCLUDE, INPUT=nodes.txt\n", "several data lines"),
-    ("*ORIENTATION, NAME=O\n1.,0.,0.,0.,1.,0.\n*ORIENTATION, NAME=O\n0.,1.,0.,1.,0.,0.\n", "given twice"),
-    ("*SOLID SECTION, ELSET=EVERY, MATERIAL=TWO\n*MATERIAL, NAME=TWO\n*ELASTIC\n1e5, .3\n*ELASTIC\n2e5, .3\n",
-     "ELASTIC is given twice"),
-    ("*SOLID SECTION, ELSET=EVERY, MATERIAL=TWO\n*MATERIAL, NAME=TWO\n*DENSITY\n1e-9\n*DENSITY\n1e-9\n",
-     "DENSITY is given twice"),
-    ("*MASS, ELSET=FIRST\n1.\n", "MASS of 'FIRST' names an element that is a solid"),
-    ("*ELEMENT, TYPE=MASS, ELSET=P\n900, 1\n*MASS, ELSET=P\n1.\n*MASS, ELSET=P\n2.\n", "has a property already"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("*HEADING\na title\n*INCLUDE, INPUT=nodes.txt\n", "HEADING, which takes none"),
+        ("*HEADING\na title\nINCLUDE, INPUT=nodes.txt\n", "without a star"),
+        ("*BOUNDARY\n include , input=nodes.txt\n", "without a star"),
+        ("*PART, NAME=A\n*INCLUDE, INPUT=nodes.txt\n*END PART\n", "PART is followed by data lines"),
+        ("*PART, NAME=A\n1, 0., 0., 0.\n*END PART\n", "PART is followed by data lines"),
+        ("*MATERIAL, NAME=A\n2.1e5, 0.3\n", "MATERIAL is followed by data lines"),
+        ("*SOLID SECTION, ELSET=EVERY, MATERIAL=STEEL\n1.,\n*INCLUDE, INPUT=nodes.txt\n", "several data lines"),
+        ("*ORIENTATION, NAME=O\n1.,0.,0.,0.,1.,0.\n*ORIENTATION, NAME=O\n0.,1.,0.,1.,0.,0.\n", "given twice"),
+        (
+            "*SOLID SECTION, ELSET=EVERY, MATERIAL=TWO\n*MATERIAL, NAME=TWO\n*ELASTIC\n1e5, .3\n*ELASTIC\n2e5, .3\n",
+            "ELASTIC is given twice",
+        ),
+        (
+            "*SOLID SECTION, ELSET=EVERY, MATERIAL=TWO\n*MATERIAL, NAME=TWO\n*DENSITY\n1e-9\n*DENSITY\n1e-9\n",
+            "DENSITY is given twice",
+        ),
+        ("*MASS, ELSET=FIRST\n1.\n", "MASS of 'FIRST' names an element that is a solid"),
+        ("*ELEMENT, TYPE=MASS, ELSET=P\n900, 1\n*MASS, ELSET=P\n1.\n*MASS, ELSET=P\n2.\n", "has a property already"),
+    ],
+)
 def test_data_that_no_keyword_takes_are_not_swallowed(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "nodes.txt").write_text("901, 0., 0., 0.\n902, 1., 0., 0.\n")
     path = tmp_path / "part.inp"
@@ -171,13 +178,16 @@ def ansys(text: str) -> str:
     return ansys_archive(box("hex8", (2, 1, 1), (0.3, 0.1, 0.08)), after=text)
 
 
-@pytest.mark.parametrize(("name", "whole", "less", "set"), [
-    ("a.inp", deck(BEAM) + MATERIAL, "*DENSITY\n7.85e-9\n", "EVERY"),
-    ("a.inp", deck(BEAM) + MATERIAL, "*ELASTIC\n210e3, 0.3\n", "EVERY"),
-    ("a.bdf", BULK, ",7850.", "PSOLID_1"),
-    ("a.bdf", BULK, "PSOLID,1,3\n", "PSOLID_1"),
-    ("a.cdb", ansys("MP,EX,1,2.1E11\nMP,DENS,1,7850.\n"), "MP,DENS,1,7850.\n", "material 1"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "whole", "less", "set"),
+    [
+        ("a.inp", deck(BEAM) + MATERIAL, "*DENSITY\n7.85e-9\n", "EVERY"),
+        ("a.inp", deck(BEAM) + MATERIAL, "*ELASTIC\n210e3, 0.3\n", "EVERY"),
+        ("a.bdf", BULK, ",7850.", "PSOLID_1"),
+        ("a.bdf", BULK, "PSOLID,1,3\n", "PSOLID_1"),
+        ("a.cdb", ansys("MP,EX,1,2.1E11\nMP,DENS,1,7850.\n"), "MP,DENS,1,7850.\n", "material 1"),
+    ],
+)
 def test_a_material_that_lacks_something_is_refused_or_replaced_with_a_warning(
     tmp_path: Path, name: str, whole: str, less: str, set: str
 ) -> None:
@@ -214,11 +224,19 @@ def by_meshio(path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("ending", "source"), [
-    (".msh", gmsh), (".msh", by_meshio), (".vtk", by_meshio), (".mesh", by_meshio), (".vtu", by_meshio),
-    (".inp", lambda path: deck(BEAM) + MATERIAL), (".bdf", lambda path: BULK + "ENDDATA\n"),
-    (".cdb", lambda path: ansys("MP,EX,1,2.1E11\nMP,DENS,1,7850.\n")),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("ending", "source"),
+    [
+        (".msh", gmsh),
+        (".msh", by_meshio),
+        (".vtk", by_meshio),
+        (".mesh", by_meshio),
+        (".vtu", by_meshio),
+        (".inp", lambda path: deck(BEAM) + MATERIAL),
+        (".bdf", lambda path: BULK + "ENDDATA\n"),
+        (".cdb", lambda path: ansys("MP,EX,1,2.1E11\nMP,DENS,1,7850.\n")),
+    ],
+)
 def test_files_cut_within_their_last_lines_are_noticed(
     tmp_path: Path, ending: str, source: Callable[[Path], Path | str]
 ) -> None:

@@ -24,8 +24,17 @@ from morembs.reducers import CraigBampton, Modal
 from tests.support.meshes import box, steel, where
 
 LABELS = np.array([[1, 1], [1, 2], [2, 1], [7, 0], [8, 0], [100, 6]])
-S = np.array([[4, -1, 0, 0, 2, 0], [-1, 5e8, 1, 0, 0, 0], [0, 1, 6, 0, 0, 3e-7], [0, 0, 0, 0, 0, 0],
-              [2, 0, 0, 0, 7, 0], [0, 0, 3e-7, 0, 0, 1]], dtype=float)  # fmt: skip
+S = np.array(
+    [
+        [4, -1, 0, 0, 2, 0],
+        [-1, 5e8, 1, 0, 0, 0],
+        [0, 1, 6, 0, 0, 3e-7],
+        [0, 0, 0, 0, 0, 0],
+        [2, 0, 0, 0, 7, 0],
+        [0, 0, 3e-7, 0, 0, 1],
+    ],
+    dtype=float,
+)
 FREE = "DMIG,K,{a},{b},,{c},{d},{v}"
 SMALL = "DMIG    K       {a:<8}{b:<8}        {c:<8}{d:<8}{v:<8}"
 LARGE = "DMIG*   K               {a:<16}{b:<16}\n*       {c:<16}{d:<16}{v:<16}"
@@ -58,8 +67,12 @@ def test_every_field_format_gives_the_same_matrix(tmp_path, style):
     path = tmp_path / "a.bdf"
     mixed = [(i, j, v) if (i + j) % 2 else (j, i, v) for i, j, v in entries(np.tril(S))]
     for given, form in (
-        (entries(np.tril(S)), 6), (entries(np.triu(S)), 6), (mixed, 6), (entries(S), 6), (entries(S), 1),
-    ):  # fmt: skip
+        (entries(np.tril(S)), 6),
+        (entries(np.triu(S)), 6),
+        (mixed, 6),
+        (entries(S), 6),
+        (entries(S), 1),
+    ):
         path.write_text("$ a comment\nSOL,103\n" + text(style, given, form) + "CBAR,1,1,2,3\n,4.,5.\n")
         back = read_dmig(path)["K"]
         assert np.array_equal(back.rows, LABELS[kept]) and back.form == form
@@ -159,10 +172,12 @@ def test_faults_have_one_message(tmp_path, content, message):
 def test_what_does_not_fit_is_not_written(tmp_path):
     good = {"matrix": sp.csr_array(np.eye(6)), "rows": LABELS, "columns": LABELS, "form": 6}
     for name, change, message in (
-        ("MY_K", {}, "does not fit DMIG"), ("K", {"rows": LABELS * 10**8, "columns": LABELS * 10**8}, "labels outside"),
-        ("K", {"matrix": sp.csr_array(1e120 * np.eye(6))}, "9.9e99"), ("K", {"rows": LABELS[:3]}, "labels"),
+        ("MY_K", {}, "does not fit DMIG"),
+        ("K", {"rows": LABELS * 10**8, "columns": LABELS * 10**8}, "labels outside"),
+        ("K", {"matrix": sp.csr_array(1e120 * np.eye(6))}, "9.9e99"),
+        ("K", {"rows": LABELS[:3]}, "labels"),
         ("K", {"matrix": sp.csr_array(np.triu(np.ones((6, 6))))}, "not symmetric"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(InputError, match=message):
             write_dmig(tmp_path / "a.bdf", {name: DmigMatrix(**(good | change))})
     assert not (tmp_path / "a.bdf").exists()

@@ -100,36 +100,81 @@ def test_ties_and_rigid_bodies_are_read_off_by_springs(run):
 
 
 @needs_ccx
-@pytest.mark.parametrize(("deck", "kg"), [
-    (BEAM.format(""), 314.0),
-    (BEAM.format(",OFFSET1=.5"), 314.0),
-    (f"{LINE}*ELEMENT,TYPE=B31,ELSET=E\n1,1,3\n2,3,5\n{STEEL}*BEAM SECTION,ELSET=E,MATERIAL=STEEL,SECTION=RECT\n"
-     ".1,.2\n0,0,1\n", 314.0),
-    ("*NODE\n1,0,0,0\n2,1,0,0\n3,0,1,0\n4,0,0,1\n*ELEMENT,TYPE=T3D2,ELSET=E\n1,1,2\n2,1,3\n3,1,4\n4,2,3\n5,3,4\n6,2,4\n"
-     f"{STEEL}*SOLID SECTION,ELSET=E,MATERIAL=STEEL\n.01\n", 7850 * 0.01 * (3 + 3 * 2**0.5)),
-    # Shells at a right angle have knots on the edge that they share.
-    ("*NODE\n1,0,0,0\n2,1,0,0\n3,1,1,0\n4,0,1,0\n5,1,0,1\n6,1,1,1\n*ELEMENT,TYPE=S4,ELSET=E\n1,1,2,3,4\n2,2,5,6,3\n"
-     f"{STEEL}*SHELL SECTION,ELSET=E,MATERIAL=STEEL\n.02\n", 2 * 0.02 * 7850),
-    # A mass on a distributing coupling, and springs to it.
-    (solids("C3D8R", (3, 1, 1), (3.0, 1.0, 1.0)) + "*NODE\n99,3.5,.5,.5\n*ELEMENT,TYPE=MASS,ELSET=P\n99,99\n"
-     "*MASS,ELSET=P\n70.\n*SURFACE,NAME=END\nBODY\n*COUPLING,REF NODE=99,SURFACE=END,CONSTRAINT NAME=C\n"
-     "*DISTRIBUTING\n1,6\n",
-     3 * 7850 + 70.0),
-    (solids("C3D20R", (2, 1, 1), (2.0, 1.0, 1.0)) + "*NODE\n99,3,.5,.5\n*SURFACE,NAME=S,TYPE=NODE\n2\n3\n5\n"
-     "*COUPLING,REF NODE=99,SURFACE=S,CONSTRAINT NAME=C\n*KINEMATIC\n1,3\n", 2 * 7850),
-    # Nodes 1 to 4 of the block are its end at x = 0.
-    (solids("C3D8", (3, 1, 1), (3.0, 1.0, 1.0)) + "*NODE\n99,-1,.5,.5\n*MPC\n" + "".join(
-        f"BEAM,{node},99\n" for node in (1, 2, 3, 4)), 3 * 7850),
-    (solids("C3D8", (3, 1, 1), (3.0, 1.0, 1.0)) + "*NODE\n99,0,0,0\n*ELEMENT,TYPE=MASS,ELSET=P\n99,99\n*MASS,ELSET=P\n"
-     "70.\n*MPC\nPIN,99,1\n", 3 * 7850 + 70.0),
-    (SHELL.replace("S4R", "M3D4R").replace("SHELL", "MEMBRANE"), 0.01 * 7850),
-    (SHELL + "*NODE\n99,.5,.5,2\n*SURFACE,NAME=S\nE,SPOS\n*COUPLING,REF NODE=99,SURFACE=S,CONSTRAINT NAME=C\n"
-     "*KINEMATIC\n", 0.01 * 7850),
-    (SHELL + "*NODE\n99,.5,.5,2\n*SURFACE,NAME=S,TYPE=NODE\n1\n2\n3\n4\n*COUPLING,REF NODE=99,SURFACE=S,"
-     "CONSTRAINT NAME=C\n*DISTRIBUTING\n1,6\n", 0.01 * 7850),
-    (TIED.replace("2,11,12,13,14,15,16,17,18", "2,15,16,17,18,11,12,13,14").replace("B,S1", "B,S2"), 1.25 * 7850),
-], ids=["B32", "B32 with knots", "B31", "trusses", "S4 with knots", "distributing", "kinematic", "MPC BEAM", "MPC PIN",
-        "membrane", "kinematic shell", "distributing shell", "left-handed"])  # fmt: skip
+@pytest.mark.parametrize(
+    ("deck", "kg"),
+    [
+        (BEAM.format(""), 314.0),
+        (BEAM.format(",OFFSET1=.5"), 314.0),
+        (
+            f"{LINE}*ELEMENT,TYPE=B31,ELSET=E\n1,1,3\n2,3,5\n{STEEL}*BEAM SECTION,ELSET=E,MATERIAL=STEEL,SECTION=RECT\n"
+            ".1,.2\n0,0,1\n",
+            314.0,
+        ),
+        (
+            "*NODE\n1,0,0,0\n2,1,0,0\n3,0,1,0\n4,0,0,1\n*ELEMENT,TYPE=T3D2,ELSET=E\n1,1,2\n2,1,3\n3,1,4\n4,2,3\n5,3,4\n6,2,4\n"
+            f"{STEEL}*SOLID SECTION,ELSET=E,MATERIAL=STEEL\n.01\n",
+            7850 * 0.01 * (3 + 3 * 2**0.5),
+        ),
+        # Shells at a right angle have knots on the edge that they share.
+        (
+            "*NODE\n1,0,0,0\n2,1,0,0\n3,1,1,0\n4,0,1,0\n5,1,0,1\n6,1,1,1\n*ELEMENT,TYPE=S4,ELSET=E\n1,1,2,3,4\n2,2,5,6,3\n"
+            f"{STEEL}*SHELL SECTION,ELSET=E,MATERIAL=STEEL\n.02\n",
+            2 * 0.02 * 7850,
+        ),
+        # A mass on a distributing coupling, and springs to it.
+        (
+            solids("C3D8R", (3, 1, 1), (3.0, 1.0, 1.0)) + "*NODE\n99,3.5,.5,.5\n*ELEMENT,TYPE=MASS,ELSET=P\n99,99\n"
+            "*MASS,ELSET=P\n70.\n*SURFACE,NAME=END\nBODY\n*COUPLING,REF NODE=99,SURFACE=END,CONSTRAINT NAME=C\n"
+            "*DISTRIBUTING\n1,6\n",
+            3 * 7850 + 70.0,
+        ),
+        (
+            solids("C3D20R", (2, 1, 1), (2.0, 1.0, 1.0)) + "*NODE\n99,3,.5,.5\n*SURFACE,NAME=S,TYPE=NODE\n2\n3\n5\n"
+            "*COUPLING,REF NODE=99,SURFACE=S,CONSTRAINT NAME=C\n*KINEMATIC\n1,3\n",
+            2 * 7850,
+        ),
+        # Nodes 1 to 4 of the block are its end at x = 0.
+        (
+            solids("C3D8", (3, 1, 1), (3.0, 1.0, 1.0))
+            + "*NODE\n99,-1,.5,.5\n*MPC\n"
+            + "".join(f"BEAM,{node},99\n" for node in (1, 2, 3, 4)),
+            3 * 7850,
+        ),
+        (
+            solids("C3D8", (3, 1, 1), (3.0, 1.0, 1.0))
+            + "*NODE\n99,0,0,0\n*ELEMENT,TYPE=MASS,ELSET=P\n99,99\n*MASS,ELSET=P\n"
+            "70.\n*MPC\nPIN,99,1\n",
+            3 * 7850 + 70.0,
+        ),
+        (SHELL.replace("S4R", "M3D4R").replace("SHELL", "MEMBRANE"), 0.01 * 7850),
+        (
+            SHELL + "*NODE\n99,.5,.5,2\n*SURFACE,NAME=S\nE,SPOS\n*COUPLING,REF NODE=99,SURFACE=S,CONSTRAINT NAME=C\n"
+            "*KINEMATIC\n",
+            0.01 * 7850,
+        ),
+        (
+            SHELL + "*NODE\n99,.5,.5,2\n*SURFACE,NAME=S,TYPE=NODE\n1\n2\n3\n4\n*COUPLING,REF NODE=99,SURFACE=S,"
+            "CONSTRAINT NAME=C\n*DISTRIBUTING\n1,6\n",
+            0.01 * 7850,
+        ),
+        (TIED.replace("2,11,12,13,14,15,16,17,18", "2,15,16,17,18,11,12,13,14").replace("B,S1", "B,S2"), 1.25 * 7850),
+    ],
+    ids=[
+        "B32",
+        "B32 with knots",
+        "B31",
+        "trusses",
+        "S4 with knots",
+        "distributing",
+        "kinematic",
+        "MPC BEAM",
+        "MPC PIN",
+        "membrane",
+        "kinematic shell",
+        "distributing shell",
+        "left-handed",
+    ],
+)
 def test_kinds_of_decks_have_free_rigid_motion_and_their_mass(tmp_path, deck, kg):
     assert_free(imported(tmp_path, deck), kg)
 
@@ -167,18 +212,27 @@ def wavy_pair(kind: str, ties: int, tolerance: str) -> str:
     feet[:, 2] += height(feet) + rng.choice([0.0, 0.01], 40)
     tets = feet[:, None] + np.array([[0.0, 0, 0], [0.1, 0, 0.3], [0, 0.1, 0.3], [0, 0, 0.4]])
     first, count, rows = len(xyz) + 1, len(mesh.blocks[0].nodes), mesh.blocks[0].nodes
-    top = [f"{i + 1}, S{side + 1}" for i, nodes in enumerate(rows) for side, corners in enumerate(FACES[kind[0]])
-           if flat[nodes[list(corners)]].all()]  # fmt: skip
+    top = [
+        f"{i + 1}, S{side + 1}"
+        for i, nodes in enumerate(rows)
+        for side, corners in enumerate(FACES[kind[0]])
+        if flat[nodes[list(corners)]].all()
+    ]
     sets = "".join(
-        f"*NSET, NSET=N{k}\n" + "".join(f"{first + 4 * i}\n" for i in range(k, 40, ties))
-        + f"*SURFACE, NAME=S{k}, TYPE=NODE\nN{k}\n*TIE, NAME=T{k}{tolerance}\nS{k}, TOP\n" for k in range(ties)
-    )  # fmt: skip
+        f"*NSET, NSET=N{k}\n"
+        + "".join(f"{first + 4 * i}\n" for i in range(k, 40, ties))
+        + f"*SURFACE, NAME=S{k}, TYPE=NODE\nN{k}\n*TIE, NAME=T{k}{tolerance}\nS{k}, TOP\n"
+        for k in range(ties)
+    )
     return (
-        calculix.nodes_text(np.concatenate([xyz, tets.reshape(-1, 3)])) + calculix.elements_text(CODES[kind], rows, "A")
+        calculix.nodes_text(np.concatenate([xyz, tets.reshape(-1, 3)]))
+        + calculix.elements_text(CODES[kind], rows, "A")
         + calculix.elements_text("C3D4", np.arange(160).reshape(40, 4), "B", first=first, label=count + 1)
-        + "*SURFACE, NAME=TOP\n" + "\n".join(top) + f"\n{sets}{STEEL}*SOLID SECTION, ELSET=A, MATERIAL=STEEL\n"
+        + "*SURFACE, NAME=TOP\n"
+        + "\n".join(top)
+        + f"\n{sets}{STEEL}*SOLID SECTION, ELSET=A, MATERIAL=STEEL\n"
         "*SOLID SECTION, ELSET=B, MATERIAL=STEEL\n"
-    )  # fmt: skip
+    )
 
 
 CODES = {"hex8": "C3D8", "hex20": "C3D20", "tet4": "C3D4", "tet10": "C3D10", "wedge6": "C3D6", "wedge15": "C3D15"}
@@ -286,21 +340,29 @@ WRITES = (
 ONE = {".dof": "1.1\n1.2\n1.3\n", ".sti": "1 1 1.\n2 2 1.\n3 3 1.\n", ".mas": "1 1 1.\n2 2 1.\n3 3 1.\n"}
 
 
-@pytest.mark.parametrize(("body", "message"), [
-    ("time.sleep(60)", r"ccx did not finish in 0.5 s \(17 nodes\); --engine-timeout, or own assembly"),
-    ("print(' *ERROR reading *ELEMENT: element 2\\n   has no volume')",
-     r"ccx: \*ERROR .* element 2 \(label 2 of the deck\)"),
-    ("print('segmentation')", "ended without a word that it finished"),
-    ("print('Job finished')", "wrote no matrices"),
-    (WRITES.format(files={**ONE, ".mas": ""}, said="Job finished"), r"finished without writing model\.mas"),
-    (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 NaN\n3 3 1.\n"}, said="Job finished"),
-     r"a stiffness that is not a number in row 1\.2"),
-    (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 1.\n3 3 1"}, said="Job finished"), "ends within"),
-    (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 1.\n"}, said="Job finished"), "no diagonal entry for row 3"),
-    (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 9 1.\n3 3 1.\n"}, said="Job finished"), "row or column 9"),
-    (WRITES.format(files={**ONE, ".dof": "\x00\x01"}, said="Job finished"), "not a text of lines"),
-    (WRITES.format(files=ONE, said="Job finished"), "springs to them change the rest"),
-], ids=["hangs", "error", "crash", "none", "lost", "nan", "half", "short", "size", "garbage", "other"])  # fmt: skip
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("time.sleep(60)", r"ccx did not finish in 0.5 s \(17 nodes\); --engine-timeout, or own assembly"),
+        (
+            "print(' *ERROR reading *ELEMENT: element 2\\n   has no volume')",
+            r"ccx: \*ERROR .* element 2 \(label 2 of the deck\)",
+        ),
+        ("print('segmentation')", "ended without a word that it finished"),
+        ("print('Job finished')", "wrote no matrices"),
+        (WRITES.format(files={**ONE, ".mas": ""}, said="Job finished"), r"finished without writing model\.mas"),
+        (
+            WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 NaN\n3 3 1.\n"}, said="Job finished"),
+            r"a stiffness that is not a number in row 1\.2",
+        ),
+        (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 1.\n3 3 1"}, said="Job finished"), "ends within"),
+        (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 1.\n"}, said="Job finished"), "no diagonal entry for row 3"),
+        (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 9 1.\n3 3 1.\n"}, said="Job finished"), "row or column 9"),
+        (WRITES.format(files={**ONE, ".dof": "\x00\x01"}, said="Job finished"), "not a text of lines"),
+        (WRITES.format(files=ONE, said="Job finished"), "springs to them change the rest"),
+    ],
+    ids=["hangs", "error", "crash", "none", "lost", "nan", "half", "short", "size", "garbage", "other"],
+)
 def test_what_an_engine_may_do_wrong_is_one_message(tmp_path, body, message):
     with pytest.raises(InputError, match=message):
         imported(tmp_path, TIED, executable=program(tmp_path, body), timeout=0.5 if "sleep" in body else 30.0)
@@ -318,15 +380,18 @@ def test_hard_limits_of_a_queue_are_kept(tmp_path):
     assert done.stdout.split()[0] == str(8 << 20) and done.stdout.split()[2] == "0"
 
 
-@pytest.mark.parametrize(("line", "message"), [
-    (["--engine", "calculx"], "did you mean 'calculix'?"),
-    (["--engine", "calculix:/nowhere/ccx"], "no file that can be run"),
-    (["--engine", "calculix", "--preload", "1"], "supports carry the load"),
-    (["--engine", "calculix", "--boundary", "hold"], "known: drop, keep"),
-    (["--engine", "calculix", "--dialect", "abaqus"], "--dialect was given with --engine calculix"),
-    (["--boundary", "keep"], "--boundary was given without --engine"),
-    (["--engine", "calculix", "--format", "nastran"], "reads decks of Abaqus or CalculiX"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (["--engine", "calculx"], "did you mean 'calculix'?"),
+        (["--engine", "calculix:/nowhere/ccx"], "no file that can be run"),
+        (["--engine", "calculix", "--preload", "1"], "supports carry the load"),
+        (["--engine", "calculix", "--boundary", "hold"], "known: drop, keep"),
+        (["--engine", "calculix", "--dialect", "abaqus"], "--dialect was given with --engine calculix"),
+        (["--boundary", "keep"], "--boundary was given without --engine"),
+        (["--engine", "calculix", "--format", "nastran"], "reads decks of Abaqus or CalculiX"),
+    ],
+)
 def test_options_of_engines_that_cannot_be_are_refused(tmp_path, line, message):
     (tmp_path / "deck.inp").write_text(TIED)
     out = ["-o", str(tmp_path / "a.model.h5")]
@@ -347,15 +412,21 @@ def test_a_missing_program_is_told_with_its_cure(tmp_path, monkeypatch):
     assert told.startswith("--engine calculix:") and "not found" not in told
 
 
-@pytest.mark.parametrize(("lines", "message"), [
-    ("*ELEMENT,TYPE=CPS4,ELSET=Q\n9,1,2,3,4\n", "plane or axisymmetric"),
-    ("*ELEMENT,TYPE=U1,ELSET=Q\n9,1,2\n", "1 of the type 'U1'"),
-    ("*EMBEDDED ELEMENT\nA\n", "embedded elements are not supported"),
-    ("*MATERIAL,NAME=R\n*HYPERELASTIC\n1,0\n*SOLID SECTION,ELSET=B,MATERIAL=R\n", "HYPERELASTIC only"),
-    ("*CONTACT PAIR,INTERACTION=I\nSB,SA\n", "contact is not linear"),
-    ("*TIE,NAME=U\nSB,SX\n", "'SX', which is not defined"),
-    ("*TIE,NAME=C,CYCLIC SYMMETRY\nSB,SA\n*CYCLIC SYMMETRY MODEL,N=4\n0,0,0,0,0,1\n", "another body.*--skip .CYCLIC"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("*ELEMENT,TYPE=CPS4,ELSET=Q\n9,1,2,3,4\n", "plane or axisymmetric"),
+        ("*ELEMENT,TYPE=U1,ELSET=Q\n9,1,2\n", "1 of the type 'U1'"),
+        ("*EMBEDDED ELEMENT\nA\n", "embedded elements are not supported"),
+        ("*MATERIAL,NAME=R\n*HYPERELASTIC\n1,0\n*SOLID SECTION,ELSET=B,MATERIAL=R\n", "HYPERELASTIC only"),
+        ("*CONTACT PAIR,INTERACTION=I\nSB,SA\n", "contact is not linear"),
+        ("*TIE,NAME=U\nSB,SX\n", "'SX', which is not defined"),
+        (
+            "*TIE,NAME=C,CYCLIC SYMMETRY\nSB,SA\n*CYCLIC SYMMETRY MODEL,N=4\n0,0,0,0,0,1\n",
+            "another body.*--skip .CYCLIC",
+        ),
+    ],
+)
 def test_decks_that_are_no_linear_model_are_refused_before_a_run(tmp_path, lines, message):
     with pytest.raises(InputError, match=message):
         imported(tmp_path, TIED + lines, executable=calculix.replay(tmp_path, "tied"))

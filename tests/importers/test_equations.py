@@ -68,9 +68,10 @@ def test_a_node_outside_the_mesh_that_equations_join_carries_its_mass():
     given = bar()
     hub = len(given.mesh.nodes)
     right = np.flatnonzero(np.isclose(given.mesh.nodes.xyz[:, 0], 0.2))
-    joined = solved_for_first("*EQUATION", [
-        (f"equation of {row} in {c}", [(int(row), c, 1.0), (hub, c, -1.0)]) for row in right for c in range(3)
-    ])
+    joined = solved_for_first(
+        "*EQUATION",
+        [(f"equation of {row} in {c}", [(int(row), c, 1.0), (hub, c, -1.0)]) for row in right for c in range(3)],
+    )
     mass = PointMass(name="m", node=hub, mass=3.0)
     model = model_of(replace(given, equations=(joined,), masses=(mass,)))
     with Problem(model) as problem:

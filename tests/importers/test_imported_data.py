@@ -60,31 +60,43 @@ class Case:
 
 
 def block(kind: str, hz: str) -> Case:
-    matrices = [f"--{role}=@abaqus_block/block{kind}_{name}1.mtx" for role, name in
-                (("stiffness", "STIF"), ("mass", "MASS"))]  # fmt: skip
+    matrices = [
+        f"--{role}=@abaqus_block/block{kind}_{name}1.mtx" for role, name in (("stiffness", "STIF"), ("mass", "MASS"))
+    ]
     return Case(arguments=[*matrices, "--nodes", f"@abaqus_block/block{kind}.inp"], hz=hz, mass=11600.0)
 
 
 ROTOR = "@ansys_rotor/rotorAnsys"
 ANSYS_ROTOR = [
-    f"{ROTOR}StiffnessMatrixSparse.txt", "--format", "ansys-matrices",
-    "--set", f"mass={ROTOR}MassMatrixSparse.txt", "--set", f"mapping={ROTOR}MatrixDofMappingVector.txt",
-    "--set", f"nodes={ROTOR}NodalCoordinates.txt",
-]  # fmt: skip
+    f"{ROTOR}StiffnessMatrixSparse.txt",
+    "--format",
+    "ansys-matrices",
+    "--set",
+    f"mass={ROTOR}MassMatrixSparse.txt",
+    "--set",
+    f"mapping={ROTOR}MatrixDofMappingVector.txt",
+    "--set",
+    f"nodes={ROTOR}NodalCoordinates.txt",
+]
 CASES = {
-    "rotor of ANSYS": Case(
-        arguments=ANSYS_ROTOR, hz="104.637011 104.637011 187.824087 212.329701", sizes=(345, 115)
-    ),
+    "rotor of ANSYS": Case(arguments=ANSYS_ROTOR, hz="104.637011 104.637011 187.824087 212.329701", sizes=(345, 115)),
     "first mode of the rotor of ANSYS": Case(
         arguments=ANSYS_ROTOR, hz="104.63701055079783", rel=1e-12, sizes=(345, 115)
     ),
     # Its K is a hundred times too large, as the README says.
     "rotor of Abaqus": Case(
         arguments=[
-            "--stiffness", "@ansys_rotor/rotorDiscTestSTIF1.mtx", "--mass", "@ansys_rotor/rotorDiscTestMASS1.mtx",
-            "--nodes", "@ansys_rotor/rotorDiscTest.inp",
+            "--stiffness",
+            "@ansys_rotor/rotorDiscTestSTIF1.mtx",
+            "--mass",
+            "@ansys_rotor/rotorDiscTestMASS1.mtx",
+            "--nodes",
+            "@ansys_rotor/rotorDiscTest.inp",
         ],
-        hz="104.6370132606291", rel=1e-12, K_times=0.01, sizes=(345, 115),
+        hz="104.6370132606291",
+        rel=1e-12,
+        K_times=0.01,
+        sizes=(345, 115),
     ),
     "block C3D4 of Abaqus": block("C3D4", "489.296266 489.854771 697.543460"),
     "block C3D8 of Abaqus": block("C3D8", "438.775166 438.775166 555.888157 967.040273"),
@@ -98,7 +110,8 @@ CASES = {
     ),
     "block C3D10 of CalculiX": Case(
         arguments=["@abaqus_block/blockC3D10.inp", "--dialect", "calculix"],
-        hz="451.4782 452.1581 608.1007", mass=11600.0,
+        hz="451.4782 452.1581 608.1007",
+        mass=11600.0,
     ),
     # The same decks as Abaqus takes them.
     "deck C3D4 of Abaqus": Case(
@@ -106,22 +119,30 @@ CASES = {
     ),
     "deck C3D8 of Abaqus": Case(
         arguments=["@abaqus_block/blockC3D8.inp", "--dialect", "abaqus"],
-        hz="438.775166 438.775166 555.888157 967.040273", rel=1e-8, mass=11600.0,
+        hz="438.775166 438.775166 555.888157 967.040273",
+        rel=1e-8,
+        mass=11600.0,
     ),
     "deck C3D10 of Abaqus": Case(
         arguments=["@abaqus_block/blockC3D10.inp"], hz="451.333341 452.009851 607.870197 1026.459420", mass=11600.0
     ),
     "beam of ANSYS, one end held": Case(
         arguments=[
-            "@mapdl_reader/file.full", "--set", "nodes=@mapdl_reader/HexBeam.cdb", "--set", "drop_constrained=true"
+            "@mapdl_reader/file.full",
+            "--set",
+            "nodes=@mapdl_reader/HexBeam.cdb",
+            "--set",
+            "drop_constrained=true",
         ],
-        hz="1283.20037 1283.20037 5781.97486 6919.39888 6919.39888 10172.61498", rigid=0,
+        hz="1283.20037 1283.20037 5781.97486 6919.39888 6919.39888 10172.61498",
+        rigid=0,
         sizes=(900, 300),
     ),
     "deck of a conrod by CalculiX": Case(
         arguments=["@conrod_abaqus/conrod_ccx_matrixstorage.inp"],
         hz="5931.72907 10572.56166 13006.48953 14286.39617 22263.38637 24315.61338 24728.82045 28365.58687",
-        mass=0.1379211513593743, sizes=(2805, 935),
+        mass=0.1379211513593743,
+        sizes=(2805, 935),
     ),
     "deck of a wheelset by CalculiX": Case(
         arguments=["@wheelset/wheelset.inp"],
@@ -133,7 +154,7 @@ CASES = {
         hz="1647.260 2194.819 2606.671 4259.869 5750.689 5855.780 6845.360 8305.509",
         sizes=(68898, 22966),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -218,9 +239,11 @@ def test_med_files_are_read_in_full(shared_data: Path, name: str, elements: int 
         cells = {kind: item["NOD"][:] for kind, item in mesh["MAI"].items()}
         names = [
             bytes(row.tolist()).rstrip(b"\0").decode()
-            for item in file["FAS"].values() for group in item.get("ELEME", {}).values() if "GRO" in group
+            for item in file["FAS"].values()
+            for group in item.get("ELEME", {}).values()
+            if "GRO" in group
             for row in group["GRO/NOM"][:]
-        ]  # fmt: skip
+        ]
     solid = cells["T10"].reshape(10, -1).T - 1
     used = np.unique(solid)
     assert [block.type for block in imported.blocks] == ["tet10"] and len(imported.blocks[0].ids) == len(solid)
@@ -240,10 +263,12 @@ def test_a_med_mesh_with_two_elements_inside_out_makes_no_model(tmp_path: Path, 
 def test_second_order_models_keep_every_entry(tmp_path: Path, shared_data: Path) -> None:
     """Real and complex K, M and D of MATLAB files, bit by bit as SciPy reads them."""
     names = {
-        "foundation": {"K": "K", "M": "M", "D": "D"}, "shaft": {"K": "K", "M": "M", "D": "C"},
-        "sandwich_beam_168": {"K": "Ke", "M": "M"}, "sandwich_beam_3360": {"K": "Kv", "M": "M"},
+        "foundation": {"K": "K", "M": "M", "D": "D"},
+        "shaft": {"K": "K", "M": "M", "D": "C"},
+        "sandwich_beam_168": {"K": "Ke", "M": "M"},
+        "sandwich_beam_3360": {"K": "Kv", "M": "M"},
         "cd_player": {"K": "K", "D": "D"},
-    }  # fmt: skip
+    }
     for name, matrices in names.items():
         given = scipy.io.loadmat(shared_data / "nlevp_second_order" / f"{name}.mat", spmatrix=False)
         options = [part for key, value in matrices.items() for part in ("--set", f"{key}={value}")]

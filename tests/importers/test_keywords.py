@@ -13,9 +13,11 @@ from morembs.importers.abaqus_words import COMPARED, EFFECTS, LEFT_OUT, WORDS, o
 from morembs.importers.calculix_matrices import CalculixMatrices
 from tests.support.calculix import needs_ccx, solids, stored_matrices
 
-BODY = solids("C3D8", (1, 1, 2), (0.1, 0.1, 0.2)) + "*NSET, NSET=ALL, GENERATE\n1, 12\n" + (
-    "*SURFACE, NAME=TOP\nBODY, S2\n*SURFACE, NAME=LOW\nBODY, S1\n"
-)  # fmt: skip
+BODY = (
+    solids("C3D8", (1, 1, 2), (0.1, 0.1, 0.2))
+    + "*NSET, NSET=ALL, GENERATE\n1, 12\n"
+    + ("*SURFACE, NAME=TOP\nBODY, S2\n*SURFACE, NAME=LOW\nBODY, S1\n")
+)
 LAW = "*SURFACE INTERACTION, NAME=LAW\n*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR\n1e9\n"
 PAIR = LAW + "*CONTACT PAIR, INTERACTION=LAW, TYPE=SURFACE TO SURFACE\nLOW, TOP\n"
 # Keywords in use, in the model or in the step of the frequencies; in front of "|" what both models have.
@@ -66,9 +68,11 @@ def ran(folder: Path, model: str = "", step: str = "") -> tuple[CalculixMatrices
 def same(one: CalculixMatrices, other: CalculixMatrices) -> bool:
     """Whether two models have the same dofs, stiffness and mass."""
     return (
-        np.array_equal(one.node, other.node) and np.array_equal(one.dof, other.dof)
-        and (one.K != other.K).nnz == 0 and (one.M != other.M).nnz == 0
-    )  # fmt: skip
+        np.array_equal(one.node, other.node)
+        and np.array_equal(one.dof, other.dof)
+        and (one.K != other.K).nnz == 0
+        and (one.M != other.M).nnz == 0
+    )
 
 
 @needs_ccx
@@ -88,10 +92,11 @@ def test_a_harmless_keyword_leaves_the_matrices_of_ccx_alone(word, tmp_path):
 @pytest.mark.parametrize(
     "text",
     [
-        "*PRE-TENSION SECTION, SURFACE=LOW, NODE=99\n0., 0., 1.\n", "*BOUNDARY\n1, 1, 3\n",
+        "*PRE-TENSION SECTION, SURFACE=LOW, NODE=99\n0., 0., 1.\n",
+        "*BOUNDARY\n1, 1, 3\n",
         "*EQUATION\n2\n1, 1, 1., 2, 1, -1.\n",
     ],
-)  # fmt: skip
+)
 def test_the_comparison_finds_keywords_that_count(text, tmp_path):
     """A support, a bolt's cut and a constraint: other matrices, so none of them is harmless."""
     node = "*NODE\n99, 9., 9., 9.\n"

@@ -90,8 +90,9 @@ def test_op4_returns_every_bit(
 def test_op4_in_single_precision_returns_its_bits(
     tmp_path: Path, native: Path, model: FEModel, kind: str, storage: Any
 ) -> None:
-    given = {name: A.astype(np.complex64 if A.dtype == complex else np.float32) for name, A in
-             matrices(model, kind).items()}  # fmt: skip
+    given = {
+        name: A.astype(np.complex64 if A.dtype == complex else np.float32) for name, A in matrices(model, kind).items()
+    }
     write_op4(tmp_path / "a.op4", given, sparse=storage)
     doubles = {name: A.astype(np.complex128 if A.dtype.kind == "c" else float) for name, A in given.items()}
     assert_same(imported(tmp_path, tmp_path / "a.op4", "--nodes", native), doubles)

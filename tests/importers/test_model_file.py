@@ -12,16 +12,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
-from morembs import (
-    CraigBampton,
-    InputError,
-    Problem,
-    elastic_body,
-    isotropic,
-    make_interface,
-    make_part,
-    write_body,
-)
+from morembs import CraigBampton, InputError, Problem, elastic_body, isotropic, make_interface, make_part, write_body
 from morembs.certificate.response import full_response
 from morembs.diagnostics.warnings import examined
 from morembs.importers.dependent_dofs import interface_of_coupling
@@ -91,15 +82,18 @@ def full_model() -> FEModel:
     sets = {"HALF": (np.array([0, 1]), none), "odd/name: ä": (np.array([1]), np.array([1, 0])), "last": (none, [1])}
     return model_of(
         replace(
-            bar, mesh=replace(mesh, blocks=halves, element_sets=sets), notes=("one sentence", "another"),
+            bar,
+            mesh=replace(mesh, blocks=halves, element_sets=sets),
+            notes=("one sentence", "another"),
             rigid=(RigidElement(name="RBE2_1", master=len(mesh.nodes), slaves=right),),
             average=(
                 AverageElement(name="RBE3 2", reference=len(mesh.nodes) + 1, nodes=left, weights=np.arange(1.0, 5)),
             ),
             masses=(PointMass(name="CONM2_3", node=len(mesh.nodes), mass=2.0, inertia=skew_inertia()),),
-            D=None, surfaces={"END": right},
+            D=None,
+            surfaces={"END": right},
         )
-    )  # fmt: skip
+    )
 
 
 def test_everything_comes_back_bit_by_bit(tmp_path):
@@ -387,9 +381,7 @@ def test_beam_reduced_through_interfaces_with_rotations():
         assert np.array_equal(problem.B.toarray(), B)
         exact = CraigBampton(modes=len(K) - len(columns)).reduce(problem)
         V = exact.C if not exact.symmetric else exact.B.T
-        computed = np.array(
-            [V @ np.linalg.solve(exact.K + 1j * w * exact.D - w**2 * exact.M, exact.B) for w in omega]
-        )
+        computed = np.array([V @ np.linalg.solve(exact.K + 1j * w * exact.D - w**2 * exact.M, exact.B) for w in omega])
         assert computed == pytest.approx(dense, rel=1e-6, abs=1e-9 * np.abs(dense).max())
         mass, center, _ = problem.mass_properties
     assert mass == pytest.approx(7850 * 4e-4, rel=1e-12) and center == pytest.approx(OBLIQUE @ [0.5, 0, 0], abs=1e-9)
@@ -451,11 +443,12 @@ def test_units_of_meshes_materials_and_masses():
     big = PointMass(name="m", node=hub, mass=3.0, inertia=skew_inertia(), offset=np.array([0.01, 0.02, 0.03]))
     coupled = replace(bar, rigid=(RigidElement(name="R", master=hub, slaves=right),), masses=(big,))
     small = replace(
-        coupled, nodes=replace(bar.nodes, xyz=bar.nodes.xyz / u.length),
+        coupled,
+        nodes=replace(bar.nodes, xyz=bar.nodes.xyz / u.length),
         mesh=replace(bar.mesh, nodes=replace(bar.mesh.nodes, xyz=bar.mesh.nodes.xyz / u.length)),
         materials=(isotropic(set="all", young=2.1e11 / u.stress, poisson=0.3, density=7850 / u.density),),
         masses=(replace(big, mass=3.0 / u.mass, inertia=inertia, offset=big.offset / u.length),),
-    )  # fmt: skip
+    )
     a, b = model_of(coupled), model_of(small, u)
     assert b.K.toarray() == pytest.approx(a.K.toarray(), rel=1e-9, abs=1e-4)
     assert b.M.toarray() == pytest.approx(a.M.toarray(), rel=1e-11, abs=1e-13)

@@ -81,29 +81,48 @@ DECKS = {
     "shell turned in space": (SHEET, 39.25),
     "triangles": (plate(6, 4, T, triangles=True) + "PSHELL,1,1,.01,1,,1\n" + STEEL, 39.25),
     "cylinder": (plate(6, 4, T, radius=1.0) + "PSHELL,1,1,.01,1,,1\n" + STEEL, None),
-    "orthotropic": (plate(6, 4, T, tail=",30.") + "PSHELL,1,2,.01,2,,2\nMAT8,2,1.+11,1.+10,.3,5.+9,5.+9,5.+9,1600.\n",
-                    8.0),
-    "material axes": (plate(6, 4, T, tail=",4,.002") + SYSTEMS + "PSHELL,1,2,.01,2,,2,,3.\n"
-                      "MAT8,2,1.+11,1.+10,.3,5.+9,5.+9,5.+9,1600.\n", 9.5),
-    "rigid element with a mass": (SHEET + "GRID,100,,1.2,.3,.4\nRBE2,910,100,123456,31,32,33,34\n,24\nCONM2,900,100,,3."
-                                  "\n,.1,,.2,,,.3\n", 42.25),
-    "average element": (SHEET + "GRID,100,,1.2,.3,.4\nRBE3,910,,100,123456,1.,123,31,22\n,33,34,35\nCONM2,900,100,,3.\n"
-                        ",.1,,.2,,,.3\n", 42.25),
+    "orthotropic": (
+        plate(6, 4, T, tail=",30.") + "PSHELL,1,2,.01,2,,2\nMAT8,2,1.+11,1.+10,.3,5.+9,5.+9,5.+9,1600.\n",
+        8.0,
+    ),
+    "material axes": (
+        plate(6, 4, T, tail=",4,.002") + SYSTEMS + "PSHELL,1,2,.01,2,,2,,3.\n"
+        "MAT8,2,1.+11,1.+10,.3,5.+9,5.+9,5.+9,1600.\n",
+        9.5,
+    ),
+    "rigid element with a mass": (
+        SHEET + "GRID,100,,1.2,.3,.4\nRBE2,910,100,123456,31,32,33,34\n,24\nCONM2,900,100,,3.\n,.1,,.2,,,.3\n",
+        42.25,
+    ),
+    "average element": (
+        SHEET + "GRID,100,,1.2,.3,.4\nRBE3,910,,100,123456,1.,123,31,22\n,33,34,35\nCONM2,900,100,,3.\n,.1,,.2,,,.3\n",
+        42.25,
+    ),
     "equation": (SHEET + "MPC,1,33,3,1.,35,3,-.5\n,,31,3,-.5\n", 39.25),
-    "springs": (SHEET + "GRID,999,,1.,0.,0.\nSPC1,1,123456,999\nCELAS2,901,5.+4,31,3,999,3\nCMASS2,903,1.5,31,1\n"
-                "CBUSH,50,50,33,999,,,,5\nPBUSH,50,K,1.+4,2.+4,3.+4,100.,200.,300.\n" + SYSTEMS, None),
+    "springs": (
+        SHEET + "GRID,999,,1.,0.,0.\nSPC1,1,123456,999\nCELAS2,901,5.+4,31,3,999,3\nCMASS2,903,1.5,31,1\n"
+        "CBUSH,50,50,33,999,,,,5\nPBUSH,50,K,1.+4,2.+4,3.+4,100.,200.,300.\n" + SYSTEMS,
+        None,
+    ),
     "bars": (grids(FRAME) + BARS + PBAR + STEEL, None),
     "bars with shear": (grids(FRAME) + BARS + PBAR.strip() + "\n,,,,,,,,\n,.8,.7\n" + STEEL, None),
     "bars of skew section": (grids(FRAME) + BARS + PBAR.strip() + "\n,,,,,,,,\n,,,1.-7\n" + STEEL, None),
     "pins": (grids(FRAME) + BARS.replace(THIRD, f"{THIRD},,56\n") + PBAR + STEEL, None),
-    "offsets along turned axes": (grids(FRAME, cd="4") + SYSTEMS + PBAR + STEEL + BARS.replace(
-        "SPC1,1,123456,1,6", "SPC1,1,123456,1\nSPC1,1,13,6").replace(THIRD, f"{THIRD},,,.0,.02,.05,.0,.02,.05\n"),
-        None),
+    "offsets along turned axes": (
+        grids(FRAME, cd="4")
+        + SYSTEMS
+        + PBAR
+        + STEEL
+        + BARS.replace("SPC1,1,123456,1,6", "SPC1,1,123456,1\nSPC1,1,13,6").replace(
+            THIRD, f"{THIRD},,,.0,.02,.05,.0,.02,.05\n"
+        ),
+        None,
+    ),
     "third grid": (grids(FRAME) + "GRID,9,,5.,7.,3.\n" + BARS.replace("0.,1.,.2", "9") + PBAR + STEEL, None),
     "tubes": (grids(FRAME) + BARS + "PBARL,1,1,,TUBE\n,.03,.02,.5\n" + STEEL, None),
     "solids": (boxes("PSOLID,1,1,0,TWO\n" + STEEL), 251.2),
     "solids in full": (boxes("PSOLID,1,1,0,TWO,,FULL\n" + STEEL), 251.2),
-}  # fmt: skip
+}
 
 
 @needs_mystran
@@ -168,21 +187,36 @@ def test_a_bar_bends_and_a_plate_vibrates_as_theory_says(tmp_path):
 
 
 @needs_mystran
-@pytest.mark.parametrize(("bulk", "kilograms"), [
-    (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMP,1,,3.\n,1,.003,0.,NO,1,.004,90.,NO\n,1,.002,0.,NO"), 36.825),
-    (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMP,1,,,,,,,SYM\n,1,.003,0.,NO,,,90.,NO"), 47.1),
-    (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMPG,1\n,1,1,.003,0.,NO\n,2,1,.004,0.,NO"), 27.475),
-    (SHEET.replace("CQUAD4", "CSHEAR").replace("PSHELL,1,1,.01,1,,1", "PSHEAR,1,1,.01,2.")
-     + "".join(f"CROD,{100 + i},2,{a},{b}\n" for i, (a, b) in enumerate([(1, 6), (6, 11)])) + "PROD,2,1,0.\n", 40.25),
-    (grids(FRAME[[0, 2]]) + "CTUBE,1,1,1,2\nPTUBE,1,1,.03,.004,.5\n" + STEEL,
-     np.sqrt(1.25) * (7850 * np.pi / 4 * (0.03**2 - 0.022**2) + 0.5)),
-    (grids(FRAME[[0, 2]]) + "CONROD,7,1,2,1,1.-3,1.-7,,.2\n" + STEEL, np.sqrt(1.25) * 8.05),
-    (grids(FRAME[[0, 2]]) + "CBEAM,1,1,1,2,0.,1.,0.\nPBEAM,1,1,1.-3,2.-7,4.-7,,3.-7,.5\n" + STEEL,
-     np.sqrt(1.25) * 8.35),
-    (grids(FRAME[[0, 2]]) + "CBEAM,1,1,1,2,0.,1.,0.\nPBEAML,1,1,,BOX\n,.1,.2,.01,.02,.5,YES,1.,.1\n,.2,.01,.02,.5\n"
-     + STEEL, np.sqrt(1.25) * (7850 * (0.02 - 0.06 * 0.18) + 0.5)),
-    (SHEET.replace("7850.", ""), 39.25),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("bulk", "kilograms"),
+    [
+        (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMP,1,,3.\n,1,.003,0.,NO,1,.004,90.,NO\n,1,.002,0.,NO"), 36.825),
+        (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMP,1,,,,,,,SYM\n,1,.003,0.,NO,,,90.,NO"), 47.1),
+        (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMPG,1\n,1,1,.003,0.,NO\n,2,1,.004,0.,NO"), 27.475),
+        (
+            SHEET.replace("CQUAD4", "CSHEAR").replace("PSHELL,1,1,.01,1,,1", "PSHEAR,1,1,.01,2.")
+            + "".join(f"CROD,{100 + i},2,{a},{b}\n" for i, (a, b) in enumerate([(1, 6), (6, 11)]))
+            + "PROD,2,1,0.\n",
+            40.25,
+        ),
+        (
+            grids(FRAME[[0, 2]]) + "CTUBE,1,1,1,2\nPTUBE,1,1,.03,.004,.5\n" + STEEL,
+            np.sqrt(1.25) * (7850 * np.pi / 4 * (0.03**2 - 0.022**2) + 0.5),
+        ),
+        (grids(FRAME[[0, 2]]) + "CONROD,7,1,2,1,1.-3,1.-7,,.2\n" + STEEL, np.sqrt(1.25) * 8.05),
+        (
+            grids(FRAME[[0, 2]]) + "CBEAM,1,1,1,2,0.,1.,0.\nPBEAM,1,1,1.-3,2.-7,4.-7,,3.-7,.5\n" + STEEL,
+            np.sqrt(1.25) * 8.35,
+        ),
+        (
+            grids(FRAME[[0, 2]])
+            + "CBEAM,1,1,1,2,0.,1.,0.\nPBEAML,1,1,,BOX\n,.1,.2,.01,.02,.5,YES,1.,.1\n,.2,.01,.02,.5\n"
+            + STEEL,
+            np.sqrt(1.25) * (7850 * (0.02 - 0.06 * 0.18) + 0.5),
+        ),
+        (SHEET.replace("7850.", ""), 39.25),
+    ],
+)
 def test_kinds_of_properties_have_their_mass(tmp_path, bulk, kilograms):
     extra = {} if "7850." in bulk else {"density": 7850.0}
     assert masses(imported(tmp_path, bulk, **extra)) == pytest.approx(kilograms * np.eye(3), rel=1e-8, abs=1e-8)
@@ -266,20 +300,28 @@ def output(size: int, value: float = 1.0) -> bytes:
     return data
 
 
-@pytest.mark.parametrize(("body", "message"), [
-    ("time.sleep(60)", r"MYSTRAN did not finish in 0.5 s \(35 grids\); --engine-timeout, or own assembly"),
-    (SAYS.format(" *ERROR  1950: QUAD4 ELEMENT 24 IS WRONG\n"),
-     r"ERROR 1950: QUAD4 ELEMENT 24 \(label 24 of the deck\)"),
-    ("print('segmentation')", "its last line is 'segmentation'"),
-    (WRITES.format(b""), "no matrices, or not all of them"),
-    (WRITES.format(output(210)[:-40]), "no matrices, or not all of them"),
-    (WRITES.format(b"\x00\x01garbage" * 30), "no matrices, or not all of them"),
-    (WRITES.format(output(204)), r"a stiffness of 204 x 204, expected 210 rows, six for each grid"),
-    (WRITES.format(output(210, np.nan)), "'KGG' holds NaN"),
-    (WRITES.format(output(210)) + "\n" + SAYS.format(" *LOADB-WARNING : PRIOR ENTRY NOT PROCESSED BY MYSTRAN\n"),
-     "it passed over cards"),
-    ("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)", "no matrices"),
-], ids=["hangs", "error", "crash", "empty", "half", "garbage", "size", "nan", "passed over", "killed"])  # fmt: skip
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("time.sleep(60)", r"MYSTRAN did not finish in 0.5 s \(35 grids\); --engine-timeout, or own assembly"),
+        (
+            SAYS.format(" *ERROR  1950: QUAD4 ELEMENT 24 IS WRONG\n"),
+            r"ERROR 1950: QUAD4 ELEMENT 24 \(label 24 of the deck\)",
+        ),
+        ("print('segmentation')", "its last line is 'segmentation'"),
+        (WRITES.format(b""), "no matrices, or not all of them"),
+        (WRITES.format(output(210)[:-40]), "no matrices, or not all of them"),
+        (WRITES.format(b"\x00\x01garbage" * 30), "no matrices, or not all of them"),
+        (WRITES.format(output(204)), r"a stiffness of 204 x 204, expected 210 rows, six for each grid"),
+        (WRITES.format(output(210, np.nan)), "'KGG' holds NaN"),
+        (
+            WRITES.format(output(210)) + "\n" + SAYS.format(" *LOADB-WARNING : PRIOR ENTRY NOT PROCESSED BY MYSTRAN\n"),
+            "it passed over cards",
+        ),
+        ("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)", "no matrices"),
+    ],
+    ids=["hangs", "error", "crash", "empty", "half", "garbage", "size", "nan", "passed over", "killed"],
+)
 def test_what_mystran_may_do_wrong_is_one_message(tmp_path, body, message):
     executable = program(tmp_path, body)
     with pytest.raises(InputError, match=message):
@@ -293,17 +335,20 @@ def test_a_run_that_fails_ends_the_others(tmp_path):
         imported(tmp_path, SHEET, program(tmp_path, body), grids=20, jobs=4, timeout=50.0)
 
 
-@pytest.mark.parametrize(("lines", "message"), [
-    ("CQUAD8,90,1,1,2,3,4,5,6\n,7,8\n", "CQUAD8"),
-    ("CBAR,90,9,1,2,0.,0.,1.\n", "CBAR 90 names the property 9; expected one PBAR or PBARL"),
-    ("CBAR,90,9,1,2\nPBAR,9,1,1.-3\n", "CBAR 90 has no orientation"),
-    ("CBAR,90,9,1,2,0.,0.,1.\nPBARL,9,1,,HAT\n,.1,.01,.1,.05\n", "section 'HAT'; MYSTRAN has BAR, BOX"),
-    ("CBEAM,90,9,1,2,0.,0.,1.\nPBEAM,9,1,1.-3,1.-7,1.-7,,1.-7\n,,,,,,,,\n,NO,1.,2.-3\n", "PBEAM 9 is not constant"),
-    ("CQUAD4,90,9,1,2,3,4\nPSHELL,9,1,.01,1,,,,\n,,,1\n", "PSHELL 9 couples membrane and bending"),
-    ("CQUAD4,90,9,1,2,2,4\nPSHELL,9,1,.01\n", "CQUAD4 90 names a grid twice"),
-    ("CROD,90,9,1,2\nPROD,9,7,1.-3\n", "names the material 7"),
-    ("CROD,90,9,1,999\nPROD,9,1,1.-3\n", "names the grid 999"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("CQUAD8,90,1,1,2,3,4,5,6\n,7,8\n", "CQUAD8"),
+        ("CBAR,90,9,1,2,0.,0.,1.\n", "CBAR 90 names the property 9; expected one PBAR or PBARL"),
+        ("CBAR,90,9,1,2\nPBAR,9,1,1.-3\n", "CBAR 90 has no orientation"),
+        ("CBAR,90,9,1,2,0.,0.,1.\nPBARL,9,1,,HAT\n,.1,.01,.1,.05\n", "section 'HAT'; MYSTRAN has BAR, BOX"),
+        ("CBEAM,90,9,1,2,0.,0.,1.\nPBEAM,9,1,1.-3,1.-7,1.-7,,1.-7\n,,,,,,,,\n,NO,1.,2.-3\n", "PBEAM 9 is not constant"),
+        ("CQUAD4,90,9,1,2,3,4\nPSHELL,9,1,.01,1,,,,\n,,,1\n", "PSHELL 9 couples membrane and bending"),
+        ("CQUAD4,90,9,1,2,2,4\nPSHELL,9,1,.01\n", "CQUAD4 90 names a grid twice"),
+        ("CROD,90,9,1,2\nPROD,9,7,1.-3\n", "names the material 7"),
+        ("CROD,90,9,1,999\nPROD,9,1,1.-3\n", "names the grid 999"),
+    ],
+)
 def test_what_mystran_has_not_is_refused_before_a_run(tmp_path, lines, message):
     with pytest.raises(InputError, match=message):
         imported(tmp_path, SHEET + lines, program(tmp_path, "sys.exit()"))
@@ -318,15 +363,21 @@ def test_all_problems_are_told_at_once_with_their_cures(tmp_path):
     assert len(told.value.problems) == 5
 
 
-@pytest.mark.parametrize(("line", "message"), [
-    (["--engine", "mystran", "--format", "abaqus"], "--engine mystran reads Nastran bulk data; deck.bdf is Abaqus or"),
-    (["--engine", "mystran:/nowhere/mystran"], "no file that can be run"),
-    (["--engine", "mystran", "--boundary", "hold"], "known: drop, keep"),
-    (["--engine", "mystran", "--preload", "1"], "preload"),
-    (["--engine", "mystran", "--contact", "tie"], "--contact was given with --engine mystran"),
-    (["--engine", "mystran", "--set", "jobs=0"], "expected positive numbers"),
-    ([], "MYSTRAN would read this deck: --engine mystran"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (
+            ["--engine", "mystran", "--format", "abaqus"],
+            "--engine mystran reads Nastran bulk data; deck.bdf is Abaqus or",
+        ),
+        (["--engine", "mystran:/nowhere/mystran"], "no file that can be run"),
+        (["--engine", "mystran", "--boundary", "hold"], "known: drop, keep"),
+        (["--engine", "mystran", "--preload", "1"], "preload"),
+        (["--engine", "mystran", "--contact", "tie"], "--contact was given with --engine mystran"),
+        (["--engine", "mystran", "--set", "jobs=0"], "expected positive numbers"),
+        ([], "MYSTRAN would read this deck: --engine mystran"),
+    ],
+)
 def test_options_that_cannot_be_are_refused(tmp_path, line, message):
     (tmp_path / "deck.bdf").write_text(f"{SHEET}ENDDATA\n")
     words = [word if word != "mystran" else f"mystran:{program(tmp_path, 'sys.exit()')}" for word in line]

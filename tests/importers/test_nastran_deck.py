@@ -1,6 +1,5 @@
 """Nastran bulk data: fields of all forms, coordinate systems, node order, materials, rigid elements and masses."""
 
-
 import meshio
 import numpy as np
 import pytest
@@ -31,9 +30,7 @@ CUBE = (
 FULL = (
     "SOL 103\nCEND\nTITLE = A $ with a word\nSPC = 1\n"
     "SET 5 = 10, 20,\n  30 THRU 60\nSET 6 = 7\nSET 7 = ALL\nBEGIN BULK\n"
-    "$ a comment\nPARAM,WTMASS,.5\nPARAM,POST,-1\n"
-    + CUBE
-    + "PSOLID  1       3\n"
+    "$ a comment\nPARAM,WTMASS,.5\nPARAM,POST,-1\n" + CUBE + "PSOLID  1       3\n"
     f"MAT1*   {'3':>16}{'2.1+11':>16}{'':16}{'.3':>16}\n*       {'7850.':>16}\n"
     "GRID    500             .5      .5      2.0\nGRID,600,,.5,.5,-1.\nGRID,700,,9.,9.,9.\n"
     "RBE2    1       500     123456  50      60      70      80\n"
@@ -198,7 +195,7 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
         "$" + 90 * "c" + "\n" + grid.replace("900", "901") + "      5." + 50 * " " + "\n"
         f"GRID*   {902:>16}{'':16}{'5.':>16}{'5.':>16}*MARK12         $ a comment\n*MARK12 {'5.':>16}\n"
         "RBAR,3,10,20,123456,,," + 70 * " " + "123456\n"
-    )  # fmt: skip
+    )
     assert not unread(bulk("SOL 103\nBEGIN BULK\n" + CUBE + quiet + MAT1 + "ENDDATA\n"))
     (tmp_path / "more.bdf").write_text(grid + f"{'5.':>50}\n" + 81 * " " + "3.0\n")
     # The third coordinate stands behind column 80, then a whole line does; CR LF ends lines.
@@ -212,8 +209,10 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("CQUAD4,1,1,10,20,30,40\nCQUAD4,2,1,10,20,30,40\nCBAR,3,1,10,20\n",
-         "line 11: 2 CQUAD4 .*shells.*line 13: 1 CBAR"),
+        (
+            "CQUAD4,1,1,10,20,30,40\nCQUAD4,2,1,10,20,30,40\nCBAR,3,1,10,20\n",
+            "line 11: 2 CQUAD4 .*shells.*line 13: 1 CBAR",
+        ),
         ("CELAS2,3,5.,10,0\n", "component 0 of 10"),
         ("CELAS1,3,7,10,1\n", "names the PELAS 7"),
         ("RBE1,1,10,123456\n", "6 independent and 0 dependent"),
@@ -236,8 +235,10 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
         ("CTETRA,8,1,10,20,30,55\n", "names the grid 55"),
         ("CTETRA,8,1,10,20,30\n", "CTETRA 8 has 3 nodes"),
         ("CTETRA,8,1,10,20,,50,60,70\n", "CTETRA 8 has 5 nodes"),
-        ("CORD2R,1,2,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nCORD2R,2,1,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,11,1,0.,0.,0.\n",
-         "by way of itself"),
+        (
+            "CORD2R,1,2,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nCORD2R,2,1,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,11,1,0.,0.,0.\n",
+            "by way of itself",
+        ),
         ("CORD2R,1,,0.,0.,0.,0.,0.,1.\n,0.,0.,2.\nGRID,11,1,0.,0.,0.\n", "on a line"),
         ("PSOLID,1,1\nMAT1,1,,1.,,1.\n", "gives 1 of E, G and NU"),
         ("GRID,11,,0.,zero,0.\n", "GRID card"),
@@ -248,11 +249,13 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
         ("PARAM,WTMASS,0.\n", "WTMASS"),
         ("\0", "binary"),
         ("PSOLID,1,1", "ends within the line"),
-        ("RBE2    1       10      123     20      30      40      50      60      +A\n+B      70\n",
-         "mark of the line"),
+        (
+            "RBE2    1       10      123     20      30      40      50      60      +A\n+B      70\n",
+            "mark of the line",
+        ),
         ("GRID    12      1       0.      0.      0.      4\nCORD2R,1,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\n", "system 4"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_carried_is_refused_by_name(bulk, text, words):
     with pytest.raises(InputError, match=words):
         bulk(CUBE + text)
@@ -260,19 +263,71 @@ def test_what_cannot_be_carried_is_refused_by_name(bulk, text, words):
 
 # Of a reference at (.4, .6, -.5) by grids of the unit cube: 10 and 20 with the weight 2 in x, y, z, 30 with .5 in y and
 # z, 50 with 1.5 in x and z; made with pyYeti 1.4.7 (formrbe3).
-MEAN = np.array([
-    [0.541958041958, 0.6, -0.237762237762, 0.541958041958, -0.48, 0.416083916084, -0.12, 0.0, -0.083916083916,
-     -0.178321678322],
-    [-0.073426573427, 0.6, -0.083916083916, -0.073426573427, 0.32, -0.353146853147, 0.08, 0.5, 0.146853146853,
-     -0.062937062937],
-    [-0.07972027972, 0.0, 0.251748251748, -0.07972027972, 0.0, -0.040559440559, 0.0, 0.6, 0.159440559441,
-     0.188811188811],
-    [-0.146853146853, 0.0, -0.167832167832, -0.146853146853, 0.0, -0.706293706294, 0.0, 1.0, 0.293706293706,
-     -0.125874125874],
-    [-0.230769230769, 0.0, 0.307692307692, -0.230769230769, 0.0, -0.538461538462, 0.0, 0.0, 0.461538461538,
-     0.230769230769],
-    [0.0, -1.0, 0.0, 0.0, 0.8, 0.0, 0.2, 0.0, 0.0, 0.0],
-])  # fmt: skip
+MEAN = np.array(
+    [
+        [
+            0.541958041958,
+            0.6,
+            -0.237762237762,
+            0.541958041958,
+            -0.48,
+            0.416083916084,
+            -0.12,
+            0.0,
+            -0.083916083916,
+            -0.178321678322,
+        ],
+        [
+            -0.073426573427,
+            0.6,
+            -0.083916083916,
+            -0.073426573427,
+            0.32,
+            -0.353146853147,
+            0.08,
+            0.5,
+            0.146853146853,
+            -0.062937062937,
+        ],
+        [
+            -0.07972027972,
+            0.0,
+            0.251748251748,
+            -0.07972027972,
+            0.0,
+            -0.040559440559,
+            0.0,
+            0.6,
+            0.159440559441,
+            0.188811188811,
+        ],
+        [
+            -0.146853146853,
+            0.0,
+            -0.167832167832,
+            -0.146853146853,
+            0.0,
+            -0.706293706294,
+            0.0,
+            1.0,
+            0.293706293706,
+            -0.125874125874,
+        ],
+        [
+            -0.230769230769,
+            0.0,
+            0.307692307692,
+            -0.230769230769,
+            0.0,
+            -0.538461538462,
+            0.0,
+            0.0,
+            0.461538461538,
+            0.230769230769,
+        ],
+        [0.0, -1.0, 0.0, 0.0, 0.8, 0.0, 0.2, 0.0, 0.0, 0.0],
+    ]
+)
 WEIGHTED = CUBE + MAT1 + "GRID,600,,.4,.6,-.5\nRBE3,2,,600,123456,2.,123,10,20\n,.5,23,30,1.5,13,50\n"
 TIED = (
     CUBE + MAT1 + "GRID,600,,.4,.6,-.5\nGRID,601,,.5,.6,-.5\n=,*1,,*.1,==\n=2\nCORD2C,4,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\n"
@@ -310,10 +365,34 @@ def test_rotations_of_a_mean_count_with_the_squared_distance(bulk):
     """Grid 90 is of no solid, so that its rotations take part; rows made with pyYeti 1.4.7 (formrbe3)."""
     grids = "GRID,600,,.4,.6,-.5\nGRID,90,,2.,1.,1.\nCELAS2,5,1.,90,1,30,1\n"
     model = model_of(bulk(CUBE + MAT1 + grids + "RBE3,2,,600,123456,1.,123,10,20\n,.4,123456,90\n"))
-    along_x = [0.431282332303, 0.179060208902, -0.244830704265, 0.431282332303, -0.112523302295, 0.13444680075,
-               0.137435335394, -0.066536906607, 0.110383903515, -0.176920810122, -0.282220727614, -0.216967549096]
-    about_y = [-0.062638567012, -0.051740912026, 0.333614463581, -0.062638567012, 0.065280212489, -0.159238063007,
-               0.125277134024, -0.013539300463, -0.174376400574, 0.160837100111, 0.366732001821, 0.087075522461]
+    along_x = [
+        0.431282332303,
+        0.179060208902,
+        -0.244830704265,
+        0.431282332303,
+        -0.112523302295,
+        0.13444680075,
+        0.137435335394,
+        -0.066536906607,
+        0.110383903515,
+        -0.176920810122,
+        -0.282220727614,
+        -0.216967549096,
+    ]
+    about_y = [
+        -0.062638567012,
+        -0.051740912026,
+        0.333614463581,
+        -0.062638567012,
+        0.065280212489,
+        -0.159238063007,
+        0.125277134024,
+        -0.013539300463,
+        -0.174376400574,
+        0.160837100111,
+        0.366732001821,
+        0.087075522461,
+    ]
     leaders = [(10, 0), (10, 1), (10, 2), (20, 0), (20, 1), (20, 2), *((90, c) for c in range(6))]
     dofs = [dof_of(model, *leader) for leader in leaders]
     S = model.dependent.S.toarray()
@@ -324,11 +403,15 @@ def test_rotations_of_a_mean_count_with_the_squared_distance(bulk):
 @pytest.mark.parametrize(
     "element",
     [
-        "RBAR,1,10,600,123,456\n", "RBAR,1,600,10,12346,5,,\n", "RBE1,1,600,123456\n,UM,10,123,20,12\n",
-        "RTRPLT,1,10,20,40,123,23,3,\n,,1,12\n", "RBE1,1,10,123,20,23,40,3\n,UM,20,1,40,12\n",
-        "RBE2,1,600,13,10,20\n", "RROD,1,10,20,1\n",
+        "RBAR,1,10,600,123,456\n",
+        "RBAR,1,600,10,12346,5,,\n",
+        "RBE1,1,600,123456\n,UM,10,123,20,12\n",
+        "RTRPLT,1,10,20,40,123,23,3,\n,,1,12\n",
+        "RBE1,1,10,123,20,23,40,3\n,UM,20,1,40,12\n",
+        "RBE2,1,600,13,10,20\n",
+        "RROD,1,10,20,1\n",
     ],
-)  # fmt: skip
+)
 def test_rigid_elements_of_any_components_move_as_one_body(bulk, element):
     """Grid 20 has axes of its own, along those of a cylinder whose axis is turned."""
     system = "CORD2C,4,,.1,.2,.3,.4,.5,1.\n,1.,.1,.2\n"
@@ -351,8 +434,11 @@ def test_rigid_elements_of_any_components_move_as_one_body(bulk, element):
 def test_one_body_by_three_kinds_of_elements(bulk):
     """RBE2 along all directions, RBE1 and RBAR with the same leader give the same matrices."""
     grid = "GRID,600,,.4,.6,-.5\n"
-    kinds = ["RBE2,1,600,123456,10,20\n", "RBE1,1,600,123456\n,UM,10,123456,20,123456\n",
-             "RBAR,1,600,10,123456\nRBAR,2,600,20,123456\n"]  # fmt: skip
+    kinds = [
+        "RBE2,1,600,123456,10,20\n",
+        "RBE1,1,600,123456\n,UM,10,123456,20,123456\n",
+        "RBAR,1,600,10,123456\nRBAR,2,600,20,123456\n",
+    ]
     matrices = []
     for text in kinds:
         model = model_of(bulk(CUBE + MAT1 + grid + text))
@@ -368,12 +454,15 @@ def test_replicated_cards(bulk):
         "GRID,10,,0.,0.,0.\nGRID,20,,1.,0.,0.\n=,*(20),=,==\n=,*-10,=,*-1.,*1.,==\nGRID,30,,1.,1.,0.\n"
         "GRID    50                      0.       1.0-1\n=       *10     ==\n=(2)\n"
     )
-    imported = bulk(cube.replace("GRID,20,,1.,0.,0.\n=,*(20),=,==\n=,*-10,=,*-1.,*1.,==\n", "GRID,20,,1.,0.,0.\n") + (
-        "GRID,1,,0.,0.,0.\n=,*1,,*.1,==\n=3\nCTETRA,1,1,10,20,30,50\n" + MAT1
-    ))  # fmt: skip
+    imported = bulk(
+        cube.replace("GRID,20,,1.,0.,0.\n=,*(20),=,==\n=,*-10,=,*-1.,*1.,==\n", "GRID,20,,1.,0.,0.\n")
+        + ("GRID,1,,0.,0.,0.\n=,*1,,*.1,==\n=3\nCTETRA,1,1,10,20,30,50\n" + MAT1)
+    )
     assert imported.nodes.ids.tolist() == [10, 20, 30, 50]
-    chain = bulk("GRID,1,,0.,0.,0.\n=,*1,,*.1,=,*-1.-1\n=3\nGRID,9,,0.,1.,0.\nGRID,10,,0.,0.,1.\n"
-                 "CTETRA,1,1,1,5,9,10\nRBE2,1,1,123,2,THRU,4\n" + MAT1)  # fmt: skip
+    chain = bulk(
+        "GRID,1,,0.,0.,0.\n=,*1,,*.1,=,*-1.-1\n=3\nGRID,9,,0.,1.,0.\nGRID,10,,0.,0.,1.\n"
+        "CTETRA,1,1,1,5,9,10\nRBE2,1,1,123,2,THRU,4\n" + MAT1
+    )
     rows = [np.flatnonzero(chain.nodes.ids == label)[0] for label in range(1, 6)]
     assert np.array_equal(chain.nodes.xyz[rows], [[k / 10, 0, -k / 10] for k in range(5)])
 
@@ -416,9 +505,13 @@ def test_a_quadratic_element_next_to_a_linear_one(bulk):
     def deck(dropped):
         first = [label[c] for c in corners] + ["" if m[0] == 2 and dropped else label[m] for m in middles]
         second = [label[i + 2, j, k] for i, j, k in corners]
-        return text + nastran_card("CHEXA", ["1", "1", *map(str, first)], "free") + nastran_card(
-            "CHEXA", ["2", "1", *map(str, second)], "free"
-        ) + MAT1 + "PARAM,COUPMASS,1\n"
+        return (
+            text
+            + nastran_card("CHEXA", ["1", "1", *map(str, first)], "free")
+            + nastran_card("CHEXA", ["2", "1", *map(str, second)], "free")
+            + MAT1
+            + "PARAM,COUPMASS,1\n"
+        )
 
     model = model_of(bulk(deck(True)))
     assert not any("faces-differ" in each for each in model.warnings)
@@ -490,7 +583,8 @@ def test_damaged_files_end_in_one_message(tmp_path):
     """Cut off, bytes changed, lines swapped or doubled: bulk data are read or refused, never a crash."""
     path = tmp_path / "model.bdf"
     sources = [
-        FULL, CUBE + SYSTEMS + "CTETRA,9,1,911,912,913,914\n" + MAT1,
+        FULL,
+        CUBE + SYSTEMS + "CTETRA,9,1,911,912,913,914\n" + MAT1,
         MAT1 + nastran_mesh(box("tet10", (1, 1, 1), (1, 1, 1)), "large"),
     ]
     refused = 0
@@ -519,9 +613,16 @@ def added(bulk, cards, matrix="K"):
 
 def test_springs_dampers_and_masses_between_components(bulk):
     ground = "CELAS2,1,500.,10,1\nPELAS,4,70.,,,5,90.\nCELAS1,2,5,20,2,30,3\n"
-    assert added(bulk, ground) == pytest.approx({
-        (10, 0, 10, 0): 500.0, (20, 1, 20, 1): 90.0, (30, 2, 30, 2): 90.0, (20, 1, 30, 2): -90.0, (30, 2, 20, 1): -90.0,
-    }, rel=1e-4)  # fmt: skip
+    assert added(bulk, ground) == pytest.approx(
+        {
+            (10, 0, 10, 0): 500.0,
+            (20, 1, 20, 1): 90.0,
+            (30, 2, 30, 2): 90.0,
+            (20, 1, 30, 2): -90.0,
+            (30, 2, 20, 1): -90.0,
+        },
+        rel=1e-4,
+    )
     assert added(bulk, "CMASS2,1,3.,10,1\nPMASS,6,2.\nCMASS1,2,6,20,2\n", "M") == pytest.approx(
         {(10, 0, 10, 0): 3.0, (20, 1, 20, 1): 2.0}
     )
@@ -537,9 +638,7 @@ def test_springs_dampers_and_masses_between_components(bulk):
 def test_bushes_act_at_a_point_between_their_grids(bulk):
     """Against the stiffness of two rigid arms that meet at the point, with free rotations of the solid's grid."""
     loose = "GRID,90,,2.,1.,1.\nCONM2,91,90,,5.,\n,1.,,1.,,,1.\n"
-    imported = bulk(
-        CUBE + MAT1 + loose + "PBUSH,3,K,10.,20.,30.,40.,50.,60.\n,B,1.,1.,1.\nCBUSH,1,3,70,90,,,,0\n"
-    )
+    imported = bulk(CUBE + MAT1 + loose + "PBUSH,3,K,10.,20.,30.,40.,50.,60.\n,B,1.,1.,1.\nCBUSH,1,3,70,90,,,,0\n")
     stiff, damper = imported.discrete
     a = np.eye(6)
     a[:3, 3:] = -np.array([[0, 0, 0], [0, 0, -0.5], [0, 0.5, 0]])

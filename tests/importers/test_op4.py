@@ -24,10 +24,14 @@ def samples():
     S = sp.random_array((50, 50), density=0.1, rng=rng)
     F = rng.standard_normal((7, 5)).astype(np.float32)
     return {
-        "A": A, "SYM": sp.csr_array(S + S.T), "CPLX": A * (1 + 0.3j) ** 7, "F": F,
+        "A": A,
+        "SYM": sp.csr_array(S + S.T),
+        "CPLX": A * (1 + 0.3j) ** 7,
+        "F": F,
         "G": (F + 2j * F).astype(np.complex64),
-        "ZERO": np.zeros((3, 4)), "TINY": np.array([[1e-300, -np.pi], [-np.pi, 1e300]]),
-    }  # fmt: skip
+        "ZERO": np.zeros((3, 4)),
+        "TINY": np.array([[1e-300, -np.pi], [-np.pi, 1e300]]),
+    }
 
 
 def full(matrix):

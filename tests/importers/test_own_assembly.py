@@ -49,9 +49,11 @@ def test_distorted_solid185(shared_data: Path) -> None:
     """The rotor of ANSYS, whose mass was lumped."""
     folder = shared_data / "ansys_rotor"
     theirs = import_ansys_matrices(
-        folder / "rotorAnsysStiffnessMatrixSparse.txt", mass=folder / "rotorAnsysMassMatrixSparse.txt",
-        mapping=folder / "rotorAnsysMatrixDofMappingVector.txt", nodes=folder / "rotorAnsysNodalCoordinates.txt",
-    )  # fmt: skip
+        folder / "rotorAnsysStiffnessMatrixSparse.txt",
+        mass=folder / "rotorAnsysMassMatrixSparse.txt",
+        mapping=folder / "rotorAnsysMatrixDofMappingVector.txt",
+        nodes=folder / "rotorAnsysNodalCoordinates.txt",
+    )
     words = [line.split() for line in (folder / "rotorAnsysElements.txt").read_text().splitlines()[1:] if line.strip()]
     nodes = np.searchsorted(theirs.nodes.ids, np.array([row[2:10] for row in words], dtype=int))
     block = ElementBlock(type="hex8", nodes=nodes, ids=np.arange(len(nodes)), formulation="b-bar", mass="row-sum")
@@ -64,9 +66,7 @@ def test_distorted_solid185(shared_data: Path) -> None:
 def test_solid186(shared_data: Path) -> None:
     """A beam of 40 elements, held at one end."""
     folder = shared_data / "mapdl_reader"
-    theirs = import_file(
-        folder / "file.full", options={"nodes": str(folder / "HexBeam.cdb"), "drop_constrained": True}
-    )
+    theirs = import_file(folder / "file.full", options={"nodes": str(folder / "HexBeam.cdb"), "drop_constrained": True})
     material = isotropic(set="all", young=16.9e6, poisson=0.31, density=4.1408e-4)
     ours = import_file(folder / "HexBeam.cdb")
     assert ours.mesh.warnings == ()

@@ -86,9 +86,13 @@ def test_matrices_of_any_kind_become_a_model():
             assert problem.rigid.shape[1] == 6
     order = np.random.default_rng(1).permutation(model.size)
     mixed = morembs.from_matrices(
-        model.K[order][:, order], model.M[order][:, order], nodes=model.nodes, node=model.dofs.node[order],
-        component=model.dofs.component[order], units="mm-t-s",
-    )  # fmt: skip
+        model.K[order][:, order],
+        model.M[order][:, order],
+        nodes=model.nodes,
+        node=model.dofs.node[order],
+        component=model.dofs.component[order],
+        units="mm-t-s",
+    )
     assert abs(mixed.K).sum() == pytest.approx(1e3 * abs(model.K).sum()) and np.array_equal(mixed.dofs.node, order // 3)
 
 

@@ -29,8 +29,10 @@ CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1,
 
 def cube(first: int, low=(0.0, 0.0, 0.0), size=1.0, element: int = 1) -> str:
     """A cube of one element; its nodes are ``first`` to ``first + 7``, as in the manual."""
-    rows = [f"{first + i}, " + ", ".join(str(a + size * b) for a, b in zip(low, c, strict=True))
-            for i, c in enumerate(CORNERS)]  # fmt: skip
+    rows = [
+        f"{first + i}, " + ", ".join(str(a + size * b) for a, b in zip(low, c, strict=True))
+        for i, c in enumerate(CORNERS)
+    ]
     nodes = ", ".join(str(first + i) for i in range(8))
     return "*NODE\n" + "\n".join(rows) + f"\n*ELEMENT, TYPE=C3D8, ELSET=ALL\n{element}, {nodes}\n"
 
@@ -63,9 +65,10 @@ def terms(equations, index):
 
 
 PAIR = (
-    cube(1) + cube(11, (0.1, 0.2, 1.0), 0.6, element=2)
+    cube(1)
+    + cube(11, (0.1, 0.2, 1.0), 0.6, element=2)
     + "*ELSET, ELSET=LOW\n1\n*ELSET, ELSET=HIGH\n2\n*SURFACE, NAME=BELOW\nLOW, S2\n*SURFACE, NAME=ABOVE\nHIGH, S1\n"
-)  # fmt: skip
+)
 
 
 def test_tied_nodes_have_the_weights_that_calculix_gives_them(read):
@@ -162,8 +165,10 @@ def test_equations_between_sets_and_along_turned_axes(read):
     (equations,) = imported.equations
     ids = imported.nodes.ids
     assert [(int(ids[n]), int(c)) for n, c in zip(equations.nodes, equations.components, strict=True)] == [
-        (5, 2), (6, 2), (3, 0),
-    ]  # fmt: skip
+        (5, 2),
+        (6, 2),
+        (3, 0),
+    ]
     assert terms(equations, 1) == {(1, 2): 0.5} and terms(equations, 2) == {(3, 0): 0.5, (8, 0): 0.5}
     # Away from the z axis at (1, 1): u_x + u_y of node 3 is sqrt(2) u_x of node 1; around it: equal motions.
     turned = read(
@@ -248,7 +253,7 @@ SPRINGS = (
     "*ELEMENT, TYPE=SPRING2, ELSET=B\n53, 3, 90\n*SPRING, ELSET=B, NONLINEAR\n1, 3\n-8., -2.\n0., 0.\n5., 1.\n"
     "*ELEMENT, TYPE=DASHPOTA, ELSET=D\n54, 8, 90\n*DASHPOT, ELSET=D\n\n3.\n"
     "*ELEMENT, TYPE=MASS, ELSET=W\n55, 90\n*MASS, ELSET=W\n9.\n"
-)  # fmt: skip
+)
 
 
 def test_springs_and_dashpots_are_entries_of_k_and_d(read):
@@ -259,8 +264,11 @@ def test_springs_and_dashpots_are_entries_of_k_and_d(read):
     expected[:n, :n] = plain.K.toarray()
     at = {(int(node), int(c)): i for i, (node, c) in enumerate(zip(model.dofs.node, model.dofs.component, strict=True))}
     for a, b, value in (
-        ((6, 2), (last, 2), 500.0), ((0, 1), None, 70.0), ((1, 1), None, 70.0), ((2, 0), (last, 2), 5.0),
-    ):  # fmt: skip
+        ((6, 2), (last, 2), 500.0),
+        ((0, 1), None, 70.0),
+        ((1, 1), None, 70.0),
+        ((2, 0), (last, 2), 5.0),
+    ):
         part = np.zeros(n + 3)
         part[at[a]] = 1.0
         if b is not None:
@@ -303,9 +311,7 @@ def test_rigid_bodies_without_reference_and_distributing_elements(read):
     imported = read(text + "*RIGID BODY, NSET=TOP\n")
     (rigid,) = imported.rigid
     assert imported.nodes.xyz[rigid.master] == pytest.approx([0.5, 0.5, 1.0]) and imported.nodes.ids[rigid.master] == 91
-    imported = read(
-        text + "*ELEMENT, TYPE=DCOUP3D, ELSET=E\n7, 90\n*DISTRIBUTING COUPLING, ELSET=E\nTOP, 1.\n5, 3.\n"
-    )
+    imported = read(text + "*ELEMENT, TYPE=DCOUP3D, ELSET=E\n7, 90\n*DISTRIBUTING COUPLING, ELSET=E\nTOP, 1.\n5, 3.\n")
     (mean,) = imported.average
     assert imported.nodes.ids[mean.reference] == 90 and mean.weights.tolist() == [3, 1, 1, 1]
     model = model_of(imported)
@@ -318,7 +324,7 @@ FIVE = (
     "*NODE\n" + cube(1).split("*NODE\n")[1] + "*ELEMENT, TYPE=S4\n8, 1, 2, 3, 4\n9, 1, 2, 3, 4\n*FANCY THING\n1.\n"
     "*SURFACE, NAME=A\nALL, S1\n*CONTACT PAIR\nA, A\n*CONTACT PAIR\nA, A\n*MPC\nMEANROT, 1, 2\n"
     "*SOLID SECTION, ELSET=ALL, MATERIAL=M\n*MATERIAL, NAME=M\n*ELASTIC\n2.E11, .3\n"
-)  # fmt: skip
+)
 
 
 def test_five_problems_are_five_in_one_message_with_the_line_that_answers_them(read):
@@ -394,8 +400,15 @@ def test_types_of_elements_in_another_order_in_each_part_keep_their_labels(read)
 @pytest.mark.parametrize("kind", TYPES)
 def test_left_handed_elements_are_reversed(kind, read):
     mesh = box(kind, (2, 1, 1), (0.3, 0.2, 0.1))
-    codes = {"tet4": "C3D4", "tet10": "C3D10", "hex8": "C3D8", "hex20": "C3D20", "hex27": "C3D27", "wedge6": "C3D6",
-             "wedge15": "C3D15"}  # fmt: skip
+    codes = {
+        "tet4": "C3D4",
+        "tet10": "C3D10",
+        "hex8": "C3D8",
+        "hex20": "C3D20",
+        "hex27": "C3D27",
+        "wedge6": "C3D6",
+        "wedge15": "C3D15",
+    }
     nodes = mesh.nodes.ids[mesh.blocks[0].nodes]
     nodes[0] = nodes[0][mirror_of(kind)]
     places = zip(mesh.nodes.ids.tolist(), mesh.nodes.xyz.tolist(), strict=True)
@@ -410,7 +423,6 @@ def test_left_handed_elements_are_reversed(kind, read):
     order = np.argsort(imported.nodes.ids)
     assert (order == np.arange(len(order))).all()
     assert abs(model.K - steel(mesh).K).max() < 1e-12 * abs(steel(mesh).K).max()
-
 
 
 GENERATED = (
@@ -495,10 +507,12 @@ def test_a_lone_part_without_an_assembly_is_the_model(read):
 
 
 THREE = (
-    cube(1, size=2.0) + cube(11, (5.0, 0.0, 0.0), element=2) + cube(21, (5.2, 0.2, 1.0), 0.6, element=3)
+    cube(1, size=2.0)
+    + cube(11, (5.0, 0.0, 0.0), element=2)
+    + cube(21, (5.2, 0.2, 1.0), 0.6, element=3)
     + "*ELSET, ELSET=SMALL\n3\n*ELSET, ELSET=MIDDLE\n2\n*NSET, NSET=ENDS\n1, 11\n"
     + "*SURFACE, NAME=BELOW\nMIDDLE, S2\n*SURFACE, NAME=ABOVE\nSMALL, S1\n*TIE, NAME=T\nABOVE, BELOW\n"
-)  # fmt: skip
+)
 
 
 def test_parts_that_nothing_joins_become_files_of_their_own(tmp_path):

@@ -92,8 +92,10 @@ def test_selections_agree_with_geometry():
     assert np.array_equal(select_nodes(model, "set:corner"), [0, 1])
     assert np.array_equal(select_nodes(model, "ids:101,103"), [0, 2])
     assert np.array_equal(select_nodes(model, "set:half"), np.flatnonzero(xyz[:, 0] < 0.51))
-    assert np.array_equal(select_nodes(model, "box:250,0,0,500,1000,1000", length=1e-3),
-                          np.flatnonzero((xyz[:, 0] > 0.24) & (xyz[:, 0] < 0.51)))  # fmt: skip
+    assert np.array_equal(
+        select_nodes(model, "box:250,0,0,500,1000,1000", length=1e-3),
+        np.flatnonzero((xyz[:, 0] > 0.24) & (xyz[:, 0] < 0.51)),
+    )
     assert np.array_equal(select_nodes(model, "sphere:0,0,0,0.5"), np.flatnonzero(np.linalg.norm(xyz, axis=1) < 0.501))
     inside = (np.hypot(xyz[:, 0] - 0.5, xyz[:, 1] - 0.5) < 0.26) & (xyz[:, 2] < 0.51)
     assert np.array_equal(select_nodes(model, "cylinder:0.5,0.5,0,0,0,0.5,0.25"), np.flatnonzero(inside))

@@ -16,7 +16,7 @@ from tests.support.commands import OLD_RESULT, refused
 from tests.support.decks import APART, BEAM, HINGED, Cell, deck, folder
 from tests.support.processes import apart, program
 
-STEEL = 'young = 210e3\npoisson = 0.3\ndensity = 7.85e-9'
+STEEL = "young = 210e3\npoisson = 0.3\ndensity = 7.85e-9"
 FREE = {"interface": None, "interface2": None, "reduce": 'method = "modal"\nmodes = 3'}
 
 
@@ -59,7 +59,7 @@ def test_toml_syntax(tmp_path: Path) -> None:
         ({"interface": 'name = "a"\nnodes = "set:LEFT"\ncoupling = "rigit"'}, ["rigit", "'rigid'"]),
         ({"solver": 'name = "mump"'}, ["mump", "'mumps'"]),
     ],
-)  # fmt: skip
+)
 def test_unknown_word_names_the_nearest(tmp_path: Path, tables: dict[str, str], words: list[str]) -> None:
     message = refused(folder(tmp_path, tables))
     for word in words:
@@ -82,7 +82,7 @@ def test_unknown_word_names_the_nearest(tmp_path: Path, tables: dict[str, str], 
         ({"output": 'path = "part.h5"\nnodes = "skn"'}, ["'skn'", '"skin"']),
         ({"response": "from_hz = 10.0\nto_hz = 5.0"}, ["from_hz = 10", "to_hz = 5"]),
     ],
-)  # fmt: skip
+)
 def test_wrong_value(tmp_path: Path, tables: dict[str, str], words: list[str]) -> None:
     message = refused(folder(tmp_path, tables))
     for word in words:

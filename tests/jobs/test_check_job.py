@@ -43,9 +43,6 @@ def checked(job: Path) -> Any:
     return json.loads(result.stdout)[0]
 
 
-
-
-
 def state_space(inputs: str, held: str = "", path: str = "x.npz", more: str = "") -> str:
     return f'path = "{path}"\ninputs = ["{inputs}"]\noutputs = ["right:velocity"]\nheld = [{held}]\n{more}'
 
@@ -56,7 +53,8 @@ REFUSED = {
     "displacement in a .mat": ({"state_space": state_space("left:displacement", path="x.mat")}, "proper state space"),
     "a body of no name": ({"state_space": state_space("left:force", more='body = "bc"')}, "did you mean 'cb'?"),
     "hysteresis in time": (
-        {"state_space": state_space("left:force"), "damping": "structural = 0.02"}, "structural damping of 0.02"
+        {"state_space": state_space("left:force"), "damping": "structural = 0.02"},
+        "structural damping of 0.02",
     ),
     "one file twice": ({"state_space": state_space("left:force"), "output": 'path = "x.npz"'}, "would overwrite"),
     "a chord of nothing": ({"frame": 'kind = "chord"'}, "a chord frame was given 0 interfaces"),
@@ -94,16 +92,23 @@ def test_a_model_file_has_no_stress_either(tmp_path: Path) -> None:
 
 
 DAMPINGS = {
-    "none": Damping(), "rayleigh": Damping(alpha=5.0, beta=1e-6), "modal": Damping(modal=0.01),
-    "structural": Damping(structural=0.02), "partial": Damping(modal_table=[[0, 0.0], [9000, 0.1]]),
-}  # fmt: skip
+    "none": Damping(),
+    "rayleigh": Damping(alpha=5.0, beta=1e-6),
+    "modal": Damping(modal=0.01),
+    "structural": Damping(structural=0.02),
+    "partial": Damping(modal_table=[[0, 0.0], [9000, 0.1]]),
+}
 BAND = [0.0, 3000.0]
 METHODS = {
-    "auto": AutoReducer(band_hz=BAND, tolerance=1e-2), "irka": Irka(order=6, band_hz=BAND, max_steps=3),
-    "gramian": Gramian(band_hz=BAND, order=12), "direct": Gramian(band_hz=BAND, order=12, direct=True, points=6),
-    "band": Balanced(order=8, band_hz=BAND), "balanced": Balanced(order=8, adi_tolerance=1e-4),
-    "cb": CraigBampton(modes=4), "krylov": Krylov(),
-}  # fmt: skip
+    "auto": AutoReducer(band_hz=BAND, tolerance=1e-2),
+    "irka": Irka(order=6, band_hz=BAND, max_steps=3),
+    "gramian": Gramian(band_hz=BAND, order=12),
+    "direct": Gramian(band_hz=BAND, order=12, direct=True, points=6),
+    "band": Balanced(order=8, band_hz=BAND),
+    "balanced": Balanced(order=8, adi_tolerance=1e-4),
+    "cb": CraigBampton(modes=4),
+    "krylov": Krylov(),
+}
 
 
 @pytest.mark.parametrize(("own", "large"), [(False, False), (True, False), (True, True)])

@@ -164,8 +164,13 @@ def test_a_state_space_beside_the_body(tmp_path, step):
     second = 'name = "small"\nmethod = "craig-bampton"\nmodes = 2'
     run_job(load_job(decks.folder(tmp_path, {"state_space": asked, "reduce2": second})))
     system = read_state_space(tmp_path / "x.npz")
-    wanted = state_space(read_body(tmp_path / "part.h5"), ["left:acceleration:z"],
-                         ["left:reaction", "right:acceleration"], held=["left:x+y+rx+ry+rz"], name="small")  # fmt: skip
+    wanted = state_space(
+        read_body(tmp_path / "part.h5"),
+        ["left:acceleration:z"],
+        ["left:reaction", "right:acceleration"],
+        held=["left:x+y+rx+ry+rz"],
+        name="small",
+    )
     wanted = wanted if step is None else wanted.discrete(step)
     assert system.dt == (step or 0.0) and system.names == wanted.names and len(system.A) == 16
     for key in "ABCD":

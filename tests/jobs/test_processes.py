@@ -150,11 +150,15 @@ def dampers(tmp_path: Path) -> dict[str, str]:
     model = steel(box("hex8", (10, 3, 3), (1.0, 0.1, 0.12)))
     free = np.setdiff1d(np.arange(model.size), np.flatnonzero(np.isin(model.dofs.node, where(model, 0, 0.0))))
     model = replace(
-        model, K=model.K[free][:, free], M=model.M[free][:, free], mesh=None, materials=(),
+        model,
+        K=model.K[free][:, free],
+        M=model.M[free][:, free],
+        mesh=None,
+        materials=(),
         D=sp.csr_array(sp.diags_array(np.where(np.arange(len(free)) < 40, 30.0, 0.0))),
         dofs=DofMap(node=model.dofs.node[free], component=model.dofs.component[free]),
         nodes=replace(model.nodes, sets={"TIP": where(model, 0, 1.0)[:1]}),
-    )  # fmt: skip
+    )
     write_model(tmp_path / "beam.model.h5", model)
     return {"model": "beam", "flow": "", "gramian": GRAMIAN}
 
@@ -233,7 +237,7 @@ def test_check_and_reduce_refuse_solvers_that_cannot_take_a_flow(tmp_path, tube,
     assert "factorises complex-unsymmetric matrices (it takes spd ones)" in check.stderr
     # Statics take a definite matrix only.
     job.write_text(job.read_text().replace("[0.0, 500.0, 900.0]", "[0.0]").replace(tube["flow"], ""))
-    job.write_text(job.read_text().replace('[certify]\nband_hz = [20.0, 900.0]\npoints = 4\n', ""))
+    job.write_text(job.read_text().replace("[certify]\nband_hz = [20.0, 900.0]\npoints = 4\n", ""))
     assert CliRunner().invoke(app, ["check", str(job)]).exit_code == 0
 
 

@@ -30,9 +30,11 @@ def run(folder, candidates=LINE, more="", command="reduce"):
     deck(model, folder / "part.inp")
     rail = f'base_options = {{ modes = 5 }}\ncandidates = "{candidates}"\ndirections = [2]\n{more}'
     tables = {
-        "interface": None, "interface2": None, "reduce": f'name = "rail"\nmethod = "static-modes-switching"\n{rail}',
+        "interface": None,
+        "interface2": None,
+        "reduce": f'name = "rail"\nmethod = "static-modes-switching"\n{rail}',
         "reduce2": 'method = "modal"\nmodes = 5',
-    }  # fmt: skip
+    }
     (folder / "job.toml").write_text(job(tables))
     return model, CliRunner().invoke(app, [command, str(folder / "job.toml")])
 
@@ -44,9 +46,12 @@ def test_a_job_in_millimetres_stores_what_the_reducer_makes_in_metres(tmp_path):
     stored = bodies["rail"].switching()
     with Problem(model) as problem:
         reducer = StaticModesSwitching(
-            base_options={"modes": 5}, candidates="box:0,0.049,0.099,0.8,0.051,0.101", directions=[2], stress=True,
+            base_options={"modes": 5},
+            candidates="box:0,0.049,0.099,0.8,0.051,0.101",
+            directions=[2],
+            stress=True,
             band=3,
-        )  # fmt: skip
+        )
         tables = reducer.switching(problem, reducer.reduce(problem))
     assert stored.count == tables.count == 9
     # Signs and mixtures of equal modes may differ, what is left of static answers does not.

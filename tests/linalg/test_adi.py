@@ -15,10 +15,12 @@ def system(M, D, K, solve=None):
     """Dense solves stand for the sparse factor."""
     M, D, K = (A.toarray() if sp.issparse(A) else A for A in (M, D, K))
     return SecondOrder(
-        M=sp.csr_array(M), K=sp.csr_array(K), apply_D=lambda X: D @ X,
+        M=sp.csr_array(M),
+        K=sp.csr_array(K),
+        apply_D=lambda X: D @ X,
         solve=solve or (lambda s, F: np.linalg.solve(s * s * M + s * D + K, F)),
         flexibility=lambda F: np.linalg.solve(K, F),
-    )  # fmt: skip
+    )
 
 
 def sandwich(folder):

@@ -55,8 +55,10 @@ def test_counts_agree_with_the_sorted_list(square_bar, coupling):
     """Sturm counts in ten gaps of the free and of the restricted pencil."""
     interfaces = []
     if coupling:
-        interfaces = [make_interface(square_bar, name=n, nodes=where(square_bar, 0, x), coupling=coupling)
-                for n, x in (("l", 0.0), ("r", 0.5))]  # fmt: skip
+        interfaces = [
+            make_interface(square_bar, name=n, nodes=where(square_bar, 0, x), coupling=coupling)
+            for n, x in (("l", 0.0), ("r", 0.5))
+        ]
     with Problem(square_bar, interfaces) as problem:
         pencil = problem.internal if coupling else problem.elastic
         exact = lowest_modes(pencil, problem.M, count=30, by_lapack=True).eigenvalues

@@ -19,11 +19,7 @@ from morembs.problem import Problem
 from tests.support.matrices import backward_error, brick, damped, random, shifted, slender_beam
 from tests.support.meshes import box
 
-MATRICES = {
-    "spd": brick(8),
-    "symmetric": shifted(brick(8), 13.7),
-    "complex-symmetric": damped(brick(8), 1.3),
-}
+MATRICES = {"spd": brick(8), "symmetric": shifted(brick(8), 13.7), "complex-symmetric": damped(brick(8), 1.3)}
 WARNING = "the single factor does not precondition well enough; a double one is made"
 
 

@@ -271,5 +271,3 @@ def test_unusable_scratch_folders_are_reported(kind: Kind, tmp_path: Path) -> No
     with pytest.raises(InputError, match=r"a path of 1[0-9]+ bytes.*give a shorter one"):
         kind(out_of_core=True, scratch=deep).factorize(brick(4), "spd")
     assert not list(deep.iterdir())
-
-

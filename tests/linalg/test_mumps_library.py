@@ -42,8 +42,9 @@ typedef struct {
 LOADERS = {"mumps": mumps_library.system_library, "mumps-embedded": mumps_library.embedded_library}
 
 
-@pytest.mark.parametrize(("letter", "real"), [("s", ctypes.c_float), ("d", ctypes.c_double),
-                                              ("c", ctypes.c_float), ("z", ctypes.c_double)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("letter", "real"), [("s", ctypes.c_float), ("d", ctypes.c_double), ("c", ctypes.c_float), ("z", ctypes.c_double)]
+)
 def test_structure_is_read_from_the_header(letter: str, real: type) -> None:
     version, layout = mumps_library.parse_header(HEADER.replace("DMUMPS", f"{letter.upper()}MUMPS"), letter)
     kinds = dict(layout._fields_)

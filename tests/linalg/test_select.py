@@ -17,9 +17,12 @@ from morembs.linalg.sparse.symmetric import Lower
 from tests.support.matrices import backward_error, brick, damped, random, shifted, skewed
 
 MATRICES = {
-    "spd": brick(4), "symmetric": shifted(brick(4), 13.7), "complex-symmetric": damped(brick(4), 1.3),
-    "unsymmetric": skewed(shifted(brick(4), 13.7), 0.3), "complex-unsymmetric": skewed(damped(brick(4), 1.3), 0.3),
-}  # fmt: skip
+    "spd": brick(4),
+    "symmetric": shifted(brick(4), 13.7),
+    "complex-symmetric": damped(brick(4), 1.3),
+    "unsymmetric": skewed(shifted(brick(4), 13.7), 0.3),
+    "complex-unsymmetric": skewed(damped(brick(4), 1.3), 0.3),
+}
 
 
 def _without(monkeypatch: pytest.MonkeyPatch, *kinds: type[LinearSolver]) -> None:
@@ -114,8 +117,10 @@ def test_a_shrinking_budget_takes_the_factor_to_disk_and_then_to_single_precisio
     steps = list(dict.fromkeys(ladder))
     assert steps == ["double in memory", "double on disk", "single on disk", "nothing"]
     assert ladder == sorted(ladder, key=steps.index)
-    assert f"1.0 MB are left of the memory budget for a factorisation of 3000 rows; the leanest method needs "\
-        f"{needed / 1e6:.0f} MB: raise the budget by {enough_megabytes(needed - 1e6)} MB" in words  # fmt: skip
+    assert (
+        f"1.0 MB are left of the memory budget for a factorisation of 3000 rows; the leanest method needs "
+        f"{needed / 1e6:.0f} MB: raise the budget by {enough_megabytes(needed - 1e6)} MB" in words
+    )
     AutoSolver(memory=needed, scratch=tmp_path).analyse(A, structure).close()
     assert not list(tmp_path.iterdir())
 

@@ -68,9 +68,14 @@ def test_a_wrong_count_is_refused() -> None:
         k = _gap(exact, 60)
         with pytest.raises(SolverError, match="move the limit"):
             sliced_modes(
-                problem.internal, problem.M, first.eigenvalues, first.vectors, count=k + 1,
-                below=0.5 * (exact[k - 1] + exact[k]), per_slice=30,
-            )  # fmt: skip
+                problem.internal,
+                problem.M,
+                first.eigenvalues,
+                first.vectors,
+                count=k + 1,
+                below=0.5 * (exact[k - 1] + exact[k]),
+                per_slice=30,
+            )
 
 
 def test_a_missing_first_mode_is_found_again() -> None:
@@ -81,9 +86,14 @@ def test_a_missing_first_mode_is_found_again() -> None:
         keep, k = np.arange(10) != 6, _gap(exact, 40)
         try:
             values, _ = sliced_modes(
-                problem.internal, problem.M, first.eigenvalues[keep], first.vectors[:, keep], count=k,
-                below=0.5 * (exact[k - 1] + exact[k]), per_slice=30,
-            )  # fmt: skip
+                problem.internal,
+                problem.M,
+                first.eigenvalues[keep],
+                first.vectors[:, keep],
+                count=k,
+                below=0.5 * (exact[k - 1] + exact[k]),
+                per_slice=30,
+            )
         except SolverError:
             return
         np.testing.assert_allclose(values, exact[:k], rtol=1e-8)
@@ -105,10 +115,11 @@ def oscillators(stiffness: np.ndarray, mass: np.ndarray) -> FEModel:
     weak = sp.diags_array([2.0, -1.0, -1.0], offsets=[0, 3, -3], shape=(len(mass), len(mass)))
     nodes = np.arange(len(mass) // 3)
     return FEModel(
-        K=sp.csr_array(sp.diags_array(stiffness) + weak), M=sp.csr_array(sp.diags_array(mass)),
+        K=sp.csr_array(sp.diags_array(stiffness) + weak),
+        M=sp.csr_array(sp.diags_array(mass)),
         nodes=Nodes(ids=nodes + 1, xyz=np.random.default_rng(1).uniform(0, 1, (len(nodes), 3))),
         dofs=DofMap(node=np.repeat(nodes, 3), component=np.tile(np.arange(3), len(nodes))),
-    )  # fmt: skip
+    )
 
 
 def test_slices_cross_a_wide_gap() -> None:
@@ -118,9 +129,13 @@ def test_slices_cross_a_wide_gap() -> None:
     exact = np.linalg.eigvalsh(model.K.toarray())
     with Problem(model) as problem:
         modes = lowest_modes(
-            problem.elastic, problem.M, below=0.5 * (exact[259] + exact[260]), by_lapack=False, per_slice=24,
+            problem.elastic,
+            problem.M,
+            below=0.5 * (exact[259] + exact[260]),
+            by_lapack=False,
+            per_slice=24,
             progress=Heard(most=2000),
-        )  # fmt: skip
+        )
     np.testing.assert_allclose(modes.eigenvalues, exact[:260], rtol=1e-8)
 
 

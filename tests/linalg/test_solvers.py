@@ -196,8 +196,12 @@ def test_a_factor_closes_the_analysis_that_was_made_for_it(solver: LinearSolver)
 
 
 def test_a_structure_that_is_not_taken_is_refused() -> None:
-    refused = [(name, structure) for name, kind in SOLVERS.items() for structure in STRUCTURES
-               if structure not in kind.structures and not kind.unavailable()]  # fmt: skip
+    refused = [
+        (name, structure)
+        for name, kind in SOLVERS.items()
+        for structure in STRUCTURES
+        if structure not in kind.structures and not kind.unavailable()
+    ]
     for name, structure in refused:
         with pytest.raises(InputError, match=f"'{name}' takes .* matrices; the matrix is {structure}"):
             SOLVERS[name]().factorize(MATRICES[structure][0](2), structure)
@@ -396,9 +400,11 @@ def test_an_easy_indefinite_matrix_that_needs_pivots() -> None:
     row = sp.diags_array([-np.ones(11), 2 * np.ones(12), -np.ones(11)], offsets=[-1, 0, 1])
     eye = sp.eye_array(12)
     A = sp.csr_array(
-        sp.kron(sp.kron(row, eye), eye) + sp.kron(sp.kron(eye, row), eye) + sp.kron(sp.kron(eye, eye), row)
+        sp.kron(sp.kron(row, eye), eye)
+        + sp.kron(sp.kron(eye, row), eye)
+        + sp.kron(sp.kron(eye, eye), row)
         - 3.0 * sp.eye_array(12**3)
-    )  # fmt: skip
+    )
     b = np.random.default_rng(0).standard_normal(12**3)
     for name in ("superlu", "mumps", "umfpack"):
         if not SOLVERS[name].unavailable():

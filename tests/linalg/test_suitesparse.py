@@ -428,9 +428,7 @@ class Held(ForeignObject):
         self.freed.set()
 
 
-def test_an_interrupted_call_frees_what_it_works_on_when_it_ends(
-    interrupt: Callable[[threading.Event], None],
-) -> None:
+def test_an_interrupted_call_frees_what_it_works_on_when_it_ends(interrupt: Callable[[threading.Event], None]) -> None:
     held, begun, ended = Held(), threading.Event(), threading.Event()
 
     def long() -> None:
@@ -473,9 +471,7 @@ def test_calls_give_results_errors_and_news() -> None:
 
 def test_a_call_outside_the_main_thread_runs_there() -> None:
     with ThreadPoolExecutor(1) as pool:
-        own, used = pool.submit(
-            lambda: (threading.get_ident(), Held().call(threading.get_ident))
-        ).result()
+        own, used = pool.submit(lambda: (threading.get_ident(), Held().call(threading.get_ident))).result()
     assert own == used
 
 

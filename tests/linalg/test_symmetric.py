@@ -22,8 +22,12 @@ SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 3.0]])
 @pytest.fixture(params=["real", "complex", "no diagonal", "one row"])
 def dense(request: pytest.FixtureRequest) -> np.ndarray:
     """Matrices with stored values; the third has rows whose diagonal is not stored."""
-    return {"real": brick(3).toarray(), "complex": damped(chain(9), 1.3).toarray(), "no diagonal": SWAP,
-            "one row": np.array([[-2.0]])}[request.param]  # fmt: skip
+    return {
+        "real": brick(3).toarray(),
+        "complex": damped(chain(9), 1.3).toarray(),
+        "no diagonal": SWAP,
+        "one row": np.array([[-2.0]]),
+    }[request.param]
 
 
 @pytest.mark.parametrize("kind", [sp.csr_array, sp.csc_array, sp.coo_array])

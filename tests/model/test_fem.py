@@ -97,9 +97,13 @@ def timoshenko_free_free(E, G, rho, A, inertia, kappa, L, guess):
         w2 = (2 * np.pi * f) ** 2
         # State (w, psi, M, Q) along x: d/dx y = S y; free ends: M = Q = 0.
         S = np.array(
-            [[0, 1, 0, 1 / (kappa * G * A)], [0, 0, -1 / (E * inertia), 0], [0, rho * inertia * w2, 0, 1],
-             [-rho * A * w2, 0, 0, 0]]
-        )  # fmt: skip
+            [
+                [0, 1, 0, 1 / (kappa * G * A)],
+                [0, 0, -1 / (E * inertia), 0],
+                [0, rho * inertia * w2, 0, 1],
+                [-rho * A * w2, 0, 0, 0],
+            ]
+        )
         d = np.array([1.0, 1.0 / L, E * inertia / L**2, E * inertia / L**3])
         P = sl.expm(S * L * 1.0) / d[:, None] * d
         return np.linalg.det(P[2:, :2])
@@ -129,10 +133,7 @@ def test_free_box_against_timoshenko():
 @pytest.mark.parametrize("kind", ["hex20", "hex27", "tet10"])
 def test_free_solid_sphere(kind):
     """Lamb's first torsional and spheroidal modes, each five-fold."""
-    model = assemble(
-        ball(kind, 4, 0.010),
-        [isotropic(set="all", young=1e8, poisson=0.3, density=1e4)],
-    )
+    model = assemble(ball(kind, 4, 0.010), [isotropic(set="all", young=1e8, poisson=0.3, density=1e4)])
     with Problem(model) as problem:
         f = problem.elastic_modes(count=10).frequencies_hz
     assert f[:5] == pytest.approx(np.full(5, 2468.711), rel=2e-3)
@@ -170,9 +171,7 @@ def test_orthotropic_reduces_to_isotropic_and_turns_with_its_axes():
     constants = {"young": (140e9, 10e9, 9e9), "poisson": (0.3, 0.28, 0.4), "shear": (5e9, 4.5e9, 3.2e9)}
     plain = orthotropic(set="all", **constants, density=1600.0)
     # Material direction 1 along the model's y: a quarter turn about z swaps moduli and shear planes.
-    turned = orthotropic(
-        set="all", **constants, density=1600.0, axes=np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-    )
+    turned = orthotropic(set="all", **constants, density=1600.0, axes=np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]))
     swap = [1, 0, 2, 4, 3, 5]
     assert turned.stiffness == pytest.approx(plain.stiffness[np.ix_(swap, swap)], rel=1e-12, abs=1e-2)
     compliance = np.linalg.inv(turned.stiffness)
@@ -195,8 +194,10 @@ def test_two_materials_by_element_set():
     left = mesh.nodes.xyz[mesh.blocks[0].nodes].mean(axis=1)[:, 0] < 0.5
     sets = {"left": (np.flatnonzero(left),), "right": (np.flatnonzero(~left),)}
     mesh = Mesh(nodes=mesh.nodes, blocks=mesh.blocks, element_sets=sets)
-    both = [isotropic(set="left", young=1e9, poisson=0.3, density=1000.0),
-            isotropic(set="right", young=2e9, poisson=0.3, density=3000.0)]  # fmt: skip
+    both = [
+        isotropic(set="left", young=1e9, poisson=0.3, density=1000.0),
+        isotropic(set="right", young=2e9, poisson=0.3, density=3000.0),
+    ]
     model = assemble(mesh, both)
     R = rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
     mass, center, _ = mass_properties(model.M, R, np.zeros(3))

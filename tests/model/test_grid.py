@@ -32,9 +32,12 @@ def test_a_grid_bends_to_whatever_its_points_are():
 
 @pytest.mark.parametrize(
     ("shape", "element", "words"),
-    [((3, 3, 4), "hex20", "hex20 needs a multiple of 2, plus 1"), ((2, 1, 2), "hex8", "needs a multiple of 1, plus 1"),
-     ((3, 3, 3), "tet4", "a grid is filled by hex8, hex20 or hex27")],
-)  # fmt: skip
+    [
+        ((3, 3, 4), "hex20", "hex20 needs a multiple of 2, plus 1"),
+        ((2, 1, 2), "hex8", "needs a multiple of 1, plus 1"),
+        ((3, 3, 3), "tet4", "a grid is filled by hex8, hex20 or hex27"),
+    ],
+)
 def test_grids_that_elements_do_not_fill(shape, element, words):
     with pytest.raises(InputError, match=words):
         grid_cells(shape, element)

@@ -30,9 +30,12 @@ def superelement(modes=20):
     node = np.append(np.repeat(np.arange(len(rows)), 3), np.zeros(modes, dtype=int))
     component = np.append(np.tile(np.arange(3), len(rows)), np.full(modes, 6))
     return bar, Imported(
-        source="superelement", K=sp.csr_array(T.T @ K @ T), M=sp.csr_array(T.T @ M @ T),
-        nodes=Nodes(ids=bar.nodes.ids[rows], xyz=bar.nodes.xyz[rows]), dofs=DofMap(node=node, component=component),
-    )  # fmt: skip
+        source="superelement",
+        K=sp.csr_array(T.T @ K @ T),
+        M=sp.csr_array(T.T @ M @ T),
+        nodes=Nodes(ids=bar.nodes.ids[rows], xyz=bar.nodes.xyz[rows]),
+        dofs=DofMap(node=node, component=component),
+    )
 
 
 def test_a_superelement_is_reduced_further_and_keeps_mass_and_frequencies(tmp_path):
@@ -52,15 +55,17 @@ def test_a_superelement_is_reduced_further_and_keeps_mass_and_frequencies(tmp_pa
     assert sl.eigh(reduced.K, reduced.M, eigvals_only=True)[6:9] == pytest.approx(own, rel=1e-9)
 
 
-
 def test_scalars_take_the_units_of_displacements_and_only_they_may_share_a_node():
     _, imported = superelement(2)
     model = model_of(imported, parse_units("mm-t-s"))
     assert np.allclose(model.K.data, imported.K.data * 1e3, rtol=1e-15)
     dofs = imported.dofs
     wrong = Imported(
-        source="a", K=imported.K, M=imported.M, nodes=imported.nodes,
+        source="a",
+        K=imported.K,
+        M=imported.M,
+        nodes=imported.nodes,
         dofs=DofMap(node=dofs.node, component=np.where(dofs.component == 6, 5, dofs.component)),
-    )  # fmt: skip
+    )
     with pytest.raises(InputError, match="two rows belong to component 5 of node"):
         model_of(wrong)

@@ -69,9 +69,11 @@ def test_a_tube_bends_stretches_and_twists_as_a_beam():
     turn = np.linalg.qr(np.column_stack([t, np.eye(3)[:, :2]]))[0]
     area, second = np.pi / 4 * (3e-3**2 - 2.6e-3**2), np.pi / 64 * (3e-3**4 - 2.6e-3**4)
     expected = [
-        0.3 / (195e9 * area), *2 * [0.3**3 / (3 * 195e9 * second)], 0.3 * 2.6 / (195e9 * 2 * second),
+        0.3 / (195e9 * area),
+        *2 * [0.3**3 / (3 * 195e9 * second)],
+        0.3 * 2.6 / (195e9 * 2 * second),
         *2 * [0.3 / (195e9 * second)],
-    ]  # fmt: skip
+    ]
     for k, value in enumerate(expected):
         load = np.zeros(model.size)
         direction = slice(-6, -3) if k < 3 else slice(model.size - 3, None)

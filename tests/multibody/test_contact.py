@@ -1,6 +1,5 @@
 """Contact: surfaces, gaps, impacts, friction, compliance, events, bad input."""
 
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -180,13 +179,26 @@ def elastic(rng, name, n=3, **options):
     """An elastic body with made-up integrals."""
     zero = np.zeros
     parts = ShapeIntegrals(
-        mass=1.0, first=zero(3), inertia=np.eye(3), second=zero((3, 3)), Ct=zero((n, 3)), Cr=zero((n, 3)), Me=np.eye(n),
-        x_phi=zero((3, 3, n)), phi_phi=zero((3, 3, n, n)),
-    )  # fmt: skip
+        mass=1.0,
+        first=zero(3),
+        inertia=np.eye(3),
+        second=zero((3, 3)),
+        Ct=zero((n, 3)),
+        Cr=zero((n, 3)),
+        Me=np.eye(n),
+        x_phi=zero((3, 3, n)),
+        phi_phi=zero((3, 3, n, n)),
+    )
     frame = FloatingFrame(
-        kind="mean-axes", origin=zero(3), elastic=np.eye(n), rigid=zero((n, 6)), integrals=parts, Ke=np.eye(n),
-        De=zero((n, n)), markers={},
-    )  # fmt: skip
+        kind="mean-axes",
+        origin=zero(3),
+        elastic=np.eye(n),
+        rigid=zero((n, 6)),
+        integrals=parts,
+        Ke=np.eye(n),
+        De=zero((n, n)),
+        markers={},
+    )
     return FlexibleBody(frame, name=name, **options)
 
 
@@ -293,9 +305,14 @@ def test_a_point_slides_down_a_sphere_and_leaves_it():
     leaves = lambda t, y: np.cos(y[0]) * G - y[1] ** 2  # noqa: E731
     leaves.terminal = True
     exact = solve_ivp(
-        lambda t, y: [y[1], G * np.sin(y[0])], (0, 2), [start, 0], events=leaves, rtol=1e-12, atol=1e-13,
+        lambda t, y: [y[1], G * np.sin(y[0])],
+        (0, 2),
+        [start, 0],
+        events=leaves,
+        rtol=1e-12,
+        atol=1e-13,
         dense_output=True,
-    )  # fmt: skip
+    )
     leave = exact.t_events[0][0]
     (angle, rate), left = exact.y[:, -1], 0.8 - leave
     end = np.array([np.sin(angle), 0, np.cos(angle)]) + left * rate * np.array([np.cos(angle), 0, -np.sin(angle)])
@@ -390,13 +407,16 @@ def test_a_box_tumbles_and_comes_to_rest_on_a_face(friction, seed):
     system, J = System(gravity=DOWN), 2 / 3 * np.array([half @ half - h * h for h in half])
     box = system.add(
         RigidBody(
-            2.0, J, position=(0, 0, 0.4), rotation=rotation(rng.standard_normal(3), 1.0), velocity=(1, 0.3, 0),
-            angular_velocity=3 * rng.standard_normal(3), markers={str(s): np.array(s) * half for s in signs},
+            2.0,
+            J,
+            position=(0, 0, 0.4),
+            rotation=rotation(rng.standard_normal(3), 1.0),
+            velocity=(1, 0.3, 0),
+            angular_velocity=3 * rng.standard_normal(3),
+            markers={str(s): np.array(s) * half for s in signs},
         )
-    )  # fmt: skip
-    contact = Contact(
-        list(box.markers.values()), Plane(), on=ground.marker_at(), friction=friction, restitution=0.2
     )
+    contact = Contact(list(box.markers.values()), Plane(), on=ground.marker_at(), friction=friction, restitution=0.2)
     result = simulate_contact(system, [contact], end=1.5, step=4e-3)
     assert np.abs(result.configuration(box)[-1, 2] - half).min() < 1e-9
     assert np.abs(result.speeds(box)[-1]).max() < 1e-6

@@ -68,9 +68,15 @@ def test_the_law_is_that_of_each_touch_and_each_run():
 
 def test_energy_balances_between_two_bodies_that_turn():
     wall = RigidBody(
-        1.0, (1, 2, 3), position=(0, 0.3, 0), velocity=(0, 0, 1), rotation=((0, 0, 1), (1, 0, 0), (0, 1, 0)),
-        angular_velocity=(0.3, 0.1, 0.2), markers={"w": (-0.3, 0, 0)}, name="wall",
-    )  # fmt: skip
+        1.0,
+        (1, 2, 3),
+        position=(0, 0.3, 0),
+        velocity=(0, 0, 1),
+        rotation=((0, 0, 1), (1, 0, 0), (0, 1, 0)),
+        angular_velocity=(0.3, 0.1, 0.2),
+        markers={"w": (-0.3, 0, 0)},
+        name="wall",
+    )
     system, _, touch = ball_and_wall(1.0, wall, (0, 1, 0), restitution=0.6)
     coarse, fine = (simulate(system, end=3 * touch, step=touch / count).energy() for count in (50, 100))
     off = [np.abs(energy.total - energy.total[0] - energy.work).max() for energy in (coarse, fine)]
@@ -84,12 +90,15 @@ def test_balls_of_a_bearing_share_its_load():
     balls = [
         system.add(
             ContactElement(
-                shaft.marker("c"), ground.marker_at((0, 0, 0)), stiffness=PowerLaw(1e10),
-                direction=(-np.cos(a), -np.sin(a), 0), name=f"ball {k}",
+                shaft.marker("c"),
+                ground.marker_at((0, 0, 0)),
+                stiffness=PowerLaw(1e10),
+                direction=(-np.cos(a), -np.sin(a), 0),
+                name=f"ball {k}",
             )
         )
         for k, a in enumerate(2 * np.pi * np.arange(8) / 8)
-    ]  # fmt: skip
+    ]
     system.add(PrismaticJoint(ground.marker_at((0, 0, 0)), shaft.marker("c"), axis=(1, 0, 0)))
     system.add(PointLoad(shaft.marker("c"), force=(load, 0, 0)))
     state = equilibrium(system).state
@@ -126,18 +135,24 @@ def quarter_block(x):
     held = ((component < 2) & (at[np.arange(len(at)), component % 3] == 0)) | np.isclose(at[:, 2], -x[-1])
     free = np.flatnonzero(~held)
     return FEModel(
-        K=model.K[free][:, free], M=model.M[free][:, free], nodes=model.nodes, mesh=model.mesh,
+        K=model.K[free][:, free],
+        M=model.M[free][:, free],
+        nodes=model.nodes,
+        mesh=model.mesh,
         dofs=DofMap(node=model.dofs.node[free], component=component[free]),
-    )  # fmt: skip
+    )
 
 
 def test_the_table_of_a_ball_is_hertz_and_tells_where_elements_are_too_large(caplog):
     radius, depth = 0.01, np.array([2e-6, 1.4e-5, 1.8e-5, 2.2e-5])
     with morembs.Problem(quarter_block(graded(8e-5, 7, 1.6, 0.012))) as problem:
         table = contact_table(
-            problem, Sphere((0, 0, radius), radius), surface="box:0,0,-1e-9,5.7e-4,5.7e-4,1e-9", penetration=depth,
+            problem,
+            Sphere((0, 0, radius), radius),
+            surface="box:0,0,-1e-9,5.7e-4,5.7e-4,1e-9",
+            penetration=depth,
             push=(0, 0, -1),
-        )  # fmt: skip
+        )
     hertz = PowerLaw(4 / 3 * STEEL["young"] / (1 - STEEL["poisson"] ** 2) * np.sqrt(radius))
     # The block ends at 12 mm: from there on a half space moves by (1 + nu) (3 - 2 nu) / (2 pi E 12 mm) times the load.
     missing = 1.3 * 2.4 / (2 * np.pi * STEEL["young"] * 0.012)
@@ -150,8 +165,15 @@ def test_the_table_of_a_ball_is_hertz_and_tells_where_elements_are_too_large(cap
 
 def test_a_roller_on_a_mounted_block_meets_a_line():
     # Between planes of symmetry a roller without crown is a plane problem: its force is that of any length of it.
-    mesh = grid_mesh(np.stack(np.meshgrid(graded(1e-4, 6, 1.7, 0.01), [0.0, 1e-3, 2e-3],
-                     -graded(1e-4, 6, 1.7, 0.01)[::-1], indexing="ij"), axis=-1), "hex8")  # fmt: skip
+    mesh = grid_mesh(
+        np.stack(
+            np.meshgrid(
+                graded(1e-4, 6, 1.7, 0.01), [0.0, 1e-3, 2e-3], -graded(1e-4, 6, 1.7, 0.01)[::-1], indexing="ij"
+            ),
+            axis=-1,
+        ),
+        "hex8",
+    )
     model = morembs.assemble(mesh, [morembs.isotropic(set="all", young=2.1e11, poisson=0.0, density=7850.0)])
     bottom = morembs.make_interface(
         model, name="FOOT", nodes=morembs.select_nodes(model, "box:0,0,-0.0101,0.01,0.002,-0.0099"), coupling="rigid"
@@ -159,13 +181,19 @@ def test_a_roller_on_a_mounted_block_meets_a_line():
     surface, depth = "box:0,0,-1e-9,6.1e-4,0.002,1e-9", [4e-6, 8e-6]
     with morembs.Problem(model, [bottom]) as problem:
         line, crowned = (
-            contact_table(problem, Cylinder((0, 1e-3, 0.02), (0, 1, 0), 0.02, crown=crown), surface=surface,
-                          penetration=depth, push=(0, 0, -1))
+            contact_table(
+                problem,
+                Cylinder((0, 1e-3, 0.02), (0, 1, 0), 0.02, crown=crown),
+                surface=surface,
+                penetration=depth,
+                push=(0, 0, -1),
+            )
             for crown in (np.inf, 0.1)
-        )  # fmt: skip
+        )
         with pytest.raises(InputError, match="across the axis"):
-            contact_table(problem, Cylinder((0, 0, 1), (0, 0, 1), 0.1), surface=surface, penetration=depth,
-                          push=(0, 0, -1))  # fmt: skip
+            contact_table(
+                problem, Cylinder((0, 0, 1), (0, 0, 1), 0.1), surface=surface, penetration=depth, push=(0, 0, -1)
+            )
         with pytest.raises(InputError, match="that grow"):
             contact_table(problem, Sphere((0, 0, 1), 1), surface=surface, penetration=[2e-6, 1e-6], push=(0, 0, -1))
     # A line load sinks in a little more than in proportion (Johnson 1985, section 5.6: with a logarithm).
@@ -205,9 +233,13 @@ def test_a_contact_at_rest_is_a_spring(restitution):
     system = System(gravity=(0, 0, -9.81))
     body = system.add(RigidBody(1.0, (1, 1, 1), position=(0, 0, 0.0196), markers={"c": (0, 0, 0)}))
     contact = ContactElement(
-        body.marker("c"), ground.marker_at((0, 0, 0)), stiffness=PowerLaw(1e6, 1.5), direction=(0, 0, 1),
-        distance=0.02, restitution=restitution,
-    )  # fmt: skip
+        body.marker("c"),
+        ground.marker_at((0, 0, 0)),
+        stiffness=PowerLaw(1e6, 1.5),
+        direction=(0, 0, 1),
+        distance=0.02,
+        restitution=restitution,
+    )
     system.add(contact)
     rest = equilibrium(system)
     about = linearised(rest.state)

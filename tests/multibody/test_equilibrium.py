@@ -102,8 +102,11 @@ def links() -> dict[str, FloatingFrame]:
 
 
 # Three springs under a rigid bar that is loaded above the first, one of them a tenth as stiff.
-SHARES = {2: (933.33333333, 133.33333333, -66.66666667), 1: (976.19047619, 47.61904762, -23.80952381),
-          0: (333.33333333, 1333.33333333, -666.66666667)}  # fmt: skip
+SHARES = {
+    2: (933.33333333, 133.33333333, -66.66666667),
+    1: (976.19047619, 47.61904762, -23.80952381),
+    0: (333.33333333, 1333.33333333, -666.66666667),
+}
 
 
 @pytest.mark.parametrize("which", SHARES)
@@ -173,9 +176,7 @@ def test_a_load_that_follows_makes_zieglers_column_flutter(load: float, stable: 
     system, base, at = System(), ground.marker_at(), 0.0
     for number, mass in enumerate((2 * m, m)):
         ends = {"foot": (0, 0, -length), "tip": (0, 0, 0)}
-        rod = system.add(
-            RigidBody(mass, (1e-9,) * 3, position=(0, 0, at + length), markers=ends, name=f"rod {number}")
-        )
+        rod = system.add(RigidBody(mass, (1e-9,) * 3, position=(0, 0, at + length), markers=ends, name=f"rod {number}"))
         system.add(RevoluteJoint(base, rod.marker("foot"), axis=(0, 1, 0)))
         system.add(TorsionSpring(base, rod.marker("foot"), axis=(0, 1, 0), stiffness=c))
         base, at = rod.marker("tip"), at + length
@@ -205,9 +206,7 @@ def test_state_space_has_the_gain_of_a_small_load(links: dict[str, FloatingFrame
     moved = equilibrium(system).result.position(tip)[0] - before.result.position(tip)[0]
     assert gain[at] == pytest.approx(moved[2] / 1e-3, rel=1e-5)
     assert np.abs(gain[6:]).max() < 1e-9 * np.abs(gain[:6]).max()
-    assert np.abs(np.sort(space.poles().imag)[-1]) == pytest.approx(
-        2 * math.pi * linear.frequencies_hz[-1], rel=1e-3
-    )
+    assert np.abs(np.sort(space.poles().imag)[-1]) == pytest.approx(2 * math.pi * linear.frequencies_hz[-1], rel=1e-3)
     with pytest.raises(InputError, match="'jerk'; expected one of"):
         linear.state_space({}, {"tip": (tip, "jerk")})
 

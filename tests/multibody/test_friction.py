@@ -20,10 +20,15 @@ def feet(places, *, friction, velocity, spin=0.0, inertia=(0.02, 0.02, 0.02), sl
     system = System(gravity=(0, 0, -G))
     body = system.add(
         RigidBody(
-            2.0, inertia, position=height * R[:, 2], rotation=R, velocity=R @ (*velocity, 0.0),
-            angular_velocity=(0, 0, spin), markers={str(k): (x, y, -height) for k, (x, y) in enumerate(places)},
+            2.0,
+            inertia,
+            position=height * R[:, 2],
+            rotation=R,
+            velocity=R @ (*velocity, 0.0),
+            angular_velocity=(0, 0, spin),
+            markers={str(k): (x, y, -height) for k, (x, y) in enumerate(places)},
         )
-    )  # fmt: skip
+    )
     points = list(body.markers.values())
     contact = Contact(points, Plane((0, 0, 0), R[:, 2]), on=ground.marker_at(), friction=friction, axis=R[:, 0])
     result = simulate_contact(system, [contact], **options)
@@ -110,14 +115,21 @@ def test_an_oblique_impact_with_friction_and_restitution_adds_no_energy(seed):
         system = System()
         body = system.add(
             RigidBody(
-                1.0, (1 / 12, 1 / 12, 1e-3), rotation=R, velocity=velocity,
-                angular_velocity=5 * rng.standard_normal(3), markers={"foot": (0, 0, 0.5)},
+                1.0,
+                (1 / 12, 1 / 12, 1e-3),
+                rotation=R,
+                velocity=velocity,
+                angular_velocity=5 * rng.standard_normal(3),
+                markers={"foot": (0, 0, 0.5)},
             )
-        )  # fmt: skip
+        )
         contact = Contact(
-            [body.marker("foot")], Plane(0.5 * R[:, 2]), on=ground.marker_at(), friction=rng.uniform(0, 1.5),
+            [body.marker("foot")],
+            Plane(0.5 * R[:, 2]),
+            on=ground.marker_at(),
+            friction=rng.uniform(0, 1.5),
             restitution=rng.uniform(0.3, 1.0),
-        )  # fmt: skip
+        )
         result = simulate_contact(system, [contact], end=1e-6, step=1e-6)
         gains += [-impact.loss / result.balance().kinetic[0] for impact in result.impacts]
     assert len(gains) > 10 and max(gains) < 1e-10
@@ -133,10 +145,15 @@ def test_an_impact_that_would_add_energy_leaves_others_alone():
         system, plane = System(), Plane(0.5 * R[:, 2])
         rod = system.add(
             RigidBody(
-                1.0, (1 / 12, 1 / 12, 1e-3), rotation=R, velocity=velocity, angular_velocity=spin,
-                markers={"foot": (0, 0, 0.5)}, name="rod",
+                1.0,
+                (1 / 12, 1 / 12, 1e-3),
+                rotation=R,
+                velocity=velocity,
+                angular_velocity=spin,
+                markers={"foot": (0, 0, 0.5)},
+                name="rod",
             )
-        )  # fmt: skip
+        )
         friction, restitution = rng.uniform(0, 1.5), rng.uniform(0.3, 1)
         foot = [rod.marker("foot")]
         contacts = [Contact(foot, plane, on=ground.marker_at(), friction=friction, restitution=restitution, name="rod")]

@@ -12,11 +12,7 @@ from morembs.multibody import RigidBody, SphericalJoint, System, ground, simulat
 MASS, INERTIA = 15.0, np.array([0.234375, 0.46875, 0.234375])
 CENTER, SPIN, GRAVITY = np.array([0.0, 1.0, 0.0]), np.array([0.0, 150.0, -4.61538]), np.array([0.0, 0.0, -9.81])
 # step: error of the position, of multipliers from the plain start, of multipliers from the corrected start.
-TABLE = {
-    2e-3: (2.20e-2, 252.0, 27.7),
-    1e-3: (5.43e-3, 115.0, 6.85),
-    5e-4: (1.35e-3, 57.6, 1.71),
-}
+TABLE = {2e-3: (2.20e-2, 252.0, 27.7), 1e-3: (5.43e-3, 115.0, 6.85), 5e-4: (1.35e-3, 57.6, 1.71)}
 
 
 @lru_cache
@@ -52,10 +48,14 @@ def errors(step, corrected):
     system = System(gravity=GRAVITY)
     top = system.add(
         RigidBody(
-            MASS, INERTIA, position=CENTER, velocity=np.cross(SPIN, CENTER), angular_velocity=SPIN,
+            MASS,
+            INERTIA,
+            position=CENTER,
+            velocity=np.cross(SPIN, CENTER),
+            angular_velocity=SPIN,
             markers={"center": (0, 0, 0), "tip": -CENTER},
         )
-    )  # fmt: skip
+    )
     joint = system.add(SphericalJoint(ground.marker_at(), top.marker("tip")))
     result = simulate(system, end=1.0, step=step, rho=0.9, corrected_start=corrected)
     position, force = reference()

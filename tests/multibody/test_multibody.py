@@ -1,6 +1,5 @@
 """The simulator with rigid bodies: joints, loads, springs, energy, switches, own components, bad input."""
 
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -69,13 +68,26 @@ def flexible():
     """An elastic body with made-up integrals: three shapes without coupling to rigid motion."""
     zero = np.zeros
     parts = ShapeIntegrals(
-        mass=1.0, first=zero(3), inertia=np.eye(3), second=zero((3, 3)), Ct=zero((3, 3)), Cr=zero((3, 3)), Me=np.eye(3),
-        x_phi=zero((3, 3, 3)), phi_phi=zero((3, 3, 3, 3)),
-    )  # fmt: skip
+        mass=1.0,
+        first=zero(3),
+        inertia=np.eye(3),
+        second=zero((3, 3)),
+        Ct=zero((3, 3)),
+        Cr=zero((3, 3)),
+        Me=np.eye(3),
+        x_phi=zero((3, 3, 3)),
+        phi_phi=zero((3, 3, 3, 3)),
+    )
     frame = FloatingFrame(
-        kind="mean-axes", origin=zero(3), elastic=np.eye(3), rigid=zero((3, 6)), integrals=parts, Ke=np.eye(3),
-        De=zero((3, 3)), markers={},
-    )  # fmt: skip
+        kind="mean-axes",
+        origin=zero(3),
+        elastic=np.eye(3),
+        rigid=zero((3, 6)),
+        integrals=parts,
+        Ke=np.eye(3),
+        De=zero((3, 3)),
+        markers={},
+    )
     return FlexibleBody(frame, name="elastic")
 
 
@@ -294,10 +306,13 @@ def test_two_bodies_fixed_together_move_as_one():
     turn = rotation((1, 0, 0), 0.8)
     b = system.add(
         link(
-            "b", position=(0.5, 0, 0), rotation=turn, angular_velocity=turn.T @ spin,
+            "b",
+            position=(0.5, 0, 0),
+            rotation=turn,
+            angular_velocity=turn.T @ spin,
             velocity=np.cross(spin, (0.5, 0, 0)),
         )
-    )  # fmt: skip
+    )
     joint = system.add(FixedJoint(a.marker("right"), b.marker("left")))
     pair = simulate(system, end=1.0, step=1e-3)
     system = System()
@@ -432,11 +447,17 @@ def test_bad_starts_are_told():
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"end": 0.0}, "end = 0 s"), ({"end": np.nan}, "end = nan"), ({"step": 0.0}, "step = 0 s"),
-        ({"step": -1.0}, "step = -1 s"), ({"step": 2.0}, "step = 2 s"), ({"rho": 1.5}, "rho = 1.5"),
-        ({"rho": np.nan}, "rho = nan"), ({"tolerance": 0.0}, "tolerance = 0"), ({"begin": 5.0}, "begin = 5 s"),
+        ({"end": 0.0}, "end = 0 s"),
+        ({"end": np.nan}, "end = nan"),
+        ({"step": 0.0}, "step = 0 s"),
+        ({"step": -1.0}, "step = -1 s"),
+        ({"step": 2.0}, "step = 2 s"),
+        ({"rho": 1.5}, "rho = 1.5"),
+        ({"rho": np.nan}, "rho = nan"),
+        ({"tolerance": 0.0}, "tolerance = 0"),
+        ({"begin": 5.0}, "begin = 5 s"),
     ],
-)  # fmt: skip
+)
 def test_nonsense_times_are_told(change, message):
     with pytest.raises(InputError, match=message):
         simulate(double_pendulum(SphericalJoint)[0], **{"end": 1.0, "step": 0.1, **change})
@@ -491,9 +512,11 @@ def test_bad_systems_are_told():
 def test_old_names_still_work_and_say_so():
     in_multibody = {"Place": "MarkerState", "Restart": "RestartState", "Switch": "EventHandler"}
     in_nonlinear = {
-        "Moment": "MemberState", "Motion": "MechanismMotion", "Settled": "EquilibriumPath",
+        "Moment": "MemberState",
+        "Motion": "MechanismMotion",
+        "Settled": "EquilibriumPath",
         "settle": "follow_equilibrium",
-    }  # fmt: skip
+    }
     for module, names in ((multibody, in_multibody), (nonlinear, in_nonlinear)):
         for old, new in names.items():
             with pytest.warns(DeprecationWarning, match=f"{old} is now {new}"):

@@ -43,12 +43,17 @@ def integrals(m, x, shapes):
     x_phi = np.einsum("ia,ibl->abl", x, of_shapes)
     second = x.T @ mx
     return ShapeIntegrals(
-        mass=m.sum(), first=mx.sum(axis=0), inertia=np.trace(second) * np.eye(3) - second, second=second,
-        Ct=of_shapes.sum(axis=0).T, Cr=np.einsum("abl->lab", x_phi)[:, [1, 2, 0], [2, 0, 1]]
+        mass=m.sum(),
+        first=mx.sum(axis=0),
+        inertia=np.trace(second) * np.eye(3) - second,
+        second=second,
+        Ct=of_shapes.sum(axis=0).T,
+        Cr=np.einsum("abl->lab", x_phi)[:, [1, 2, 0], [2, 0, 1]]
         - np.einsum("abl->lab", x_phi)[:, [2, 0, 1], [1, 2, 0]],
-        Me=np.einsum("iak,ial->kl", shapes, of_shapes), x_phi=x_phi,
+        Me=np.einsum("iak,ial->kl", shapes, of_shapes),
+        x_phi=x_phi,
         phi_phi=np.einsum("iak,ibl->abkl", shapes, of_shapes),
-    )  # fmt: skip
+    )
 
 
 def tiny(kind, rng, nodes=9, n=4):
@@ -72,9 +77,16 @@ def frame_of(parts, rng):
     n = parts.count
     K = rng.standard_normal((n, n))
     return FloatingFrame(
-        kind="tangent", interfaces=(), origin=np.zeros(3), elastic=np.eye(n), rigid=np.zeros((n, 6)), integrals=parts,
-        Ke=K @ K.T, De=0.1 * K @ K.T, markers={},
-    )  # fmt: skip
+        kind="tangent",
+        interfaces=(),
+        origin=np.zeros(3),
+        elastic=np.eye(n),
+        rigid=np.zeros((n, 6)),
+        integrals=parts,
+        Ke=K @ K.T,
+        De=0.1 * K @ K.T,
+        markers={},
+    )
 
 
 @pytest.mark.parametrize("kind", ["free", "clamped"])
@@ -89,9 +101,7 @@ def test_forces_equal_direct_integration_over_the_body(kind):
         R, r0 = exponential(rng.standard_normal(3)), rng.standard_normal(3)
         q, rate, q2 = rng.standard_normal((3, 4))
         v, w, a, w1, gravity = rng.standard_normal((5, 3))
-        M, g = body.dynamics(
-            0.0, np.concatenate((r0, R.ravel(), q)), np.concatenate((v, w, rate)), gravity
-        )  # fmt: skip
+        M, g = body.dynamics(0.0, np.concatenate((r0, R.ravel(), q)), np.concatenate((v, w, rate)), gravity)
         residual = M @ np.concatenate((a, w1, q2)) + g
         s, s1, s2 = x + shapes @ q, shapes @ rate, shapes @ q2
         inner = np.cross(w1, s) + s2 + 2 * np.cross(w, s1) + np.cross(w, np.cross(w, s))
@@ -134,9 +144,16 @@ def test_second_order_displacements_move_the_mass():
 
     def kernel(foreshortening):
         return Inertia(
-            mass=parts.mass, first=parts.first, inertia=parts.inertia, Ct=parts.Ct, Cr=parts.Cr, Me=parts.Me,
-            x_phi=parts.x_phi, phi_phi=parts.phi_phi, foreshortening=foreshortening,
-        )  # fmt: skip
+            mass=parts.mass,
+            first=parts.first,
+            inertia=parts.inertia,
+            Ct=parts.Ct,
+            Cr=parts.Cr,
+            Me=parts.Me,
+            x_phi=parts.x_phi,
+            phi_phi=parts.phi_phi,
+            foreshortening=foreshortening,
+        )
 
     q, rate, q2 = rng.standard_normal((3, n))
     w, a, w1 = rng.standard_normal((3, 3))
@@ -187,14 +204,23 @@ def slow_modes(frame, keep=3):
     Y = Y[:, :keep]
     old = frame.integrals
     parts = replace(
-        old, Ct=Y.T @ old.Ct, Cr=Y.T @ old.Cr, Me=Y.T @ old.Me @ Y, x_phi=old.x_phi @ Y,
+        old,
+        Ct=Y.T @ old.Ct,
+        Cr=Y.T @ old.Cr,
+        Me=Y.T @ old.Me @ Y,
+        x_phi=old.x_phi @ Y,
         phi_phi=np.einsum("abkl,ki,lj->abij", old.phi_phi, Y, Y),
-    )  # fmt: skip
+    )
     markers = {name: replace(marker, motion=marker.motion @ Y) for name, marker in frame.markers.items()}
     return replace(
-        frame, elastic=frame.elastic @ Y, integrals=parts, Ke=Y.T @ frame.Ke @ Y, De=Y.T @ frame.De @ Y,
-        markers=markers, stiffening=None,
-    )  # fmt: skip
+        frame,
+        elastic=frame.elastic @ Y,
+        integrals=parts,
+        Ke=Y.T @ frame.Ke @ Y,
+        De=Y.T @ frame.De @ Y,
+        markers=markers,
+        stiffening=None,
+    )
 
 
 def test_flexible_pendulum_against_an_ode_in_independent_coordinates(rod):
@@ -285,10 +311,14 @@ def test_stiffening_raises_the_frequency_of_a_spinning_cantilever(rod):
         system = System()
         body = system.add(
             FlexibleBody(
-                frame, position=frame.origin, angular_velocity=(0, 0, spin), stiffening=stiff,
-                elastic=1e-5 / tip * flap, velocity=-np.cross((0, 0, spin), left),
+                frame,
+                position=frame.origin,
+                angular_velocity=(0, 0, spin),
+                stiffening=stiff,
+                elastic=1e-5 / tip * flap,
+                velocity=-np.cross((0, 0, spin), left),
             )
-        )  # fmt: skip
+        )
         base = ground.marker_at(left)
         system.add(RevoluteJoint(base, body.marker("left"), axis=(0, 0, 1)))
         system.add(DrivenAngle(base, body.marker("left"), axis=(0, 0, 1), motion=Motion.steady(spin)))
@@ -333,10 +363,14 @@ def spun(frame, end, spin=80.0, **options):
     system = System()
     body = system.add(
         FlexibleBody(
-            frame, position=frame.origin, angular_velocity=(0, 0, spin), elastic=1e-4 / tip * lag,
-            velocity=-np.cross((0, 0, spin), left), name="rod",
+            frame,
+            position=frame.origin,
+            angular_velocity=(0, 0, spin),
+            elastic=1e-4 / tip * lag,
+            velocity=-np.cross((0, 0, spin), left),
+            name="rod",
         )
-    )  # fmt: skip
+    )
     base = ground.marker_at(left + frame.origin)
     system.add(RevoluteJoint(base, body.marker("left"), axis=(0, 0, 1)))
     system.add(DrivenAngle(base, body.marker("left"), axis=(0, 0, 1), motion=Motion.steady(spin)))

@@ -51,7 +51,7 @@ def agrees(given, values, step):
     exact, noise = differences(values, step), 1e-13 * np.abs(values).max() / step
     return all(
         np.abs(given[at] - exact[at]).max() <= 1e-6 * np.abs(exact[at]).max() + noise for at in (slice(None), slice(1))
-    )  # fmt: skip
+    )
 
 
 def arm(reduced, p, derivatives=False, **at):
@@ -65,10 +65,15 @@ def arm(reduced, p, derivatives=False, **at):
 def crank(reduced, p, derivatives=False, spring=()):
     """The bracket on a crank that turns at constant speed, under a following load and between springs."""
     system, axle, axis = mb.System(gravity=(3.0, 2.0, -9.81)), mb.ground.marker_at(), (0, 0, 1)
-    disc = system.add(mb.RigidBody(
-        0.5, (1e-4, 1e-4, 1e-4), name="disc", angular_velocity=(0, 0, SPEED),
-        markers={"axle": (0, 0, 0), "pin": (RADIUS, 0, 0)},
-    ))  # fmt: skip
+    disc = system.add(
+        mb.RigidBody(
+            0.5,
+            (1e-4, 1e-4, 1e-4),
+            name="disc",
+            angular_velocity=(0, 0, SPEED),
+            markers={"axle": (0, 0, 0), "pin": (RADIUS, 0, 0)},
+        )
+    )
     moving = {"velocity": (0, SPEED * RADIUS, 0), "angular_velocity": (0, 0, SPEED)}
     body = system.add(arm(reduced, p, derivatives, position=(RADIUS, 0, 0), **moving))
     system.add(mb.RevoluteJoint(axle, disc.marker("axle"), axis=axis))
@@ -149,9 +154,13 @@ def test_joints_stay_closed_where_a_parameter_moves_them(reduced):
         system, joint = held(mb.FlexibleBody(frame, name="arm"))
         start, still = mb.Assembly(system), np.zeros(len(x))
         state = mb.State(
-            assembly=start, time=0.0, x=start.moved(result.segments[0].x[0], change * x),
-            v=result.segments[0].v[0] + change * v, acceleration=still, multipliers=np.zeros(3),
-        )  # fmt: skip
+            assembly=start,
+            time=0.0,
+            x=start.moved(result.segments[0].x[0], change * x),
+            v=result.segments[0].v[0] + change * v,
+            acceleration=still,
+            multipliers=np.zeros(3),
+        )
         reactions.append(mb.simulate(system, start=state, **run).reaction(joint))
     assert same(slope.reaction(pin), differences(reactions, step), 1e-5)
 
@@ -195,26 +204,46 @@ def cloud(rng, n=4, points=12):
     phi_phi = np.einsum("n,nak,nbl->abkl", m, phi, phi)
     second, half = np.einsum("n,na,nb->ab", m, x, x), rng.standard_normal((n, n))
     parts = ShapeIntegrals(
-        mass=m.sum(), first=m @ x, inertia=np.trace(second) * np.eye(3) - second, second=second, x_phi=x_phi,
-        Ct=np.einsum("n,nbl->lb", m, phi), Cr=np.einsum("abc,bcl->la", PERMUTATION, x_phi), phi_phi=phi_phi,
+        mass=m.sum(),
+        first=m @ x,
+        inertia=np.trace(second) * np.eye(3) - second,
+        second=second,
+        x_phi=x_phi,
+        Ct=np.einsum("n,nbl->lb", m, phi),
+        Cr=np.einsum("abc,bcl->la", PERMUTATION, x_phi),
+        phi_phi=phi_phi,
         Me=np.einsum("aakl->kl", phi_phi),
-    )  # fmt: skip
+    )
     markers = {k: InterfaceMarker(point=rng.standard_normal(3), motion=rng.standard_normal((6, n))) for k in "abc"}
     return FloatingFrame(
-        kind="mean-axes", origin=np.zeros(3), elastic=np.zeros((n + 6, n)), rigid=np.zeros((n + 6, 6)),
-        integrals=parts, Ke=100 * half @ half.T, De=half @ half.T, markers=markers,
-    )  # fmt: skip
+        kind="mean-axes",
+        origin=np.zeros(3),
+        elastic=np.zeros((n + 6, n)),
+        rigid=np.zeros((n + 6, 6)),
+        integrals=parts,
+        Ke=100 * half @ half.T,
+        De=half @ half.T,
+        markers=markers,
+    )
 
 
 @pytest.mark.parametrize("damping", [0.0, 3.0])
 def test_exact_tangents_are_those_of_the_equations(damping):
     rng, system = np.random.default_rng(1), mb.System(gravity=(1, 2, -9.81))
     first, second = (
-        system.add(mb.FlexibleBody(
-            cloud(rng), name=name, elastic=0.3 * rng.standard_normal(4), elastic_rate=rng.standard_normal(4),
-            position=rng.standard_normal(3), velocity=rng.standard_normal(3), angular_velocity=rng.standard_normal(3),
-        )) for name in ("first", "second")
-    )  # fmt: skip
+        system.add(
+            mb.FlexibleBody(
+                cloud(rng),
+                name=name,
+                elastic=0.3 * rng.standard_normal(4),
+                elastic_rate=rng.standard_normal(4),
+                position=rng.standard_normal(3),
+                velocity=rng.standard_normal(3),
+                angular_velocity=rng.standard_normal(3),
+            )
+        )
+        for name in ("first", "second")
+    )
     third = system.add(mb.RigidBody(2.0, (1, 2, 2.5), markers={"a": (1, 0.2, 0), "b": (0, 1, 0.3)}, name="third"))
     held, motion, axis = mb.ground.marker_at((0.1, 0.2, 0.3)), mb.Motion.steady(2.0), (1, 2, 3)
     for kind in (mb.RevoluteJoint, mb.PrismaticJoint, mb.FixedJoint):
@@ -232,8 +261,10 @@ def test_exact_tangents_are_those_of_the_equations(damping):
     a = mb.Assembly(system)
     x, v = a.start()
     x, acceleration, multipliers = (
-        a.moved(x, 0.2 * rng.standard_normal(a.size)), rng.standard_normal(a.size), rng.standard_normal(a.rows)
-    )  # fmt: skip
+        a.moved(x, 0.2 * rng.standard_normal(a.size)),
+        rng.standard_normal(a.size),
+        rng.standard_normal(a.rows),
+    )
 
     def residual(x, v):
         M, g, _, B = a.equations(0.0, x, v)
@@ -262,9 +293,13 @@ def test_partial_derivatives_at_large_deflections():
         system.add(mb.SpringDamper(body.marker("c"), other.marker("a"), stiffness=100.0, damping=damping))
     a = mb.Assembly(system)
     state = mb.State(
-        assembly=a, time=0.0, x=a.moved(a.start()[0], 0.3 * rng.standard_normal(a.size)), v=rng.standard_normal(a.size),
-        acceleration=rng.standard_normal(a.size), multipliers=rng.standard_normal(a.rows),
-    )  # fmt: skip
+        assembly=a,
+        time=0.0,
+        x=a.moved(a.start()[0], 0.3 * rng.standard_normal(a.size)),
+        v=rng.standard_normal(a.size),
+        acceleration=rng.standard_normal(a.size),
+        multipliers=rng.standard_normal(a.rows),
+    )
     of = variations(a, True)[0]
 
     def equations(change):

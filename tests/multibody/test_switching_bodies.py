@@ -115,8 +115,12 @@ def test_solid_rail_like_all_of_its_dofs():
         sigma[row] = (1 - c) * tensor[at[i], :, k] + c * tensor[at[i + 1], :, k]
     assert np.abs(response.displacement[:, 2] - down).max() < 1e-2 * np.abs(down).max()
     assert np.abs(response.stress - sigma).max() < 1e-2 * np.abs(sigma).max()
-    modes_only = np.array([tables.stress[tables.curve(float(s)).span.interval] @ q for s, q in
-                           zip(response.position, result.configuration(body)[:, :10], strict=True)])  # fmt: skip
+    modes_only = np.array(
+        [
+            tables.stress[tables.curve(float(s)).span.interval] @ q
+            for s, q in zip(response.position, result.configuration(body)[:, :10], strict=True)
+        ]
+    )
     assert np.abs(modes_only - sigma).max() > 0.1 * np.abs(sigma).max()
 
 
@@ -133,9 +137,11 @@ def test_floating_body_like_all_of_its_dofs(variant, base):
     held = [make_interface(model, name="end", nodes=where(model, 0, 0.0))] if base == "craig-bampton" else []
     path = path[1:] if held else path
     reducer = StaticModesSwitching(
-        base=base, base_options={"modes": 6}, candidates="ids:" + ",".join(map(str, model.nodes.ids[path])),
+        base=base,
+        base_options={"modes": 6},
+        candidates="ids:" + ",".join(map(str, model.nodes.ids[path])),
         directions=[0, 1, 2],
-    )  # fmt: skip
+    )
     with Problem(model, held) as problem:
         reduced = reducer.reduce(problem)
         tables = reducer.switching(problem, reduced)
@@ -172,10 +178,19 @@ def test_the_path_is_a_smooth_curve():
     xyz = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     c = len(xyz)
     tables = StaticModeTables(
-        kind="path", node_ids=np.arange(c), xyz=xyz, node=np.arange(c), direction=np.tile([0.0, 0, 1], (c, 1)),
-        turns=np.zeros(c, bool), modes=np.zeros((c, 1)), stiffness=np.eye(1, c), mass=np.eye(1, c),
-        coupling=np.zeros((1, c)), weight=np.zeros((1, 3)), static_weight=np.zeros((c, 3)),
-    )  # fmt: skip
+        kind="path",
+        node_ids=np.arange(c),
+        xyz=xyz,
+        node=np.arange(c),
+        direction=np.tile([0.0, 0, 1], (c, 1)),
+        turns=np.zeros(c, bool),
+        modes=np.zeros((c, 1)),
+        stiffness=np.eye(1, c),
+        mass=np.eye(1, c),
+        coupling=np.zeros((1, c)),
+        weight=np.zeros((1, 3)),
+        static_weight=np.zeros((c, 3)),
+    )
     for s in tables.s[1:-1]:
         before, after = tables.curve(s - 1e-9), tables.curve(s + 1e-9)
         assert np.abs(before.point - after.point).max() < 1e-8

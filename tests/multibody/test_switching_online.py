@@ -216,8 +216,9 @@ def moving_mass(speed, mass, gravity, start, end, n=ELEMENTS):
         force = -mass * b * (gravity + 2 * speed * b1 @ p + speed**2 * b2 @ q) - values[:few] * q
         return np.concatenate((p, np.linalg.solve(np.eye(few) + mass * np.outer(b, b), force)))
 
-    run = solve_ivp(rates, (0, (end - start) / speed), np.zeros(2 * few), rtol=1e-6, atol=1e-10, method="LSODA",
-                    dense_output=True)  # fmt: skip
+    run = solve_ivp(
+        rates, (0, (end - start) / speed), np.zeros(2 * few), rtol=1e-6, atol=1e-10, method="LSODA", dense_output=True
+    )
     return lambda t: (Y[:, :few].T @ shape(start + speed * t, 0)) @ run.sol(t)[:few]
 
 
@@ -227,12 +228,16 @@ def test_travelling_mass(variant):
     # Deflections so small that the mass keeps its speed; and it is heavy: half of the beam. Without damping, as work of
     # dampers comes from the trapezoidal rule, which is far off for static modes that are faster than a step.
     speed, mass, g, start, end = 0.25 * np.pi, 0.5, 1e-3, 0.05, 0.95
-    body = SwitchingBody(LinearBody(reduced.M, reduced.K), tables, at=start, variant=variant, look_ahead=2,
-                         damping_ratio=0.0)  # fmt: skip
+    body = SwitchingBody(
+        LinearBody(reduced.M, reduced.K), tables, at=start, variant=variant, look_ahead=2, damping_ratio=0.0
+    )
     system = System(gravity=(0.0, -g, 0.0))
     system.add(body)
-    rider = system.add(RigidBody(mass, (1, 1, 1), position=(start, 0, 0), velocity=(speed, 0, 0), name="rider",
-                                 markers={"c": (0, 0, 0)}))  # fmt: skip
+    rider = system.add(
+        RigidBody(
+            mass, (1, 1, 1), position=(start, 0, 0), velocity=(speed, 0, 0), name="rider", markers={"c": (0, 0, 0)}
+        )
+    )
     kind = PointOnPath if variant == "dynamic" else PathSupport
     system.add(kind(body.path(), rider.marker("c"), up=(0, 1, 0), name="rail"))
     switch = SlidingSwitch(body)

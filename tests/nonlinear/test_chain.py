@@ -45,7 +45,9 @@ def by_a_general_integrator(chain, times):
         bending = (chain.at(q + d * v).J - chain.at(q - d * v).J) @ v / (2 * d)
         J = state.J[:, free]
         known = bending + state.J[:, :2] @ [rate, -rate]
-        return np.concatenate((y[count:], np.linalg.solve(J.T @ (chain.M @ J), -J.T @ (chain.M @ known) - state.force[free])))  # noqa: E501  # fmt: skip
+        return np.concatenate(
+            (y[count:], np.linalg.solve(J.T @ (chain.M @ J), -J.T @ (chain.M @ known) - state.force[free]))
+        )
 
     path = solve_ivp(rates, (0, times[-1]), np.zeros(2 * count), method="DOP853", rtol=1e-9, atol=1e-12, t_eval=times)
     states = [chain.at(np.array([swing(t), -swing(t), *y[:count]])) for t, y in zip(times, path.y.T, strict=True)]

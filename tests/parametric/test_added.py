@@ -98,8 +98,10 @@ def test_loads_on_the_supports_leave_coordinates_of_loads_orthonormal():
     varied = varied_model(box("hex8", (3, 1, 1), (0.3687, 0.0691, 0.0324)), [STEEL], [E])
     model = varied.model(varied.box.nominal)
     x = model.nodes.xyz[:, 0]
-    ends = [make_interface(model, name=name, nodes=np.flatnonzero(np.isclose(x, at))) for name, at in
-            (("L", 0.0), ("R", 0.3687))]  # fmt: skip
+    ends = [
+        make_interface(model, name=name, nodes=np.flatnonzero(np.isclose(x, at)))
+        for name, at in (("L", 0.0), ("R", 0.3687))
+    ]
     with AffineProblem(varied, ends) as problem:
         space = GlobalSpace(problem)
         Q = np.hstack(space.coordinates.basis)

@@ -14,10 +14,13 @@ from morembs.problem.damping import Damping
 
 N, LOW, HIGH = 60, np.array([0.6, 0.6, 0.7]), np.array([1.8, 1.8, 1.5])
 DAMPINGS = {
-    "none": Damping(), "structural": Damping(structural=0.03), "stiffness": Damping(beta=0.02),
-    "mass": Damping(alpha=0.01), "rayleigh": Damping(alpha=0.01, beta=0.01),
+    "none": Damping(),
+    "structural": Damping(structural=0.03),
+    "stiffness": Damping(beta=0.02),
+    "mass": Damping(alpha=0.01),
+    "rayleigh": Damping(alpha=0.01, beta=0.01),
     "both": Damping(alpha=0.005, beta=0.01, structural=0.01),
-}  # fmt: skip
+}
 ELASTIC = 7
 EPS = np.finfo(float).eps
 # More than the highest eigenvalue.
@@ -59,8 +62,9 @@ class Reduced:
         W, (K_soft, M_heavy) = M @ V[:, :k], self.full(soft)
         least = 0.97 * sl.eigvalsh(K_soft + sigma * W @ W.T, M_heavy)[0]
         assert is_positive(sp.csr_array(K_soft - least * M_heavy), select_solver(), W=W, sigma=sigma)
-        cells = Cells(low=LOW[None], high=HIGH[None], alpha=np.ones(1), least=np.array([least]),
-                      proven=np.array([True]))  # fmt: skip
+        cells = Cells(
+            low=LOW[None], high=HIGH[None], alpha=np.ones(1), least=np.array([least]), proven=np.array([True])
+        )
         held = np.zeros((N, N))
         held[1:, 1:] = np.linalg.inv(K[1:, 1:])
         coordinates = LoadCoordinates(lambda F: held @ F, sp.csr_array(K))
@@ -80,12 +84,25 @@ class Reduced:
             for terms in (self.K_terms, self.M_terms)
         ]
         self.bound = ParametricBound(
-            law_K=self.law_K, law_M=self.law_M, anchor=anchor, soft=soft, cells=cells,
-            residual_B=np.vstack([B, np.zeros((coordinates.size - len(B), 3))]), residual_K=K_C, residual_M=M_C,
-            residual_F=M_C.sum(axis=0) @ F, rest_B=rest_B, rest_K=K_rest, rest_M=M_rest,
-            rest_F=M_rest.sum(axis=0) @ np.abs(F), motion_F=F, sigma=sigma, highest=self.highest,
-            rounding_K=rounding[0], rounding_M=rounding[1],
-        )  # fmt: skip
+            law_K=self.law_K,
+            law_M=self.law_M,
+            anchor=anchor,
+            soft=soft,
+            cells=cells,
+            residual_B=np.vstack([B, np.zeros((coordinates.size - len(B), 3))]),
+            residual_K=K_C,
+            residual_M=M_C,
+            residual_F=M_C.sum(axis=0) @ F,
+            rest_B=rest_B,
+            rest_K=K_rest,
+            rest_M=M_rest,
+            rest_F=M_rest.sum(axis=0) @ np.abs(F),
+            motion_F=F,
+            sigma=sigma,
+            highest=self.highest,
+            rounding_K=rounding[0],
+            rounding_M=rounding[1],
+        )
 
     def full(self, p):
         return np.tensordot(self.law_K(np.asarray(p)), self.K_terms, 1), np.tensordot(
@@ -102,8 +119,10 @@ class Reduced:
         K, M = self.full(p)
         rigid = np.linalg.lstsq(self.V, np.ones((N, 1)), rcond=None)[0]
         responses = []
-        for A, C, R, B in ((K, M, np.ones((N, 1)), self.B),
-                           (self.V.T @ K @ self.V, self.V.T @ M @ self.V, rigid, self.V.T @ self.B)):  # fmt: skip
+        for A, C, R, B in (
+            (K, M, np.ones((N, 1)), self.B),
+            (self.V.T @ K @ self.V, self.V.T @ M @ self.V, rigid, self.V.T @ self.B),
+        ):
             _, values, Y = ritz_pairs(A, C, R)
             s = 1j * omega[:, None]
             c, g = damping.proportional(s)
@@ -155,8 +174,11 @@ def test_the_least_eigenvalue_beside_low_ritz_vectors_is_not_below_its_bound(red
     for _ in range(50):
         p = rng.uniform(LOW, HIGH)
         at, (K, M) = reduced.at(p, Damping()), reduced.full(p)
-        _, _, Y = ritz_pairs(reduced.V.T @ K @ reduced.V, reduced.V.T @ M @ reduced.V,
-                             np.linalg.lstsq(reduced.V, np.ones((N, 1)), rcond=None)[0])  # fmt: skip
+        _, _, Y = ritz_pairs(
+            reduced.V.T @ K @ reduced.V,
+            reduced.V.T @ M @ reduced.V,
+            np.linalg.lstsq(reduced.V, np.ones((N, 1)), rcond=None)[0],
+        )
         X = np.hstack([np.ones((N, 1)), reduced.V @ Y[:, : at.few]])
         Q = np.linalg.qr(M @ X, mode="complete")[0][:, X.shape[1] :]
         true = sl.eigh(Q.T @ K @ Q, Q.T @ M @ Q, eigvals_only=True)[0]

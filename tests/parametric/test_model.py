@@ -118,8 +118,9 @@ def test_frequencies_that_lie_together_are_marked_and_branch(model):
     law = replace(model.law_K, factors=np.vstack([model.law_K.factors, model.law_K.factors[:1]]))
     K[:-1, :n, :n] = K[:-1, n:, n:] = model.K
     M[:, :n, :n] = M[:, n:, n:] = model.M
-    rigid = np.concatenate([np.concatenate([model.rigid, 0 * model.rigid], axis=1),
-                            np.concatenate([0 * model.rigid, model.rigid], axis=1)])  # fmt: skip
+    rigid = np.concatenate(
+        [np.concatenate([model.rigid, 0 * model.rigid], axis=1), np.concatenate([0 * model.rigid, model.rigid], axis=1)]
+    )
     double = replace(model, K=K, M=M, law_K=law, rigid=rigid, B=np.vstack([model.B, model.B]))
     single, s = model.at(model.box.nominal).sensitivity(), double.at(model.box.nominal).sensitivity()
     assert s.clustered[:8].all()

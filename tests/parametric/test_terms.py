@@ -170,9 +170,13 @@ def test_terms_are_the_weighted_integrals_at_any_value(morphed):
     morph, owner = varied.morph, material_of_elements(varied.morph.mesh, varied.materials(p))
     data = np.zeros(varied.stiffness.size)
     integrate(
-        morph.moved(p), varied.materials(p), owner, varied.graph, stiffness=data,
+        morph.moved(p),
+        varied.materials(p),
+        owner,
+        varied.graph,
+        stiffness=data,
         weights=morph.factors(p, morph.roots(1, varied.points)),
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(varied.stiffness.combined(varied.stiffness.law(p)), data, atol=1e-13 * data.max())
 
 

@@ -54,9 +54,9 @@ def dense_response(problem, omega, D, eta=0.0):
     K, M, B = problem.K.toarray(), problem.M.toarray(), problem.B.toarray()
     F = B - M @ problem.rigid @ (problem.rigid.T @ B)
     s = 1 / np.sqrt(np.diag(K))[:, None]
-    return np.array([
-        B.T @ (s * np.linalg.solve(s * ((1 + 1j * eta) * K + 1j * w * D - w**2 * M) * s.T, s * F)) for w in omega
-    ])  # fmt: skip
+    return np.array(
+        [B.T @ (s * np.linalg.solve(s * ((1 + 1j * eta) * K + 1j * w * D - w**2 * M) * s.T, s * F)) for w in omega]
+    )
 
 
 def each(H, true, problem):
@@ -189,9 +189,14 @@ def test_a_certificate_names_the_modes_that_a_jump_parts():
         _, M, values, phi = pencil(problem)
         first = float(np.sqrt(values[0]) / (2 * np.pi))
         true = dense_response(problem, 2 * np.pi * hz, modal_matrix(M, values, phi, table_ratio))
-        bodies = [reducer.reduce(problem) for reducer in (
-            FreeInterface(modes=6), Krylov(shifts_hz=[0.0, 1500.0]), Gramian(band_hz=[100.0, 2600.0], order=20),
-        )]  # fmt: skip
+        bodies = [
+            reducer.reduce(problem)
+            for reducer in (
+                FreeInterface(modes=6),
+                Krylov(shifts_hz=[0.0, 1500.0]),
+                Gramian(band_hz=[100.0, 2600.0], order=20),
+            )
+        ]
         for body, certificate in zip(bodies, certify(problem, bodies, hz), strict=True):
             error = each(reduced_response(body, 2 * np.pi * hz), true, problem)
             assert np.abs(certificate.error - error).max() < 1e-6 * error.max() + 2e-6
@@ -232,8 +237,11 @@ def test_methods_that_follow_poles_take_a_table(reducer):
 
 # Structural damping.
 
-WITH = {"alone": Damping(structural=0.03), "rayleigh": Damping(structural=0.03, alpha=8.0, beta=3e-6),
-        "table": Damping(structural=0.03, modal_table=TABLE)}  # fmt: skip
+WITH = {
+    "alone": Damping(structural=0.03),
+    "rayleigh": Damping(structural=0.03, alpha=8.0, beta=3e-6),
+    "table": Damping(structural=0.03, modal_table=TABLE),
+}
 
 
 def viscous(problem, damping):
@@ -276,10 +284,15 @@ def test_the_bound_holds_with_structural_damping(name, coupling):
         modes = problem.elastic_modes(below=(2 * np.pi * 3300.0) ** 2).frequencies_hz
         hz = np.unique(np.concatenate([np.linspace(30.0, 2600.0, 40), modes[modes < 2600]]))
         true = dense_response(problem, 2 * np.pi * hz, viscous(problem, damping), 0.03)
-        bodies = [reducer.reduce(problem) for reducer in (
-            Modal(modes=12), FreeInterface(modes=6), Krylov(shifts_hz=[0.0, 1500.0]),
-            Gramian(band_hz=[30.0, 2600.0], order=18),
-        )]  # fmt: skip
+        bodies = [
+            reducer.reduce(problem)
+            for reducer in (
+                Modal(modes=12),
+                FreeInterface(modes=6),
+                Krylov(shifts_hz=[0.0, 1500.0]),
+                Gramian(band_hz=[30.0, 2600.0], order=18),
+            )
+        ]
         for body, certificate in zip(bodies, certify(problem, bodies, hz), strict=True):
             error = each(reduced_response(body, 2 * np.pi * hz), true, problem)
             assert certificate.bound_kind == "bound"

@@ -36,9 +36,11 @@ def planar_beam(components: tuple[int, ...]) -> FEModel:
     rows = np.flatnonzero(np.isin(whole.dofs.component, components))
     node, component = whole.dofs.node[rows], whole.dofs.component[rows]
     return replace(
-        whole, K=sp.csr_array(whole.K[rows][:, rows]), M=sp.csr_array(whole.M[rows][:, rows]),
+        whole,
+        K=sp.csr_array(whole.K[rows][:, rows]),
+        M=sp.csr_array(whole.M[rows][:, rows]),
         dofs=replace(whole.dofs, node=node, component=component),
-    )  # fmt: skip
+    )
 
 
 def grounded_chain(stiffness: float = 1e6) -> FEModel:
@@ -99,7 +101,7 @@ SOUND: dict[str, tuple[Callable[[], FEModel], int]] = {
     "free modal coordinates": (lambda: modal(2), 2),
     "turned modal coordinates": (turned, 2),
     "diagonal K and M": (lambda: model_on(np.diag(np.geomspace(1e3, 1e6, 12)), np.eye(12), line(4), range(3)), 0),
-}  # fmt: skip
+}
 
 
 def ball_joint() -> FEModel:
@@ -130,9 +132,13 @@ def test_what_the_spectrum_allows_is_reduced_and_right(name: str) -> None:
         finite = int((theta > 1e-14 * theta[-1]).sum()) - free
         exact = np.sort(sl.eigvals(K, M).real)[: free + finite][free:]
         for reducer in (
-            Modal(modes=min(4, finite)), FreeInterface(modes=min(2, finite)), Guyan(), CraigBampton(modes=2),
-            Krylov(shifts_hz=[10.0], moments=1), CraigBampton(modes=max(2, B.shape[1]), inertia_modes=True),
-        ):  # fmt: skip
+            Modal(modes=min(4, finite)),
+            FreeInterface(modes=min(2, finite)),
+            Guyan(),
+            CraigBampton(modes=2),
+            Krylov(shifts_hz=[10.0], moments=1),
+            CraigBampton(modes=max(2, B.shape[1]), inertia_modes=True),
+        ):
             held = reducer.method in ("craig-bampton", "guyan")
             try:
                 body = reducer.reduce(problem)
@@ -232,9 +238,11 @@ def planar_truss() -> FEModel:
     whole = truss(())
     rows = np.flatnonzero(whole.dofs.component > 0)
     return replace(
-        whole, K=sp.csr_array(whole.K[rows][:, rows]), M=sp.csr_array(whole.M[rows][:, rows]),
+        whole,
+        K=sp.csr_array(whole.K[rows][:, rows]),
+        M=sp.csr_array(whole.M[rows][:, rows]),
         dofs=replace(whole.dofs, node=whole.dofs.node[rows], component=whole.dofs.component[rows]),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("make", [spring_grid, planar_truss])

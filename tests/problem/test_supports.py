@@ -103,8 +103,11 @@ def test_automatic_on_soft_springs_keeps_its_promise() -> None:
         body = AutoReducer(band_hz=[1.0, 5.0], tolerance=1e-3).reduce(problem)
         (certificate,) = certify(problem, [body], [1.0, 5.0])
         c = 1 + 0.02j
-        dense = [problem.B.T @ np.linalg.solve(c * problem.K.toarray() - (2 * np.pi * f) ** 2 * problem.M.toarray(),
-                                               problem.B.toarray()) for f in hz]  # fmt: skip
+        dense = [
+            problem.B.T
+            @ np.linalg.solve(c * problem.K.toarray() - (2 * np.pi * f) ** 2 * problem.M.toarray(), problem.B.toarray())
+            for f in hz
+        ]
         responses = [body.C @ np.linalg.solve(c * body.K - (2 * np.pi * f) ** 2 * body.M, body.B) for f in hz]
     true = np.array([np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(responses, dense, strict=True)])
     assert certificate.kind == "proven" and certificate.damping_floor == 0.01 and certificate.limit.upper <= 1e-3
@@ -153,10 +156,14 @@ def test_soft_springs_on_a_solid_hold_it_whatever_the_units() -> None:
 @pytest.mark.parametrize(
     "number",
     [
-        *((6, number) for number in (56, 66, 141, 196)), (7, 16), (7, 74), (8, 192), (10, 206),
+        *((6, number) for number in (56, 66, 141, 196)),
+        (7, 16),
+        (7, 74),
+        (8, 192),
+        (10, 206),
         *((31, number) for number in (103, 136, 173)),
     ],
-)  # fmt: skip
+)
 def test_models_that_came_out_wrong_or_were_refused_once(number: tuple[int, int]) -> None:
     logging.disable(logging.WARNING)
     try:
@@ -225,16 +232,28 @@ def test_random_models_over_twelve_decades_of_stiffness() -> None:
 
 @pytest.mark.parametrize(
     "form",
-    [sp.csr_matrix, sp.coo_matrix, sp.csc_matrix, sp.bsr_matrix, sp.dia_matrix, sp.lil_matrix, sp.dok_matrix,
-     sp.coo_array, sp.csr_array.toarray, sp.csr_array.todense],
-)  # fmt: skip
+    [
+        sp.csr_matrix,
+        sp.coo_matrix,
+        sp.csc_matrix,
+        sp.bsr_matrix,
+        sp.dia_matrix,
+        sp.lil_matrix,
+        sp.dok_matrix,
+        sp.coo_array,
+        sp.csr_array.toarray,
+        sp.csr_array.todense,
+    ],
+)
 def test_matrices_of_any_form_give_the_same_body(form) -> None:
     model = steel(box("hex8", (3, 1, 1), (0.5, 0.05, 0.03)))
     matrices = []
     for K, M in ((model.K, model.M), (form(model.K), form(model.M))):
         other = replace(model, K=K, M=M)
-        ends = [make_interface(other, name=name, nodes=where(other, 0, x), coupling="direct")
-                for name, x in (("a", 0), ("b", 0.5))]  # fmt: skip
+        ends = [
+            make_interface(other, name=name, nodes=where(other, 0, x), coupling="direct")
+            for name, x in (("a", 0), ("b", 0.5))
+        ]
         with Problem(other, ends) as problem:
             matrices.append(CraigBampton(modes=3).reduce(problem))
     assert pytest.approx(matrices[0].K, rel=1e-12, abs=1e-6) == matrices[1].K

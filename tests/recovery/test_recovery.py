@@ -56,9 +56,10 @@ def bar(tmp_path_factory):
         Writer(file).rows("bodies/cb/recovery/", RECOVERY, recovery_parts(stress, part.transformation))
     rng = np.random.default_rng(3)
     given = Trajectory(
-        times=np.array([0.0, 0.1, 0.25]), coordinates=1e-4 * rng.standard_normal((3, cb.order)),
+        times=np.array([0.0, 0.1, 0.25]),
+        coordinates=1e-4 * rng.standard_normal((3, cb.order)),
         loads=1e3 * rng.standard_normal((3, 12)),
-    )  # fmt: skip
+    )
     return SimpleNamespace(path=path, source=read_body(path), stress=stress, given=given, model=model, cb=cb)
 
 
@@ -159,9 +160,12 @@ def test_vtk_reads_the_series(bar, tmp_path, framed):
     given = bar.given
     if framed:
         given = Trajectory(
-            times=given.times, coordinates=given.coordinates[:, : body.floating.elastic.shape[1]],
-            rotation=np.array([turn(a, [1, 1, 0]) for a in (0.0, 1.0, 2.0)]), position=np.eye(3), loads=given.loads,
-        )  # fmt: skip
+            times=given.times,
+            coordinates=given.coordinates[:, : body.floating.elastic.shape[1]],
+            rotation=np.array([turn(a, [1, 1, 0]) for a in (0.0, 1.0, 2.0)]),
+            position=np.eye(3),
+            loads=given.loads,
+        )
     result = recover(bar.path, save(tmp_path / "t.npz", given), tmp_path / "out.vtkhdf", body="cb")
     wanted = expand(bar.source, body, given, recovery=stored_recovery(bar.path, "cb"))
     times, steps = steps_of(tmp_path / "out.vtkhdf")
@@ -278,7 +282,7 @@ def test_displacements_under_loads_are_those_of_the_full_model(modal, tmp_path, 
     errors = []
     for trajectory in (given, dataclasses.replace(given, loads=None)):
         recover(modal.path, trajectory, tmp_path / "out.vtkhdf", scale=3.0)
-        (_, _, _, data), = steps_of(tmp_path / "out.vtkhdf")[1]
+        ((_, _, _, data),) = steps_of(tmp_path / "out.vtkhdf")[1]
         close(data["motion"], 3 * data["displacement"])  # no rigid motion is in it
         errors.append(np.abs(data["displacement"] - exact).max() / np.abs(exact).max())
     assert errors[1] > 0.1
@@ -294,13 +298,19 @@ def test_corrected_displacements_keep_to_the_frame(modal, tmp_path, kind):
     body = dataclasses.replace(body, floating=frame)
     stress = stored_recovery(modal.path, "bar")
     p, e = np.zeros((1, 3)), np.linspace(-1, 1, 3)[None] * 1e-5
-    seen = expand(source, body, Trajectory(times=np.zeros(1), coordinates=e, position=p, loads=LOADS[None]),
-                  recovery=stress)  # fmt: skip
-    plain = expand(source, body, Trajectory(times=np.zeros(1), coordinates=e @ frame.elastic.T, loads=LOADS[None]),
-                   recovery=stress).displacement[0]  # fmt: skip
+    seen = expand(
+        source, body, Trajectory(times=np.zeros(1), coordinates=e, position=p, loads=LOADS[None]), recovery=stress
+    )
+    plain = expand(
+        source, body, Trajectory(times=np.zeros(1), coordinates=e @ frame.elastic.T, loads=LOADS[None]), recovery=stress
+    ).displacement[0]
     difference, x = (seen.displacement[0] - plain), source.coordinates
-    arms = np.hstack([np.broadcast_to(np.eye(3), (len(x), 3, 3)).reshape(-1, 3),
-                      -np.cross(np.eye(3)[None], x[:, None], axisa=2, axisb=2).reshape(-1, 3)])  # fmt: skip
+    arms = np.hstack(
+        [
+            np.broadcast_to(np.eye(3), (len(x), 3, 3)).reshape(-1, 3),
+            -np.cross(np.eye(3)[None], x[:, None], axisa=2, axisb=2).reshape(-1, 3),
+        ]
+    )
     rigid = arms @ np.linalg.lstsq(arms, difference.ravel(), rcond=None)[0]
     assert np.abs(rigid - difference.ravel()).max() < 1e-9 * np.abs(plain).max()
     left = seen.displacement[0][np.isclose(x[:, 0], 0.0)]
@@ -318,8 +328,10 @@ def test_stress_of_a_simulated_body_under_load_is_that_of_beam_theory(tmp_path):
     """Three free modes know little of a cantilever; the loads that the simulator gives make its stress right."""
     L, b, h, P, turn = 0.5, 0.04, 0.03, 200.0, exponential(np.array([0.5, 1.1, -0.4]))
     model = steel(box("hex20", (10, 2, 2), (L, b, h)))
-    faces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling="average")
-             for n, x in (("left", 0.0), ("right", L))]  # fmt: skip
+    faces = [
+        make_interface(model, name=n, nodes=where(model, 0, x), coupling="average")
+        for n, x in (("left", 0.0), ("right", L))
+    ]
     with Problem(model, faces) as problem:
         reduced = Modal(modes=3).reduce(problem, "bar")
         delivered = elastic_body(problem, reduced, make_part(problem))
@@ -373,8 +385,11 @@ def test_the_worse_stress_is_shown_where_materials_meet(tmp_path):
     mesh = box("hex20", (4, 1, 2), (0.4, 0.05, 0.1))
     low = mesh.nodes.xyz[mesh.blocks[0].nodes].mean(axis=1)[:, 2] < 0.05
     ids = np.random.default_rng(1).permutation(len(mesh.nodes)) + 5
-    mesh = Mesh(nodes=Nodes(ids=ids, xyz=mesh.nodes.xyz), blocks=mesh.blocks,
-                element_sets={"soft": (np.flatnonzero(low),), "hard": (np.flatnonzero(~low),)})  # fmt: skip
+    mesh = Mesh(
+        nodes=Nodes(ids=ids, xyz=mesh.nodes.xyz),
+        blocks=mesh.blocks,
+        element_sets={"soft": (np.flatnonzero(low),), "hard": (np.flatnonzero(~low),)},
+    )
     model = assemble(mesh, [isotropic(set="soft", young=1e9, poisson=0.3, density=1e3), isotropic(set="hard", **STEEL)])
     interfaces = [make_interface(model, name=n, nodes=where(model, 0, x)) for n, x in (("left", 0.0), ("right", 0.4))]
     with Problem(model, interfaces) as problem:
@@ -387,7 +402,7 @@ def test_the_worse_stress_is_shown_where_materials_meet(tmp_path):
     q = np.zeros((1, 12))
     q[0, [6, 10]] = 1e-4, 1e-3
     recover(path, Trajectory(times=np.zeros(1), coordinates=q), tmp_path / "out.vtkhdf")
-    (_, _, _, data), = steps_of(tmp_path / "out.vtkhdf")[1]
+    ((_, _, _, data),) = steps_of(tmp_path / "out.vtkhdf")[1]
     size = von_mises(recovery.at(q)[0])
     labels = read_body(path).node_ids
     worst = np.array([size[recovery.points == label].max() for label in labels])
@@ -399,15 +414,23 @@ def test_the_worse_stress_is_shown_where_materials_meet(tmp_path):
 
 def test_every_format_gives_the_same_trajectory(bar, tmp_path):
     A = np.array([turn(0.1, [1, 0, 0]), turn(0.2, [0, 1, 1]), turn(0.3, [1, 2, 3])])
-    given = Trajectory(times=bar.given.times, coordinates=bar.given.coordinates, position=np.eye(3), rotation=A,
-                       loads=bar.given.loads)  # fmt: skip
+    given = Trajectory(
+        times=bar.given.times, coordinates=bar.given.coordinates, position=np.eye(3), rotation=A, loads=bar.given.loads
+    )
     save(tmp_path / "t.npz", given)
     with h5py.File(tmp_path / "t.h5", "w") as file:
         for name, value in vars(given).items():
             file[name.replace("times", "time")] = value
     k, m = given.coordinates.shape[1], given.loads.shape[1]
-    names = ["t", *(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)), *(f"q{i}" for i in range(k, 0, -1)),
-             "x", "y", "z", *(f"F{i}" for i in range(1, m + 1))]  # fmt: skip
+    names = [
+        "t",
+        *(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)),
+        *(f"q{i}" for i in range(k, 0, -1)),
+        "x",
+        "y",
+        "z",
+        *(f"F{i}" for i in range(1, m + 1)),
+    ]
     table = np.column_stack([given.times, A.reshape(3, 9), given.coordinates[:, ::-1], given.position, given.loads])
     for name, comma, head in (("t.csv", ",", ""), ("t2.csv", ";", ""), ("t.txt", " ", "# "), ("t.dat", "\t", "")):
         lines = [comma.join(repr(float(v)) for v in row) for row in table]
@@ -449,8 +472,9 @@ def test_packed_zeros_do_not_fill_the_memory(bar, tmp_path, monkeypatch):
 def test_a_bad_trajectory_is_one_message_and_the_old_file_stays(bar, tmp_path, message):
     out = tmp_path / "out.vtkhdf"
     out.write_text("old")
-    np.savez(tmp_path / "t.npz", **{"time": np.arange(3.0), "coordinates": np.ones((3, 16)),
-                                    **bad_trajectories()[message]})  # fmt: skip
+    np.savez(
+        tmp_path / "t.npz", **{"time": np.arange(3.0), "coordinates": np.ones((3, 16)), **bad_trajectories()[message]}
+    )
     with pytest.raises(InputError, match=message):
         recover(bar.path, tmp_path / "t.npz", out, body="cb")
     assert out.read_text() == "old" and sorted(p.name for p in tmp_path.iterdir()) == ["out.vtkhdf", "t.npz"]

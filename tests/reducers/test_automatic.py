@@ -81,8 +81,15 @@ def galerkin(problem, V, omega, scale):
     """Scaled transfer matrices of the projection on ``V``."""
     K, M = (V.T @ (A @ V) for A in (problem.K, problem.M))
     B, d = problem.B.T @ V, problem.damping
-    return np.array([B @ np.linalg.solve((1 + 1j * w * d.beta) * K + (1j * w * d.alpha - w**2) * M, B.T.astype(complex))
-                     for w in omega]) * scale  # fmt: skip
+    return (
+        np.array(
+            [
+                B @ np.linalg.solve((1 + 1j * w * d.beta) * K + (1j * w * d.alpha - w**2) * M, B.T.astype(complex))
+                for w in omega
+            ]
+        )
+        * scale
+    )
 
 
 @pytest.mark.parametrize("damping", DAMPINGS)
@@ -122,8 +129,9 @@ def test_samples_on_undamped_resonances_of_twins(small_meshes):
 def test_static_responses_are_exact_if_asked_for(coupling):
     model, interfaces = ends(coupling)
     with Problem(model, interfaces) as problem:
-        plain, exact = (AutoReducer(band_hz=[50.0, 3000.0], tolerance=1e-2, static_exact=s).reduce(problem)
-                        for s in (False, True))  # fmt: skip
+        plain, exact = (
+            AutoReducer(band_hz=[50.0, 3000.0], tolerance=1e-2, static_exact=s).reduce(problem) for s in (False, True)
+        )
         certificates = certify(problem, [plain, exact], [50.0, 2000.0], points=4)
         loose, tight = (certificate.static_error for certificate in certificates)
         show(coupling, f"static error {loose:.1e} {tight:.1e}, orders {plain.order} {exact.order}")
@@ -257,9 +265,21 @@ def test_certificates_of_a_job_are_stored_and_told(small_meshes, tmp_path, dampi
     for body in result.bodies:
         certificate, kept = body.certificate, stored.bodies[body.name].certificate
         assert certificate is not None and kept is not None
-        for name in ("frequencies_hz", "full", "reduced", "error", "bound", "block_error", "static_error", "mode_mac",
-                     "mode_frequencies_hz", "mode_deviation", "verified_below_hz", "reference_error",
-                     "absolute_error"):  # fmt: skip
+        for name in (
+            "frequencies_hz",
+            "full",
+            "reduced",
+            "error",
+            "bound",
+            "block_error",
+            "static_error",
+            "mode_mac",
+            "mode_frequencies_hz",
+            "mode_deviation",
+            "verified_below_hz",
+            "reference_error",
+            "absolute_error",
+        ):
             if name in kept:
                 value = np.asarray(getattr(certificate, name))
                 assert np.array_equal(np.asarray(kept[name]), value, equal_nan=True), name
@@ -307,12 +327,14 @@ def test_certificates_on_the_command_line(small_meshes, tmp_path):
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
-    [("tolerance = 1e-3", "tolerance = 2.0", "relative error between 0 and 1"),
-     ("band_hz = [500.0, 30000.0]", "band_hz = [30000.0, 500.0]", "LOW < HIGH"),
-     ("band_hz = [0.0, 40000.0]", "band_hz = [10.0, 1.0]", "LOW < HIGH"),
-     ("points = 20", "points = 1", "count from 2"),
-     ("tolerance = 1e-3", "", "needs the key tolerance")],
-)  # fmt: skip
+    [
+        ("tolerance = 1e-3", "tolerance = 2.0", "relative error between 0 and 1"),
+        ("band_hz = [500.0, 30000.0]", "band_hz = [30000.0, 500.0]", "LOW < HIGH"),
+        ("band_hz = [0.0, 40000.0]", "band_hz = [10.0, 1.0]", "LOW < HIGH"),
+        ("points = 20", "points = 1", "count from 2"),
+        ("tolerance = 1e-3", "", "needs the key tolerance"),
+    ],
+)
 def test_faults_in_a_job_are_named(small_meshes, tmp_path, old, new, message):
     path = write_job(tmp_path, small_meshes)
     path.write_text(path.read_text().replace(old, new, 1))

@@ -37,8 +37,9 @@ def held():
 
 def free_beam(coupling="rigid", cells=8):
     model = steel(box("hex20", (cells, 1, 1), (0.5, 0.05, 0.03)))
-    return model, [make_interface(model, name=n, nodes=where(model, 0, x), coupling=coupling)
-                   for n, x in (("l", 0.0), ("r", 0.5))]  # fmt: skip
+    return model, [
+        make_interface(model, name=n, nodes=where(model, 0, x), coupling=coupling) for n, x in (("l", 0.0), ("r", 0.5))
+    ]
 
 
 def error(actual, exact):
@@ -106,8 +107,14 @@ def test_all_variants_agree_with_pymor(balancing, variants):
 
         full = SecondOrderModel.from_matrices(M, D, K, B, B.T)
         full = Exact(**{name: getattr(full, name) for name in ("M", "E", "K", "B", "Cp", "Cv")})
-        names = {"p": ("SOBTp", full.psv), "v": ("SOBTv", full.vsv), "pv": ("SOBTpv", full.pvsv),
-                 "vp": ("SOBTvp", full.vpsv), "fv": ("SOBTfv", full.psv), "so": ("SOBT", full.vsv)}  # fmt: skip
+        names = {
+            "p": ("SOBTp", full.psv),
+            "v": ("SOBTv", full.vsv),
+            "pv": ("SOBTpv", full.pvsv),
+            "vp": ("SOBTvp", full.vpsv),
+            "fv": ("SOBTfv", full.psv),
+            "so": ("SOBT", full.vsv),
+        }
         for variant in variants:
             name, values = names[variant]
             reference = getattr(sobt, name + "Reductor")(full).reduce(9, projection=balancing)
@@ -185,9 +192,18 @@ def test_what_cannot_be_integrated_is_refused():
             Balanced(order=6, adi_steps=4).reduce(problem)
         with pytest.raises(InputError, match="singular values are above round-off"):
             Balanced(order=9000, band_hz=[0.0, 100.0]).reduce(problem)
-    for wrong in ({}, {"order": 3, "tolerance": 1e-3}, {"order": 0}, {"tolerance": 2.0}, {"order": 3, "variant": "x"},
-                  {"order": 3, "balancing": "x"}, {"order": 3, "band_hz": [5.0, 1.0]}, {"order": 3, "band_hz": [5.0]},
-                  {"order": 3, "adi_steps": 0}, {"order": 3, "adi_tolerance": 0.0}):  # fmt: skip
+    for wrong in (
+        {},
+        {"order": 3, "tolerance": 1e-3},
+        {"order": 0},
+        {"tolerance": 2.0},
+        {"order": 3, "variant": "x"},
+        {"order": 3, "balancing": "x"},
+        {"order": 3, "band_hz": [5.0, 1.0]},
+        {"order": 3, "band_hz": [5.0]},
+        {"order": 3, "adi_steps": 0},
+        {"order": 3, "adi_tolerance": 0.0},
+    ):
         with pytest.raises(InputError, match=r"expected|one of the two"):
             Balanced(**wrong)
 
@@ -200,8 +216,12 @@ def test_damping_of_rigid_motion_is_refused():
     # A damping matrix that leaves it alone serves as Rayleigh damping does.
     inner = FEModel(K=model.K, M=model.M, D=sp.csr_array(1e-5 * model.K), nodes=model.nodes, dofs=model.dofs)
     spectra = []
-    for damped, damping in ((inner, Damping()), (model, Damping(beta=1e-5)), (inner, Damping(alpha=200.0)),
-                         (model, RAYLEIGH)):  # fmt: skip
+    for damped, damping in (
+        (inner, Damping()),
+        (model, Damping(beta=1e-5)),
+        (inner, Damping(alpha=200.0)),
+        (model, RAYLEIGH),
+    ):
         with Problem(damped, interfaces, damping=damping) as problem:
             spectra.append(Balanced(order=12).reduce(problem).recipe["singular_values"])
     assert spectra[0] == pytest.approx(spectra[1], abs=1e-8 * spectra[1][0])

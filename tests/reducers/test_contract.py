@@ -44,8 +44,9 @@ LISTED: list[tuple[str, dict[str, Any]]] = [
 USUAL: dict[str, Any] = {"modes": 5, "order": 8, "band_hz": BAND}
 OPTIONS = LISTED + [
     (name, {key.name: USUAL[key.name] for key in fields(REDUCERS[name]) if key.name in USUAL})
-    for name in REDUCERS.own if name not in dict(LISTED)
-]  # fmt: skip
+    for name in REDUCERS.own
+    if name not in dict(LISTED)
+]
 RAYLEIGH = Damping(alpha=3.0, beta=2e-6)
 ALL = pytest.mark.parametrize(("method", "options"), OPTIONS, ids=lambda value: value if isinstance(value, str) else "")
 

@@ -28,8 +28,10 @@ def beam(n=(24, 2, 2)):
 
 
 def problem_of(model, damping=RAYLEIGH):
-    interfaces = [make_interface(model, name=name, nodes=where(model, 0, x), coupling="average")
-            for name, x in (("left", 0.0), ("right", 0.5))]  # fmt: skip
+    interfaces = [
+        make_interface(model, name=name, nodes=where(model, 0, x), coupling="average")
+        for name, x in (("left", 0.0), ("right", 0.5))
+    ]
     return Problem(model, interfaces, damping=damping)
 
 
@@ -165,8 +167,10 @@ def test_units_do_not_matter(direct):
     responses = []
     for size, change in ((1.0, {"density": 7800.0}), (1e3, {"density": 7.8e-6, "young": 2.1e8})):
         model = steel(box("hex8", (6, 2, 1), (0.5 * size, 0.05 * size, 0.03 * size)), **change)
-        interfaces = [make_interface(model, name=name, nodes=where(model, 0, x * size), coupling="average")
-                for name, x in (("left", 0.0), ("right", 0.5))]  # fmt: skip
+        interfaces = [
+            make_interface(model, name=name, nodes=where(model, 0, x * size), coupling="average")
+            for name, x in (("left", 0.0), ("right", 0.5))
+        ]
         with Problem(model, interfaces, damping=RAYLEIGH) as problem:
             reducer = Gramian(band_hz=BAND, order=20, points=5, inertia_loads=True, direct=direct)
             reduced = reducer.reduce(problem)
@@ -206,8 +210,14 @@ def test_a_damping_matrix_of_the_model_is_solved_directly():
     d = np.zeros((free.size, 1))
     d[end] = [[1.0], [-1.0]]
     column = sp.csr_array(d)
-    model = FEModel(K=free.K, M=free.M, D=sp.csr_array(200.0 * column @ column.T + 2e-6 * free.K),
-                    nodes=free.nodes, dofs=free.dofs, mesh=free.mesh)  # fmt: skip
+    model = FEModel(
+        K=free.K,
+        M=free.M,
+        D=sp.csr_array(200.0 * column @ column.T + 2e-6 * free.K),
+        nodes=free.nodes,
+        dofs=free.dofs,
+        mesh=free.mesh,
+    )
     with problem_of(model, Damping()) as problem:
         bodies = [Gramian(band_hz=BAND, order=24, direct=direct).reduce(problem) for direct in (False, True)]
         assert bodies[1].recipe["delta_1_per_s"] == 0.0

@@ -216,9 +216,13 @@ def test_an_average_interface_over_the_edge_of_a_rigid_one():
     ]
     with Problem(model, interfaces) as problem:
         reduced = CraigBampton(modes=problem.K.shape[0] - 12).reduce(problem)
-        assert np.abs(problem.B.T @ problem.coupling.R - np.vstack([
-            problem.B[:, s].T @ problem.coupling.R for s in problem.coupling.columns.values()
-        ])).max() == 0  # fmt: skip
+        assert (
+            np.abs(
+                problem.B.T @ problem.coupling.R
+                - np.vstack([problem.B[:, s].T @ problem.coupling.R for s in problem.coupling.columns.values()])
+            ).max()
+            == 0
+        )
         exact = sl.eigh(problem.K.toarray(), problem.M.toarray(), eigvals_only=True)[6:26]
     assert elastic(reduced)[:20] == pytest.approx(np.sqrt(exact) / (2 * np.pi), rel=1e-8)
 

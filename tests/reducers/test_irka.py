@@ -24,8 +24,9 @@ BAND = [50.0, 6000.0]
 def tip(components=(1,), place=0.5):
     """A beam with the sideways motion of its tip as the only interface."""
     model = steel(box("hex20", (8, 1, 1), (0.5, 0.05, 0.03)))
-    return model, [make_interface(model, name="tip", nodes=where(model, 0, place), coupling="average",
-                                  components=components)]  # fmt: skip
+    return model, [
+        make_interface(model, name="tip", nodes=where(model, 0, place), coupling="average", components=components)
+    ]
 
 
 def h2_error(problem, r, omega):
@@ -146,12 +147,17 @@ def test_h2_error_is_no_larger_than_that_of_pymor_or_of_modes(damping, order):
     set_log_levels({"pymor": "ERROR"})
     rng = np.random.default_rng(1)
     model = truss(rng, 20, held=True, twins=False)
-    faces = [make_interface(model, name=f"i{n}", nodes=np.array([n]), coupling="direct", components=(n % 3,))
-             for n in (5, 10, 18)]  # fmt: skip
+    faces = [
+        make_interface(model, name=f"i{n}", nodes=np.array([n]), coupling="direct", components=(n % 3,))
+        for n in (5, 10, 18)
+    ]
     values, modes = sl.eigh(model.K.toarray(), model.M.toarray())
     omega = np.sqrt(values)
-    grid = np.unique(np.concatenate([np.linspace(0, 1.2 * omega[-1], 1000), *np.outer(
-        1 + damping * np.linspace(-10, 10, 21), omega)]))  # fmt: skip
+    grid = np.unique(
+        np.concatenate(
+            [np.linspace(0, 1.2 * omega[-1], 1000), *np.outer(1 + damping * np.linspace(-10, 10, 21), omega)]
+        )
+    )
     with Problem(model, faces, damping=Damping(modal=damping)) as problem:
         ours = h2_error(problem, Irka(order=order, band_hz=[0.0, 1.2 * omega[-1] / (2 * np.pi)]).reduce(problem), grid)
         B = modes.T @ problem.B.toarray()
@@ -164,9 +170,11 @@ def test_h2_error_is_no_larger_than_that_of_pymor_or_of_modes(damping, order):
     h = c @ np.linalg.solve(k + 1j * w * d - w**2 * m, np.broadcast_to(b + 0j, (len(grid), *b.shape)))
     strongest = np.argsort(-(B**2).sum(axis=1) / omega**1.5)[:order]
     truncated = np.einsum(
-        "ki,wk,kj->wij", B[strongest],
-        1 / (values - grid[:, None] ** 2 + 2j * damping * grid[:, None] * omega)[:, strongest], B[strongest],
-    )  # fmt: skip
+        "ki,wk,kj->wij",
+        B[strongest],
+        1 / (values - grid[:, None] ** 2 + 2j * damping * grid[:, None] * omega)[:, strongest],
+        B[strongest],
+    )
     sizes = [np.trapezoid(np.linalg.norm(x, axis=(1, 2)) ** 2, grid) for x in (h - H, truncated - H, H)]
     assert ours < np.sqrt(sizes[0] / sizes[2])
     assert ours < 1.001 * np.sqrt(sizes[1] / sizes[2])

@@ -311,17 +311,25 @@ def test_tangential_directions_share_between_interface_and_inertia_loads():
 
 def test_options_that_make_no_sense_are_refused():
     for options, words in (
-        ({"shifts_hz": []}, "no shift"), ({"shifts_hz": [-1.0]}, "shifts_hz"), ({"real_shifts": [0.0]}, "positive"),
-        ({"moments": 0}, "moments"), ({"moments": [1, 2]}, "moments"), ({"order": 0}, "order"),
-        ({"shifts_hz": [5.0, 5.0]}, "twice"), ({"tangential": 0}, "tangential"), ({"shifts_hz": [np.nan]}, "shifts_hz"),
-    ):  # fmt: skip
+        ({"shifts_hz": []}, "no shift"),
+        ({"shifts_hz": [-1.0]}, "shifts_hz"),
+        ({"real_shifts": [0.0]}, "positive"),
+        ({"moments": 0}, "moments"),
+        ({"moments": [1, 2]}, "moments"),
+        ({"order": 0}, "order"),
+        ({"shifts_hz": [5.0, 5.0]}, "twice"),
+        ({"tangential": 0}, "tangential"),
+        ({"shifts_hz": [np.nan]}, "shifts_hz"),
+    ):
         with pytest.raises(InputError, match=words):
             Krylov(**options)
     model = bar()
     with Problem(model, ends(model)) as problem:
         for reducer, words in (
-            (Krylov(moments=50), "tangential"), (Krylov(order=13), "12 columns"), (Krylov(inputs=["lft"]), "'left'"),
-        ):  # fmt: skip
+            (Krylov(moments=50), "tangential"),
+            (Krylov(order=13), "12 columns"),
+            (Krylov(inputs=["lft"]), "'left'"),
+        ):
             with pytest.raises(InputError, match=words):
                 reducer.reduce(problem)
         with pytest.raises(SolverError, match=r"real shift 1e-300 1/s .* larger one, or 0\.0 among shifts_hz"):

@@ -78,8 +78,13 @@ def held_flexibility(K, hold, load):
 def test_reduced_stiffness_has_six_zeros_and_carries_rigid_motion(coupling):
     model = bar()
     with Problem(model, ends(model, coupling)) as problem:
-        for reducer in (CraigBampton(modes=4), CraigBampton(up_to_hz=9e3, inertia_modes=True), Guyan(),
-                        FreeInterface(modes=4), Modal(modes=4)):  # fmt: skip
+        for reducer in (
+            CraigBampton(modes=4),
+            CraigBampton(up_to_hz=9e3, inertia_modes=True),
+            Guyan(),
+            FreeInterface(modes=4),
+            Modal(modes=4),
+        ):
             reduced = reducer.reduce(problem)
             values = np.abs(sl.eigvalsh(reduced.K))
             # A rank-sized gap: six zeros and no seventh.
@@ -95,8 +100,14 @@ def test_reduced_matrices_are_the_projections(coupling):
     """The stiffness that each method knows exactly is that of its basis."""
     model = bar()
     with Problem(model, ends(model, coupling)) as problem:
-        for reducer in (CraigBampton(modes=4), CraigBampton(up_to_hz=9e3, inertia_modes=True), Guyan(),
-                        FreeInterface(modes=4), Modal(modes=4), Modal(modes=4, interfaces="fixed")):  # fmt: skip
+        for reducer in (
+            CraigBampton(modes=4),
+            CraigBampton(up_to_hz=9e3, inertia_modes=True),
+            Guyan(),
+            FreeInterface(modes=4),
+            Modal(modes=4),
+            Modal(modes=4, interfaces="fixed"),
+        ):
             reduced = reducer.reduce(problem)
             K = reduced.V.T @ (problem.K @ reduced.V)
             assert np.abs(K - reduced.K).max() < 1e-11 * np.abs(K).max(), reducer.method
@@ -155,7 +166,7 @@ def test_four_mass_chain_of_the_literature(shared_data):
         M=sp.csr_array(np.diag(np.array(case["M_diag"], dtype=float))),
         nodes=Nodes(ids=np.arange(1, 5), xyz=np.zeros((4, 3))),
         dofs=DofMap(node=np.arange(4), component=np.zeros(4, dtype=int)),
-    )  # fmt: skip
+    )
     # One dof, which has no three displacements: the input is given as a matrix.
     with Problem(model) as problem:
         problem.B = sp.csc_array(np.eye(4)[:, [3]])
@@ -180,8 +191,9 @@ def test_results_do_not_depend_on_numbering_rotation_or_units(coupling):
     def result(mesh, left, right, factor=1.0, Q=None):
         material = isotropic(set="all", **STEEL)
         model = assemble(mesh, [material])
-        interfaces = [make_interface(model, name=n, nodes=rows, coupling=coupling)
-                      for n, rows in (("l", left), ("r", right))]  # fmt: skip
+        interfaces = [
+            make_interface(model, name=n, nodes=rows, coupling=coupling) for n, rows in (("l", left), ("r", right))
+        ]
         with Problem(model, interfaces) as problem:
             body = elastic_body(problem, CraigBampton(modes=8).reduce(problem), make_part(problem))
             free = problem.elastic_modes(count=8).frequencies_hz
@@ -211,8 +223,10 @@ def test_a_body_far_from_the_origin_keeps_its_digits():
     for nodes in (mesh, far):
         model = steel(nodes)
         left = model.nodes.xyz[:, 0] < model.nodes.xyz[:, 0].min() + 1e-6
-        interfaces = [make_interface(model, name="l", nodes=np.flatnonzero(left)),
-                make_interface(model, name="r", nodes=np.flatnonzero(~left)[-8:], coupling="average")]  # fmt: skip
+        interfaces = [
+            make_interface(model, name="l", nodes=np.flatnonzero(left)),
+            make_interface(model, name="r", nodes=np.flatnonzero(~left)[-8:], coupling="average"),
+        ]
         with Problem(model, interfaces) as problem:
             body = elastic_body(problem, CraigBampton(modes=8).reduce(problem), make_part(problem))
         figures.append((body.frequencies_hz[6:], np.linalg.eigvalsh(body.part.inertia)))
@@ -228,8 +242,10 @@ def test_size_does_not_matter(size):
     results = []
     for length in (1.0, size):
         model = steel(box("hex20", (5, 1, 1), (0.5 * length, 0.05 * length, 0.03 * length)))
-        interfaces = [make_interface(model, name=n, nodes=where(model, 0, x), coupling="rigid")
-                for n, x in (("l", 0.0), ("r", 0.5 * length))]  # fmt: skip
+        interfaces = [
+            make_interface(model, name=n, nodes=where(model, 0, x), coupling="rigid")
+            for n, x in (("l", 0.0), ("r", 0.5 * length))
+        ]
         with Problem(model, interfaces) as problem:
             reduced = CraigBampton(modes=14, inertia_modes=True).reduce(problem)
         assert reduced.rigid_count == 6
@@ -333,8 +349,12 @@ def test_grounded_model_is_reduced_without_rigid_modes():
     free = steel(mesh)
     held = np.flatnonzero(free.nodes.xyz[:, 0] == 0.0)
     keep = np.setdiff1d(np.arange(free.size), free.dofs.of_nodes(held).ravel())
-    model = FEModel(K=free.K[keep][:, keep], M=free.M[keep][:, keep], nodes=free.nodes,
-                    dofs=DofMap(node=free.dofs.node[keep], component=free.dofs.component[keep]))  # fmt: skip
+    model = FEModel(
+        K=free.K[keep][:, keep],
+        M=free.M[keep][:, keep],
+        nodes=free.nodes,
+        dofs=DofMap(node=free.dofs.node[keep], component=free.dofs.component[keep]),
+    )
     tip = make_interface(model, name="tip", nodes=where(free, 0, 0.5), coupling="average")
     with Problem(model, [tip]) as problem:
         assert problem.rigid.shape[1] == 0

@@ -59,9 +59,9 @@ def circulatory():
 def exact(model, problem):
     """H of the dense equations."""
     A, B = dense(model), problem.B.toarray()
-    return np.array([
-        B.T @ np.linalg.solve(A["K"] + A["N"] + 1j * w * (A["D"] + A["G"]) - w * w * A["M"], B) for w in OMEGA
-    ])  # fmt: skip
+    return np.array(
+        [B.T @ np.linalg.solve(A["K"] + A["N"] + 1j * w * (A["D"] + A["G"]) - w * w * A["M"], B) for w in OMEGA]
+    )
 
 
 def error(H, known):
@@ -76,9 +76,11 @@ def test_full_and_reduced_responses_are_those_of_the_dense_equations(make):
         assert error(full_response(problem, OMEGA), H) < 1e-8
         first = eigenvalues(model)[:5]
         for reducer, limit in (
-            (Modal(modes=30), 1e-2), (CraigBampton(modes=30), 1e-2), (Krylov(shifts_hz=[100.0, 400.0, 800.0]), 1e-3),
+            (Modal(modes=30), 1e-2),
+            (CraigBampton(modes=30), 1e-2),
+            (Krylov(shifts_hz=[100.0, 400.0, 800.0]), 1e-3),
             (Krylov(shifts_hz=[0.0, 400.0, 800.0], moments=2), 1e-7),
-        ):  # fmt: skip
+        ):
             reduced = reducer.reduce(problem)
             assert error(reduced_response(reduced, OMEGA), H) < limit
             s = reduced.complex_modes()[0]
@@ -95,9 +97,13 @@ def test_the_space_of_the_transpose_matches_moments_twice():
     with Problem(model, ports(model)) as problem:
         reduced = Krylov(shifts_hz=[400.0]).reduce(problem)
         w, h = 2 * np.pi * 400.0, 2.0
-        H, H_r = (response(np.array([w - h, w, w + h])) for response in (
-            lambda omega: direct_response(problem, omega), lambda omega: reduced_response(reduced, omega)
-        ))  # fmt: skip
+        H, H_r = (
+            response(np.array([w - h, w, w + h]))
+            for response in (
+                lambda omega: direct_response(problem, omega),
+                lambda omega: reduced_response(reduced, omega),
+            )
+        )
     slope, slope_r = ((A[2] - A[0]) / (2 * h) for A in (H, H_r))
     assert np.linalg.norm(H_r[1] - H[1]) < 1e-9 * np.linalg.norm(H[1])
     assert np.linalg.norm(slope_r - slope) < 1e-5 * np.linalg.norm(slope)
@@ -146,9 +152,10 @@ def test_the_certificate_measures_and_promises_nothing():
         hz = certificates[0].frequencies_hz
         H = direct_response(problem, 2 * np.pi * hz)
         assert certificates[1].error.max() == pytest.approx(
-            (np.linalg.norm(reduced_response(poor, 2 * np.pi * hz) - H, axis=(1, 2)) / np.linalg.norm(H, axis=(1, 2)))
-            .max()
-        )  # fmt: skip
+            (
+                np.linalg.norm(reduced_response(poor, 2 * np.pi * hz) - H, axis=(1, 2)) / np.linalg.norm(H, axis=(1, 2))
+            ).max()
+        )
         with pytest.raises(InputError, match="damping floor"):
             certify(problem, [good], [20.0, 900.0], damping_floor=0.01)
         with pytest.raises(InputError, match="direct_response"):
@@ -163,10 +170,13 @@ def test_the_certificate_measures_and_promises_nothing():
 def test_other_methods_and_damping_without_a_matrix_are_refused():
     model = arch()
     options = {
-        "auto": {"band_hz": [0.0, 500.0], "tolerance": 0.01}, "gramian": {"order": 4, "band_hz": [0.0, 500.0]},
-        "balanced-truncation": {"order": 4}, "irka": {"order": 4, "band_hz": [0.0, 500.0]},
-        "free-interface": {"modes": 3}, "guyan": {},
-    }  # fmt: skip
+        "auto": {"band_hz": [0.0, 500.0], "tolerance": 0.01},
+        "gramian": {"order": 4, "band_hz": [0.0, 500.0]},
+        "balanced-truncation": {"order": 4},
+        "irka": {"order": 4, "band_hz": [0.0, 500.0]},
+        "free-interface": {"modes": 3},
+        "guyan": {},
+    }
     with Problem(model, ports(model)) as problem:
         for method, given in options.items():
             with pytest.raises(InputError, match=f'"{method}" takes symmetric models'):

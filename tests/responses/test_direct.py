@@ -94,9 +94,12 @@ def test_bodies_of_a_model_with_dampers_are_certified_by_an_estimate():
 def membrane(n, seed):
     """Masses (n^2) that move along z between springs of two decades, one side to the ground, and four dampers."""
     rng, point = np.random.default_rng(seed), np.arange(n * n).reshape(n, n)
-    pairs = np.vstack([
-        np.stack([point[:-1].ravel(), point[1:].ravel()], 1), np.stack([point[:, :-1].ravel(), point[:, 1:].ravel()], 1)
-    ])  # fmt: skip
+    pairs = np.vstack(
+        [
+            np.stack([point[:-1].ravel(), point[1:].ravel()], 1),
+            np.stack([point[:, :-1].ravel(), point[:, 1:].ravel()], 1),
+        ]
+    )
     each = np.arange(len(pairs))
     A = sp.csr_array((np.repeat([1.0, -1.0], len(pairs)), (np.tile(each, 2), pairs.T.ravel())))
     K = A.T @ sp.diags_array(1e4 * 10 ** rng.uniform(-1, 1, len(pairs))) @ A

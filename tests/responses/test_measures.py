@@ -28,9 +28,15 @@ def standard_and_body(seed, symmetric=True):
 
     H = terms(omega, b, b)
     standard = Standard(
-        H=H.terms, modes=H.terms, sizes=layout.sizes(b), rounding=H.rounding, layout=layout, floor=EPS,
-        edges=np.array([0.0, 1e9]), off=np.zeros(1),
-    )  # fmt: skip
+        H=H.terms,
+        modes=H.terms,
+        sizes=layout.sizes(b),
+        rounding=H.rounding,
+        layout=layout,
+        floor=EPS,
+        edges=np.array([0.0, 1e9]),
+        off=np.zeros(1),
+    )
     near = omega[:keep] * (1 + 0.5 * off * rng.uniform(0, 1, keep))
     own = b[:keep] * (1 + off * rng.standard_normal((keep, m)))
     rest = np.linalg.qr(b[keep:] / omega[keep:, None])[1]
@@ -55,8 +61,9 @@ def test_no_value_of_the_band_lies_above_its_limit(seed, symmetric):
     own = np.clip(np.searchsorted(cells.edges[:, 0], w, side="right") - 1, 0, len(cells.edges) - 1)
     E, H = standard.layout.norms(standard.H.at(w) - body.terms.at(w)), standard.layout.norms(standard.H.at(w))[:, 0]
     e = standard.modes.moduli(w)[0] @ standard.sizes
-    for q, (name, true) in enumerate({"envelope": E[:, 0] / e[:, 0], "peak": E[:, 0] / H.max(),
-                                      "pointwise": E[:, 0] / H}.items()):  # fmt: skip
+    for q, (name, true) in enumerate(
+        {"envelope": E[:, 0] / e[:, 0], "peak": E[:, 0] / H.max(), "pointwise": E[:, 0] / H}.items()
+    ):
         limit = limits[name]
         assert (true <= cells.upper[own, q] * (1 + 1e-9)).all() and true.max() <= limit.upper, name
         # The frequency of the largest value is one of those above.

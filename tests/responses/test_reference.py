@@ -23,16 +23,24 @@ from morembs.responses.reference import reference_model, stands_still
 def net(n, penalty):
     """Springs between n x n points that move across their plane, held along one side; some are ``penalty`` stiff."""
     rng, point = np.random.default_rng(0), np.arange(n * n).reshape(n, n)
-    pairs = np.vstack([np.stack([point[:-1].ravel(), point[1:].ravel()], 1),
-                       np.stack([point[:, :-1].ravel(), point[:, 1:].ravel()], 1)])  # fmt: skip
+    pairs = np.vstack(
+        [
+            np.stack([point[:-1].ravel(), point[1:].ravel()], 1),
+            np.stack([point[:, :-1].ravel(), point[:, 1:].ravel()], 1),
+        ]
+    )
     k = 1e4 * rng.uniform(0.5, 2, len(pairs))
     k[: len(pairs) // 2 : 37] = penalty
     A = sp.csr_array((np.repeat([1.0, -1.0], len(pairs)), (np.tile(np.arange(len(pairs)), 2), pairs.T.ravel())))
     K = A.T @ sp.diags_array(k) @ A + sp.diags_array(np.where(np.arange(n * n) < n, 1e4, 0.0))
     xyz = np.stack([np.repeat(np.arange(n), n), np.tile(np.arange(n), n), np.zeros(n * n)], axis=1).astype(float)
     dofs = DofMap(node=np.arange(n * n), component=np.full(n * n, 2))
-    return FEModel(K=sp.csr_array(K), M=sp.csr_array(sp.eye_array(n * n)), dofs=dofs,
-                   nodes=Nodes(ids=np.arange(1, n * n + 1), xyz=xyz))  # fmt: skip
+    return FEModel(
+        K=sp.csr_array(K),
+        M=sp.csr_array(sp.eye_array(n * n)),
+        dofs=dofs,
+        nodes=Nodes(ids=np.arange(1, n * n + 1), xyz=xyz),
+    )
 
 
 def tip(model, node):
@@ -53,9 +61,14 @@ def test_an_error_that_stands_still_ends_the_growth():
 
 @pytest.mark.parametrize(
     ("errors", "still"),
-    [([1.0, 0.5, 1e-3, *[8e-4] * 11], False), ([1.0, 0.5, 1e-3, *[8e-4] * 12], True), ([0.5, 0.3, 0.2] * 10, False),
-     ([1e-3] * 12, False), ([1.0, *[1e-3, 9e-4] * 20, 4e-4], False)],
-)  # fmt: skip
+    [
+        ([1.0, 0.5, 1e-3, *[8e-4] * 11], False),
+        ([1.0, 0.5, 1e-3, *[8e-4] * 12], True),
+        ([0.5, 0.3, 0.2] * 10, False),
+        ([1e-3] * 12, False),
+        ([1.0, *[1e-3, 9e-4] * 20, 4e-4], False),
+    ],
+)
 def test_what_stands_still(errors, still):
     """Neither errors that still fall, nor those so large that modes may be missing."""
     assert stands_still(errors) is still

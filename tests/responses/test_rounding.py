@@ -26,8 +26,11 @@ def test_couplings_of_modes_move_no_block_beyond_its_limit(seed, symmetric):
     lost = Rounding.of(layout, c, b, s, t, 1e-4 * np.abs(c), 1e-4 * np.abs(b)).at(1 / np.abs(a))
     H = c.T @ (b / a[:, None])
     worst = np.exp(1j * np.angle(a))
-    signs = [rng.choice([-1.0, 1.0], (k, k)), np.outer(np.sqrt(worst), np.sqrt(worst)),
-             np.outer(np.sign(c[:, 0] * a.real), np.sign(b[:, 0] * a.real))]  # fmt: skip
+    signs = [
+        rng.choice([-1.0, 1.0], (k, k)),
+        np.outer(np.sqrt(worst), np.sqrt(worst)),
+        np.outer(np.sign(c[:, 0] * a.real), np.sign(b[:, 0] * a.real)),
+    ]
     for sign in signs:
         sign = np.tril(sign) + np.tril(sign, -1).T if symmetric else sign
         moved = (1 + 1e-4 * sign[:, :1]) * c

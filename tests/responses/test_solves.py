@@ -1,6 +1,5 @@
 """References made with inexact solutions, and those of modal damping, against solutions of the full equations."""
 
-
 import numpy as np
 import pytest
 import scipy.linalg as sl
@@ -105,8 +104,9 @@ def test_a_mode_that_the_matrix_of_the_model_leaves_undamped_has_no_limit():
         hz = np.sqrt(sl.eigvalsh(K)) / (2 * np.pi)
         for c in (1.0, 30.0, 1e3):
             model = spring_model(K, np.eye(n), c * np.outer(v, v))
-            faces = [make_interface(model, name=f"f{i}", nodes=[i], coupling="direct", components=[2])
-                     for i in (0, n - 1)]  # fmt: skip
+            faces = [
+                make_interface(model, name=f"f{i}", nodes=[i], coupling="direct", components=[2]) for i in (0, n - 1)
+            ]
             with Problem(model, faces) as problem:
                 band = [0.0, float(hz[min(5, n - 1)])]
                 (certificate,) = certify(problem, [FreeInterface(modes=min(3, n - 2)).reduce(problem)], band)

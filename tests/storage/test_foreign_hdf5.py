@@ -27,13 +27,16 @@ ELSEWHERE = {
     "takes its values from other datasets": lambda file, name: file.create_virtual_dataset(name, virtual("secret.h5")),
 }
 READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
-    "body": ("bodies/x/mass_matrix", read_body), "grid": ("VTKHDF/Points", read_grid),
-    "trajectory": ("coordinates", read_arrays), "members": ("bodies/x/parameterised/U", read_members),
-    "model": ("matrices/K/data", read_model), "matrices": ("K", lambda path: import_file(path, "hdf5")),
+    "body": ("bodies/x/mass_matrix", read_body),
+    "grid": ("VTKHDF/Points", read_grid),
+    "trajectory": ("coordinates", read_arrays),
+    "members": ("bodies/x/parameterised/U", read_members),
+    "model": ("matrices/K/data", read_model),
+    "matrices": ("K", lambda path: import_file(path, "hdf5")),
     "matlab": ("K", lambda path: import_file(path, "matlab")),
     "exudyn": ("nodes/Position", lambda path: import_file(path, "exudyn")),
     "mesh": ("ENS_MAA/x", lambda path: import_file(path.rename(path.with_suffix(".med")), "mesh")),
-}  # fmt: skip
+}
 
 
 def virtual(source: str) -> h5py.VirtualLayout:

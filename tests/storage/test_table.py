@@ -12,18 +12,30 @@ from morembs.storage.table_check import TableCheck
 from morembs.storage.writer import Columns, Writer, writing
 
 INNER = Table((Row("values", "real", "k"),))
-TABLE = Table((
-    Row("order", "whole", about="number of shapes"),
-    Row("shapes", "later", "N n", units="m", columns=True),
-    Row("names", "text", "n"), Row("notes", "notes"), Row("options", "json"), Row("on", "flag", "n"),
-    Row("error", "any", "", when="if known"),
-    Row("loads/*", "real", "n"), Row("block_#", INNER, field="blocks"),
-))  # fmt: skip
+TABLE = Table(
+    (
+        Row("order", "whole", about="number of shapes"),
+        Row("shapes", "later", "N n", units="m", columns=True),
+        Row("names", "text", "n"),
+        Row("notes", "notes"),
+        Row("options", "json"),
+        Row("on", "flag", "n"),
+        Row("error", "any", "", when="if known"),
+        Row("loads/*", "real", "n"),
+        Row("block_#", INNER, field="blocks"),
+    )
+)
 VALUES = {
-    "order": 2, "shapes": np.arange(6.0).reshape(3, 2), "names": ("a", "b"), "notes": ("one", "two"),
-    "options": {"modes": 2}, "on": np.array([True, False]), "error": None, "loads": {"x": np.ones(2)},
+    "order": 2,
+    "shapes": np.arange(6.0).reshape(3, 2),
+    "names": ("a", "b"),
+    "notes": ("one", "two"),
+    "options": {"modes": 2},
+    "on": np.array([True, False]),
+    "error": None,
+    "loads": {"x": np.ones(2)},
     "blocks": [{"values": np.ones(1)}, {"values": np.ones(4)}],
-}  # fmt: skip
+}
 
 
 @pytest.fixture
@@ -51,11 +63,13 @@ def test_what_is_written_is_read(file: Path) -> None:
         (lambda g: g.pop("order"), "incomplete file; missing: /at/order; write it again"),
         (lambda g: (g.pop("names"), g.create_group("names")), "missing: /at/names"),
         (lambda g: g.create_group("error"), "/at/error is a group; expected a dataset"),
-        (lambda g: (g.pop("loads/x"), g.create_dataset("loads/x", data=np.ones(3))),
-         r"/at/loads/x has the shape \(3,\); expected \(2\) by /at/shapes"),
+        (
+            lambda g: (g.pop("loads/x"), g.create_dataset("loads/x", data=np.ones(3))),
+            r"/at/loads/x has the shape \(3,\); expected \(2\) by /at/shapes",
+        ),
         (lambda g: g["block_1/values"].__setitem__(0, np.nan), r"/at/block_1/values holds nan at \[0\]"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_named(file: Path, change: object, words: str) -> None:
     with h5py.File(file, "a") as opened:
         change(opened["at"])

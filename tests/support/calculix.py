@@ -108,13 +108,16 @@ def program(folder: Path, body: str) -> Path:
 
 def replay(folder: Path, name: str) -> Path:
     """A program that writes what ccx 2.20 wrote for the runs of a deck: tests/data/calculix/NAME.zip."""
-    return program(folder, f"""
+    return program(
+        folder,
+        f"""
 with zipfile.ZipFile({str(STORED / name)!r} + ".zip") as stored:
     for entry in stored.namelist():
         if entry.split(".")[0] == job:
             pathlib.Path(entry).write_bytes(stored.read(entry))
 print("Job finished" if job != "shape" else "")
-""")
+""",
+    )
 
 
 def store(kept: Path, name: str) -> None:

@@ -37,16 +37,31 @@ class Cluster:
         until(known)
 
     def worker(
-        self, resources: str = "MB=4000 cores=2", threads: int = 2, environment: Mapping[str, str] | None = None,
+        self,
+        resources: str = "MB=4000 cores=2",
+        threads: int = 2,
+        environment: Mapping[str, str] | None = None,
         prefix: tuple[str, ...] = (),
-    ) -> subprocess.Popen[bytes]:  # fmt: skip
+    ) -> subprocess.Popen[bytes]:
         """Start a worker without a nurse, so that the process is the worker."""
         given = ["--resources", resources] if resources else []
         log = self._logs / f"worker-{len(self._processes)}.log"
         process = self._start(
-            "worker", "--no-nanny", "--no-dashboard", "--nthreads", str(threads), "--memory-limit", "0", "--host",
-            "127.0.0.1", "--local-directory", str(self._logs), *given, environment=environment, prefix=prefix,
-        )  # fmt: skip
+            "worker",
+            "--no-nanny",
+            "--no-dashboard",
+            "--nthreads",
+            str(threads),
+            "--memory-limit",
+            "0",
+            "--host",
+            "127.0.0.1",
+            "--local-directory",
+            str(self._logs),
+            *given,
+            environment=environment,
+            prefix=prefix,
+        )
         until(lambda: b"Registered to" in log.read_bytes() or process.poll() is not None)
         return process
 
@@ -55,11 +70,21 @@ class Cluster:
     ) -> subprocess.Popen[bytes]:
         with open(self._logs / f"{what}-{len(self._processes)}.log", "wb") as log:
             process = subprocess.Popen(
-                [*prefix, sys.executable, "-m", f"distributed.cli.dask_{what}", "--scheduler-file", str(self._file),
-                 *options], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+                [
+                    *prefix,
+                    sys.executable,
+                    "-m",
+                    f"distributed.cli.dask_{what}",
+                    "--scheduler-file",
+                    str(self._file),
+                    *options,
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
                 cwd=self._logs,
                 env={**os.environ, "PYTHONPATH": str(ROOT), **(environment or {})},
-            )  # fmt: skip
+            )
         self._processes.append(process)
         return process
 

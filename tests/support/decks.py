@@ -11,9 +11,7 @@ CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1,
 Cell = tuple[int, int, int]
 BEAM: tuple[Cell, ...] = tuple(itertools.product(range(6), range(2), range(2)))
 # Two cubes of eight elements with nothing but one edge in common, and two with nothing at all.
-HINGED: tuple[Cell, ...] = tuple(
-    (x + d, y + d, z) for d in (0, 2) for x, y, z in itertools.product(range(2), repeat=3)
-)
+HINGED: tuple[Cell, ...] = tuple((x + d, y + d, z) for d in (0, 2) for x, y, z in itertools.product(range(2), repeat=3))
 APART: tuple[Cell, ...] = tuple((x + d, y, z) for d in (0, 5) for x, y, z in itertools.product(range(2), repeat=3))
 # Steel of all elements of BEAM.
 MATERIAL = (

@@ -103,9 +103,7 @@ class Whole:
         return np.sqrt(np.maximum(sl.eigvalsh(self.K, self.M), 0.0)) / (2 * np.pi)
 
 
-def elastic(
-    K: np.ndarray, M: np.ndarray, D: np.ndarray, B: np.ndarray, omega: float, structural: float
-) -> np.ndarray:
+def elastic(K: np.ndarray, M: np.ndarray, D: np.ndarray, B: np.ndarray, omega: float, structural: float) -> np.ndarray:
     """Elastic part of H (m, m), whose rigid motions nothing damps."""
     values, X = sl.eigh(K, M)
     Z, E = X[:, :6], X[:, 6:]

@@ -55,7 +55,9 @@ def mbdyn_groups(path: Path) -> dict[int | str, list[str] | int]:
 def simulated_modelica(text: str, model: str, end: float, names: Sequence[str]) -> np.ndarray:
     """Values (n,) of variables of a Modelica model at the end, by Rumoca."""
     rumoca = pytest.importorskip("rumoca", reason=NO_RUMOCA)
-    result = rumoca.Session().loads(text, model=model).simulate(
-        (0, end), dt=end / 20, config=rumoca.SimConfig(solver="bdf", rtol=1e-9, atol=1e-12)
+    result = (
+        rumoca.Session()
+        .loads(text, model=model)
+        .simulate((0, end), dt=end / 20, config=rumoca.SimConfig(solver="bdf", rtol=1e-9, atol=1e-12))
     )
     return np.array([result[name][-1] for name in names])

@@ -61,8 +61,9 @@ class InCasadi:
 
     def __call__(self, x: dict[str, float], u: dict[str, float], p: dict[str, float] | None = None):
         """Rates by the names of states, and outputs."""
-        given = [[values.get(name, 0.0) for name in names] for names, values in
-                 ((self.x, x), (self.u, u), (self.p, p or {}))]  # fmt: skip
+        given = [
+            [values.get(name, 0.0) for name in names] for names, values in ((self.x, x), (self.u, u), (self.p, p or {}))
+        ]
         rate, y = (np.array(part).ravel() for part in self.function(*given))
         return dict(zip(self.x, rate.tolist(), strict=True)), dict(zip(self.y, y.tolist(), strict=True))
 

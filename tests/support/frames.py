@@ -13,17 +13,29 @@ from morembs.model import DofMap, FEModel, Nodes
 
 def beam_element(
     E: float, G: float, A: float, second: float, polar: float, rho: float, L: float
-) -> tuple[np.ndarray, ...]:  # fmt: skip
+) -> tuple[np.ndarray, ...]:
     """K and M (12, 12) of an Euler-Bernoulli beam along x, six dofs at each end; M consistent (Przemieniecki 1968)."""
     K, M = np.zeros((12, 12)), np.zeros((12, 12))
     bar, mass = np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array([[2.0, 1.0], [1.0, 2.0]]) / 6
     for dofs, k, m in (((0, 6), E * A, rho * A), ((3, 9), G * polar, rho * polar)):
         K[np.ix_(dofs, dofs)] += k / L * bar
         M[np.ix_(dofs, dofs)] += m * L * mass
-    bend = np.array([[12, 6 * L, -12, 6 * L], [6 * L, 4 * L**2, -6 * L, 2 * L**2],
-                     [-12, -6 * L, 12, -6 * L], [6 * L, 2 * L**2, -6 * L, 4 * L**2]])  # fmt: skip
-    heavy = np.array([[156, 22 * L, 54, -13 * L], [22 * L, 4 * L**2, 13 * L, -3 * L**2],
-                      [54, 13 * L, 156, -22 * L], [-13 * L, -3 * L**2, -22 * L, 4 * L**2]])  # fmt: skip
+    bend = np.array(
+        [
+            [12, 6 * L, -12, 6 * L],
+            [6 * L, 4 * L**2, -6 * L, 2 * L**2],
+            [-12, -6 * L, 12, -6 * L],
+            [6 * L, 2 * L**2, -6 * L, 4 * L**2],
+        ]
+    )
+    heavy = np.array(
+        [
+            [156, 22 * L, 54, -13 * L],
+            [22 * L, 4 * L**2, 13 * L, -3 * L**2],
+            [54, 13 * L, 156, -22 * L],
+            [-13 * L, -3 * L**2, -22 * L, 4 * L**2],
+        ]
+    )
     for dofs, sign in (((1, 5, 7, 11), 1.0), ((2, 4, 8, 10), -1.0)):
         s = np.array([1.0, sign, 1.0, sign])
         K[np.ix_(dofs, dofs)] += E * second / L**3 * bend * np.outer(s, s)
@@ -71,17 +83,19 @@ def springs(
 
 
 def model_on(
-    K: np.ndarray, M: np.ndarray, xyz: np.ndarray, components: Sequence[int], kept: np.ndarray | None = None,
-) -> FEModel:  # fmt: skip
+    K: np.ndarray, M: np.ndarray, xyz: np.ndarray, components: Sequence[int], kept: np.ndarray | None = None
+) -> FEModel:
     """Model with ``components`` at each node, of which the rows ``kept`` (all by default) stay; all nodes stay."""
     node = np.repeat(np.arange(len(xyz)), len(components))
     component = np.tile(np.array(components), len(xyz))
     rows = np.arange(len(node)) if kept is None else np.asarray(kept)
     return FEModel(
-        K=sp.csr_array(K[np.ix_(rows, rows)]), M=sp.csr_array(M[np.ix_(rows, rows)]),
+        K=sp.csr_array(K[np.ix_(rows, rows)]),
+        M=sp.csr_array(M[np.ix_(rows, rows)]),
         nodes=Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz),
-        dofs=DofMap(node=node[rows], component=component[rows]), source="frame",
-    )  # fmt: skip
+        dofs=DofMap(node=node[rows], component=component[rows]),
+        source="frame",
+    )
 
 
 def without(size: int, held: Sequence[int]) -> np.ndarray:

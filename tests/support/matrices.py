@@ -40,10 +40,17 @@ def mass(K: sp.csc_array) -> sp.csc_array:
 def slender_beam(elements: int) -> sp.csc_array:
     """Deflections and slopes of a clamped Bernoulli beam: its condition grows with the fourth power of the elements."""
     h = 1.0 / elements
-    k = np.array(
-        [[12.0, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
-         [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h]]
-    ) / h**3  # fmt: skip
+    k = (
+        np.array(
+            [
+                [12.0, 6 * h, -12, 6 * h],
+                [6 * h, 4 * h * h, -6 * h, 2 * h * h],
+                [-12, -6 * h, 12, -6 * h],
+                [6 * h, 2 * h * h, -6 * h, 4 * h * h],
+            ]
+        )
+        / h**3
+    )
     K = np.zeros((2 * elements + 2, 2 * elements + 2))
     for e in range(elements):
         K[2 * e : 2 * e + 4, 2 * e : 2 * e + 4] += k

@@ -11,23 +11,27 @@ from morembs.model import Mesh
 Element = tuple[int, int, int, int, Sequence[int]]
 
 ABAQUS_CODES = {
-    "tet4": "C3D4", "tet10": "C3D10", "hex8": "C3D8", "hex20": "C3D20", "hex27": "C3D27", "wedge6": "C3D6",
+    "tet4": "C3D4",
+    "tet10": "C3D10",
+    "hex8": "C3D8",
+    "hex20": "C3D20",
+    "hex27": "C3D27",
+    "wedge6": "C3D6",
     "wedge15": "C3D15",
-}  # fmt: skip
+}
 _NASTRAN_CARDS = {"tet": "CTETRA", "hex": "CHEXA", "wed": "CPENTA"}
 # Where the cards put what VTK puts at each place (Quick Reference Guide: bottom edges, upright edges, top edges).
-_NASTRAN_ORDER = {
-    "hex20": [*range(12), 16, 17, 18, 19, 12, 13, 14, 15],
-    "wedge15": [*range(9), 12, 13, 14, 9, 10, 11],
-}  # fmt: skip
+_NASTRAN_ORDER = {"hex20": [*range(12), 16, 17, 18, 19, 12, 13, 14, 15], "wedge15": [*range(9), 12, 13, 14, 9, 10, 11]}
 
 
 def abaqus_mesh(mesh: Mesh, shift: int = 0, order: Sequence[int] | None = None, per_line: int = 7) -> str:
     """*NODE and *ELEMENT of a mesh; ``order`` of the nodes of its elements."""
     block = mesh.blocks[0]
     nodes = mesh.nodes.ids[block.nodes][:, order if order is not None else slice(None)] + shift
-    text = ["*NODE"] + [f"{i + shift}, {x!r}, {y!r}, {z!r}" for i, (x, y, z) in
-                        zip(mesh.nodes.ids.tolist(), mesh.nodes.xyz.tolist(), strict=True)]  # fmt: skip
+    text = ["*NODE"] + [
+        f"{i + shift}, {x!r}, {y!r}, {z!r}"
+        for i, (x, y, z) in zip(mesh.nodes.ids.tolist(), mesh.nodes.xyz.tolist(), strict=True)
+    ]
     text.append(f"*ELEMENT, TYPE={ABAQUS_CODES[block.type]}, ELSET=Body")
     for i, row in zip(block.ids.tolist(), nodes.tolist(), strict=True):
         fields = [str(v) for v in [i + shift, *row]]
@@ -121,9 +125,15 @@ def ansys_elements(elements: Sequence[Element], plain: bool = False) -> str:
 
 
 def ansys_archive(
-    mesh: Mesh, *, form: str = "(3i9,6e21.13e3)", before: str = "", after: str = "", plain: bool = False,
-    tets: int = 187, extra: Sequence[Element] = (),
-) -> str:  # fmt: skip
+    mesh: Mesh,
+    *,
+    form: str = "(3i9,6e21.13e3)",
+    before: str = "",
+    after: str = "",
+    plain: bool = False,
+    tets: int = 187,
+    extra: Sequence[Element] = (),
+) -> str:
     """An archive of a mesh with nodes 101, 102, ..., as CDWRITE or (plain) Workbench writes it."""
     label, number, command = ARCHIVE_FORMS[form]
     nodes = [label(i) + "".join(map(number, x)).rstrip() for i, x in enumerate(mesh.nodes.xyz.tolist(), start=101)]
@@ -131,9 +141,18 @@ def ansys_archive(
     formed = [_ansys_element(block.type, 101 + rows, tets) for rows in block.nodes]
     elements = [(i, 1, 1, 1, labels) for i, (_, labels) in enumerate(formed, start=1)] + list(extra)
     head = "EBLOCK,10,,,\n(15i10)" if plain else f"EBLOCK,19,SOLID,{len(elements)},{len(elements)}\n(19i10)"
-    return "\n".join([
-        "/COM,ANSYS RELEASE", "/PREP7", f"ET,1,{formed[0][0]}", "TYPE,1",
-        f"{before}{command},{len(nodes)},{len(nodes)}",
-        form, *nodes, "N,R5.3,LOC,       -1,", head, f"{ansys_elements(elements, plain)}        -1",
-        f"EN,R5.5,ATTR,       -1,\n{after}FINISH\n",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            "/COM,ANSYS RELEASE",
+            "/PREP7",
+            f"ET,1,{formed[0][0]}",
+            "TYPE,1",
+            f"{before}{command},{len(nodes)},{len(nodes)}",
+            form,
+            *nodes,
+            "N,R5.3,LOC,       -1,",
+            head,
+            f"{ansys_elements(elements, plain)}        -1",
+            f"EN,R5.5,ATTR,       -1,\n{after}FINISH\n",
+        ]
+    )

@@ -15,9 +15,7 @@ from morembs.model.elements import TYPES
 from morembs.model.material import isotropic
 
 STEEL = {"young": 2.1e11, "poisson": 0.3, "density": 7850.0}
-_HEX = np.array(
-    [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], dtype=float
-)
+_HEX = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], dtype=float)
 
 
 def _pieces(kind: str) -> list[np.ndarray]:
@@ -47,9 +45,7 @@ def merged(kind: str, xyz: np.ndarray, digits: int = 9) -> Mesh:
     flat = xyz.reshape(-1, 3)
     size = np.abs(flat).max()
     _, first, inverse = np.unique(np.round(flat / size, digits) + 0.0, axis=0, return_index=True, return_inverse=True)
-    block = ElementBlock(
-        type=kind, nodes=inverse.reshape(xyz.shape[:2]), ids=np.arange(1, len(xyz) + 1)
-    )
+    block = ElementBlock(type=kind, nodes=inverse.reshape(xyz.shape[:2]), ids=np.arange(1, len(xyz) + 1))
     return Mesh(nodes=Nodes(ids=np.arange(1, len(first) + 1), xyz=flat[first]), blocks=(block,))
 
 

@@ -42,12 +42,14 @@ def plate(n: int, m: int, T: np.ndarray, *, triangles: bool = False, tail: str =
     """A sheet of 1 by 0.5 of n by m cells with the property 1, rolled to a ``radius`` and turned by T, held at x = 0
     (grids 1 to m + 1)."""
     at = [(i / n, 0.5 * j / m) for i in range(n + 1) for j in range(m + 1)]
-    flat = np.array([(x, y, 0.0) if not radius else (radius * np.sin(x / radius), y, radius * np.cos(x / radius))
-                     for x, y in at])  # fmt: skip
+    flat = np.array(
+        [(x, y, 0.0) if not radius else (radius * np.sin(x / radius), y, radius * np.cos(x / radius)) for x, y in at]
+    )
     cells = [
         (i * (m + 1) + j + 1, (i + 1) * (m + 1) + j + 1, (i + 1) * (m + 1) + j + 2, i * (m + 1) + j + 2)
-        for i in range(n) for j in range(m)
-    ]  # fmt: skip
+        for i in range(n)
+        for j in range(m)
+    ]
     lines = []
     for number, (a, b, c, d) in enumerate(cells, 1):
         if triangles:
@@ -75,12 +77,15 @@ def eigenvalues(model: FEModel, count: int) -> np.ndarray:
 
 def replay(folder: Path, name: str) -> Path:
     """A program that writes what MYSTRAN 18.0.0 wrote for the runs of a deck: tests/data/mystran/NAME.zip."""
-    return calculix.program(folder, f"""
+    return calculix.program(
+        folder,
+        f"""
 job = pathlib.Path(job).stem
 with zipfile.ZipFile({str(STORED / name)!r} + ".zip") as stored:
     pathlib.Path(job + ".OU1").write_bytes(stored.read(job + ".OU1"))
 print("MYSTRAN Version 18.0.0")
-""")
+""",
+    )
 
 
 def store(kept: Path, name: str) -> None:

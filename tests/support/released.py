@@ -134,11 +134,14 @@ def make(folder: Path) -> None:
     nodes = Nodes(ids=np.append(mesh.nodes.ids, [900, 901]), xyz=xyz, sets={"END": right})
     first = len(mesh.nodes)
     imported = Imported(
-        source="bar", nodes=nodes, mesh=mesh, materials=(isotropic(set="all", young=70.0, poisson=0.3, density=2.7),),
+        source="bar",
+        nodes=nodes,
+        mesh=mesh,
+        materials=(isotropic(set="all", young=70.0, poisson=0.3, density=2.7),),
         rigid=(RigidElement(name="RBE2_1", master=first, slaves=right),),
         average=(AverageElement(name="RBE3 2", reference=first + 1, nodes=left, weights=np.arange(1.0, 5)),),
         masses=(PointMass(name="CONM2_3", node=first, mass=2.0, inertia=np.diag([1.0, 2.0, 3.0])),),
-    )  # fmt: skip
+    )
     write_model(folder / "coupled.model.h5", model_of(imported))
     expected["coupled.model.h5"] = described(import_native(folder / "coupled.model.h5"))
     write_members(folder / "members.h5", {"rod": member(checkpoint=folder / "equilibria.h5").data})
@@ -156,9 +159,10 @@ def body_file(path: Path, read_body: Any, read_recovery: Any) -> dict[str, Any]:
         for name, body in stored.bodies.items():
             group = file[f"bodies/{name}"]
             more[name] = {
-                "basis": body.basis(), "switching": body.switching() if body.has_switching else None,
+                "basis": body.basis(),
+                "switching": body.switching() if body.has_switching else None,
                 "stress": read_recovery(group["recovery"]) if body.has_recovery else None,
-            }  # fmt: skip
+            }
     content = described(stored) | described(more, "/read")
     # Times and memory of the run, and the version of the program.
     return {name: value for name, value in content.items() if not name.startswith("/provenance")}

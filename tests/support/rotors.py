@@ -33,11 +33,12 @@ def rotor_mesh() -> Mesh:
 
 def rotor() -> tuple[FEModel, list[Interface]]:
     """The model, free, with rigid interfaces "clamp" at x = 0 and "disc" on the far face."""
-    model = assemble(rotor_mesh(), [
-        isotropic(set="SHAFT", young=2.1e11, poisson=0.3, density=7.85),
-        isotropic(set="DISC", young=300 * 2.1e11, poisson=0.3, density=7850.0),
-    ])  # fmt: skip
+    model = assemble(
+        rotor_mesh(),
+        [
+            isotropic(set="SHAFT", young=2.1e11, poisson=0.3, density=7.85),
+            isotropic(set="DISC", young=300 * 2.1e11, poisson=0.3, density=7850.0),
+        ],
+    )
     ends = (("clamp", 0.0), ("disc", SHAFT + DISC))
-    return model, [
-        make_interface(model, name=name, nodes=where(model, 0, x), point=[x, 0, 0]) for name, x in ends
-    ]
+    return model, [make_interface(model, name=name, nodes=where(model, 0, x), point=[x, 0, 0]) for name, x in ends]

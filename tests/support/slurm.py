@@ -60,10 +60,16 @@ def slurm(folder: Path) -> Iterator[dict[str, str]]:
     try:
         for words in (["slurmctld", "-D", "-i"], ["slurmd", "-D", "-N", host]):
             with open(folder / f"{words[0]}.log", "wb") as log:
-                daemons.append(subprocess.Popen(
-                    [*words, "-f", str(path)], stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
-                    env={**os.environ, **environment},
-                ))  # fmt: skip
+                daemons.append(
+                    subprocess.Popen(
+                        [*words, "-f", str(path)],
+                        stdin=subprocess.DEVNULL,
+                        stdout=log,
+                        stderr=log,
+                        start_new_session=True,
+                        env={**os.environ, **environment},
+                    )
+                )
         _wait_for_node(environment, folder)
         yield environment
     finally:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from morembs.linalg.sparse.solver import Analysis, Factorization, Values
+from morembs.base.types import Values
+from morembs.linalg.sparse.solver import Analysis, Factorization
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
 

@@ -39,9 +39,11 @@ def pipe(speed: float, beta: float, ends: str, elements: int = 24) -> tuple[FEMo
     fluid = beta * mass / (1 - beta)
     whole = tube_model(np.linspace([0.0, 0, 0], [1.0, 0, 0], elements + 1), tube)
     flow = Flow(
-        mass_flow=speed * np.sqrt(EI * fluid), density=fluid / bore, area=bore,
+        mass_flow=speed * np.sqrt(EI * fluid),
+        density=fluid / bore,
+        area=bore,
         outlet="free" if ends == "cantilever" else "held",
-    )  # fmt: skip
+    )
     carried = conveying(whole, np.arange(elements + 1), flow)
     node, component = carried.dofs.node, carried.dofs.component
     first, last = node == 0, node == elements

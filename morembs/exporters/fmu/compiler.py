@@ -15,11 +15,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.exporters.fmu.sources import Code
 
-Floats = NDArray[np.float64]
 _CURE = (
     "install one (Debian: sudo apt-get install gcc libc6-dev; macOS: xcode-select --install), or name it by CC=..., "
     "and export again"
@@ -53,9 +52,14 @@ def compiled(sources: Mapping[str, str], *flags: str) -> bytes | str:
         options = ["-O2", "-ftree-vectorize", "-std=c99", "-fPIC", "-shared", "-fvisibility=hidden", "-pipe", *flags]
         try:
             ended = subprocess.run(
-                [*command, *options, *units, "-o", "body.so", "-lm"], cwd=folder, capture_output=True, text=True,
-                errors="replace", env={**os.environ, "LC_ALL": "C", "TMPDIR": folder}, check=False,
-            )  # fmt: skip
+                [*command, *options, *units, "-o", "body.so", "-lm"],
+                cwd=folder,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                env={**os.environ, "LC_ALL": "C", "TMPDIR": folder},
+                check=False,
+            )
         except OSError as error:
             return f"the C compiler {command[0]} cannot be run ({error.strerror}); {_CURE}"
         if ended.returncode == 0:

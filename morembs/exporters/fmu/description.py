@@ -13,10 +13,18 @@ from morembs.version import VERSION
 Version = Literal["2.0", "3.0"]
 # Exponents of the base units of each unit.
 UNITS: dict[str, dict[str, int]] = {
-    "1": {}, "m": {"m": 1}, "rad": {"rad": 1}, "m/s": {"m": 1, "s": -1}, "rad/s": {"rad": 1, "s": -1},
-    "m/s2": {"m": 1, "s": -2}, "rad/s2": {"rad": 1, "s": -2}, "N": {"kg": 1, "m": 1, "s": -2},
-    "N.m": {"kg": 1, "m": 2, "s": -2}, "Pa": {"kg": 1, "m": -1, "s": -2}, "s": {"s": 1},
-}  # fmt: skip
+    "1": {},
+    "m": {"m": 1},
+    "rad": {"rad": 1},
+    "m/s": {"m": 1, "s": -1},
+    "rad/s": {"rad": 1, "s": -1},
+    "m/s2": {"m": 1, "s": -2},
+    "rad/s2": {"rad": 1, "s": -2},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "N.m": {"kg": 1, "m": 2, "s": -2},
+    "Pa": {"kg": 1, "m": -1, "s": -2},
+    "s": {"s": 1},
+}
 _STEP = 1e-3
 _XML = '<?xml version="1.0" encoding="UTF-8"?>'
 
@@ -41,11 +49,14 @@ def _entries(system: System) -> list[_Entry]:
     """All variables in the order of their value references, which are their places."""
     first = 1 + len(system.parameters) + len(system.inputs)
     time = _Entry(variable=Variable(name="time", unit="s", about="time"), causality="independent")
-    parameters = [_Entry(variable=v, causality="parameter", variability="tunable", initial="exact")
-                  for v in system.parameters]  # fmt: skip
+    parameters = [
+        _Entry(variable=v, causality="parameter", variability="tunable", initial="exact") for v in system.parameters
+    ]
     states = [_Entry(variable=v, causality="local", initial="exact") for v in system.states]
-    rates = [_Entry(variable=Variable(name=f"der({v.name})", unit="1"), causality="local", state=first + k)
-             for k, v in enumerate(system.states)]  # fmt: skip
+    rates = [
+        _Entry(variable=Variable(name=f"der({v.name})", unit="1"), causality="local", state=first + k)
+        for k, v in enumerate(system.states)
+    ]
     inputs = [_Entry(variable=v, causality="input") for v in system.inputs]
     outputs = [_Entry(variable=v, causality="output") for v in system.outputs]
     return [time, *parameters, *inputs, *states, *rates, *outputs]
@@ -61,9 +72,10 @@ def _lines(system: System, name: str, identifier: str, token: str, version: Vers
         f'variableNamingConvention="structured"{indicators}>'
     )
     states = (
-        'canGetAndSetFMUstate="true" canSerializeFMUstate="true"' if second
+        'canGetAndSetFMUstate="true" canSerializeFMUstate="true"'
+        if second
         else 'canGetAndSetFMUState="true" canSerializeFMUState="true"'
-    )  # fmt: skip
+    )
     memory = ' canNotUseMemoryManagementFunctions="true"' if second else ""
     for element, more in (("ModelExchange", ""), ("CoSimulation", ' canHandleVariableCommunicationStepSize="true"')):
         head = f'<{element} modelIdentifier="{identifier}" {states}{memory}{more}'

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.exporters.base import ExportContext, refuse_rigid
 from morembs.exporters.fmu.linear import damping_parameter
 from morembs.exporters.fmu.system import (
@@ -25,7 +25,6 @@ from morembs.exporters.fmu.system import (
 )
 from morembs.floating.frame import FloatingFrame
 
-Floats = NDArray[np.float64]
 _QUATERNION = "wxyz"
 # Error of a step per length of the body, unless another is given.
 _TOLERANCE = 1e-6
@@ -49,20 +48,31 @@ def floating_system(context: ExportContext, *, stress: Sequence[int], damping_ra
     inputs = (*GRAVITY, *variables(names, [*range(6)] * len(markers), LOADS, "on the body", start=0.0))
     outputs = [variable for name in known.values() for variable in _motion(name)]
     length = _length(frame)
-    tolerance = Variable(name="tolerance", unit="1", start=_TOLERANCE,
-                         about="co-simulation: error of a step per length of the body")  # fmt: skip
+    tolerance = Variable(
+        name="tolerance", unit="1", start=_TOLERANCE, about="co-simulation: error of a step per length of the body"
+    )
     return System(
-        structure="floating", inputs=inputs, outputs=(*outputs, *rows.outputs), states=_states(frame, length),
+        structure="floating",
+        inputs=inputs,
+        outputs=(*outputs, *rows.outputs),
+        states=_states(frame, length),
         parameters=(damping_parameter(damping_ratio), tolerance),
         tables={
-            **_tables(frame), "STRESS": rows.shapes @ frame.elastic, "STRESS_LOAD": _on_markers(context, rows.loads),
+            **_tables(frame),
+            "STRESS": rows.shapes @ frame.elastic,
+            "STRESS_LOAD": _on_markers(context, rows.loads),
         },
         constants={
-            "MODES": frame.count, "MARKERS": len(markers), "STRESSES": rows.count, "DAMPING_RATIO": 0, "TOLERANCE": 1,
-            "MASS": float(frame.integrals.mass), "LENGTH": length,
+            "MODES": frame.count,
+            "MARKERS": len(markers),
+            "STRESSES": rows.count,
+            "DAMPING_RATIO": 0,
+            "TOLERANCE": 1,
+            "MASS": float(frame.integrals.mass),
+            "LENGTH": length,
         },
         notes=(*_left_out(context), *frame.notes, *renamed_note(known)),
-    )  # fmt: skip
+    )
 
 
 def _motion(name: str) -> tuple[Variable, ...]:
@@ -81,12 +91,20 @@ def _tables(frame: FloatingFrame) -> dict[str, Floats]:
     parts, n = frame.integrals, frame.count
     motion = np.array([marker.motion for marker in frame.markers.values()])
     return {
-        "FIRST": parts.first, "INERTIA": parts.inertia.ravel(), "CT": parts.Ct.T.ravel(), "CR": parts.Cr.T.ravel(),
-        "ME": parts.Me, "X_PHI": parts.x_phi.ravel(), "PHI_PHI": parts.phi_phi.transpose(0, 1, 3, 2).reshape(9 * n, n),
-        "CR_Q": parts.Cr1.transpose(2, 0, 1).reshape(3 * n, n), "KE": frame.Ke, "DE": frame.De,
-        "D_UNIT": _unit_damping(frame), "POINT": np.array([marker.point for marker in frame.markers.values()]).ravel(),
+        "FIRST": parts.first,
+        "INERTIA": parts.inertia.ravel(),
+        "CT": parts.Ct.T.ravel(),
+        "CR": parts.Cr.T.ravel(),
+        "ME": parts.Me,
+        "X_PHI": parts.x_phi.ravel(),
+        "PHI_PHI": parts.phi_phi.transpose(0, 1, 3, 2).reshape(9 * n, n),
+        "CR_Q": parts.Cr1.transpose(2, 0, 1).reshape(3 * n, n),
+        "KE": frame.Ke,
+        "DE": frame.De,
+        "D_UNIT": _unit_damping(frame),
+        "POINT": np.array([marker.point for marker in frame.markers.values()]).ravel(),
         "MOTION": motion.ravel(),
-    }  # fmt: skip
+    }
 
 
 def _unit_damping(frame: FloatingFrame) -> Floats:
@@ -117,13 +135,19 @@ def _length(frame: FloatingFrame) -> float:
 
 def _states(frame: FloatingFrame, length: float) -> tuple[Variable, ...]:
     Me, Ke = np.diag(frame.integrals.Me), np.diag(frame.Ke)
-    place = [Variable(name=f"position.{a}", unit="m", about="of the frame", start=x, nominal=length)
-             for a, x in zip(AXES, frame.origin.tolist(), strict=True)]  # fmt: skip
-    turn = [Variable(name=f"quaternion.{a}", unit="1", about="rotation of the frame", start=float(a == "w"))
-            for a in _QUATERNION]  # fmt: skip
+    place = [
+        Variable(name=f"position.{a}", unit="m", about="of the frame", start=x, nominal=length)
+        for a, x in zip(AXES, frame.origin.tolist(), strict=True)
+    ]
+    turn = [
+        Variable(name=f"quaternion.{a}", unit="1", about="rotation of the frame", start=float(a == "w"))
+        for a in _QUATERNION
+    ]
     velocity = [Variable(name=f"velocity.{a}", unit="m/s", about="of the frame", start=0.0) for a in AXES]
-    spin = [Variable(name=f"angular_velocity.{a}", unit="rad/s", about="of the frame, along its axes", start=0.0)
-            for a in AXES]  # fmt: skip
+    spin = [
+        Variable(name=f"angular_velocity.{a}", unit="rad/s", about="of the frame, along its axes", start=0.0)
+        for a in AXES
+    ]
     omega = np.sqrt(np.maximum(Ke / Me, 0.0))
     both = oscillators(length * np.sqrt(frame.integrals.mass / Me), omega, "elastic coordinate")
     return (*place, *turn, *both[: len(omega)], *velocity, *spin, *both[len(omega) :])

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError, nearest
 from morembs.exporters.base import ExportContext
 from morembs.exporters.fmu.system import (
@@ -29,8 +29,6 @@ from morembs.exporters.reduced import refuse_two_sided, to_interfaces
 from morembs.linalg.columns import symmetric
 from morembs.linalg.eigen import graded_modes
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _REACTIONS = (("reaction_force", "N"), ("reaction_moment", "N.m"))
 # Smallest part of a rigid motion, by singular values, that the held degrees of freedom must have to hold it.
 _HELD = 1e-8
@@ -75,27 +73,39 @@ def linear_system(
 
     weight = _weight(context)
     inputs = (
-        *of(free, LOADS, "on the body", start=0.0), *(GRAVITY if weight.shape[1] else ()),
-        *(variable for kinds in (MOTIONS, VELOCITIES, ACCELERATIONS)
-          for variable in of(fixed, kinds, "motion of the held interface", start=0.0)),
-    )  # fmt: skip
+        *of(free, LOADS, "on the body", start=0.0),
+        *(GRAVITY if weight.shape[1] else ()),
+        *(
+            variable
+            for kinds in (MOTIONS, VELOCITIES, ACCELERATIONS)
+            for variable in of(fixed, kinds, "motion of the held interface", start=0.0)
+        ),
+    )
     tables = _tables(context, at, free, fixed, weight, rows)
     moves = bool(len(fixed)) and bool((body.output_matrix[free] @ at.X).any())
     outputs = (
         *of(fixed, _REACTIONS, "of what holds the body, on the body", direct=True),
-        *of(free, MOTIONS, "of the interface", direct=moves), *of(free, VELOCITIES, "of the interface", direct=moves),
+        *of(free, MOTIONS, "of the interface", direct=moves),
+        *of(free, VELOCITIES, "of the interface", direct=moves),
         *rows.outputs,
-    )  # fmt: skip
+    )
     n = len(at.omega)
     return System(
-        structure="linear", inputs=inputs, outputs=outputs, tables=tables,
-        parameters=(damping_parameter(damping_ratio),), states=_states(context, at.omega),
+        structure="linear",
+        inputs=inputs,
+        outputs=outputs,
+        tables=tables,
+        parameters=(damping_parameter(damping_ratio),),
+        states=_states(context, at.omega),
         constants={
-            "MODES": n, "LINEAR_OUTPUTS": len(outputs) - rows.count, "REACTIONS": len(fixed), "STRESSES": rows.count,
+            "MODES": n,
+            "LINEAR_OUTPUTS": len(outputs) - rows.count,
+            "REACTIONS": len(fixed),
+            "STRESSES": rows.count,
             "DAMPING_RATIO": 0,
         },
         notes=(*at.notes, *renamed_note(known)),
-    )  # fmt: skip
+    )
 
 
 def damping_parameter(start: float) -> Variable:
@@ -154,9 +164,8 @@ def _weight(context: ExportContext) -> Floats:
 
 
 def _tables(
-    context: ExportContext, at: _Coordinates, free: Ints, fixed: Ints, weight: Floats,
-    rows: StressRows,
-) -> dict[str, Floats]:  # fmt: skip
+    context: ExportContext, at: _Coordinates, free: Ints, fixed: Ints, weight: Floats, rows: StressRows
+) -> dict[str, Floats]:
     """B, D and the output matrices, all for u = [loads; gravity; motions, velocities, accelerations of the held].
 
     With r the reactions: 0 = X' (M q'' + D q' + K q - B_r u) - r for reduced coordinates q = X x + Y y.
@@ -175,8 +184,10 @@ def _tables(
     reactions = np.hstack([X.T @ K @ Y, X.T @ D @ Y]), -on(X), X.T @ M @ Y
     no_loads = np.zeros((2 * len(free), k))
     motions = (
-        np.kron(np.eye(2), C @ Y), np.hstack([no_loads, np.kron(np.eye(2, 3), C @ X)]), np.zeros((2 * len(free), n))
-    )  # fmt: skip
+        np.kron(np.eye(2), C @ Y),
+        np.hstack([no_loads, np.kron(np.eye(2, 3), C @ X)]),
+        np.zeros((2 * len(free), n)),
+    )
     # Stresses of the shapes, of the loads that come in, and of the reactions.
     others = np.zeros((len(S), weight.shape[1])), S @ X, np.zeros((len(S), 2 * held))
     of_shapes = np.hstack([S @ Y, 0 * (S @ Y)]), np.hstack([rows.loads[:, free], *others]), 0 * (S @ Y)

@@ -9,12 +9,11 @@ from importlib.resources import files
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.exporters.fmu.system import System, Variable, identifier
 
-Floats = NDArray[np.float64]
 Precision = Literal["double", "single"]
 # Files of each structure, in their order: what both targets have, then steps of any size or of one size.
 _COMMON = {"linear": ("common", "linear_accelerations", "linear"), "floating": ("common", "floating", "gauss")}
@@ -38,8 +37,12 @@ class Code:
     def sizes(self) -> dict[str, int]:
         """How many of each there are."""
         system = self.system
-        return {"PARAMETERS": len(system.parameters), "INPUTS": len(system.inputs), "STATES": len(system.states),
-                "OUTPUTS": len(system.outputs)}  # fmt: skip
+        return {
+            "PARAMETERS": len(system.parameters),
+            "INPUTS": len(system.inputs),
+            "STATES": len(system.states),
+            "OUTPUTS": len(system.outputs),
+        }
 
     def header(self) -> str:
         """What a program includes: sizes, places of all variables by name, the type and the functions."""
@@ -49,16 +52,25 @@ class Code:
         places = "\n".join(_places(f"{upper}_{kind}", variables) for kind, variables in kinds.items() if variables)
         fields = "".join(f"    {kind} {key}[{size}];\n" for key, (kind, size) in self.fields().items())
         return _HEADER.format(
-            name=self.name, upper=upper, real="double" if self.precision == "double" else "float", sizes=sizes,
-            places=places, fields=fields, functions="".join(f"{head};\n" for head in self._functions()),
-        )  # fmt: skip
+            name=self.name,
+            upper=upper,
+            real="double" if self.precision == "double" else "float",
+            sizes=sizes,
+            places=places,
+            fields=fields,
+            functions="".join(f"{head};\n" for head in self._functions()),
+        )
 
     def source(self) -> str:
         """The equations with their tables."""
         system, free = self.system, self.fixed is None
         constants = {**self.sizes, **system.constants, "STAGES": self.stages}
-        tables = {**system.tables, "START_P": _starts(system.parameters), "START_U": _starts(system.inputs),
-                  "START_X": _starts(system.states)}  # fmt: skip
+        tables = {
+            **system.tables,
+            "START_P": _starts(system.parameters),
+            "START_U": _starts(system.inputs),
+            "START_X": _starts(system.states),
+        }
         for key, value in (self.fixed or {}).items():
             (constants if isinstance(value, float) else tables).update({key: value})  # type: ignore[dict-item]
         names = [*_COMMON[system.structure], *(_FREE if free else _FIXED)[system.structure]]
@@ -89,10 +101,23 @@ class Code:
             real |= {"A": width, "F": width, "work": width, "h": 1, "h_damping": 1} if free else {}
         else:
             real |= {
-                "at_q": 9 * n, "at_rate": 3 * n, "J": 9, "Cr": 3 * n, "moment": 3, "column": size, "residual": size,
-                "stage": max(size, S) * size, "matrix": places * (S * size) ** 2, "h": places, "convergence": places,
-                "a": S * size,                 "w": 3 * S, "q": S * n, "rate": S * n, "turns": 4 * S,
-            }  # fmt: skip
+                "at_q": 9 * n,
+                "at_rate": 3 * n,
+                "J": 9,
+                "Cr": 3 * n,
+                "moment": 3,
+                "column": size,
+                "residual": size,
+                "stage": max(size, S) * size,
+                "matrix": places * (S * size) ** 2,
+                "h": places,
+                "convergence": places,
+                "a": S * size,
+                "w": 3 * S,
+                "q": S * n,
+                "rate": S * n,
+                "turns": 4 * S,
+            }
             real |= {"whole": states, "halves": states} if free else {}
             whole = {"pivot": places * S * size} | ({"level": 1} if free else {})
         typed = {key: (f"{self.name}_real", max(1, count)) for key, count in real.items()}
@@ -145,8 +170,10 @@ def _starts(variables: Sequence[Variable]) -> Floats:
 
 
 def _places(prefix: str, variables: Iterable[Variable]) -> str:
-    lines = (f"    {prefix}_{identifier(v.name).strip('_').upper()} = {k}, /* {v.unit}: {v.about} */\n"
-             for k, v in enumerate(variables))  # fmt: skip
+    lines = (
+        f"    {prefix}_{identifier(v.name).strip('_').upper()} = {k}, /* {v.unit}: {v.about} */\n"
+        for k, v in enumerate(variables)
+    )
     return "enum {\n" + "".join(lines) + "};"
 
 

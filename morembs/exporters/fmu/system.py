@@ -10,13 +10,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.body.stress_shapes import Recovery
 from morembs.body.vtkhdf_series import stored_recovery
 from morembs.errors import InputError
 from morembs.exporters.base import ExportContext
 from morembs.model.fe_model import SCALAR
 
-Floats = NDArray[np.float64]
 AXES = "xyz"
 LOADS = (("force", "N"), ("moment", "N.m"))
 MOTIONS = (("displacement", "m"), ("rotation", "rad"))
@@ -26,12 +26,54 @@ ACCELERATIONS = (("acceleration", "m/s2"), ("angular_acceleration", "rad/s2"))
 _DEFLECTION = 1e-3
 _TENSOR = ("xx", "yy", "zz", "xy", "yz", "zx")
 # Keywords of C, and files beside which those of a body lie.
-_KEYWORDS = frozenset((
-    "auto", "bool", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum",
-    "extern", "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short",
-    "signed", "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while",
-    "fmi2", "fmi3", "instance", "math", "model", "stdbool", "stdint", "stdlib", "string",
-))  # fmt: skip
+_KEYWORDS = frozenset(
+    (
+        "auto",
+        "bool",
+        "break",
+        "case",
+        "char",
+        "const",
+        "continue",
+        "default",
+        "do",
+        "double",
+        "else",
+        "enum",
+        "extern",
+        "float",
+        "for",
+        "goto",
+        "if",
+        "inline",
+        "int",
+        "long",
+        "register",
+        "restrict",
+        "return",
+        "short",
+        "signed",
+        "sizeof",
+        "static",
+        "struct",
+        "switch",
+        "typedef",
+        "union",
+        "unsigned",
+        "void",
+        "volatile",
+        "while",
+        "fmi2",
+        "fmi3",
+        "instance",
+        "math",
+        "model",
+        "stdbool",
+        "stdint",
+        "stdlib",
+        "string",
+    )
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,8 +118,11 @@ def oscillators(unit: Floats | float, omega: Floats, about: str) -> tuple[Variab
     speed = np.where(np.isfinite(speed), speed, 1.0)
     size = speed / np.where(omega > 0, omega, np.min(omega[omega > 0], initial=np.inf))
     sizes = (("q", about, np.where(size > 0, size, 1.0)), ("q_rate", f"rate of a {about}", speed))
-    return tuple(Variable(name=f"{name}[{k + 1}]", unit="1", about=text, start=0.0, nominal=value)
-                 for name, text, values in sizes for k, value in enumerate(values.tolist()))  # fmt: skip
+    return tuple(
+        Variable(name=f"{name}[{k + 1}]", unit="1", about=text, start=0.0, nominal=value)
+        for name, text, values in sizes
+        for k, value in enumerate(values.tolist())
+    )
 
 
 def identifier(name: str) -> str:

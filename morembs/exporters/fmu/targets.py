@@ -12,8 +12,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.exporters.base import LOSSES, ExportContext, Exported, Exporter
 from morembs.exporters.fmu.compiler import SINGLE_STEPS, compiled, single_error
@@ -24,14 +24,14 @@ from morembs.exporters.fmu.sources import Code, Precision, glue, token_of
 from morembs.exporters.fmu.system import System, identifier, renamed_note
 from morembs.storage.safefile import replacing, replacing_all
 
-Floats = NDArray[np.float64]
 Structure = Literal["auto", "linear", "floating"]
 Method = Literal["auto", "exponential", "midpoint"]
 # Folder of the binaries in version 2, end of that in version 3 behind the processor, end of the library, by system.
 _PLATFORMS = {
-    "linux": ("linux64", "linux", "so"), "darwin": ("darwin64", "darwin", "dylib"),
+    "linux": ("linux64", "linux", "so"),
+    "darwin": ("darwin64", "darwin", "dylib"),
     "win32": ("win64", "windows", "dll"),
-}  # fmt: skip
+}
 _PROCESSORS = {"arm64": "aarch64", "amd64": "x86_64"}
 # The first day that a zip file knows, so that the same body gives the same bytes.
 _DAY = (1980, 1, 1, 0, 0, 0)
@@ -72,9 +72,11 @@ class _Equations(Exporter):
         left = ({"forces"} if system.structure == "floating" else set()) | (set() if self.stress else {"stress"})
         motion = {"linear": "small motion about its place", "floating": "large rotations, in its floating frame"}
         return (
-            f"{system.structure} body: {motion[system.structure]}", *context.lost(LOSSES.keys() - left),
-            *system.notes, *renamed_note({context.path.name.partition(".")[0]: name}),
-        )  # fmt: skip
+            f"{system.structure} body: {motion[system.structure]}",
+            *context.lost(LOSSES.keys() - left),
+            *system.notes,
+            *renamed_note({context.path.name.partition(".")[0]: name}),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,8 +148,10 @@ class CSource(_Equations):
         system = self._system(context)
         code = self._code(name, system)
         header = context.beside(".h")
-        notes = [f"one call is one step of {self.step:g} s; take another by --set step=SECONDS",
-                 *self._notes(context, system, name)]  # fmt: skip
+        notes = [
+            f"one call is one step of {self.step:g} s; take another by --set step=SECONDS",
+            *self._notes(context, system, name),
+        ]
         notes += [_single_words(code)] if self.precision == "single" else []
         text = {context.path: code.source().replace(f'"{name}.h"', f'"{header.name}"'), header: code.header()}
         with replacing_all(list(text)) as opened:

@@ -50,15 +50,24 @@ class Engine:
 
 _OWN: dict[str, Engine] = {
     "calculix": Engine(
-        about="CalculiX (ccx) assembles decks of Abaqus and CalculiX", formats=("abaqus",),
-        decks="decks of Abaqus or CalculiX", find=find_ccx, read=import_with_calculix,
-        readable=readable_by_calculix, program="CalculiX",
+        about="CalculiX (ccx) assembles decks of Abaqus and CalculiX",
+        formats=("abaqus",),
+        decks="decks of Abaqus or CalculiX",
+        find=find_ccx,
+        read=import_with_calculix,
+        readable=readable_by_calculix,
+        program="CalculiX",
     ),
     "mystran": Engine(
-        about="MYSTRAN assembles Nastran bulk data", formats=("nastran",), decks="Nastran bulk data",
-        find=find_mystran, read=import_with_mystran, readable=readable_by_mystran, program="MYSTRAN",
+        about="MYSTRAN assembles Nastran bulk data",
+        formats=("nastran",),
+        decks="Nastran bulk data",
+        find=find_mystran,
+        read=import_with_mystran,
+        readable=readable_by_mystran,
+        program="MYSTRAN",
     ),
-}  # fmt: skip
+}
 ENGINES: Registry[Engine] = Registry(
     "morembs.engines", _OWN, lambda _, entry: "" if isinstance(entry, Engine) else f"{entry!r} is no Engine"
 )
@@ -100,7 +109,11 @@ def import_with_engine(path: Path, format: str, text: str, options: Mapping[str,
         raise InputError(f"--engine {name} reads {engine.decks}; {path.name} is {_KINDS.get(format, format)}")
     given = {key: Text(value) if isinstance(value, str) else value for key, value in options.items()}
     values = checked(
-        engine.read, given, f"the engine {name}", where=f"{path.name}: ", hidden=_NO_OPTIONS,
+        engine.read,
+        given,
+        f"the engine {name}",
+        where=f"{path.name}: ",
+        hidden=_NO_OPTIONS,
         cure="; give --set {key}=VALUE",
-    )  # fmt: skip
+    )
     return engine.read(path, executable=executable, **values)

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import psutil
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.closing import Closing
 from morembs.errors import InputError
 from morembs.importers.calculix_matrices import CalculixMatrices, read_calculix_matrices
@@ -27,7 +27,6 @@ from morembs.importers.engines.run import Program, find_executable, run
 from morembs.scratch import ScratchFolder
 from morembs.storage.safefile import copy_into
 
-Ints = NDArray[np.int64]
 CURE = "no program ccx was found; install calculix-ccx (Debian, conda-forge) or give calculix:PATH"
 _ENDINGS = (".sti", ".mas", ".dof")
 _DONE = "Job finished"
@@ -162,9 +161,13 @@ class Ccx(Closing):
         late = f"ccx did not finish in {self.seconds:g} s ({count:,} nodes); --engine-timeout, or own assembly"
         try:
             said = run(
-                [self.program.path, name], self.folder.path, seconds=self.seconds,
-                memory=psutil.virtual_memory().total, environment={"OMP_NUM_THREADS": "1"}, late=late,
-            )  # fmt: skip
+                [self.program.path, name],
+                self.folder.path,
+                seconds=self.seconds,
+                memory=psutil.virtual_memory().total,
+                environment={"OMP_NUM_THREADS": "1"},
+                late=late,
+            )
         finally:
             if self.keep is not None:
                 for file in self.folder.path.glob(f"{name}.*"):

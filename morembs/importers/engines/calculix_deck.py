@@ -10,8 +10,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_data import label
@@ -25,26 +25,58 @@ from morembs.importers.engines.calculix_text import ENTRIES, element_lines, node
 from morembs.model import Mesh, Nodes
 from morembs.model.handedness import right_handed
 
-Ints = NDArray[np.int64]
 # What the fields of data lines are: n a node or a set of such, e an element or set, s a surface, o an orientation,
 # m a material, . as it stands. The last letter holds for all fields behind it.
 CARDS = {
-    "SOLID SECTION": "..mo", "SHELL SECTION": "..mo", "BEAM SECTION": ".", "BEAM GENERAL SECTION": ".",
-    "MEMBRANE SECTION": ".", "SPRING": ".",
-    "GAP": ".", "TIE": "s", "RIGID BODY": ".", "MPC": ".n", "TRANSFORM": ".", "DISTRIBUTION": "e.",
-    "DISTRIBUTING COUPLING": "n.", "PRE-TENSION SECTION": ".", "NODAL THICKNESS": "n.", "NORMAL": "en.",
-    "INITIAL CONDITIONS": "n.", "BOUNDARY": "n.", "CLOAD": "n.", "DLOAD": "e.", "DSLOAD": "s.", "TEMPERATURE": "n.",
-    "STATIC": ".", "ORIENTATION": ".",
-}  # fmt: skip
+    "SOLID SECTION": "..mo",
+    "SHELL SECTION": "..mo",
+    "BEAM SECTION": ".",
+    "BEAM GENERAL SECTION": ".",
+    "MEMBRANE SECTION": ".",
+    "SPRING": ".",
+    "GAP": ".",
+    "TIE": "s",
+    "RIGID BODY": ".",
+    "MPC": ".n",
+    "TRANSFORM": ".",
+    "DISTRIBUTION": "e.",
+    "DISTRIBUTING COUPLING": "n.",
+    "PRE-TENSION SECTION": ".",
+    "NODAL THICKNESS": "n.",
+    "NORMAL": "en.",
+    "INITIAL CONDITIONS": "n.",
+    "BOUNDARY": "n.",
+    "CLOAD": "n.",
+    "DLOAD": "e.",
+    "DSLOAD": "s.",
+    "TEMPERATURE": "n.",
+    "STATIC": ".",
+    "ORIENTATION": ".",
+}
 _OPTIONS = {
-    "NSET": "n", "TIE NSET": "n", "PIN NSET": "n", "REF NODE": "n", "ROT NODE": "n", "NODE": "n", "ELSET": "e",
-    "ELEMENT": "e", "MATERIAL": "m", "ORIENTATION": "o", "SURFACE": "s",
-}  # fmt: skip
+    "NSET": "n",
+    "TIE NSET": "n",
+    "PIN NSET": "n",
+    "REF NODE": "n",
+    "ROT NODE": "n",
+    "NODE": "n",
+    "ELSET": "e",
+    "ELEMENT": "e",
+    "MATERIAL": "m",
+    "ORIENTATION": "o",
+    "SURFACE": "s",
+}
 # Conditions of Abaqus by name, as the first and the last dof that they hold.
 _HOLD = {
-    "ENCASTRE": ((1, 6),), "PINNED": ((1, 3),), "XSYMM": ((1, 1), (5, 6)), "YSYMM": ((2, 2), (4, 4), (6, 6)),
-    "ZSYMM": ((3, 5),), "XASYMM": ((2, 4),), "YASYMM": ((1, 1), (3, 3), (5, 5)), "ZASYMM": ((1, 2), (6, 6)),
-}  # fmt: skip
+    "ENCASTRE": ((1, 6),),
+    "PINNED": ((1, 3),),
+    "XSYMM": ((1, 1), (5, 6)),
+    "YSYMM": ((2, 2), (4, 4), (6, 6)),
+    "ZSYMM": ((3, 5),),
+    "XASYMM": ((2, 4),),
+    "YASYMM": ((1, 1), (3, 3), (5, 5)),
+    "ZASYMM": ((1, 2), (6, 6)),
+}
 _LAST = ("EQUATION", "TIE", "RIGID BODY", "MPC", "COUPLING", "INITIAL CONDITIONS", "BOUNDARY")
 _NONE = np.empty(0, dtype=np.int64)
 
@@ -86,9 +118,19 @@ class FlatDeck:
         """The whole deck with ``nodes`` behind its nodes, ``extra`` cards before ``step``."""
         body = [text for _, text in sorted(self.body, key=lambda item: item[0])]
         return "\n".join(
-            [*node_lines(self.assembly), nodes, *element_lines(self.assembly, self.blocks, self.masses), *self.defined,
-             *self.surfaces, *body, extra, *self.steps, step, ""]
-        )  # fmt: skip
+            [
+                *node_lines(self.assembly),
+                nodes,
+                *element_lines(self.assembly, self.blocks, self.masses),
+                *self.defined,
+                *self.surfaces,
+                *body,
+                extra,
+                *self.steps,
+                step,
+                "",
+            ]
+        )
 
     def card(self, placed: Placed, card: Card, rows: Rows, *, fields: str | None = None) -> None:
         """A keyword with its data."""
@@ -103,9 +145,7 @@ class FlatDeck:
         head = "*" + ", ".join([card.keyword, *(self._option(placed, card, *item) for item in card.options.items())])
         data = []
         for row in rows:
-            fields = [
-                self.translated(kinds[min(i, len(kinds) - 1)], placed, text, card) for i, text in enumerate(row)
-            ]
+            fields = [self.translated(kinds[min(i, len(kinds) - 1)], placed, text, card) for i, text in enumerate(row)]
             data += [", ".join(fields[i : i + ENTRIES]) for i in range(0, len(fields), ENTRIES)] or [""]
         return "\n".join([head, *data])
 

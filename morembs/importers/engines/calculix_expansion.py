@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.importers.engines.calculix_rows import Expanded
 
-Ints = NDArray[np.int64]
 _LABEL = re.compile(r'with label "(\w+)')
 _KNOT = re.compile(r"KNOT was generated in node +(\d+)")
 _BLOCK = b"    2C"
@@ -23,10 +23,19 @@ _LAYERS8 = (*((i, i + 4, i + 16) for i in range(4)), *((i + 8, i + 12) for i in 
 _BAR2 = ((0, 3, 4, 7), (1, 2, 5, 6))
 _BAR3 = ((0, 3, 4, 7, 11, 15, 16, 19), (8, 10, 12, 14), (1, 2, 5, 6, 9, 13, 17, 18))
 _BECOMES = {
-    ("S", 3): _LAYERS3, ("S", 4): _LAYERS4, ("S", 6): _LAYERS6, ("S", 8): _LAYERS8, ("M", 3): _LAYERS3,
-    ("M", 4): _LAYERS4, ("M", 6): _LAYERS6, ("M", 8): _LAYERS8, ("B", 2): _BAR2, ("B", 3): _BAR3, ("T", 2): _BAR2,
+    ("S", 3): _LAYERS3,
+    ("S", 4): _LAYERS4,
+    ("S", 6): _LAYERS6,
+    ("S", 8): _LAYERS8,
+    ("M", 3): _LAYERS3,
+    ("M", 4): _LAYERS4,
+    ("M", 6): _LAYERS6,
+    ("M", 8): _LAYERS8,
+    ("B", 2): _BAR2,
+    ("B", 3): _BAR3,
+    ("T", 2): _BAR2,
     ("T", 3): _BAR3,
-}  # fmt: skip
+}
 
 
 def read_expansion(topology: Path, result: Path) -> Expanded | None:
@@ -64,9 +73,12 @@ def read_expansion(topology: Path, result: Path) -> Expanded | None:
         return None
     nodes = np.array(sorted(parent), dtype=np.int64)
     return Expanded(
-        nodes=nodes, xyz=_places(result, nodes), parent=np.array([parent[node] for node in nodes.tolist()]),
-        knots=np.array(knots, dtype=np.int64), hinges=np.array(sorted(hinged - others), dtype=np.int64),
-    )  # fmt: skip
+        nodes=nodes,
+        xyz=_places(result, nodes),
+        parent=np.array([parent[node] for node in nodes.tolist()]),
+        knots=np.array(knots, dtype=np.int64),
+        hinges=np.array(sorted(hinged - others), dtype=np.int64),
+    )
 
 
 def _places(path: Path, nodes: Ints) -> NDArray[np.float64]:

@@ -26,9 +26,20 @@ from morembs.importers.imported import PointMass
 from morembs.importers.problems import Problem
 
 # Cards that are the linear model itself, or go into it in another way; those of steps only with a preload.
-_PLAIN = set(CARDS) - {"BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE", "STATIC", "ORIENTATION", "DISTRIBUTION",
-                       "DISTRIBUTING COUPLING", "SOLID SECTION"}  # fmt: skip
+_PLAIN = set(CARDS) - {
+    "BOUNDARY",
+    "CLOAD",
+    "DLOAD",
+    "DSLOAD",
+    "TEMPERATURE",
+    "STATIC",
+    "ORIENTATION",
+    "DISTRIBUTION",
+    "DISTRIBUTING COUPLING",
+    "SOLID SECTION",
+}
 _IN_STEPS = ("STATIC", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Choices:
@@ -248,10 +259,10 @@ class _Writer:
                     self._problem(f"the material {key} has no *DENSITY; --density X", "--density X")
                     continue
                 lines.append(f"*DENSITY\n{numeral(density)}")
-                self.flat.warnings.append(f"the material {key} has no *DENSITY; {density:g} was given and taken "
-                                          "[density-given]")  # fmt: skip
+                self.flat.warnings.append(
+                    f"the material {key} has no *DENSITY; {density:g} was given and taken [density-given]"
+                )
             out.body.append((-2, "\n".join(lines)))
-
 
     def _density(self, material: str) -> float | None:
         """The density that was given for a material: of one of the sets that it is for, or of all."""

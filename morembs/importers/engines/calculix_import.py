@@ -18,10 +18,18 @@ BOUNDARY = ("drop", "keep")
 
 
 def import_with_calculix(
-    path: str | Path, *, executable: str = "", density: float | dict[str, float] | None = None,
-    contact: str = "refuse", skip: list[str] | str = "", boundary: str = "drop", preload: int = 0,
-    timeout: float = 600.0, keep_files: str = "", allow_includes_outside: bool = False,
-) -> Imported:  # fmt: skip
+    path: str | Path,
+    *,
+    executable: str = "",
+    density: float | dict[str, float] | None = None,
+    contact: str = "refuse",
+    skip: list[str] | str = "",
+    boundary: str = "drop",
+    preload: int = 0,
+    timeout: float = 600.0,
+    keep_files: str = "",
+    allow_includes_outside: bool = False,
+) -> Imported:
     """A deck as CalculiX assembles it, in the deck's own units.
 
     Args:
@@ -52,9 +60,13 @@ def import_with_calculix(
 
 
 def readable_by_calculix(
-    path: Path, *, density: dict[str, float] | None = None, contact: str = "refuse", skip: list[str] | str = "",
+    path: Path,
+    *,
+    density: dict[str, float] | None = None,
+    contact: str = "refuse",
+    skip: list[str] | str = "",
     allow_includes_outside: bool = False,
-) -> None:  # fmt: skip
+) -> None:
     """Whether a deck can be written for CalculiX; it is not run.
 
     Raises:

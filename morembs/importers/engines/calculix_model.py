@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.importers.abaqus import skipped_warnings
 from morembs.importers.abaqus_assembly import Assembly
@@ -27,7 +28,6 @@ from morembs.model import DofMap, Mesh, Nodes
 from morembs.model.constraints import AverageElement, Equations
 from morembs.model.fe_model import SCALAR
 
-Ints = NDArray[np.int64]
 FOLLOWS = "constraints of CalculiX"
 # Sums below this part of their terms are round-off; CalculiX writes 14 digits.
 _ROUNDED = 1e-12
@@ -41,9 +41,15 @@ class Exported:
     """Rows of an export on nodes of the deck and of expanded elements."""
 
     def __init__(
-        self, deck: EngineDeck, assembly: Assembly, flat: Flat, read: CalculixMatrices, expanded: Expanded | None,
-        *, held: bool,
-    ) -> None:  # fmt: skip
+        self,
+        deck: EngineDeck,
+        assembly: Assembly,
+        flat: Flat,
+        read: CalculixMatrices,
+        expanded: Expanded | None,
+        *,
+        held: bool,
+    ) -> None:
         self.deck, self.assembly, self.flat, self.expanded = deck, assembly, flat, expanded
         self.plain = self.read = read
         self.solid = np.zeros(len(assembly.ids), dtype=bool)
@@ -60,8 +66,15 @@ class Exported:
         placed[np.array(bodies, dtype=np.int64) - 1] = True
         unplaced = np.flatnonzero(~placed) + 1
         self.map = map_rows(
-            read.K, read.node, read.dof, assembly.xyz, expanded=expanded, turning=flat.turning, unplaced=unplaced,
-            bodies=len(flat.bodies), held=held,
+            read.K,
+            read.node,
+            read.dof,
+            assembly.xyz,
+            expanded=expanded,
+            turning=flat.turning,
+            unplaced=unplaced,
+            bodies=len(flat.bodies),
+            held=held,
         )
         self.T = self.map.change
         if self.T is not None:
@@ -129,9 +142,7 @@ class Exported:
         notes, warnings = [*flat.notes], [*flat.warnings, *self.deck.warnings, *flat.deck.reversed]
         deck, others = mapped.owner[mapped.owner > 0] - 1, nodes_of([*flat.average, *flat.masses])
         extra = np.unique(np.concatenate([deck, node - 1, others]).astype(np.int64))
-        named = {
-            name: assembly.members("node", placed, own) for name, (placed, own) in assembly.named("node").items()
-        }
+        named = {name: assembly.members("node", placed, own) for name, (placed, own) in assembly.named("node").items()}
         mesh: Mesh | None = None
         if assembly.blocks:
             mesh, nodes, row = mesh_of(assembly, extra)
@@ -153,10 +164,19 @@ class Exported:
         warnings += self._told(mapped, choices)
         notes += _notes(self.deck, choices)
         return Imported(
-            source=self.deck.name, K=K, M=M, nodes=nodes, dofs=dofs, mesh=mesh, average=average,
-            equations=equations, masses=masses, surfaces=sets_on(flat.constraints.surfaces.nodes, row),
-            notes=(*notes, *assembly.notes), warnings=tuple(dict.fromkeys(warnings)),
-        )  # fmt: skip
+            source=self.deck.name,
+            K=K,
+            M=M,
+            nodes=nodes,
+            dofs=dofs,
+            mesh=mesh,
+            average=average,
+            equations=equations,
+            masses=masses,
+            surfaces=sets_on(flat.constraints.surfaces.nodes, row),
+            notes=(*notes, *assembly.notes),
+            warnings=tuple(dict.fromkeys(warnings)),
+        )
 
     def _told(self, mapped: RowMap, choices: Choices) -> list[str]:
         """In what the model differs from others of its deck, a sentence each."""
@@ -274,8 +294,13 @@ def _ordered(
     nodes, components = np.concatenate([node, dependent[0]]), np.concatenate([component, dependent[1]])
     behind = (nodes >= solid) | (components > 2)
     order = np.lexsort((components, nodes, behind))
-    grown = [sp.csr_array((A.data, A.indices, np.concatenate([A.indptr, np.full(len(nodes) - size, A.indptr[-1])])),
-                          shape=(len(nodes),) * 2) for A in (read.K, read.M)]  # fmt: skip
+    grown = [
+        sp.csr_array(
+            (A.data, A.indices, np.concatenate([A.indptr, np.full(len(nodes) - size, A.indptr[-1])])),
+            shape=(len(nodes),) * 2,
+        )
+        for A in (read.K, read.M)
+    ]
     K, M = (sp.csr_array(A[order][:, order]) for A in grown)
     return K, M, DofMap(node=nodes[order], component=components[order])
 
@@ -283,9 +308,14 @@ def _ordered(
 def _equations(S: sp.csr_array, dependent: tuple[Ints, Ints], node: Ints, component: Ints) -> Equations:
     """Rows of S as equations."""
     return Equations(
-        name=FOLLOWS, nodes=dependent[0], components=dependent[1], offsets=S.indptr, term_nodes=node[S.indices],
-        term_components=component[S.indices], coefficients=S.data,
-    )  # fmt: skip
+        name=FOLLOWS,
+        nodes=dependent[0],
+        components=dependent[1],
+        offsets=S.indptr,
+        term_nodes=node[S.indices],
+        term_components=component[S.indices],
+        coefficients=S.data,
+    )
 
 
 def _notes(deck: EngineDeck, choices: Choices) -> list[str]:

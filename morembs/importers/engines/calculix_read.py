@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.importers.abaqus_data import element_numbers, fields
 from morembs.importers.abaqus_deck import DISCRETE, NODES, SOLIDS, Deck, Members, Rows, Scope, join
@@ -21,18 +21,47 @@ from morembs.importers.formulations import dialects_of_comments
 from morembs.importers.includes import open_text
 from morembs.importers.problems import Problem, Problems
 
-Ints = NDArray[np.int64]
 # Elements of CalculiX that are expanded or stand for contact, and how many nodes they have.
 WIDTHS = {
-    "S3": 3, "S4": 4, "S4R": 4, "S6": 6, "S8": 8, "S8R": 8, "M3D3": 3, "M3D4": 4, "M3D4R": 4, "M3D6": 6, "M3D8": 8,
-    "M3D8R": 8, "B31": 2, "B31R": 2, "B32": 3, "B32R": 3, "T3D2": 2, "T3D3": 3, "GAPUNI": 2,
-}  # fmt: skip
+    "S3": 3,
+    "S4": 4,
+    "S4R": 4,
+    "S6": 6,
+    "S8": 8,
+    "S8R": 8,
+    "M3D3": 3,
+    "M3D4": 4,
+    "M3D4R": 4,
+    "M3D6": 6,
+    "M3D8": 8,
+    "M3D8R": 8,
+    "B31": 2,
+    "B31R": 2,
+    "B32": 3,
+    "B32R": 3,
+    "T3D2": 2,
+    "T3D3": 3,
+    "GAPUNI": 2,
+}
 # Types of Abaqus that CalculiX has under another name, in a plain form.
 _PLAIN = {
-    "S3R": "S3", "S3RS": "S3", "STRI3": "S3", "STRI65": "S6", "S4RS": "S4R", "S4R5": "S4R", "S8R5": "S8R",
-    "B31H": "B31", "B31OS": "B31", "B32H": "B32", "B32OS": "B32", "B33": "B31", "PIPE31": "B31", "PIPE32": "B32",
-    "T3D2H": "T3D2", "T3D3H": "T3D3",
-}  # fmt: skip
+    "S3R": "S3",
+    "S3RS": "S3",
+    "STRI3": "S3",
+    "STRI65": "S6",
+    "S4RS": "S4R",
+    "S4R5": "S4R",
+    "S8R5": "S8R",
+    "B31H": "B31",
+    "B31OS": "B31",
+    "B32H": "B32",
+    "B32OS": "B32",
+    "B33": "B31",
+    "PIPE31": "B31",
+    "PIPE32": "B32",
+    "T3D2H": "T3D2",
+    "T3D3H": "T3D3",
+}
 # Bytes at the begin of a deck whose comments may name the program that wrote it.
 _HEAD = 1 << 16
 # Elements without stiffness and mass.
@@ -89,9 +118,11 @@ def _refuse_others(deck: EngineDeck) -> None:
         Problem(
             what=f"{deck.name} has elements that CalculiX does not make a body of: {listed}; {why}; take them out of "
             f"the deck, or leave them out with --skip {','.join(wrong)} if the model is right without them",
-            file=deck.name, keyword="ELEMENT", flags=tuple(f"--skip {code}" for code in wrong),
+            file=deck.name,
+            keyword="ELEMENT",
+            flags=tuple(f"--skip {code}" for code in wrong),
         )
-    )  # fmt: skip
+    )
 
 
 def _known(code: str) -> bool:

@@ -16,12 +16,10 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 from numpy.typing import NDArray
 
+from morembs.base.types import Bools, Floats, Ints
 from morembs.model import rigid_motion
 from morembs.model.fe_model import SCALAR
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 # How near R_u must come to that of a place or motion, of 1 for displacements, and of lengths of the model.
 NEAR = 1e-3
 # Residual of rigid motion against what cancels above which an assignment is wrong.
@@ -67,9 +65,17 @@ def groups_of(label: Ints, direction: Ints) -> Ints:
 
 
 def map_rows(
-    K: sp.csr_array, label: Ints, direction: Ints, xyz: Floats, *, expanded: Expanded | None,
-    turning: Mapping[int, int], unplaced: Ints, bodies: int, held: bool,
-) -> RowMap:  # fmt: skip
+    K: sp.csr_array,
+    label: Ints,
+    direction: Ints,
+    xyz: Floats,
+    *,
+    expanded: Expanded | None,
+    turning: Mapping[int, int],
+    unplaced: Ints,
+    bodies: int,
+    held: bool,
+) -> RowMap:
     """Node and component of each row of ``K`` (N, N).
 
     Args:
@@ -147,8 +153,16 @@ class _Solved:
     """The rest by rigid motion, where it tells them; ``turns`` are labels that are rotations where it leaves that open
     (the axis of a straight beam)."""
 
-    def __init__(self, K: sp.csr_array, given: RowMap, known: Bools, turns: set[int], of_group: Ints, center: Floats,
-                 length: float) -> None:  # fmt: skip
+    def __init__(
+        self,
+        K: sp.csr_array,
+        given: RowMap,
+        known: Bools,
+        turns: set[int],
+        of_group: Ints,
+        center: Floats,
+        length: float,
+    ) -> None:
         self.K, self.given, self.known, self.of_group = K, given, known, of_group
         self.center, self.length = center, length
         self.owner, self.component, self.place = given.owner.copy(), given.component.copy(), given.place.copy()
@@ -207,9 +221,14 @@ class _Solved:
                 self.R[own] = rigid_motion(at, axes)
 
     def _told(
-        self, seen: Floats, axes: Ints, candidates: list[tuple[int, Floats]], taken: set[tuple[int, int]], *,
+        self,
+        seen: Floats,
+        axes: Ints,
+        candidates: list[tuple[int, Floats]],
+        taken: set[tuple[int, int]],
+        *,
         turns: bool,
-    ) -> tuple[int, Floats, Ints] | None:  # fmt: skip
+    ) -> tuple[int, Floats, Ints] | None:
         """Owner, place and components of rows with the rigid motion ``seen`` (k, 6)."""
         nowhere = np.full(3, np.nan)
         turned = np.eye(3)[axes]

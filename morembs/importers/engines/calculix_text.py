@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.model import ElementBlock
 
-Ints = NDArray[np.int64]
 # CalculiX takes this many characters of a number, and entries of a line of a set or an element.
 _DIGITS, ENTRIES, _PER_ELEMENT = 20, 16, 10
 # Types by shape and formulation, as ``formulations`` has them for CalculiX.
 _CODES = {
-    ("tet4", "full"): "C3D4", ("tet10", "full"): "C3D10", ("wedge6", "reduced"): "C3D6", ("wedge15", "full"): "C3D15",
-    ("hex8", "full"): "C3D8", ("hex8", "mean-strain"): "C3D8R", ("hex8", "incompatible"): "C3D8I",
-    ("hex20", "full"): "C3D20", ("hex20", "reduced"): "C3D20R",
-}  # fmt: skip
+    ("tet4", "full"): "C3D4",
+    ("tet10", "full"): "C3D10",
+    ("wedge6", "reduced"): "C3D6",
+    ("wedge15", "full"): "C3D15",
+    ("hex8", "full"): "C3D8",
+    ("hex8", "mean-strain"): "C3D8R",
+    ("hex8", "incompatible"): "C3D8I",
+    ("hex20", "full"): "C3D20",
+    ("hex20", "reduced"): "C3D20R",
+}
 # Elements on single nodes that CalculiX has; most masses and distributing couplings are added to its matrices.
 _DISCRETE = ("SPRING1", "SPRING2", "SPRINGA")
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_constraints import Constraints
@@ -18,8 +18,6 @@ from morembs.importers.abaqus_names import Placed
 from morembs.importers.engines.calculix_deck import FlatDeck
 from morembs.importers.imported import PointMass
 from morembs.model.constraints import AverageElement
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(eq=False)

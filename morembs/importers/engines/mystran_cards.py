@@ -38,8 +38,10 @@ def card(name: str, fields: Iterable[Field]) -> str:
     words = [number16(field) if isinstance(field, float) else str(field) for field in fields]
     while words and not words[-1]:
         words.pop()
-    lines = [f"{'*' if at else name + '*':8}{''.join(f'{word:>16}' for word in words[at : at + 4])}\n"
-             for at in range(0, len(words), 4)]  # fmt: skip
+    lines = [
+        f"{'*' if at else name + '*':8}{''.join(f'{word:>16}' for word in words[at : at + 4])}\n"
+        for at in range(0, len(words), 4)
+    ]
     # Cards in fields of 16 columns have lines in pairs.
     return "".join(lines) + ("*\n" if len(lines) % 2 else "")
 

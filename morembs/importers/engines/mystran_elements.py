@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.importers.engines.mystran_cards import Field, card, system_card
 from morembs.importers.engines.mystran_sections import Sections
@@ -17,13 +17,17 @@ from morembs.importers.nastran_geometry import SOLIDS, card_of
 from morembs.importers.nastran_properties import padded
 from morembs.model import Mesh
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # For each card: the kind of its properties and how many grids it has.
 STRUCTURES = {
-    "CQUAD4": ("shell", 4), "CTRIA3": ("shell", 3), "CSHEAR": ("shear", 4), "CBAR": ("bar", 2), "CBEAM": ("beam", 2),
-    "CROD": ("rod", 2), "CTUBE": ("tube", 2), "CONROD": ("conrod", 2),
-}  # fmt: skip
+    "CQUAD4": ("shell", 4),
+    "CTRIA3": ("shell", 3),
+    "CSHEAR": ("shear", 4),
+    "CBAR": ("bar", 2),
+    "CBEAM": ("beam", 2),
+    "CROD": ("rod", 2),
+    "CTUBE": ("tube", 2),
+    "CONROD": ("conrod", 2),
+}
 # As which of its own cards MYSTRAN gets them.
 _AS = {"CBEAM": "CBAR", "CTUBE": "CROD", "CONROD": "CROD"}
 
@@ -60,8 +64,10 @@ class Structures:
     def _read(self, name: str) -> None:
         kind, count = STRUCTURES[name]
         readers: dict[str, Callable[[str, list[str], Ints], tuple[list[Field], str]]] = {
-            "shell": self._shell, "bar": self._bar, "beam": self._bar,
-        }  # fmt: skip
+            "shell": self._shell,
+            "bar": self._bar,
+            "beam": self._bar,
+        }
         default = self._default("BAROR" if kind == "bar" else "BEAMOR" if kind == "beam" else "")
         ids, properties, nodes, tails, systems = [], [], [], [], []
         for row, where in self.bulk.cards(name):
@@ -88,9 +94,15 @@ class Structures:
                 systems.append(system)
         if ids:
             self.blocks.append(
-                Elements(card=_AS.get(name, name), ids=np.array(ids), properties=np.array(properties),
-                         nodes=np.array(nodes), tails=tails, systems=systems)
-            )  # fmt: skip
+                Elements(
+                    card=_AS.get(name, name),
+                    ids=np.array(ids),
+                    properties=np.array(properties),
+                    nodes=np.array(nodes),
+                    tails=tails,
+                    systems=systems,
+                )
+            )
 
     def _default(self, name: str) -> list[str]:
         rows = self.bulk.rows[name] if name else []
@@ -181,7 +193,8 @@ def solid_elements(bulk: Bulk, mesh: Mesh, sections: Sections) -> list[Elements]
         nodes = rows[block.nodes] if block.type == low else rows[block.nodes][:, np.argsort(order)]
         none: list[Sequence[Field]] = [()] * len(block.ids)
         result.append(
-            Elements(card=name, ids=block.ids, properties=properties, nodes=nodes, tails=none,
-                     systems=[""] * len(block.ids))
-        )  # fmt: skip
+            Elements(
+                card=name, ids=block.ids, properties=properties, nodes=nodes, tails=none, systems=[""] * len(block.ids)
+            )
+        )
     return result

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.errors import InputError, nearest
 from morembs.importers.deck_options import DeckOptions, deck_options, lacking_problems
 from morembs.importers.engines.mystran import Mystran, cores, mystran_path
@@ -24,13 +24,19 @@ from morembs.model import DofMap, Mesh, Nodes, rigid_motion
 from morembs.model.constraints import Equations
 from morembs.model.handedness import right_handed
 
-Ints = NDArray[np.int64]
 BOUNDARY = ("drop", "keep")
 # Cards beside those of the own reader.
 CARDS_READ = (
-    *STRUCTURES, *(name for names in CARDS.values() for name in names if name != "PSOLID"), "MAT2", "MAT8", "BAROR",
-    "BEAMOR", "SPC", "SPC1", "SPCADD",
-)  # fmt: skip
+    *STRUCTURES,
+    *(name for names in CARDS.values() for name in names if name != "PSOLID"),
+    "MAT2",
+    "MAT8",
+    "BAROR",
+    "BEAMOR",
+    "SPC",
+    "SPC1",
+    "SPCADD",
+)
 # Grids of one run, by which the time is least: MYSTRAN writes dense matrices, and needs 40 ms for a start.
 MOST_GRIDS = 150
 # Force under rigid motion above this part of what cancels in it is told.
@@ -40,10 +46,18 @@ UNEVEN = 1e-6
 
 
 def import_with_mystran(
-    path: str | Path, *, executable: str = "", density: float | dict[str, float] | None = None,
-    skip: list[str] | str = "", boundary: str = "drop", timeout: float = 600.0, keep_files: str = "",
-    grids: int = MOST_GRIDS, jobs: int | None = None, allow_includes_outside: bool = False,
-) -> Imported:  # fmt: skip
+    path: str | Path,
+    *,
+    executable: str = "",
+    density: float | dict[str, float] | None = None,
+    skip: list[str] | str = "",
+    boundary: str = "drop",
+    timeout: float = 600.0,
+    keep_files: str = "",
+    grids: int = MOST_GRIDS,
+    jobs: int | None = None,
+    allow_includes_outside: bool = False,
+) -> Imported:
     """Bulk data as MYSTRAN assembles them, in the units of the file, along the basic axes.
 
     Args:
@@ -73,17 +87,27 @@ def import_with_mystran(
     deck = _Deck(Path(path), deck_options(density, "refuse", skip), boundary == "keep", allow_includes_outside)
     keep = Path(keep_files) if keep_files else None
     with Mystran(
-        program=program, file=deck.bulk.file, blocks=deck.blocks, properties=deck.properties, ids=deck.bulk.grids.ids,
-        xyz=deck.bulk.grids.xyz, seconds=timeout, jobs=jobs or cores(), keep=keep,
-    ) as mystran:  # fmt: skip
+        program=program,
+        file=deck.bulk.file,
+        blocks=deck.blocks,
+        properties=deck.properties,
+        ids=deck.bulk.grids.ids,
+        xyz=deck.bulk.grids.xyz,
+        seconds=timeout,
+        jobs=jobs or cores(),
+        keep=keep,
+    ) as mystran:
         K, M = mystran.matrices(grids)
         return deck.imported(K, M, mystran.version)
 
 
 def readable_by_mystran(
-    path: Path, *, density: dict[str, float] | None = None, skip: list[str] | str = "",
+    path: Path,
+    *,
+    density: dict[str, float] | None = None,
+    skip: list[str] | str = "",
     allow_includes_outside: bool = False,
-) -> None:  # fmt: skip
+) -> None:
     """Whether a deck can be written for MYSTRAN; it is not run.
 
     Raises:
@@ -110,10 +134,13 @@ class _Deck:
             self.ties, springs = tied(bulk, solid, self.scale)
             self.held = held_directions(bulk) if keep else {}
             self.whole = Imported(
-                source=bulk.file, rigid=tuple(self.ties.rigid), average=tuple(self.ties.average),
-                masses=tuple(self.ties.masses), equations=(*self.ties.equations, *([middles] if middles else [])),
+                source=bulk.file,
+                rigid=tuple(self.ties.rigid),
+                average=tuple(self.ties.average),
+                masses=tuple(self.ties.masses),
+                equations=(*self.ties.equations, *([middles] if middles else [])),
                 discrete=tuple(springs.elements),
-            )  # fmt: skip
+            )
             self._mesh()
             self.properties = self._properties(options)
         bulk.problems.refuse()
@@ -138,8 +165,9 @@ class _Deck:
             nodes = Nodes(ids=bulk.grids.ids[extra], xyz=bulk.grids.xyz[extra], sets=sets)
             self.warnings += bulk.text.warnings
         if not self.blocks:
-            raise InputError(f"{bulk.file} has no elements that MYSTRAN assembles; expected solids, "
-                             f"{', '.join(STRUCTURES)}")  # fmt: skip
+            raise InputError(
+                f"{bulk.file} has no elements that MYSTRAN assembles; expected solids, {', '.join(STRUCTURES)}"
+            )
         sets = dict(nodes.sets)
         for block in self.structures.blocks:
             for pid in np.unique(block.properties).tolist():
@@ -160,8 +188,9 @@ class _Deck:
         bulk.problems.entries += lacking_problems(bulk.file, wanted)
         self.warnings += [
             f"{lack.sentence} and gives no mass; --density fills it in [no-density]"
-            for name, lack in lacking.items() if name not in wanted
-        ]  # fmt: skip
+            for name, lack in lacking.items()
+            if name not in wanted
+        ]
         cards = self.sections.cards({material.set: material.density for material in filled})
         self.warnings += self.sections.warnings
         return cards
@@ -185,10 +214,15 @@ class _Deck:
         dofs = DofMap(node=node[order], component=component[order])
         self._tell(K, M, dofs)
         return replace(
-            replace(whole, equations=equations).on_rows(self.row), K=K, M=M, nodes=self.nodes, dofs=dofs,
-            mesh=self.mesh, notes=tuple(self._said(version, loose, len(filled))),
+            replace(whole, equations=equations).on_rows(self.row),
+            K=K,
+            M=M,
+            nodes=self.nodes,
+            dofs=dofs,
+            mesh=self.mesh,
+            notes=tuple(self._said(version, loose, len(filled))),
             warnings=tuple(dict.fromkeys([*self.warnings, *self._differing()])),
-        )  # fmt: skip
+        )
 
     def _held(self, filled: Ints) -> tuple[Equations, ...]:
         there = np.zeros((len(self.row), 6), dtype=bool)
@@ -243,8 +277,10 @@ class _Deck:
             if self.bulk.rows[name] and name not in kept:
                 notes.append(f"{len(self.bulk.rows[name])} {name}: not applied; the body is free.")
         if loose:
-            notes.append(f"{loose} grids turn freely about an axis, such as the normal of flat shells; they follow the "
-                         "rotation of an element by springs that carry no force.")  # fmt: skip
+            notes.append(
+                f"{loose} grids turn freely about an axis, such as the normal of flat shells; they follow the "
+                "rotation of an element by springs that carry no force."
+            )
         skipped = "Permanent restraints" if self.keep else "\0"
         notes += [note for note in notes_of(self.bulk, self.scale) if not note.startswith(skipped)]
         return [*notes, *self.notes, *self.ties.notes]

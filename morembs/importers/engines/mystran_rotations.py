@@ -13,13 +13,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints
 from morembs.importers.engines.mystran_elements import Elements
 from morembs.importers.imported import DiscreteElement, PointMass, Ties
 from morembs.model import rigid_motion
 from morembs.model.constraints import AverageElement, Equations, RigidElement
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Part of a grid's largest rotational stiffness below which there is none (AUTOSPC_RAT of Nastran).
 NONE = 1e-8
 # Difference between a direction and its image in the motion of an element that tells it.
@@ -46,9 +45,13 @@ def turning(ties: Sequence[Ties], count: int) -> NDArray[np.bool_]:
 
 
 def with_springs(
-    K: sp.csr_array, M: sp.csr_array, blocks: Sequence[Elements], xyz: Floats, tied: NDArray[np.bool_],
+    K: sp.csr_array,
+    M: sp.csr_array,
+    blocks: Sequence[Elements],
+    xyz: Floats,
+    tied: NDArray[np.bool_],
     held: dict[int, Floats],
-) -> tuple[sp.csr_array, int]:  # fmt: skip
+) -> tuple[sp.csr_array, int]:
     """K (6 n, 6 n) with springs at grids whose rotations K leaves free, and how many grids these are.
 
     Args:

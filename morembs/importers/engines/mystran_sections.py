@@ -21,14 +21,33 @@ from morembs.importers.nastran_properties import padded
 
 # What the properties of each kind of elements may be.
 CARDS = {
-    "solid": ("PSOLID",), "shell": ("PSHELL", "PCOMP", "PCOMPG"), "shear": ("PSHEAR",), "bar": ("PBAR", "PBARL"),
-    "beam": ("PBEAM", "PBEAML"), "rod": ("PROD",), "tube": ("PTUBE",), "conrod": (),
-}  # fmt: skip
+    "solid": ("PSOLID",),
+    "shell": ("PSHELL", "PCOMP", "PCOMPG"),
+    "shear": ("PSHEAR",),
+    "bar": ("PBAR", "PBARL"),
+    "beam": ("PBEAM", "PBEAML"),
+    "rod": ("PROD",),
+    "tube": ("PTUBE",),
+    "conrod": (),
+}
 # The field of the density of each kind of material, and how many fields it has.
 _MATERIALS = {"MAT1": (4, 5), "MAT2": (7, 8), "MAT8": (7, 8), "MAT9": (22, 23)}
 # Dimensions of sections whose area and moments MYSTRAN has right (18.0: wrong for BOX1, CHAN1, CHAN2, HAT, HEXA).
-_SECTIONS = {"BAR": 2, "BOX": 4, "CHAN": 4, "CROSS": 4, "H": 4, "I": 6, "I1": 4, "ROD": 1, "T": 4, "T1": 4, "T2": 4,
-             "TUBE": 2, "TUBE2": 2}  # fmt: skip
+_SECTIONS = {
+    "BAR": 2,
+    "BOX": 4,
+    "CHAN": 4,
+    "CROSS": 4,
+    "H": 4,
+    "I": 6,
+    "I1": 4,
+    "ROD": 1,
+    "T": 4,
+    "T1": 4,
+    "T2": 4,
+    "TUBE": 2,
+    "TUBE2": 2,
+}
 _CENTRED = ("BAR", "BOX", "CROSS", "H", "I1", "ROD", "TUBE", "TUBE2")
 _STATIONS = ("YES", "YESA", "NO")
 
@@ -45,9 +64,7 @@ class Sections:
         self.warnings: list[str] = []
         self._numbers: dict[tuple[str, int], int] = {}
         self._rows: list[tuple[str, list[str], str]] = []
-        self._properties = {
-            kind: {name: self._by_number(name) for name in names} for kind, names in CARDS.items()
-        }  # fmt: skip
+        self._properties = {kind: {name: self._by_number(name) for name in names} for kind, names in CARDS.items()}
         self._materials = {name: self._by_number(name) for name in _MATERIALS}
 
     def number(self, kind: str, pid: int, what: str, own: Sequence[str] = (), element: str = "") -> int:
@@ -129,8 +146,17 @@ class Sections:
         return [integer(text, self.file) for text in texts if text and text != "-1"][:1]
 
     def _nsm(self, kind: str, row: list[str]) -> float:
-        at = {"PSHELL": 7, "PCOMP": 2, "PCOMPG": 2, "PSHEAR": 3, "PBAR": 6, "PROD": 5, "PTUBE": 4, "PBEAM": 7,
-              "CONROD": 5}.get(kind)  # fmt: skip
+        at = {
+            "PSHELL": 7,
+            "PCOMP": 2,
+            "PCOMPG": 2,
+            "PSHEAR": 3,
+            "PBAR": 6,
+            "PROD": 5,
+            "PTUBE": 4,
+            "PBEAM": 7,
+            "CONROD": 5,
+        }.get(kind)
         if kind in ("PBARL", "PBEAML"):
             at = 8 + _SECTIONS.get(padded(row, 4)[3].upper(), 1000)
         return real(padded(row, at + 1)[at], self.file) if at is not None else 0.0
@@ -169,10 +195,18 @@ class _Property:
             own = self._psolid(element)
         else:
             writers: dict[str, Callable[[], str]] = {
-                "PSHELL": self._pshell, "PSHEAR": self._pshear, "PBAR": self._pbar, "PBARL": self._pbarl,
-                "PBEAM": self._pbeam, "PBEAML": self._pbeaml, "PROD": self._prod, "CONROD": self._prod,
-                "PTUBE": self._ptube, "PCOMP": lambda: self._pcomp("PCOMP"), "PCOMPG": lambda: self._pcomp("PCOMPG"),
-            }  # fmt: skip
+                "PSHELL": self._pshell,
+                "PSHEAR": self._pshear,
+                "PBAR": self._pbar,
+                "PBARL": self._pbarl,
+                "PBEAM": self._pbeam,
+                "PBEAML": self._pbeaml,
+                "PROD": self._prod,
+                "CONROD": self._prod,
+                "PTUBE": self._ptube,
+                "PCOMP": lambda: self._pcomp("PCOMP"),
+                "PCOMPG": lambda: self._pcomp("PCOMPG"),
+            }
             own = writers[kind]()
         return own, *self.beside
 
@@ -209,8 +243,10 @@ class _Property:
 
     def _pshell(self) -> str:
         if self.row[10] or self.row[3] == "-1":
-            raise InputError(f"{self.what} couples membrane and bending (MID4), or is in plane strain (MID2 = -1), "
-                             "which MYSTRAN has not")  # fmt: skip
+            raise InputError(
+                f"{self.what} couples membrane and bending (MID4), or is in plane strain (MID2 = -1), "
+                "which MYSTRAN has not"
+            )
         if not self.row[2]:
             raise InputError(f"{self.what} has no thickness T; expected one, also where elements have their own")
         if not (self.row[1] or self.row[3]):
@@ -220,8 +256,16 @@ class _Property:
             # The mass is that of the first material.
             density = self.density if at == 1 or (at == 3 and not self.row[1]) else None
             mids.append(self._material(self.row[at], density) if self.row[at] else "")
-        fields = [self.number, mids[0], self._real(2), mids[1], self._real(4, 1.0), mids[2], self._real(6, 0.833333),
-                  self._real(7)]  # fmt: skip
+        fields = [
+            self.number,
+            mids[0],
+            self._real(2),
+            mids[1],
+            self._real(4, 1.0),
+            mids[2],
+            self._real(6, 0.833333),
+            self._real(7),
+        ]
         return card("PSHELL", fields)
 
     def _pcomp(self, kind: str) -> str:
@@ -234,9 +278,15 @@ class _Property:
             for mid, thickness, _ in layers
         ]
         fields: list[Field] = [
-            self.number, self._real(1) if self.row[1] else "", self._real(2) + twice * sum(masses), "", "", "", "",
+            self.number,
+            self._real(1) if self.row[1] else "",
+            self._real(2) + twice * sum(masses),
+            "",
+            "",
+            "",
+            "",
             laminate,
-        ]  # fmt: skip
+        ]
         numbers: dict[int, int] = {}
         for mid, thickness, angle in layers:
             if mid not in numbers:
@@ -289,8 +339,9 @@ class _Property:
         first, at = self.row[8 : 9 + count], 9 + count
         while any(self.row[at:]):
             values = self.row[at + 2 : at + 3 + count]
-            if any(word and real(word, self.what) != real(own, self.what)
-                   for word, own in zip(values, first, strict=False)):  # fmt: skip
+            if any(
+                word and real(word, self.what) != real(own, self.what) for word, own in zip(values, first, strict=False)
+            ):
                 self._not_constant()
             at += 3 + count
         return text
@@ -305,13 +356,16 @@ class _Property:
             at += 16 if self.row[at].upper() == "YES" else 8
         factors = self._real(at, 1.0), self._real(at + 1, 1.0)
         if any(self._real(i) for i in (*range(at + 4, at + 6), *range(at + 8, at + 16))):
-            raise InputError(f"{self.what} has inertia of its own about its axis, or axes beside its grids (M1 to N2); "
-                             "a bar of MYSTRAN has not")  # fmt: skip
+            raise InputError(
+                f"{self.what} has inertia of its own about its axis, or axes beside its grids (M1 to N2); "
+                "a bar of MYSTRAN has not"
+            )
         return self._bar(A, I1, I2, J, nsm, factors, I12)
 
     def _not_constant(self) -> None:
-        raise InputError(f"{self.what} is not constant along the beam; MYSTRAN assembles no CBEAM, and a CBAR is "
-                         "constant")  # fmt: skip
+        raise InputError(
+            f"{self.what} is not constant along the beam; MYSTRAN assembles no CBEAM, and a CBAR is constant"
+        )
 
     def _rod(self, A: float, J: float, nsm: float) -> str:
         return card("PROD", [self.number, self._material(self.row[1], self.density), A, J, 0.0, nsm])

@@ -52,9 +52,15 @@ def find_executable(name: str, given: str, variable: str, executables: Sequence[
 
 
 def run(
-    command: Sequence[str | Path], folder: Path, *, seconds: float, memory: int | None = None,
-    environment: Mapping[str, str] | None = None, late: str, stop: threading.Event | None = None,
-) -> str:  # fmt: skip
+    command: Sequence[str | Path],
+    folder: Path,
+    *,
+    seconds: float,
+    memory: int | None = None,
+    environment: Mapping[str, str] | None = None,
+    late: str,
+    stop: threading.Event | None = None,
+) -> str:
     """Run a program in ``folder`` and return the end of what it printed, whatever its exit status is.
 
     Args:
@@ -85,10 +91,15 @@ def run(
     with log.open("wb") as out:
         try:
             process = subprocess.Popen(
-                [str(part) for part in command], cwd=folder, stdout=out, stderr=subprocess.STDOUT,
-                stdin=subprocess.DEVNULL, env={**os.environ, **(environment or {})}, start_new_session=True,
+                [str(part) for part in command],
+                cwd=folder,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                env={**os.environ, **(environment or {})},
+                start_new_session=True,
                 preexec_fn=limits if os.name == "posix" else None,
-            )  # fmt: skip
+            )
         except OSError as error:
             raise InputError(f"{command[0]} cannot be started ({error.strerror}); check the executable") from error
         try:

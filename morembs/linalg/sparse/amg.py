@@ -12,13 +12,14 @@ import logging
 import time
 from dataclasses import dataclass, field
 from importlib.util import find_spec
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Ints, Values
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.conjugate_gradient import conjugate_gradients
 from morembs.linalg.sparse.ordering import node_graph
@@ -34,10 +35,7 @@ from morembs.linalg.sparse.solver import (
 from morembs.linalg.sparse.symmetric import Lower
 
 log = logging.getLogger(__name__)
-Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
-Ints = NDArray[np.int64]
-Values = NDArray[Any]
 
 # Two nodes belong together when the block between them has at least this share of their diagonal blocks. Measured
 # with ten-node tetrahedra: 0.05 to 0.1 take the fewest steps, and 0.15 twice as many.
@@ -135,10 +133,17 @@ class Hierarchy:
         blocks, place, near = by_nodes(A, near, starts)
         try:
             levels = pyamg.smoothed_aggregation_solver(
-                blocks, B=near, symmetry="symmetric", strength=("symmetric", {"theta": _STRENGTH}), smooth=_ENERGY,
-                improve_candidates=None, presmoother=None, postsmoother=None, max_levels=12,
+                blocks,
+                B=near,
+                symmetry="symmetric",
+                strength=("symmetric", {"theta": _STRENGTH}),
+                smooth=_ENERGY,
+                improve_candidates=None,
+                presmoother=None,
+                postsmoother=None,
+                max_levels=12,
                 max_coarse=_COARSEST // _MOTIONS,
-            ).levels  # fmt: skip
+            ).levels
         except (ValueError, RuntimeError, IndexError, ZeroDivisionError, MemoryError) as error:
             raise SolverError(f"PyAMG could not set up a multigrid hierarchy ({error}); {_CURE}") from error
         del blocks, near
@@ -242,9 +247,13 @@ class _AmgFactor(Factorization):
         for first in range(0, B.shape[1], self._width):
             part = B[:, first : first + self._width]
             solution = conjugate_gradients(
-                self._A.__matmul__, self._hierarchy.precondition, part, norm=self._norm, accuracy=_ACCURACY,
+                self._A.__matmul__,
+                self._hierarchy.precondition,
+                part,
+                norm=self._norm,
+                accuracy=_ACCURACY,
                 max_steps=_MOST_STEPS,
-            )  # fmt: skip
+            )
             self.steps = solution.steps
             error = float(solution.residual.max(initial=0.0))
             log.debug("multigrid: %d steps to a backward error of %.1e", solution.steps, error)
@@ -286,9 +295,13 @@ class _AmgAnalysis(Analysis):
     def forecast(self) -> Forecast:
         peak, kept = (int(entry * self.nnz + row * self.n + other) for entry, row, other in (_PEAK, _KEPT))
         return Forecast(
-            backend=Amg.name, size=self.n, factor_entries=int(_ENTRIES * self.nnz), flops=_FLOPS * self.nnz,
-            memory=peak, kept=kept,
-        )  # fmt: skip
+            backend=Amg.name,
+            size=self.n,
+            factor_entries=int(_ENTRIES * self.nnz),
+            flops=_FLOPS * self.nnz,
+            memory=peak,
+            kept=kept,
+        )
 
     def factorize_unchecked(self, A: Lower) -> Factorization:
         """Both triangles of ``A`` are held in double precision, which the forecast counts.
@@ -337,6 +350,4 @@ def _bytes(A: sp.csr_array) -> int:
 
 
 def _singular() -> SingularMatrixError:
-    return SingularMatrixError(
-        f"the matrix is singular or not positive definite; {MECHANISM}"
-    )
+    return SingularMatrixError(f"the matrix is singular or not positive definite; {MECHANISM}")

@@ -10,17 +10,12 @@ import time
 from dataclasses import dataclass
 from typing import ClassVar
 
+from morembs.base.types import Values
 from morembs.linalg.sparse.cholmod_library import cholmod_library
 from morembs.linalg.sparse.cholmod_session import Session, sparse
 from morembs.linalg.sparse.ordering import metis_ordering
 from morembs.linalg.sparse.sessions import SessionAnalysis, SessionFactor
-from morembs.linalg.sparse.solver import (
-    Analysis,
-    Factorization,
-    Forecast,
-    ForeignSolver,
-    Values,
-)
+from morembs.linalg.sparse.solver import Analysis, Factorization, Forecast, ForeignSolver
 from morembs.linalg.sparse.symmetric import Lower
 
 
@@ -39,9 +34,13 @@ class _CholmodAnalysis(SessionAnalysis):
         # Integers of our copy of the matrix; then the permuted copy that CHOLMOD makes, with its values.
         matrix = 8 * (self.lower_nnz + self.n) + 16 * self.lower_nnz + 8 * self.n
         return Forecast(
-            backend=self.solver.name, size=self.n, factor_entries=entries, flops=float(common.fl),
-            memory=held + matrix + 8 * int(factor.maxcsize), kept=held,
-        )  # fmt: skip
+            backend=self.solver.name,
+            size=self.n,
+            factor_entries=entries,
+            flops=float(common.fl),
+            memory=held + matrix + 8 * int(factor.maxcsize),
+            kept=held,
+        )
 
     def factorize_unchecked(self, A: Lower) -> Factorization:
         start = time.perf_counter()

@@ -35,22 +35,46 @@ FOLDERS = ("/usr/local/include/suitesparse", "/usr/include/suitesparse", "/usr/l
 # Releases up to CHOLMOD 3 define the structures in the first, later ones in the second.
 HEADERS = ("cholmod_core.h", "cholmod.h")
 _TYPES: dict[str, Any] = {
-    "double": ctypes.c_double, "float": ctypes.c_float, "int": ctypes.c_int, "size_t": ctypes.c_size_t,
-    "SuiteSparse_long": ctypes.c_int64, "int64_t": ctypes.c_int64,
-}  # fmt: skip
+    "double": ctypes.c_double,
+    "float": ctypes.c_float,
+    "int": ctypes.c_int,
+    "size_t": ctypes.c_size_t,
+    "SuiteSparse_long": ctypes.c_int64,
+    "int64_t": ctypes.c_int64,
+}
 _NEEDED = {
     "common": {
-        "supernodal", "final_ll", "zrelax", "nrelax", "quick_return_if_not_posdef", "print", "error_handler",
-        "nmethods", "method", "postorder", "itype", "status", "fl", "lnz", "memory_usage", "memory_inuse",
+        "supernodal",
+        "final_ll",
+        "zrelax",
+        "nrelax",
+        "quick_return_if_not_posdef",
+        "print",
+        "error_handler",
+        "nmethods",
+        "method",
+        "postorder",
+        "itype",
+        "status",
+        "fl",
+        "lnz",
+        "memory_usage",
+        "memory_inuse",
     },
     "sparse": {"nrow", "ncol", "nzmax", "p", "i", "x", "stype", "itype", "xtype", "dtype", "sorted", "packed"},
     "dense": {"nrow", "ncol", "nzmax", "d", "x", "xtype", "dtype"},
     "factor": {"n", "minor", "Perm", "nsuper", "xsize", "maxcsize", "is_super", "xtype"},
-}  # fmt: skip
+}
 _FUNCTIONS: dict[str, Any] = {
-    "start": ctypes.c_int, "finish": ctypes.c_int, "analyze_p": ctypes.c_void_p, "factorize": ctypes.c_int,
-    "change_factor": ctypes.c_int, "solve2": ctypes.c_int, "free_factor": ctypes.c_int, "free_dense": ctypes.c_int,
-}  # fmt: skip
+    "start": ctypes.c_int,
+    "finish": ctypes.c_int,
+    "analyze_p": ctypes.c_void_p,
+    "factorize": ctypes.c_int,
+    "change_factor": ctypes.c_int,
+    "solve2": ctypes.c_int,
+    "free_factor": ctypes.c_int,
+    "free_dense": ctypes.c_int,
+}
 # A library that is newer than the header writes beyond the structure while it is being tested.
 _PADDING = 1 << 14
 _DEFAULT_NRELAX = [4, 16, 48]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
+from morembs.base.types import Values
 from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.sparse.cholmod_library import (
     GIVEN,
@@ -28,7 +29,6 @@ from morembs.linalg.sparse.solver import MECHANISM
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.progress import SILENT, Progress
 
-Values = NDArray[Any]
 # Columns solved at once. Narrow blocks spend their time in reading the factor; wider ones gain nothing more.
 _BLOCK = 128
 # Fewer columns than this are not worth a thread: it reads the whole factor for them.
@@ -36,9 +36,11 @@ _NARROW = 8
 # The number of threads of the BLAS belongs to the whole process.
 _SIDE_BY_SIDE = threading.Lock()
 _WORDS = {
-    -1: "it was built without a part that is needed", -2: "memory could not be allocated",
-    -3: "the matrix is too large for its integers", -4: "it found its input invalid",
-}  # fmt: skip
+    -1: "it was built without a part that is needed",
+    -2: "memory could not be allocated",
+    -3: "the matrix is too large for its integers",
+    -4: "it found its input invalid",
+}
 
 
 class _Place:

@@ -13,15 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
-Values = NDArray[Any]
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from morembs.base.types import Bools, Floats, Values
+
 Operator = Callable[[Values], Values]
 
 # Steps without halving the residual after which a column counts as stalled: residuals rise and rest for a while
@@ -52,9 +50,15 @@ class Solution:
 
 
 def conjugate_gradients(
-    apply: Operator, precondition: Operator, B: Values, *, norm: float, accuracy: float = 1e-12,
-    backward: float = 4e-16, max_steps: int = 200,
-) -> Solution:  # fmt: skip
+    apply: Operator,
+    precondition: Operator,
+    B: Values,
+    *,
+    norm: float,
+    accuracy: float = 1e-12,
+    backward: float = 4e-16,
+    max_steps: int = 200,
+) -> Solution:
     """X of A X = B for symmetric A, real or complex.
 
     A column is done when ||precondition(r)||, an estimate of its error, is below ``accuracy`` ||x||, or when its
@@ -161,7 +165,7 @@ class _Run:
         stop = np.ones(len(self.columns), dtype=bool)
         self._verify(stop, stop)
 
-    def _verify(self, done: Flags, stop: Flags) -> tuple[Flags, Flags]:
+    def _verify(self, done: Bools, stop: Bools) -> tuple[Bools, Bools]:
         """Remove the columns ``done`` (j,) whose true residual agrees, and all of those to ``stop``.
 
         The others go on with their true residual, unless that does not halve any more.
@@ -191,7 +195,7 @@ class _Run:
         self._drop(keep)
         return keep, fresh[keep]
 
-    def _drop(self, keep: Flags) -> None:
+    def _drop(self, keep: Bools) -> None:
         if keep.all():
             return
         self.R = _compact(self.R, keep)
@@ -259,7 +263,7 @@ def _part(X: Values, columns: NDArray[np.int64]) -> Values:
     return X[:, first:last] if last - first == len(columns) else np.asfortranarray(X[:, columns])
 
 
-def _compact(X: Values, keep: Flags) -> Values:
+def _compact(X: Values, keep: Bools) -> Values:
     """The columns to keep, moved to the front in place."""
     for to, column in enumerate(np.flatnonzero(keep)):
         if to != column:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Values
 from morembs.errors import InputError, SingularMatrixError
 from morembs.linalg.sparse.conjugate_gradient import conjugate_gradients
 from morembs.linalg.sparse.mumps import Mumps
@@ -20,7 +20,6 @@ from morembs.linalg.sparse.solver import Analysis, Factorization, FactorStats, F
 from morembs.linalg.sparse.symmetric import Lower
 
 log = logging.getLogger(__name__)
-Values = NDArray[Any]
 # A rough factor that needs more steps than this costs more than a double one.
 MOST_STEPS = 30
 # Columns iterated at once: five arrays of this width exist.
@@ -114,11 +113,7 @@ class _MixedFactor(Factorization):
         size[size == 0.0] = 1.0
         B = B / size
         solution = conjugate_gradients(
-            lambda X: np.asfortranarray(self._A @ X),
-            self._precondition,
-            B,
-            norm=self._norm,
-            max_steps=MOST_STEPS,
+            lambda X: np.asfortranarray(self._A @ X), self._precondition, B, norm=self._norm, max_steps=MOST_STEPS
         )
         log.debug("%d steps to a backward error of %.1e", solution.steps, solution.residual.max(initial=0.0))
         return None if solution.stagnated else solution.X * size
@@ -163,9 +158,12 @@ class Mixed(LinearSolver):
     def rough(self) -> Mumps:
         """The solver of the rough factor."""
         return self.direct(
-            memory=self.memory, scratch=self.scratch, precision=self.precision, low_rank=self.low_rank,
+            memory=self.memory,
+            scratch=self.scratch,
+            precision=self.precision,
+            low_rank=self.low_rank,
             out_of_core=self.out_of_core,
-        )  # fmt: skip
+        )
 
     def exact(self) -> Mumps:
         """The solver that takes over where the iteration stagnates."""

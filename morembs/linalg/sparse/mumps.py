@@ -10,11 +10,11 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Values
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.mumps_instance import ANALYSE, FACTORIZE, Instance
 from morembs.linalg.sparse.mumps_library import Library, embedded_library, system_library
@@ -27,13 +27,12 @@ from morembs.linalg.sparse.solver import (
     FactorStats,
     Forecast,
     LinearSolver,
-)  # fmt: skip
+)
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.progress import SILENT, Progress
 from morembs.scratch import ScratchFolder, free_bytes
 
 log = logging.getLogger(__name__)
-Values = NDArray[Any]
 PRECISIONS = ("double", "single")
 _MEGABYTE = 1_000_000
 # Room for pivots that are put off, in per cent; a positive definite matrix puts none off.
@@ -209,10 +208,16 @@ class MumpsAnalysis(Analysis):
         disk = size * entries if number == 26 else 0
         needed = self.solver.megabytes(instance, number) * _MEGABYTE + matrix
         return Forecast(
-            backend=self.backend, size=self.n, factor_entries=entries, flops=instance.real_info(1),
-            memory=needed, kept=0 if disk else size * entries, disk=disk,
-            precision=self.solver.precision, ranks=self.solver.local(instance),
-        )  # fmt: skip
+            backend=self.backend,
+            size=self.n,
+            factor_entries=entries,
+            flops=instance.real_info(1),
+            memory=needed,
+            kept=0 if disk else size * entries,
+            disk=disk,
+            precision=self.solver.precision,
+            ranks=self.solver.local(instance),
+        )
 
     def _have_room(self, wanted: Forecast) -> Forecast:
         if wanted.disk:
@@ -251,9 +256,13 @@ class MumpsAnalysis(Analysis):
         entries, on_disk = instance.count(29), self._folder is not None
         held = instance.dtype.itemsize * entries
         stats = self._stats(
-            start, entries, memory_bytes=0 if on_disk else held, disk_bytes=held if on_disk else 0,
-            out_of_core=on_disk, flops=instance.real_info(3),
-        )  # fmt: skip
+            start,
+            entries,
+            memory_bytes=0 if on_disk else held,
+            disk_bytes=held if on_disk else 0,
+            out_of_core=on_disk,
+            flops=instance.real_info(3),
+        )
         return _MumpsFactor(self, stats)
 
     def _eliminate(self, A: Lower) -> None:

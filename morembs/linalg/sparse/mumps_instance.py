@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Values
 from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.mumps_library import USE_COMM_WORLD, Library
@@ -17,7 +17,6 @@ from morembs.linalg.sparse.solver import MECHANISM
 from morembs.linalg.sparse.symmetric import General, Lower
 from morembs.progress import SILENT, Progress
 
-Values = NDArray[Any]
 SYM = {"spd": 1, "symmetric": 2, "complex-symmetric": 2, "unsymmetric": 0, "complex-unsymmetric": 0}
 ANALYSE, FACTORIZE, SOLVE, END, FREE_FACTOR = 1, 2, 3, -2, -4
 _SINGULAR = {-10, -40}
@@ -25,13 +24,19 @@ _MILLION = 1_000_000
 # KEEP(421): -1 where updates of symmetric fronts go through DGEMMT.
 _SYMMETRIC_PRODUCT = 420
 _WORDS = {
-    -5: "memory could not be allocated", -7: "memory could not be allocated",
-    -13: "memory could not be allocated", -8: "integer workspace too small", -9: "workspace too small",
-    -11: "workspace too small for the solution", -14: "integer workspace too small for the solution",
-    -19: "the memory budget is too small", -20: "buffer too small",
-    -51: "the graph is too large for 32-bit integers", -52: "the graph is too large for 32-bit integers",
+    -5: "memory could not be allocated",
+    -7: "memory could not be allocated",
+    -13: "memory could not be allocated",
+    -8: "integer workspace too small",
+    -9: "workspace too small",
+    -11: "workspace too small for the solution",
+    -14: "integer workspace too small for the solution",
+    -19: "the memory budget is too small",
+    -20: "buffer too small",
+    -51: "the graph is too large for 32-bit integers",
+    -52: "the graph is too large for 32-bit integers",
     -90: "the scratch folder cannot be written or is full; make room there, or give another one",
-}  # fmt: skip
+}
 
 
 class Instance(ForeignObject):
@@ -161,9 +166,7 @@ class Instance(ForeignObject):
         """The exception for a job that failed."""
         code, detail = self.info(1), self.info(2)
         if code in _SINGULAR:
-            return SingularMatrixError(
-                f"the matrix is singular (MUMPS INFOG(1) = {code}); {MECHANISM}"
-            )
+            return SingularMatrixError(f"the matrix is singular (MUMPS INFOG(1) = {code}); {MECHANISM}")
         words = _WORDS.get(code, "see the manual of MUMPS")
         return SolverError(f"MUMPS failed in the {phase}: INFOG(1) = {code}, INFOG(2) = {detail}: {words}")
 

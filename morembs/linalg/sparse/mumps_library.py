@@ -36,9 +36,27 @@ RANKS_HINT = "sudo apt-get install libmumps-dev openmpi-bin libmetis5 libopenbla
 
 _TYPES: dict[str, Any] = {"MUMPS_INT": ctypes.c_int32, "MUMPS_INT8": ctypes.c_int64, "char": ctypes.c_char}
 _NEEDED = {
-    "sym", "par", "job", "comm_fortran", "icntl", "cntl", "n", "nnz", "irn", "jcn", "a", "perm_in", "rhs", "nrhs",
-    "lrhs", "infog", "rinfog", "version_number", "ooc_tmpdir", "ooc_prefix",
-}  # fmt: skip
+    "sym",
+    "par",
+    "job",
+    "comm_fortran",
+    "icntl",
+    "cntl",
+    "n",
+    "nnz",
+    "irn",
+    "jcn",
+    "a",
+    "perm_in",
+    "rhs",
+    "nrhs",
+    "lrhs",
+    "infog",
+    "rinfog",
+    "version_number",
+    "ooc_tmpdir",
+    "ooc_prefix",
+}
 # The letter that MUMPS puts before its names, by type of the values.
 ARITHMETIC = {"float64": "d", "complex128": "z", "float32": "s", "complex64": "c"}
 # MUMPS keeps state in global variables, so one job runs at a time. Reentrant, because the garbage

@@ -15,11 +15,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Ints
 from morembs.linalg.sparse.foreign import find_library
 from morembs.linalg.sparse.symmetric import Lower
 
 log = logging.getLogger(__name__)
-Ints = NDArray[np.int64]
 
 _OPTIONS = 40
 _OK = 1

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Values
 from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.ordering import metis_ordering
@@ -23,14 +23,15 @@ from morembs.linalg.sparse.solver import MECHANISM, Analysis, Factorization, For
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.progress import SILENT, Progress
 
-Values = NDArray[Any]
 _MTYPE = {"spd": 2, "symmetric": -2, "complex-symmetric": 6}
 _ANALYSE, _FACTORIZE, _SOLVE, _FREE_FACTOR, _FREE = 11, 22, 33, 0, -1
 _SINGULAR = {-4, -7}
 _WORDS = {
-    -1: "it found its input invalid", -2: "memory could not be allocated", -3: "the ordering failed",
+    -1: "it found its input invalid",
+    -2: "memory could not be allocated",
+    -3: "the ordering failed",
     -8: "the matrix is too large for its integers",
-}  # fmt: skip
+}
 # Columns solved at once. Blocks of 16 cost twice the time per column, and 64 are close to 128.
 _BLOCK = 128
 # Pivots below 10^-this of the largest value count as zero. Small ones stay: the check of the factor judges them
@@ -93,11 +94,23 @@ class _Handle(ForeignObject):
 
         code = self._integer(0)
         self._function(
-            address(self._pt), number(1), number(1), number(self._mtype), number(phase), number(self.n),
-            address(self._a), address(self._indptr), address(self._indices), address(self._order),
-            number(1 if B is None else B.shape[1]), address(self.iparm), number(0), address(B), address(X),
+            address(self._pt),
+            number(1),
+            number(1),
+            number(self._mtype),
+            number(phase),
+            number(self.n),
+            address(self._a),
+            address(self._indptr),
+            address(self._indices),
+            address(self._order),
+            number(1 if B is None else B.shape[1]),
+            address(self.iparm),
+            number(0),
+            address(B),
+            address(X),
             ctypes.byref(code),
-        )  # fmt: skip
+        )
         return int(code.value)
 
     def factorize(self, A: Lower, progress: Progress, news: str) -> int:
@@ -237,9 +250,13 @@ class _PardisoAnalysis(SessionAnalysis):
         integers = iparm.itemsize * (self.lower_nnz + 2 * self.n)
         kept = symbolic + numeric + integers
         return Forecast(
-            backend=self.solver.name, size=self.n, factor_entries=int(iparm[17]), flops=1e6 * float(iparm[18]),
-            memory=max(peak + integers, kept), kept=kept,
-        )  # fmt: skip
+            backend=self.solver.name,
+            size=self.n,
+            factor_entries=int(iparm[17]),
+            flops=1e6 * float(iparm[18]),
+            memory=max(peak + integers, kept),
+            kept=kept,
+        )
 
     def factorize_unchecked(self, A: Lower) -> Factorization:
         start = time.perf_counter()

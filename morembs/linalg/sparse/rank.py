@@ -78,9 +78,15 @@ class Mpi:
         """The values of all ranks, on rank 0."""
         own, values = np.array([value], dtype=np.int64), np.zeros(self.size, dtype=np.int64)
         self._library.MPI_Gather(
-            ctypes.c_void_p(own.ctypes.data), 1, self._long, ctypes.c_void_p(values.ctypes.data), 1, self._long, 0,
+            ctypes.c_void_p(own.ctypes.data),
+            1,
+            self._long,
+            ctypes.c_void_p(values.ctypes.data),
+            1,
+            self._long,
+            0,
             self._world,
-        )  # fmt: skip
+        )
         return [int(each) for each in values]
 
     def end(self) -> None:

@@ -75,9 +75,13 @@ class Ranks:
         listener = self._listener()
         with listener, self._log.open("wb") as words:
             self._mpirun = subprocess.Popen(
-                self._arguments(), stdin=subprocess.DEVNULL, stdout=words, stderr=words, env=self._environment(),
+                self._arguments(),
+                stdin=subprocess.DEVNULL,
+                stdout=words,
+                stderr=words,
+                env=self._environment(),
                 start_new_session=True,
-            )  # fmt: skip
+            )
             # Before the folder is removed at the end of this process.
             self._finalize = weakref.finalize(self, _end, self._mpirun, self._folder, os.getpid())
             try:
@@ -307,10 +311,14 @@ class RanksLibrary(Library):
             arrays[name] = file
             rhs = array if name == "rhs" else rhs
         return {
-            **command, "icntl": list(data.icntl), "cntl": list(data.cntl), "arrays": arrays,
-            "ooc_tmpdir": data.ooc_tmpdir.decode(), "ooc_prefix": data.ooc_prefix.decode(),
+            **command,
+            "icntl": list(data.icntl),
+            "cntl": list(data.cntl),
+            "arrays": arrays,
+            "ooc_tmpdir": data.ooc_tmpdir.decode(),
+            "ooc_prefix": data.ooc_prefix.decode(),
             "counts": {name: int(getattr(data, name)) for name in COUNTS},
-        }, rhs  # fmt: skip
+        }, rhs
 
 
 def _at(address: int, size: int, dtype: np.dtype[Any]) -> Any:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
+from morembs.base.types import Floats
 from morembs.errors import BudgetError, InputError, SolverError, enough_megabytes
 from morembs.linalg.sparse.amg import Amg
 from morembs.linalg.sparse.cholmod import Cholmod
@@ -15,7 +16,7 @@ from morembs.linalg.sparse.mixed import Mixed
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps, MumpsAnalysis
 from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.pardiso import Pardiso
-from morembs.linalg.sparse.solver import STRUCTURES, Analysis, Floats, Forecast, LinearSolver
+from morembs.linalg.sparse.solver import STRUCTURES, Analysis, Forecast, LinearSolver
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.umfpack import Umfpack
@@ -26,8 +27,16 @@ log = logging.getLogger(__name__)
 AUTO = "auto"
 # One name for each solver.
 _OWN: tuple[type[LinearSolver], ...] = (
-    Mumps, EmbeddedMumps, Pardiso, Mixed, Cholmod, Umfpack, Amg, RankedMumps, SuperLU,
-)  # fmt: skip
+    Mumps,
+    EmbeddedMumps,
+    Pardiso,
+    Mixed,
+    Cholmod,
+    Umfpack,
+    Amg,
+    RankedMumps,
+    SuperLU,
+)
 SOLVERS: Registry[type[LinearSolver]] = Registry(
     "morembs.solvers", {solver_class.name: solver_class for solver_class in _OWN}, subclass_fault(LinearSolver, "name")
 )

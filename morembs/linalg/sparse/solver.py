@@ -17,8 +17,8 @@ from typing import Any, ClassVar, Self, final
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats, Values
 from morembs.closing import Closing
 from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.symmetric import General, Lower
@@ -27,8 +27,6 @@ from morembs.moved import with_old_names
 from morembs.progress import SILENT, Progress
 
 log = logging.getLogger(__name__)
-Floats = NDArray[np.float64]
-Values = NDArray[Any]
 
 SYMMETRIC_STRUCTURES = ("spd", "symmetric", "complex-symmetric")
 STRUCTURES = (*SYMMETRIC_STRUCTURES, "unsymmetric", "complex-unsymmetric")
@@ -243,12 +241,20 @@ class Analysis(_Resource):
         """
         plan = self.forecast
         usual: dict[str, Any] = {
-            "memory_bytes": 8 * entries, "out_of_core": False, "flops": plan.flops, "precision": plan.precision
-        }  # fmt: skip
+            "memory_bytes": 8 * entries,
+            "out_of_core": False,
+            "flops": plan.flops,
+            "precision": plan.precision,
+        }
         return FactorStats(
-            backend=plan.backend, size=self.n, nnz=self.nnz, factor_entries=entries, threads=blas_threads(),
-            seconds=time.perf_counter() - start, **{**usual, **more},
-        )  # fmt: skip
+            backend=plan.backend,
+            size=self.n,
+            nnz=self.nnz,
+            factor_entries=entries,
+            threads=blas_threads(),
+            seconds=time.perf_counter() - start,
+            **{**usual, **more},
+        )
 
     @final
     def _close(self) -> None:
@@ -288,10 +294,17 @@ class Analysis(_Resource):
         stats = factor.stats
         log.info(
             "%s: n=%d nnz=%d factor entries=%d (%.3g MB%s, %s precision, %d threads) %.2f s, %.2f s with its check",
-            stats.backend, stats.size, stats.nnz, stats.factor_entries, (stats.memory_bytes + stats.disk_bytes) / 1e6,
-            " out of core" if stats.out_of_core else "", stats.precision, stats.threads, stats.seconds,
+            stats.backend,
+            stats.size,
+            stats.nnz,
+            stats.factor_entries,
+            (stats.memory_bytes + stats.disk_bytes) / 1e6,
+            " out of core" if stats.out_of_core else "",
+            stats.precision,
+            stats.threads,
+            stats.seconds,
             time.perf_counter() - start,
-        )  # fmt: skip
+        )
         return factor
 
 
@@ -475,9 +488,7 @@ def check_factor(factor: Factorization, A: Lower, what: str) -> None:
         growth = float(np.linalg.norm(x, axis=0).max())
         seen = growth * np.sqrt(A.n / _ON_DISK) if on_disk else growth
         if not np.isfinite(growth) or norm * seen > SINGULAR:
-            raise SingularMatrixError(
-                f"{what} is singular (condition above {SINGULAR:.0e}); {MECHANISM}"
-            )
+            raise SingularMatrixError(f"{what} is singular (condition above {SINGULAR:.0e}); {MECHANISM}")
         used = A.transposed() if other else A
         residual = float(np.linalg.norm(d * (used @ (d * x)) - b, axis=0).max()) / (norm * growth + 1.0)
         if residual > BACKWARD_ERROR:

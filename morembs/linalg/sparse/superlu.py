@@ -11,6 +11,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from numpy.typing import NDArray
 
+from morembs.base.types import Values
 from morembs.errors import BudgetError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.ordering import metis_ordering
 from morembs.linalg.sparse.solver import (
@@ -21,8 +22,7 @@ from morembs.linalg.sparse.solver import (
     FactorStats,
     Forecast,
     LinearSolver,
-    Values,
-)  # fmt: skip
+)
 from morembs.linalg.sparse.symmetric import Lower
 
 # A row number of 32 bits with the value of every entry.
@@ -93,9 +93,8 @@ class _SuperLUAnalysis(Analysis):
         entries = int(_ENTRIES * self.n ** (4 / 3))
         size = entries * self._entry
         return Forecast(
-            backend=SuperLU.name, size=self.n, factor_entries=entries, flops=0.5 * entries**1.5,
-            memory=size, kept=size,
-        )  # fmt: skip
+            backend=SuperLU.name, size=self.n, factor_entries=entries, flops=0.5 * entries**1.5, memory=size, kept=size
+        )
 
     def factorize_unchecked(self, A: Lower) -> Factorization:
         """Raises SingularMatrixError or SolverError (out of memory)."""
@@ -119,9 +118,7 @@ class _SuperLUAnalysis(Analysis):
             return spla.splu(whole, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         except RuntimeError as error:
             if "singular" in str(error):
-                raise SingularMatrixError(
-                    f"the matrix is exactly singular; {MECHANISM}"
-                ) from None
+                raise SingularMatrixError(f"the matrix is exactly singular; {MECHANISM}") from None
             raise SolverError(f"SuperLU failed: {error}") from error
         except MemoryError as error:
             raise SolverError(

@@ -12,11 +12,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Values
 from morembs.budget import UNLIMITED, Budget
 from morembs.errors import InputError, SingularMatrixError
 
-Values = NDArray[Any]
-Ints = NDArray[Any]
 # Rows handled at once: the temporaries of a piece stay small compared with the matrix.
 _ROWS = 1 << 15
 # Relative difference between the two triangles that is still round-off of an assembly.
@@ -30,8 +29,8 @@ class Lower:
     Read by rows the same arrays are the upper triangle. Real or complex symmetric (not Hermitian).
     """
 
-    indptr: Ints
-    indices: Ints
+    indptr: Values
+    indices: Values
     data: Values
 
     @property
@@ -100,7 +99,7 @@ class Lower:
             budget.release_if_tight()
         return cls(indptr, indices, data)
 
-    def columns(self) -> Ints:
+    def columns(self) -> Values:
         """Column number (nnz,) of each entry."""
         return np.repeat(np.arange(self.n, dtype=self.indices.dtype), np.diff(self.indptr))
 
@@ -230,7 +229,7 @@ class General(Lower):
         return np.asarray(np.abs(self.data[part]) + np.abs(self.skew[part]))
 
 
-def _upper(A: sp.csr_array) -> Iterator[tuple[int, Ints, NDArray[np.bool_]]]:
+def _upper(A: sp.csr_array) -> Iterator[tuple[int, Values, NDArray[np.bool_]]]:
     """Pieces of ``A``: their first row, the row of each entry, and whether it lies on or right of the diagonal."""
     for first in range(0, A.shape[0], _ROWS):
         last = min(first + _ROWS, A.shape[0])

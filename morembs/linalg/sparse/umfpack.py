@@ -16,21 +16,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.types import Values
 from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.sparse.cholmod_session import fill_of
 from morembs.linalg.sparse.foreign import find_library, open_deep
 from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.ordering import metis_ordering
 from morembs.linalg.sparse.sessions import SessionAnalysis, SessionFactor
-from morembs.linalg.sparse.solver import (
-    MECHANISM,
-    Analysis,
-    Factorization,
-    FactorStats,
-    Forecast,
-    ForeignSolver,
-    Values,
-)
+from morembs.linalg.sparse.solver import MECHANISM, Analysis, Factorization, FactorStats, Forecast, ForeignSolver
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.progress import Progress
 
@@ -198,9 +191,13 @@ class _UmfpackAnalysis(SessionAnalysis):
         values = size * self.nnz
         kept = int(_KEPT * size * entries) + matrix + (0 if self.structure == "spd" else values)
         return Forecast(
-            backend=self.solver.name, size=self.n, factor_entries=entries, flops=flops,
-            memory=max(peak + matrix + values, kept), kept=kept,
-        )  # fmt: skip
+            backend=self.solver.name,
+            size=self.n,
+            factor_entries=entries,
+            flops=flops,
+            memory=max(peak + matrix + values, kept),
+            kept=kept,
+        )
 
     def factorize_unchecked(self, A: Lower) -> Factorization:
         start = time.perf_counter()

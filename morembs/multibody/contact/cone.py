@@ -9,11 +9,10 @@ is solved by a damped nonsmooth Newton method (Alart and Curnier 1991).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import SolverError
 
-Floats = NDArray[np.float64]
 _NEWTON = 40
 _SWEEPS = 300
 _ROUNDS = 4

@@ -10,14 +10,13 @@ from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.multibody.component import vector
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int_]
 _ITERATIONS = 60
 _CLOSE = 1e-14
 
@@ -50,9 +49,7 @@ def overhauser(count: int, u: float, closed: bool = False) -> tuple[Ints, Floats
     u = u % pieces if closed else u
     i = min(max(int(np.floor(u)), 0), pieces - 1)
     s = u - i
-    value = 0.5 * np.array(
-        [-s + 2 * s**2 - s**3, 2 - 5 * s**2 + 3 * s**3, s + 4 * s**2 - 3 * s**3, s**3 - s**2]
-    )  # fmt: skip
+    value = 0.5 * np.array([-s + 2 * s**2 - s**3, 2 - 5 * s**2 + 3 * s**3, s + 4 * s**2 - 3 * s**3, s**3 - s**2])
     slope = 0.5 * np.array([-1 + 4 * s - 3 * s**2, -10 * s + 9 * s**2, 1 + 8 * s - 9 * s**2, 3 * s**2 - 2 * s])
     near = np.arange(i - 1, i + 3)
     if closed:

@@ -12,14 +12,14 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError, nearest
 from morembs.multibody.component import Marker, MarkerState, direction
 from morembs.multibody.forces import Force
 
-Floats = NDArray[np.float64]
 # chi v0 by the restitution, of each law.
 _FACTORS = {
     "hunt-crossley": lambda e: 1.5 * (1 - e),

@@ -6,16 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.base.types import Bools, Floats, Ints
 from morembs.multibody.contact.kinematics import Contacts, ContactState
 from morembs.multibody.contact.lcp import ContactProblem, Forces, Responses
 from morembs.multibody.reactions import least_norm, saddle
 from morembs.multibody.system import Assembly
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int_]
 # A crossing this near to the start of a step, as part of it, is the one that the step starts from.
 _BEGIN = 1e-9
 _SHORTEST = 1e-4
@@ -39,9 +36,8 @@ class ImpactSolution:
 
 
 def resolve_impact(
-    assembly: Assembly, group: Contacts, t: float, x: Floats, v: Floats, touching: Bools, restitution: Floats,
-    h: float,
-) -> ImpactSolution:  # fmt: skip
+    assembly: Assembly, group: Contacts, t: float, x: Floats, v: Floats, touching: Bools, restitution: Floats, h: float
+) -> ImpactSolution:
     """Velocities after an impact of all points that touch, with ``restitution`` (m,) of each.
 
     Newton's law may add energy where friction turns the sliding round (Kane 1984): restitution is then reduced to where
@@ -63,9 +59,16 @@ def resolve_impact(
     if not r:
         return ImpactSolution(v=y, impulse=impulse, friction=friction, closed=closed, limit=least)
     problem = ContactProblem.of(
-        N=N, T=T, XN=responses.YN, XT=responses.YT, gap=N @ y, slip=T @ y,
-        friction=group.friction[rows], compliance=np.zeros((r, r)), noise=(1e-2 * least, 1e-2 * least),
-    )  # fmt: skip
+        N=N,
+        T=T,
+        XN=responses.YN,
+        XT=responses.YT,
+        gap=N @ y,
+        slip=T @ y,
+        friction=group.friction[rows],
+        compliance=np.zeros((r, r)),
+        noise=(1e-2 * least, 1e-2 * least),
+    )
     rebound = restitution[rows] * np.minimum(N @ v, 0.0)
 
     def solved(part: Floats) -> tuple[Forces, Floats, Floats]:
@@ -97,9 +100,7 @@ def resolve_impact(
     )
 
 
-def _without_gain(
-    solved: Callable[[Floats], tuple[Forces, Floats, Floats]], part: Floats, points: Bools
-) -> Floats:  # fmt: skip
+def _without_gain(solved: Callable[[Floats], tuple[Forces, Floats, Floats]], part: Floats, points: Bools) -> Floats:
     """The largest part (r,) of the restitution of some points that adds no energy; without restitution none is."""
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):

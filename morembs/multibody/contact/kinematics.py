@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Bools, Floats
 from morembs.errors import InputError
 from morembs.multibody.component import Component, Marker, MarkerState, direction, numbers
 from morembs.multibody.contact.surfaces import NodalSurface, Surface
 from morembs.multibody.rotations import cross, hat
 from morembs.multibody.system import Assembly, State
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 _AT_REST = 1e-8
 
 
@@ -58,10 +57,18 @@ class Contact:
     """
 
     def __init__(
-        self, points: Sequence[Marker], surface: Surface, *, on: Marker, vertices: Sequence[Marker] = (),
-        friction: float = 0.0, restitution: float = 0.0, axis: ArrayLike = (1.0, 0.0, 0.0),
-        compliance: ArrayLike | Compliant | None = None, name: str = "contact",
-    ) -> None:  # fmt: skip
+        self,
+        points: Sequence[Marker],
+        surface: Surface,
+        *,
+        on: Marker,
+        vertices: Sequence[Marker] = (),
+        friction: float = 0.0,
+        restitution: float = 0.0,
+        axis: ArrayLike = (1.0, 0.0, 0.0),
+        compliance: ArrayLike | Compliant | None = None,
+        name: str = "contact",
+    ) -> None:
         self.name, self.surface, self.on = name, surface, on
         self.points, self.vertices = tuple(points), tuple(vertices)
         self.friction, self.restitution = float(friction), float(restitution)
@@ -212,7 +219,7 @@ class Contacts:
             local = [
                 self.assembly.place(p, x).axes.T @ n
                 for p, n in zip(contact.points, kinematics.normal[rows], strict=True)
-            ]  # fmt: skip
+            ]
             rotated = np.zeros((len(contact.compliance), len(contact.points)))
             for i, n in enumerate(local):
                 rotated[3 * i : 3 * i + 3, i] = n

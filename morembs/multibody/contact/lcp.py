@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.types import Bools, Floats
 from morembs.errors import SolverError
 from morembs.multibody.contact.cone import coulomb
 from morembs.multibody.contact.lemke import RayError, lemke
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 _NEAR = 1e-4
 # Slip below this part of the largest entry of the problem is none.
 _STICKS = 1e-11
@@ -83,14 +82,29 @@ class ContactProblem:
 
     @classmethod
     def of(
-        cls, *, N: Floats, T: Floats, XN: Floats, XT: Floats, gap: Floats, slip: Floats, friction: Floats,
-        compliance: Floats, noise: tuple[float, float],
-    ) -> ContactProblem:  # fmt: skip
+        cls,
+        *,
+        N: Floats,
+        T: Floats,
+        XN: Floats,
+        XT: Floats,
+        gap: Floats,
+        slip: Floats,
+        friction: Floats,
+        compliance: Floats,
+        noise: tuple[float, float],
+    ) -> ContactProblem:
         """The problem of rows N (r, k), T (r, 2, k) with the responses XN (k, r) and XT (k, r, 2) to unit forces."""
         return cls(
-            gap=gap, slip=slip, NN=N @ XN + compliance, NT=np.einsum("ik,kjc->ijc", N, XT), TN=T @ XN,
-            TT=np.einsum("iak,kjc->iajc", T, XT), friction=friction, noise=noise,
-        )  # fmt: skip
+            gap=gap,
+            slip=slip,
+            NN=N @ XN + compliance,
+            NT=np.einsum("ik,kjc->ijc", N, XT),
+            TN=T @ XN,
+            TT=np.einsum("iak,kjc->iajc", T, XT),
+            friction=friction,
+            noise=noise,
+        )
 
     def given(self, known: NDArray[np.int_], force: Floats) -> ContactProblem:
         """The same problem with some normal forces given: those of compliant points follow from their gaps."""

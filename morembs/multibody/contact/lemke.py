@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, SolverError
 
-Floats = NDArray[np.float64]
 # Entries of a scaled pivot column below this part of its largest are round-off.
 _PIVOT = 1e-11
 # Ratios that differ by less than this, relative to the largest, are ties.

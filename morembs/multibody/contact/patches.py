@@ -9,17 +9,16 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.multibody.contact.curves import checked_points
 from morembs.multibody.contact.surfaces import ClosestPoint, NodalSurface, foot_at
 from morembs.multibody.rotations import cross
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int_]
 # Exponents of the Bernstein polynomials of degree four that are on the border, and those inside.
 _BORDER = tuple((i, j, 4 - i - j) for i in range(5) for j in range(5 - i) if not (i and j and 4 - i - j))
 _INNER = ((2, 1, 1), (1, 2, 1), (1, 1, 2))
@@ -151,9 +150,14 @@ class TriangleSurface(NodalSurface):
         patches = [_patch(points[t], normals[t]) for t in triangles]
         tree = cKDTree(points[triangles].mean(axis=1))
         values = {
-            "points": points, "vertices": points, "triangles": triangles, "normals": normals, "_patches": patches,
-            "neighbours": neighbours, "_tree": tree,
-        }  # fmt: skip
+            "points": points,
+            "vertices": points,
+            "triangles": triangles,
+            "normals": normals,
+            "_patches": patches,
+            "neighbours": neighbours,
+            "_tree": tree,
+        }
         for key, value in values.items():
             object.__setattr__(self, key, value)
 

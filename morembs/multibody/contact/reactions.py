@@ -14,6 +14,7 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.types import Bools, Floats
 from morembs.multibody.contact.impact import resolve_impact
 from morembs.multibody.contact.kinematics import ContactKinematics, Contacts, ContactState
 from morembs.multibody.contact.lcp import NO_FORCES, ContactProblem, Forces, Responses
@@ -21,8 +22,6 @@ from morembs.multibody.contact.lemke import lemke
 from morembs.multibody.reactions import LU, HeldRows, Iterate, Reactions, saddle
 from morembs.multibody.system import Assembly, State
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 # Accelerations of points below this part of what they are made of are round-off.
 _ROUND_AT_START = 1e-13
 # A point that touches opens where its gap is above this part of the size of the system.
@@ -89,10 +88,16 @@ class ContactReactions(Reactions):
             YN[:, number] += YT[:, number] @ against[number]
         normal, tangential = group.rates(x, v, h, rows)
         problem = ContactProblem.of(
-            N=N, T=T, XN=YN[:k], XT=YT[:k], gap=N @ y + normal, slip=T @ y + tangential,
-            friction=np.where(moving, 0.0, group.friction[rows]), compliance=np.zeros((len(rows), len(rows))),
+            N=N,
+            T=T,
+            XN=YN[:k],
+            XT=YT[:k],
+            gap=N @ y + normal,
+            slip=T @ y + tangential,
+            friction=np.where(moving, 0.0, group.friction[rows]),
+            compliance=np.zeros((len(rows), len(rows))),
             noise=(_round_off(N, y), _round_off(T, y)),
-        )  # fmt: skip
+        )
         forces = problem.given(np.flatnonzero(group.compliant[rows]), given[rows]).solve(rows, group.count)
         friction = forces.friction + against * forces.normal[:, None]
         self._take(rows, Forces(normal=forces.normal, friction=friction, sliding=forces.sliding | moving))
@@ -130,10 +135,11 @@ class ContactReactions(Reactions):
         if len(touched):
             normal[touched], tangential[touched] = group.rates(x, v, h, touched)
         return HeldRows(
-            rows=np.vstack((kinematics.N[pressing], T)), pull=np.vstack((pull[pressing], T)),
+            rows=np.vstack((kinematics.N[pressing], T)),
+            pull=np.vstack((pull[pressing], T)),
             acceleration=np.concatenate((-normal[pressing], -tangential[sticking].ravel())),
             load=self._compliant_forces(x, kinematics) @ pull,
-        )  # fmt: skip
+        )
 
     def closed(self, x: Floats) -> Floats:
         return np.asarray(self._kinematics(x).N[self._pressing])
@@ -152,10 +158,19 @@ class ContactReactions(Reactions):
             gap = kinematics.gap + deflection
             self.points_closed = self.points_closed & ((self.force > 0) | (gap <= _OPEN * self.size))
         return ContactState(
-            assembly=state.assembly, time=state.time, x=state.x, v=state.v, acceleration=state.acceleration,
-            multipliers=state.multipliers, kinematics=kinematics, force=self.force, friction=self.friction,
-            sliding=self.sliding, deflection=deflection, closed=self.points_closed,
-        )  # fmt: skip
+            assembly=state.assembly,
+            time=state.time,
+            x=state.x,
+            v=state.v,
+            acceleration=state.acceleration,
+            multipliers=state.multipliers,
+            kinematics=kinematics,
+            force=self.force,
+            friction=self.friction,
+            sliding=self.sliding,
+            deflection=deflection,
+            closed=self.points_closed,
+        )
 
     def measure(self, state: State, length: float) -> float:
         self.size = max(length, float(np.abs(cast(ContactState, state).kinematics.foot).max(initial=0.0)))
@@ -177,12 +192,16 @@ class ContactReactions(Reactions):
         turned, y = self.assembly.tangent(N, iterate.step), responses.y[:k]
         sliding = float((np.abs(T) @ np.abs(iterate.v)).max())
         problem = ContactProblem.of(
-            N=turned, T=T, XN=responses.YN[:k], XT=responses.YT[:k],
+            N=turned,
+            T=T,
+            XN=responses.YN[:k],
+            XT=responses.YT[:k],
             gap=kinematics.gap[rows] / iterate.c_q + turned @ y,
-            slip=T @ (iterate.v / iterate.c_v + y), friction=group.friction[rows],
+            slip=T @ (iterate.v / iterate.c_v + y),
+            friction=group.friction[rows],
             compliance=group.flexibility(x, kinematics)[np.ix_(rows, rows)] / iterate.c_q,
             noise=(_ROUND * self.size / iterate.c_q, _ROUND * sliding / iterate.c_v),
-        )  # fmt: skip
+        )
         if len(rows) > 1:
             problem = problem.near(self.force[rows], self.friction[rows])
         forces = problem.solve(rows, group.count)

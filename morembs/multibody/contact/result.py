@@ -9,12 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.types import Floats
 from morembs.errors import InputError, SolverError
 from morembs.multibody.contact.kinematics import Contact, Contacts, ContactState
 from morembs.multibody.result import Energy, Result
 from morembs.summary import summarised
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

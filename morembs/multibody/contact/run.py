@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Bools, Floats
 from morembs.errors import InputError, SolverError
 from morembs.multibody.contact.impact import first_touch, project_positions, resolve_impact, sliding_ends
 from morembs.multibody.contact.kinematics import Contact, Contacts, ContactState
@@ -25,8 +26,6 @@ from morembs.multibody.contact.result import ContactError, ContactResult, Contac
 from morembs.multibody.run import CLOSE, Events, Repeat, Run
 from morembs.multibody.system import Assembly, State, System
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 # Touching, as part of the size of the system: for the search, and at most at the start.
 _TOUCH, _PENETRATION = 1e-11, 1e-9
 _SEARCH = 8
@@ -34,9 +33,17 @@ _SEARCH = 8
 
 @checked
 def simulate_contact(
-    system: System, contacts: Sequence[Contact], *, end: float, step: float, rho: float = 0.8, begin: float = 0.0,
-    tolerance: float = 1e-9, corrected_start: bool = True, max_deflection: float | None = 1.0,
-) -> ContactResult:  # fmt: skip
+    system: System,
+    contacts: Sequence[Contact],
+    *,
+    end: float,
+    step: float,
+    rho: float = 0.8,
+    begin: float = 0.0,
+    tolerance: float = 1e-9,
+    corrected_start: bool = True,
+    max_deflection: float | None = 1.0,
+) -> ContactResult:
     """Integrate a system with contacts from ``begin`` to ``end`` (s) with steps of at most ``step``.
 
     Generalised alpha as in ``simulate``, with a linear complementarity problem on the level of positions in each step
@@ -60,9 +67,16 @@ def simulate_contact(
         raise InputError("no contacts were given to simulate_contact; expected one or more, else take simulate")
     events = ContactEvents(contacts, step)
     run = Run(
-        system, events, begin=begin, end=end, step=step, rho=rho, tolerance=tolerance, corrected=corrected_start,
+        system,
+        events,
+        begin=begin,
+        end=end,
+        step=step,
+        rho=rho,
+        tolerance=tolerance,
+        corrected=corrected_start,
         max_deflection=max_deflection,
-    )  # fmt: skip
+    )
     try:
         run.finish()
     except np.linalg.LinAlgError:
@@ -135,10 +149,16 @@ class ContactEvents(Events):
             points = tuple(group.named(int(i)) for i in np.flatnonzero(hits))
             self.impacts.append(
                 Impact(
-                    time=t, points=points, approach=np.where(touching, -approach, 0.0), impulse=after.impulse,
-                    friction=after.friction, loss=-after.work, driving=after.driving, segment=len(self.touches),
+                    time=t,
+                    points=points,
+                    approach=np.where(touching, -approach, 0.0),
+                    impulse=after.impulse,
+                    friction=after.friction,
+                    loss=-after.work,
+                    driving=after.driving,
+                    segment=len(self.touches),
                 )
-            )  # fmt: skip
+            )
             self.last[hits] = t
         return x, after.v
 

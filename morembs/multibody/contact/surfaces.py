@@ -6,16 +6,14 @@ from abc import ABC, abstractmethod
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.multibody.component import direction, vector
 from morembs.multibody.contact.curves import checked_points, descend, overhauser
 from morembs.multibody.rotations import cross
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int_]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
@@ -109,9 +107,12 @@ class Sphere(Surface):
         out = arm / distance if distance > 0 else np.array([0.0, 0.0, 1.0])
         sign = -1.0 if self.hollow else 1.0
         return ClosestPoint(
-            gap=sign * (distance - self.radius), point=center + self.radius * out, normal=sign * out,
-            vertices=_NO_VERTICES, weights=_NO_WEIGHTS,
-        )  # fmt: skip
+            gap=sign * (distance - self.radius),
+            point=center + self.radius * out,
+            normal=sign * out,
+            vertices=_NO_VERTICES,
+            weights=_NO_WEIGHTS,
+        )
 
 
 @checked

@@ -17,11 +17,12 @@ from itertools import pairwise
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import nnls
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError, SolverError
 from morembs.model.elements import FACES
 from morembs.model.selection import select_nodes
@@ -31,8 +32,6 @@ from morembs.multibody.contact.surfaces import Sphere
 from morembs.problem import Problem
 
 log = logging.getLogger(__name__)
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 # Right-hand sides at a time, and elements across the contact radius below which its force is uncertain.
 _BLOCK, _ACROSS = 32, 4.0
 # Faces that the undeformed body would reach at this multiple of the largest penetration may come into contact.
@@ -189,8 +188,11 @@ def contact_table(
             log.warning(
                 "at a penetration of %.3g m the contact reaches over %.1f elements to the side, where %g are needed: "
                 "its force is uncertain; make elements of %.2g m there",
-                depth, reached / faces.size, _ACROSS, reached / _ACROSS,
-            )  # fmt: skip
+                depth,
+                reached / faces.size,
+                _ACROSS,
+                reached / _ACROSS,
+            )
     return ContactTable(list(penetration), forces, areas)
 
 

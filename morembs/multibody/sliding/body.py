@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.model import frozen
 from morembs.multibody.bodies import FlexibleBody
@@ -25,8 +25,6 @@ from morembs.multibody.linear_body import LinearBody
 from morembs.multibody.sliding.path import PathState
 from morembs.reducers.switching_tables import INTERPOLATIONS, ActiveSet, StaticModeTables, active_set
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 VARIANTS = ("quasi-static", "dynamic")
 # Active sets that are kept for reuse.
 _KEPT = 64
@@ -66,10 +64,16 @@ class SwitchingBody(Component):
     """
 
     def __init__(
-        self, inner: LinearBody | FlexibleBody, switching: StaticModeTables, *, at: Sequence[float] | float = (0.0,),
-        variant: str = "quasi-static", look_ahead: int = 1, damping_ratio: float = 0.1,
+        self,
+        inner: LinearBody | FlexibleBody,
+        switching: StaticModeTables,
+        *,
+        at: Sequence[float] | float = (0.0,),
+        variant: str = "quasi-static",
+        look_ahead: int = 1,
+        damping_ratio: float = 0.1,
         interpolation: str = "catmull-rom",
-    ) -> None:  # fmt: skip
+    ) -> None:
         label = f"body {inner.name!r}"
         for what, given, known in (("variant", variant, VARIANTS), ("interpolation", interpolation, INTERPOLATIONS)):
             if given not in known:
@@ -85,9 +89,11 @@ class SwitchingBody(Component):
         self.damping_ratio = damping_ratio
         floating = isinstance(inner, FlexibleBody)
         # Elastic coordinates among the velocities and the configuration of the inner body.
-        self.in_v, self.in_x = (slice(6, inner.size), slice(12, inner.configuration_size)) if floating else (
-            slice(0, inner.size), slice(0, inner.size)
-        )  # fmt: skip
+        self.in_v, self.in_x = (
+            (slice(6, inner.size), slice(12, inner.configuration_size))
+            if floating
+            else (slice(0, inner.size), slice(0, inner.size))
+        )
         self.map = inner.frame.elastic if isinstance(inner, FlexibleBody) else np.eye(inner.size)
         # Reduced coordinates by velocities of the inner body: static modes next to constraint modes push its frame too.
         self.all_inner = np.hstack((inner.frame.rigid, self.map)) if isinstance(inner, FlexibleBody) else self.map
@@ -313,7 +319,15 @@ class PathMarker(Marker):
             jacobian[:3, :3] = np.eye(3)
             jacobian[3:6, 3:6] = axes
         return PathState(
-            position=position, axes=axes, jacobian=jacobian, switching=body.switching, candidates=read,
-            amplitudes=amplitudes, R=active.R[self.window], offset=body.origin,
-            first=body.firsts(x)[self.window], width=body.width, interpolation=body.interpolation,
-        )  # fmt: skip
+            position=position,
+            axes=axes,
+            jacobian=jacobian,
+            switching=body.switching,
+            candidates=read,
+            amplitudes=amplitudes,
+            R=active.R[self.window],
+            offset=body.origin,
+            first=body.firsts(x)[self.window],
+            width=body.width,
+            interpolation=body.interpolation,
+        )

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError, MorembsError
 from morembs.multibody.result import Result
 from morembs.multibody.run import EventHandler, RestartState, Run
@@ -17,7 +17,6 @@ from morembs.multibody.sliding.body import Active, SwitchingBody
 from morembs.multibody.sliding.loads import PathSupport, Slider
 from morembs.multibody.system import Assembly, State, System
 
-Floats = NDArray[np.float64]
 # Amplitudes below this part of the largest drop out without a trace.
 QUIET = 1e-6
 
@@ -118,9 +117,14 @@ class SlidingSwitch(EventHandler):
         return RestartState(x=x, v=v)
 
     def _moved(
-        self, body: SwitchingBody, x: Floats, v: Floats, firsts: tuple[int, ...], state: State,
+        self,
+        body: SwitchingBody,
+        x: Floats,
+        v: Floats,
+        firsts: tuple[int, ...],
+        state: State,
         wanted: Sequence[tuple[SwitchingBody, int, str, float]],
-    ) -> tuple[Floats, Floats]:  # fmt: skip
+    ) -> tuple[Floats, Floats]:
         """Configuration and velocity in the new active set, with an entry in the log for each window."""
         old, olds = body.active(x), body.firsts(x)
         new = body.active_of(firsts)
@@ -203,9 +207,16 @@ class UnfinishedRunError(InputError):
 
 @checked
 def simulate_sliding(
-    system: System, switch: SlidingSwitch, *, end: float, step: float, rho: float = 0.9, begin: float = 0.0,
-    tolerance: float = 1e-9, max_deflection: float | None = 1.0,
-) -> Result:  # fmt: skip
+    system: System,
+    switch: SlidingSwitch,
+    *,
+    end: float,
+    step: float,
+    rho: float = 0.9,
+    begin: float = 0.0,
+    tolerance: float = 1e-9,
+    max_deflection: float | None = 1.0,
+) -> Result:
     """``simulate`` with a switch, from ``begin`` to ``end`` (s) in steps of at most ``step`` (s) and with its options;
     what was integrated is not lost where the run cannot go on.
 
@@ -219,9 +230,16 @@ def simulate_sliding(
     run = None
     try:
         run = Run(
-            system, switch, begin=begin, end=end, step=step, rho=rho, tolerance=tolerance, corrected=slow,
+            system,
+            switch,
+            begin=begin,
+            end=end,
+            step=step,
+            rho=rho,
+            tolerance=tolerance,
+            corrected=slow,
             max_deflection=max_deflection,
-        )  # fmt: skip
+        )
         run.finish()
         return run.result()
     except MorembsError as error:

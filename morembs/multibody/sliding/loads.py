@@ -8,9 +8,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from morembs.arguments import checked
+from morembs.base.types import Floats
 from morembs.errors import InputError
 from morembs.multibody.component import Marker, MarkerState, direction
 from morembs.multibody.forces import Force, Load, _load
@@ -19,8 +20,6 @@ from morembs.multibody.rotations import cross
 from morembs.multibody.sliding.body import PathMarker
 from morembs.multibody.sliding.path import PathState, PointOfPath
 from morembs.multibody.system import State
-
-Floats = NDArray[np.float64]
 
 
 class Slider:

@@ -6,18 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.arguments import checked
+from morembs.base.types import Floats, Ints
 from morembs.errors import InputError
 from morembs.multibody.result import Result
 from morembs.multibody.segment import Segment
 from morembs.multibody.sliding.body import SwitchingBody
 from morembs.multibody.sliding.loads import Slider
 from morembs.multibody.system import State
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,6 +90,10 @@ def _local(state: State, body: SwitchingBody, s: float, stress: bool) -> tuple[F
 def state_of(segment: Segment, k: int) -> State:
     """The state number k of a segment."""
     return State(
-        assembly=segment.assembly, time=float(segment.time[k]), x=segment.x[k], v=segment.v[k],
-        acceleration=segment.acceleration[k], multipliers=segment.multipliers[k],
-    )  # fmt: skip
+        assembly=segment.assembly,
+        time=float(segment.time[k]),
+        x=segment.x[k],
+        v=segment.v[k],
+        acceleration=segment.acceleration[k],
+        multipliers=segment.multipliers[k],
+    )

@@ -15,12 +15,25 @@ from pathlib import Path
 HIDDEN = {
     "windows": {
         "modules": ("fcntl", "resource", "pwd", "grp", "termios"),
-        "os": ("posix_fallocate", "sched_getaffinity", "fork", "link", "geteuid", "getuid", "getpgid", "killpg",
-               "mkfifo", "O_NOFOLLOW", "O_DIRECTORY", "sysconf", "fchmod"),
+        "os": (
+            "posix_fallocate",
+            "sched_getaffinity",
+            "fork",
+            "link",
+            "geteuid",
+            "getuid",
+            "getpgid",
+            "killpg",
+            "mkfifo",
+            "O_NOFOLLOW",
+            "O_DIRECTORY",
+            "sysconf",
+            "fchmod",
+        ),
         "signal": ("SIGHUP", "SIGALRM", "SIGKILL", "SIGUSR1", "setitimer", "alarm", "pthread_sigmask"),
     },
     "macos": {"modules": (), "os": ("posix_fallocate", "sched_getaffinity"), "signal": ()},
-}  # fmt: skip
+}
 
 
 def held() -> set[str]:
