@@ -25,12 +25,12 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats
 from morembs.certificate.certify import Certificate, certify
 from morembs.certificate.limits import body_response
-from morembs.errors import InputError, SolverError
-from morembs.interface import make_interface
-from morembs.model import DofMap, FEModel, Nodes
+from morembs.fem import DofMap, FEModel, Nodes
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import Balanced, CraigBampton, FreeInterface, Gramian, Krylov, Modal
 from morembs.reducers.base import ReducedModel

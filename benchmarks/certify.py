@@ -56,7 +56,7 @@ def measure(spec: dict[str, Any], steel: Callable[[str, int], Any]) -> Row:
     import numpy as np
 
     from morembs.certificate.certify import certify
-    from morembs.interface import make_interface
+    from morembs.fem.interface import make_interface
     from morembs.problem import Damping, Problem
     from morembs.reducers import AutoReducer, FreeInterface
     from morembs.responses.band import beyond

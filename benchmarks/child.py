@@ -27,8 +27,10 @@ import numpy as np
 import scipy.sparse.linalg as spla
 from threadpoolctl import threadpool_info
 
+from morembs.base.errors import MorembsError
+from morembs.base.memory import peak_memory_bytes, resident_bytes
 from morembs.base.types import Floats
-from morembs.errors import MorembsError
+from morembs.fem import ElementBlock, FEModel, Mesh, Nodes
 from morembs.linalg.dynamic_stiffness import grounded
 from morembs.linalg.sparse.mixed import Mixed
 from morembs.linalg.sparse.mumps import Mumps
@@ -38,8 +40,6 @@ from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.threads import blas_threads
 from morembs.linalg.statics import support_dofs
-from morembs.memory import peak_memory_bytes, resident_bytes
-from morembs.model import ElementBlock, FEModel, Mesh, Nodes
 
 Row = dict[str, Any]
 Spec = dict[str, Any]

@@ -27,12 +27,12 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
-from morembs.errors import MorembsError
+from morembs.base.errors import MorembsError
+from morembs.fem import FEModel, rigid_motion
 from morembs.importers import import_file
 from morembs.importers.engines.calculix import find_ccx
 from morembs.importers.engines.calculix_import import import_with_calculix
 from morembs.importers.to_model import model_of
-from morembs.model import FEModel, rigid_motion
 
 DENSITY, MODES, SECONDS, SECTOR = 7.8e-9, 10, 60, "CYCLIC SYMMETRY MODEL"
 # The first eigenvalue of a held body, of the largest one that is looked at, at least.

@@ -17,12 +17,12 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from stages import Stages
 
+from morembs.base.memory import peak_memory_bytes, resident_bytes
 from morembs.base.types import Floats
+from morembs.fem import FEModel
 from morembs.linalg.eigen import lowest_modes
 from morembs.linalg.slicing import Shifted
 from morembs.linalg.statics import ConstrainedStatics
-from morembs.memory import peak_memory_bytes, resident_bytes
-from morembs.model import FEModel
 from morembs.problem import Problem
 
 Row = dict[str, Any]

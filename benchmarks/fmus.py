@@ -17,8 +17,8 @@ from typing import Any
 from measure import Report, Row, Settings, child, in_rounds
 from startup import bar_body
 
+from morembs.base.memory import resident_bytes
 from morembs.exporters import export_body
-from morembs.memory import resident_bytes
 
 MODES, STEP = 28, 1e-5
 STRUCTURES = ("linear", "floating")

@@ -15,11 +15,11 @@ import numpy as np
 import scipy.linalg as sl
 from measure import Report, Row, Settings, child, in_rounds, ratios
 
+from morembs.base.memory import peak_memory_bytes, resident_bytes
 from morembs.base.types import Floats
-from morembs.floating.frame import floating_frame
-from morembs.floating.integrals import ShapeIntegrals
-from morembs.memory import peak_memory_bytes, resident_bytes
-from morembs.model import FEModel
+from morembs.body.floating.frame import floating_frame
+from morembs.body.floating.integrals import ShapeIntegrals
+from morembs.fem import FEModel
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel, projected
 

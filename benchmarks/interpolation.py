@@ -18,13 +18,13 @@ from eigen import Timed
 from models import interfaces
 
 from morembs import Problem, full_response, make_interface
+from morembs.base.errors import MorembsError
+from morembs.base.memory import peak_memory_bytes, resident_bytes
 from morembs.base.types import Complexes, Floats
 from morembs.certificate.response import reduced_response
-from morembs.errors import MorembsError
+from morembs.fem import FEModel
+from morembs.fem.selection import select_nodes
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
-from morembs.memory import peak_memory_bytes, resident_bytes
-from morembs.model import FEModel
-from morembs.model.selection import select_nodes
 from morembs.problem import Damping
 from morembs.reducers.krylov import Krylov
 

@@ -26,13 +26,13 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from benchmarks.attack.scenarios import ROOT
-from morembs.batches.coordinator import Coordinator
-from morembs.batches.manifest import Manifest
-from morembs.batches.plan import parts_of
-from morembs.batches.records import Nobody
-from morembs.batches.workers import Finished, Heard, Task, Worker
-from morembs.jobs.job import load_job
-from morembs.memory import peak_memory_bytes
+from morembs.app.batches.coordinator import Coordinator
+from morembs.app.batches.manifest import Manifest
+from morembs.app.batches.plan import parts_of
+from morembs.app.batches.records import Nobody
+from morembs.app.batches.workers import Finished, Heard, Task, Worker
+from morembs.app.jobs.job import load_job
+from morembs.base.memory import peak_memory_bytes
 from morembs.storage.attempts import attempt_at
 from morembs.storage.checksums import whole_sum
 

@@ -47,11 +47,11 @@ def slider_crank(elements: tuple[int, int], model: str, quick: bool) -> Row:
 
 
 def pendulum(body: bool, quick: bool) -> Row:
-    """The flexible pendulum, by the mechanism of morembs.nonlinear or as a body of morembs.multibody."""
+    """The flexible pendulum, by a mechanism of morembs.dynamics.nonlinear or as a body of multibody."""
     import numpy as np
 
-    from morembs.gmp import ParameterisedBody, PlaneJoint, ReducedMember
-    from morembs.multibody import System, ground, rotation, simulate
+    from morembs.dynamics.gmp import ParameterisedBody, PlaneJoint, ReducedMember
+    from morembs.dynamics.multibody import System, ground, rotation, simulate
     from studies.flexible_pendulum import fall, rod
 
     member = ReducedMember(rod(3e6), modes=3, formulation="membrane", reach=0.83, points_per_angle=9)
@@ -106,9 +106,9 @@ def offline(solid: bool, options: dict[str, Any], quick: bool) -> Row:
     """The offline stage of a member; processor time of all its processes."""
     import os
 
-    from morembs.gmp import ReducedMember
-    from morembs.gmp.solid_member import solid_member
-    from morembs.nonlinear import PlanarBeam, Section
+    from morembs.dynamics.gmp import ReducedMember
+    from morembs.dynamics.gmp.solid_member import solid_member
+    from morembs.dynamics.nonlinear import PlanarBeam, Section
 
     if solid:
         component = _prism(4 if quick else 36)
@@ -138,7 +138,7 @@ def _prism(elements: int) -> Any:
     import numpy as np
 
     from morembs import assemble, isotropic, make_interface
-    from morembs.nonlinear.solid import NonlinearSolid
+    from morembs.dynamics.nonlinear.solid import NonlinearSolid
     from tests.support.meshes import box
 
     length, side = 0.152, 8.862e-3

@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from morembs.errors import MorembsError
+from morembs.base.errors import MorembsError
+from morembs.fem import FEModel, rigid_motion
 from morembs.importers import import_file
 from morembs.importers.to_model import model_of
-from morembs.model import FEModel, rigid_motion
 from tests.support.meshes import box
 from tests.support.mystran import STEEL, plate
 

@@ -23,23 +23,23 @@ from pathlib import Path
 
 import numpy as np
 
+from morembs.base.memory import peak_memory_bytes
+from morembs.base.progress import Progress
 from morembs.base.types import Floats
+from morembs.base.units import parse_units
+from morembs.fem import FEModel, Mesh
+from morembs.fem.interface import make_interface
+from morembs.fem.material import isotropic
+from morembs.fem.selection import select_nodes
 from morembs.importers import read_mesh
-from morembs.interface import make_interface
-from morembs.memory import peak_memory_bytes
-from morembs.model import FEModel, Mesh
-from morembs.model.material import isotropic
-from morembs.model.selection import select_nodes
 from morembs.parametric.basis import ParametricBasis
 from morembs.parametric.parameter import Parameter
 from morembs.parametric.terms import AffineProblem
 from morembs.parametric.varied import varied_model
 from morembs.problem.damping import Damping
-from morembs.progress import Progress
 from morembs.reducers import CraigBampton
 from morembs.reducers.parametric import ParametricReducer
 from morembs.responses.direct import elastic_states
-from morembs.units import parse_units
 
 MESHES = Path(__file__).parents[1] / "data" / "small_meshes"
 YOUNG, DENSITY = (1.5e11, 2.7e11, 2.1e11), (7000.0, 8700.0, 7850.0)

@@ -68,7 +68,7 @@ def load_box(path: Path, kind: str) -> Any:
     """Mesh that ``prepare`` wrote."""
     import numpy as np
 
-    from morembs.model import ElementBlock, Mesh, Nodes
+    from morembs.fem import ElementBlock, Mesh, Nodes
 
     with np.load(path) as data:
         block = ElementBlock(type=kind, nodes=data["nodes"], ids=np.arange(len(data["nodes"])))
@@ -78,7 +78,7 @@ def load_box(path: Path, kind: str) -> Any:
 def assemble_tetrahedra(mesh: Any) -> Row:
     """K and M of a cube of second-order tetrahedra; memory of the assembly, matrices included."""
     from morembs import assemble, isotropic
-    from morembs.memory import peak_memory_bytes, resident_bytes
+    from morembs.base.memory import peak_memory_bytes, resident_bytes
 
     before, start, used = resident_bytes(), time.perf_counter(), time.process_time()
     model = assemble(mesh, [isotropic(**_STEEL)])
@@ -102,7 +102,7 @@ def assemble_with_scikit_fem(mesh: Any) -> Row:
     from skfem.helpers import dot
     from skfem.models.elasticity import lame_parameters, linear_elasticity
 
-    from morembs.memory import peak_memory_bytes, resident_bytes
+    from morembs.base.memory import peak_memory_bytes, resident_bytes
 
     corners, cells = np.unique(mesh.blocks[0].nodes[:, :4], return_inverse=True)
     points = np.ascontiguousarray(mesh.nodes.xyz[corners].T)
@@ -130,7 +130,7 @@ def couple_beam(mesh: Any, folder: Path | None = None) -> Row:
     import numpy as np
 
     from morembs import Problem, assemble, isotropic, make_interface
-    from morembs.budget import Budget
+    from morembs.base.budget import Budget
 
     model, z = assemble(mesh, [isotropic(**_STEEL)]), mesh.nodes.xyz[:, 2]
     ends = [
@@ -184,8 +184,8 @@ def average_interface(mesh: Any) -> Row:
     import numpy as np
 
     from morembs import assemble, isotropic, make_interface
-    from morembs.interface import couple
-    from morembs.memory import peak_memory_bytes
+    from morembs.base.memory import peak_memory_bytes
+    from morembs.fem.interface import couple
 
     model = assemble(mesh, [isotropic(**_STEEL)])
     top = np.flatnonzero(model.nodes.xyz[:, 2] > model.nodes.xyz[:, 2].mean())

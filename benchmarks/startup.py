@@ -48,8 +48,8 @@ def bar_body(path: Path, modes: int) -> Path:
     from models import box
 
     from morembs import CraigBampton, Problem, elastic_body, isotropic, make_interface, make_part, write_body
-    from morembs.model import ElementBlock, Mesh, Nodes
-    from morembs.model.assembly import assemble
+    from morembs.fem import ElementBlock, Mesh, Nodes
+    from morembs.fem.assembly import assemble
 
     points, cells = box((0.5, 0.05, 0.03), (6, 1, 1))
     nodes = Nodes(ids=np.arange(1, len(points) + 1), xyz=points)

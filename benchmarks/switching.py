@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from measure import Report, Row, Settings, child, in_rounds
 
-from morembs.budget import Budget
+from morembs.base.budget import Budget
+from morembs.base.memory import peak_memory_bytes, resident_bytes
+from morembs.fem import ElementBlock, FEModel, Mesh, Nodes
+from morembs.fem.assembly import assemble
+from morembs.fem.material import isotropic
 from morembs.linalg.sparse.select import select_solver
-from morembs.memory import peak_memory_bytes, resident_bytes
-from morembs.model import ElementBlock, FEModel, Mesh, Nodes
-from morembs.model.assembly import assemble
-from morembs.model.material import isotropic
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
 from morembs.reducers.switching_tables import StaticModeTables

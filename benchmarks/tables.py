@@ -216,8 +216,8 @@ TABLES: dict[str, Table] = {
         )
     )),
     "pendulum": Table("steps", "pendulum", (_STEP,), (
-        ("mechanism of `morembs.nonlinear`", "pendulum: mechanism"),
-        ("body of `morembs.multibody`", "pendulum: body"),
+        ("mechanism of `morembs.dynamics.nonlinear`", "pendulum: mechanism"),
+        ("body of `morembs.dynamics.multibody`", "pendulum: body"),
     )),
 }
 

@@ -20,8 +20,8 @@ import numpy as np
 import scipy.linalg as sl
 from certificates import Drawn, asked, dense_errors, drawn, exact_modes
 
+from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Complexes, Floats
-from morembs.errors import InputError, SolverError
 from morembs.linalg.quadrature import trapezoid
 from morembs.problem import Problem
 from morembs.reducers import AutoReducer

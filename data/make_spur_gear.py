@@ -15,10 +15,10 @@ import meshio
 import numpy as np
 
 from morembs.base.types import Floats, Ints
-from morembs.model import ElementBlock, FEModel, Mesh, Nodes
-from morembs.model.assembly import assemble
-from morembs.model.grid import grid_cells
-from morembs.model.material import isotropic
+from morembs.fem import ElementBlock, FEModel, Mesh, Nodes
+from morembs.fem.assembly import assemble
+from morembs.fem.grid import grid_cells
+from morembs.fem.material import isotropic
 
 MODULE, PRESSURE, WIDTH = 5e-3, math.radians(20.0), 0.02  # m, rad, m
 TEETH = (24, 36)

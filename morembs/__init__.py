@@ -31,9 +31,9 @@ import lazy_loader
 
 # First, as it quiets the idle threads of OpenBLAS before NumPy loads its copy.
 import morembs.linalg  # noqa: F401
-from morembs.moved import accept_old_names
+from morembs.base.former_names import accept_former_rooms
 from morembs.version import VERSION
 
-accept_old_names()
+accept_former_rooms()
 __version__ = VERSION
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,36 +1,37 @@
 # What ``import morembs`` offers, and where each name lives.
-from .assembly import Couple, Substructure, Unreduced, assemble_bodies
-from .batches.run import batch
+from .app.batches.run import batch
+from .base.errors import InputError, MorembsError
+from .base.units import parse_units
 from .body import ElasticBody, elastic_body, make_part
+from .body.diagnostics import examined
 from .body.file import read_body, write_body
+from .body.floating.frame import FloatingFrame, floating_frame
+from .body.floating.ranking import ranked_terms
+from .body.floating.spin import campbell
+from .body.floating.spinning import Rotation, spinning
+from .body.floating.spinning_modes import spinning_modes
+from .body.floating.stiffening import Envelope
+from .body.floating.stiffening_terms import geometric_stiffening
+from .body.recovery.recover import expand, recover
+from .body.recovery.trajectory import Trajectory, read_trajectory
 from .body.stress_shapes import stress_recovery
 from .certificate.certify import Certificate, certify
 from .certificate.limits import ErrorLimits, error_limits
 from .certificate.response import full_response, reduced_response, to_xarray
-from .diagnostics import examined
-from .errors import InputError, MorembsError
+from .dynamics.assembly import Couple, Substructure, Unreduced, assemble_bodies
 from .exporters import export_body
 from .exporters.state_space import StateSpace, state_space
-from .floating.frame import FloatingFrame, floating_frame
-from .floating.ranking import ranked_terms
-from .floating.spin import campbell
-from .floating.spinning import Rotation, spinning
-from .floating.spinning_modes import spinning_modes
-from .floating.stiffening import Envelope
-from .floating.stiffening_terms import geometric_stiffening
+from .fem import DofMap, ElementBlock, FEModel, Mesh, NamedColumns, Nodes
+from .fem.assembly import assemble
+from .fem.fe_model import split_unsymmetric
+from .fem.interface import Interface, make_interface, matrix_interface
+from .fem.material import Material, isotropic, orthotropic
+from .fem.selection import select_nodes
+from .fem.tubes import Flow, Tube, conveying, tube_model
 from .importers import read_mesh
 from .importers.from_matrices import from_matrices
-from .interface import Interface, make_interface, matrix_interface
 from .linalg.sparse.select import available_solvers, select_solver
-from .model import DofMap, ElementBlock, FEModel, Mesh, NamedColumns, Nodes
-from .model.assembly import assemble
-from .model.fe_model import split_unsymmetric
-from .model.material import Material, isotropic, orthotropic
-from .model.selection import select_nodes
-from .model.tubes import Flow, Tube, conveying, tube_model
 from .problem import Damping, Problem
-from .recovery.recover import expand, recover
-from .recovery.trajectory import Trajectory, read_trajectory
 from .reducers import (
     REDUCERS,
     Automatic,
@@ -51,7 +52,6 @@ from .responses.band import band_frequencies
 from .responses.certified import CertifiedReference, certified_reference
 from .responses.direct import direct_response
 from .responses.measures import Limit
-from .units import parse_units
 
 __version__: str
 

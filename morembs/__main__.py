@@ -1,5 +1,5 @@
 """``python -m morembs`` is the command ``morembs``."""
 
-from morembs.cli import console
+from morembs.app.cli import console
 
 console()

@@ -19,10 +19,10 @@ from common import OURS, THEIRS, THIRD, Curve, ExudynBeams, Floats, Panel, draw,
 from scipy.signal import lsim
 
 import morembs
+from morembs.dynamics.gmp import divided_member
+from morembs.dynamics.nonlinear import FullMember, Mechanism, PlanarBeam, Section, simulate
 from morembs.exporters.exudyn_system import exudyn_missing
-from morembs.gmp import divided_member
-from morembs.model import DofMap, FEModel, Nodes
-from morembs.nonlinear import FullMember, Mechanism, PlanarBeam, Section, simulate
+from morembs.fem import DofMap, FEModel, Nodes
 
 LENGTH, ELEMENTS, MASSES = 0.5, 12, (0.1, 0.05)  # m and elements of each beam, kg at their upper ends
 SECTION = Section.of(E=7e10, A=20e-3 * 1.5e-3, I=20e-3 * 1.5e-3**3 / 12, density=2700.0)

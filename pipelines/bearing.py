@@ -15,9 +15,7 @@ import numpy as np
 from common import OURS, STEEL, THEIRS, Curve, Floats, Panel, draw, parse
 
 import morembs
-from morembs.model import DofMap, FEModel
-from morembs.model.grid import grid_mesh
-from morembs.multibody import (
+from morembs.dynamics.multibody import (
     ContactElement,
     ContactTable,
     PointLoad,
@@ -30,6 +28,8 @@ from morembs.multibody import (
     equilibrium,
     ground,
 )
+from morembs.fem import DofMap, FEModel
+from morembs.fem.grid import grid_mesh
 
 RADIUS, BLOCK, BALLS = 0.01, 0.012, 8  # m, m
 YOUNG, POISSON = STEEL["young"], STEEL["poisson"]

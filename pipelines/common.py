@@ -16,15 +16,15 @@ import scipy.sparse as sp
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.picture import save
+from morembs.app.jobs.run import run_job
 from morembs.base.types import Floats
+from morembs.dynamics.multibody import Result, SlidingSwitch, System, UnfinishedRunError, simulate_sliding
+from morembs.dynamics.nonlinear import Section
 from morembs.exporters.exudyn_system import ExudynBody, ExudynSystem
-from morembs.jobs.job import load_job
-from morembs.jobs.picture import save
-from morembs.jobs.run import run_job
-from morembs.model import DofMap, FEModel, Nodes
-from morembs.model.grid import box_mesh
-from morembs.multibody import Result, SlidingSwitch, System, UnfinishedRunError, simulate_sliding
-from morembs.nonlinear import Section
+from morembs.fem import DofMap, FEModel, Nodes
+from morembs.fem.grid import box_mesh
 from morembs.storage.safefile import replacing
 
 OURS, THEIRS, THIRD = "#d1495b", "#2e86ab", "#3d9970"

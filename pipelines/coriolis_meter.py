@@ -19,7 +19,7 @@ from common import Curve, Floats, Panel, draw, parse
 
 import morembs
 from morembs.base.types import Complexes
-from morembs.model import skew
+from morembs.fem import skew
 
 TUBE = morembs.Tube(outer=3e-3, inner=2.6e-3, young=195e9, density=8000.0)
 CORNERS = np.array([[0, -5, 0], [0, -69.25, 0], [92.5, -69.25, 0], [92.5, 69.25, 0], [0, 69.25, 0], [0, 5, 0]]) * 1e-3

@@ -21,11 +21,11 @@ from scipy.optimize import OptimizeResult, minimize
 from scipy.stats import qmc
 
 import morembs
+from morembs.app.jobs.inputs import materials_of
+from morembs.app.jobs.job import Job, load_job
+from morembs.app.jobs.parameters import varied_of
+from morembs.app.jobs.run import run_job
 from morembs.body.parametric import ParametricBody
-from morembs.jobs.inputs import materials_of
-from morembs.jobs.job import Job, load_job
-from morembs.jobs.parameters import varied_of
-from morembs.jobs.run import run_job
 from morembs.parametric.update import Measured
 
 MESH = Path(__file__).resolve().parents[1] / "data" / "small_meshes" / "conrod.msh"

@@ -16,8 +16,8 @@ import numpy as np
 from common import STEEL, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
 
 import morembs
-from morembs import multibody as mb
-from morembs.model.grid import box_mesh
+from morembs.dynamics import multibody as mb
+from morembs.fem.grid import box_mesh
 
 SIZE, CELLS = (0.6, 0.04, 0.01), (24, 2, 1)  # m: length, width, height
 STOP = 0.2  # m from the left end

@@ -18,7 +18,7 @@ from numpy.polynomial import Polynomial
 from scipy.signal import lsim
 
 import morembs
-from morembs.model import DofMap, FEModel, Nodes
+from morembs.fem import DofMap, FEModel, Nodes
 
 LENGTH, WIDTH, HEIGHT, HUB = 1.0, 0.04, 0.004, 0.05  # m, m, m, kg m2
 YOUNG, DENSITY, DAMPING = 7e10, 2700.0, 0.005

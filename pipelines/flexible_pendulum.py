@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from common import THEIRS, Curve, Floats, Panel, draw, parse
 
-from morembs.gmp import ReducedMember
-from morembs.nonlinear import FullMember, Mechanism, MechanismMotion, Member, PlanarBeam, Section, simulate
+from morembs.dynamics.gmp import ReducedMember
+from morembs.dynamics.nonlinear import FullMember, Mechanism, MechanismMotion, Member, PlanarBeam, Section, simulate
 
 LENGTH, A, I, DENSITY, GRAVITY = 0.304, 7.854e-5, 4.909e-10, 2770.0, (0.0, -9.81)  # noqa: E741
 E, MODES, REACH = 3e6, 3, 0.83  # Pa; bending modes; range of the tables, rad: 1.4 times what the full model does

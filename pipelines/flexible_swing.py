@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """A flexible swing in two simulators: a thin steel strip, hung by one end, falls from the horizontal.
 
-Reduces the strip by flexible_swing.toml, runs the body in morembs.multibody and in Exudyn, and draws
+Reduces the strip by flexible_swing.toml, runs the body in morembs.dynamics.multibody and in Exudyn, and draws
 flexible_swing.png. Both without geometric stiffening, which Exudyn does not have.
 """
 
@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from common import THEIRS, Curve, Floats, Panel, difference, draw, make_body, parse
 
+from morembs.dynamics.multibody import FlexibleBody, RevoluteJoint, System, ground, simulate
 from morembs.exporters.exudyn_system import ExudynBody, ExudynSystem, exudyn_missing
-from morembs.multibody import FlexibleBody, RevoluteJoint, System, ground, simulate
 
 SIZE, CELLS = (1.0, 0.04, 0.008), (20, 1, 1)  # m: length, width, height
 GRAVITY = (0.0, 0.0, -9.81)
@@ -40,7 +40,7 @@ class Swing:
 
 
 def run_ours(strip: ExudynBody, end: float, step: float) -> tuple[Floats, Floats, Floats]:
-    """Times, tip and its bending across the strip, in morembs.multibody."""
+    """Times, tip and its bending across the strip, in morembs.dynamics.multibody."""
     frame = strip.floating
     system = System(gravity=GRAVITY)
     body = system.add(FlexibleBody(frame, position=frame.origin, name="strip"))
@@ -79,7 +79,7 @@ def picture(path: Path, swing: Swing) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Makes body and picture, prints the figures. Returns the exit code."""
-    options = parse(arguments, "A flexible swing in morembs.multibody and in Exudyn.", __file__)
+    options = parse(arguments, "A flexible swing in morembs.dynamics.multibody and in Exudyn.", __file__)
     strip = make_body(Path(__file__).with_suffix(".toml"), options.folder, SIZE, CELLS)
     swing = run(strip, end=QUICK_END if options.quick else END)
     x, _, z = swing.ours[-1]

@@ -17,8 +17,8 @@ from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
 from scipy.optimize import brentq
 
 import morembs
-from morembs.model import DofMap, FEModel, Nodes
-from morembs.nonlinear import PlanarBeam, Section, equilibrium
+from morembs.dynamics.nonlinear import PlanarBeam, Section, equilibrium
+from morembs.fem import DofMap, FEModel, Nodes
 
 LENGTH, MASS, E, OUTER, INNER, LOSS = 0.3, 0.05557, 4e7, 8e-3, 5.5e-3, 0.05  # m, kg/m with water, Pa, m, m
 AREA, MOMENT = np.pi / 4 * (OUTER**2 - INNER**2), np.pi / 64 * (OUTER**4 - INNER**4)

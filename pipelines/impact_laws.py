@@ -14,7 +14,7 @@ import numpy as np
 from common import Curve, Floats, Panel, draw, parse
 from scipy.optimize import brentq
 
-from morembs.multibody import ContactElement, PowerLaw, RigidBody, System, damping_factor, ground, simulate
+from morembs.dynamics.multibody import ContactElement, PowerLaw, RigidBody, System, damping_factor, ground, simulate
 
 LAWS = ("flores", "lankarani-nikravesh", "hunt-crossley")
 STIFFNESS, SPEED, RADIUS = 1e9, 1.0, 0.01  # N/m^1.5, m/s, m

@@ -17,7 +17,15 @@ import numpy as np
 from common import THEIRS, Curve, Floats, Panel, draw, hermite_beam, parse, simulate_kept
 
 from morembs import FEModel, Problem, ReducedModel, StaticModesSwitching
-from morembs.multibody import LinearBody, MovingLoad, Result, SlidingSwitch, SwitchingBody, System, local_response
+from morembs.dynamics.multibody import (
+    LinearBody,
+    MovingLoad,
+    Result,
+    SlidingSwitch,
+    SwitchingBody,
+    System,
+    local_response,
+)
 from morembs.reducers.switching_tables import StaticModeTables
 
 MODES, ELEMENTS, STEPS = 4, 32, 1600

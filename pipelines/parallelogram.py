@@ -16,7 +16,7 @@ import numpy as np
 from common import THEIRS, Curve, Floats, Panel, draw, parse
 
 import morembs
-from morembs.multibody import (
+from morembs.dynamics.multibody import (
     Equilibrium,
     FlexibleBody,
     PointLoad,

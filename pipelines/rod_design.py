@@ -17,12 +17,12 @@ from scipy.linalg import qr
 from scipy.optimize import linprog
 
 import morembs
-from morembs import multibody as mb
-from morembs.floating.parametric import frame_terms
-from morembs.jobs.inputs import materials_of
-from morembs.jobs.job import Job
-from morembs.jobs.parameters import varied_of
-from morembs.model.stress_operator import stress_operator, von_mises, von_mises_slope
+from morembs.app.jobs.inputs import materials_of
+from morembs.app.jobs.job import Job
+from morembs.app.jobs.parameters import varied_of
+from morembs.body.floating.parametric import frame_terms
+from morembs.dynamics import multibody as mb
+from morembs.fem.stress_operator import stress_operator, von_mises, von_mises_slope
 from morembs.parametric.model import parametric_model
 from morembs.parametric.terms import AffineProblem
 from morembs.problem.damping import Damping

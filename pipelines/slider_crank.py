@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A slider-crank with a flexible connecting rod in two simulators, morembs.multibody and Exudyn.
+"""A slider-crank with a flexible connecting rod in two simulators, morembs.dynamics.multibody and Exudyn.
 
 Reduces the rod by slider_crank.toml and turns the crank at constant speed from the stretched position, without gravity.
 Draws slider_crank.png: both without geometric stiffening, which Exudyn does not have, and what it changes. The rod has
@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, difference, draw, make_body, parse
 
-from morembs import multibody as mb
+from morembs.dynamics import multibody as mb
 from morembs.exporters.exudyn_system import ExudynBody, ExudynSystem, exudyn_missing
 
 SIZE, CELLS = (0.3, 0.006, 0.008), (20, 1, 1)  # m: length, height in the plane of motion, width
@@ -62,7 +62,7 @@ class Run:
 
 
 def run_ours(source: ExudynBody, end: float, step: float, *, stiffening: bool = False) -> Run:
-    """The mechanism in morembs.multibody."""
+    """The mechanism in morembs.dynamics.multibody."""
     system, axle = mb.System(), mb.ground.marker_at()
     crank = system.add(
         mb.RigidBody(CRANK_MASS, CRANK_INERTIA, name="crank", **SPIN, markers={"axle": (0, 0, 0), "pin": (CRANK, 0, 0)})
@@ -97,7 +97,9 @@ def run_theirs(source: ExudynBody, end: float, step: float) -> Run:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    options = parse(arguments, "A slider-crank with a flexible rod in morembs.multibody and in Exudyn.", __file__)
+    options = parse(
+        arguments, "A slider-crank with a flexible rod in morembs.dynamics.multibody and in Exudyn.", __file__
+    )
     source = make_body(Path(__file__).with_suffix(".toml"), options.folder, SIZE, CELLS)
     end = TURN / 4 if options.quick else 2 * TURN
     ours, stiff = (run_ours(source, end, STEP, stiffening=stiffening) for stiffening in (False, True))

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
 
-from morembs.nonlinear import Chain, FullMember, Link, Mechanism, PlanarBeam, Section, simulate
+from morembs.dynamics.nonlinear import Chain, FullMember, Link, Mechanism, PlanarBeam, Section, simulate
 
 LENGTHS, AREAS, MOMENTS, MASSES = (0.545, 0.675), (9.0e-4, 4.0e-4), (1.69e-8, 3.33e-9), (1.0, 3.0)
 SECTIONS = [Section.of(E=7.3e10, A=A, I=moment, density=2700.0) for A, moment in zip(AREAS, MOMENTS, strict=True)]

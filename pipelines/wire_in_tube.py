@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
 
-from morembs.nonlinear import BeamInTube, CurvedTube, PlanarBeam, Section, equilibrium
+from morembs.dynamics.nonlinear import BeamInTube, CurvedTube, PlanarBeam, Section, equilibrium
 
 RADIUS, LENGTH, DIAMETER = 0.2, 0.2, 5e-4  # m
 SECTION = Section.of(E=2e11, A=np.pi / 4 * DIAMETER**2, I=np.pi / 64 * DIAMETER**4, density=7850.0)

@@ -15,12 +15,12 @@ from pathlib import Path
 
 from pydantic.fields import FieldInfo
 
+from morembs.app.jobs.job import inner_table
+from morembs.app.jobs.schema import JobTables
+from morembs.base.options import in_toml
 from morembs.body import tables
-from morembs.gmp.stored import MEMBER
+from morembs.dynamics.gmp.stored import MEMBER
 from morembs.importers.native import MODEL
-from morembs.jobs.job import inner_table
-from morembs.jobs.schema import JobTables
-from morembs.options import in_toml
 from morembs.reducers import REDUCERS, Reducer
 from morembs.storage.table import KINDS, Row, Table
 

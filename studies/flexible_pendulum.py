@@ -17,9 +17,9 @@ import numpy as np
 from common import OURS, THEIRS, THIRD, Curve, Panel, draw, parse
 from flexible_pendulum import ELEMENTS, END, LENGTH, STEP, Fall, fall, rms, rod
 
-from morembs.errors import MorembsError
-from morembs.gmp import Formulation, ReducedMember
-from morembs.nonlinear import FullMember
+from morembs.base.errors import MorembsError
+from morembs.dynamics.gmp import Formulation, ReducedMember
+from morembs.dynamics.nonlinear import FullMember
 
 # Ranges (rad) of the tables, at least 1.4 times what the full model does: per Young's modulus and number of members.
 REACH = {3e6: {1: 0.83, 2: 0.56}, 1.5e7: {1: 0.26, 2: 0.18}, 1e6: {1: 1.3, 2: 0.75}}

@@ -18,12 +18,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 from common import STEEL, THEIRS, THIRD, Curve, Floats, Panel, draw, parse, simulate_kept, write_run
 
-from morembs.model import DofMap, FEModel
-from morembs.model.assembly import assemble
-from morembs.model.grid import box_mesh
-from morembs.model.material import isotropic
-from morembs.model.stress_operator import StressOperator, stress_operator
-from morembs.multibody import (
+from morembs.dynamics.multibody import (
     DrivenPosition,
     LinearBody,
     Marker,
@@ -39,6 +34,11 @@ from morembs.multibody import (
     local_response,
     simulate_sliding,
 )
+from morembs.fem import DofMap, FEModel
+from morembs.fem.assembly import assemble
+from morembs.fem.grid import box_mesh
+from morembs.fem.material import isotropic
+from morembs.fem.stress_operator import StressOperator, stress_operator
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
 from morembs.reducers.switching_tables import StaticModeTables

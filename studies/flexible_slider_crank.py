@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from common import OURS, THEIRS, THIRD, Curve, ExudynBeams, Floats, Panel, draw, parse
 
+from morembs.dynamics.gmp import Formulation, ReducedMember
+from morembs.dynamics.nonlinear import FullMember, Mechanism, MechanismMotion, Member, PlanarBeam, Section, simulate
 from morembs.exporters.exudyn_system import exudyn_missing
-from morembs.gmp import Formulation, ReducedMember
-from morembs.nonlinear import FullMember, Mechanism, MechanismMotion, Member, PlanarBeam, Section, simulate
 
 CRANK, ROD, A, I, DENSITY, SLIDER = 0.152, 0.304, 7.854e-5, 4.909e-10, 2770.0, 0.01  # noqa: E741
 E_CRANK, E_ROD = 2e7, 2e6  # Pa, nominal

@@ -17,8 +17,8 @@ import scipy.linalg as sl
 from common import OURS, THEIRS, Curve, Floats, Panel, draw, parse
 
 from data.make_spur_gear import CELLS, STEEL, WIDTH, pair
-from morembs.multibody.contact.lemke import lemke
-from morembs.multibody.integrate import Scheme
+from morembs.dynamics.multibody.contact.lemke import lemke
+from morembs.dynamics.multibody.integrate import Scheme
 from studies.gear_teeth import FORCE, QUICK_CELLS, Reduced, Touch, base_pitch, reduce, solve, touch
 
 PITCH_TIME, STEPS, QUICK_STEPS, RHO = 2e-3, 400, 100, 0.8  # s for one pitch

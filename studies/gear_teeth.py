@@ -22,8 +22,8 @@ from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, parse
 
 from data.make_spur_gear import CELLS, MODULE, PRESSURE, TEETH, WIDTH, Gear, Sector, pair, sector
 from morembs.base.types import Ints
-from morembs.interface import make_interface
-from morembs.multibody.contact.lemke import lemke
+from morembs.dynamics.multibody.contact.lemke import lemke
+from morembs.fem.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
 from morembs.reducers.switching_tables import StaticModeTables

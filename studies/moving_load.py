@@ -14,7 +14,7 @@ import numpy as np
 from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, hermite_beam, parse, write_run
 from moving_load import ELEMENTS, MODES, STEPS, Passage, cross, reduce
 
-from morembs.multibody.sliding.response import amplitudes, state_of
+from morembs.dynamics.multibody.sliding.response import amplitudes, state_of
 
 SPEED = 0.25  # of the critical speed, for the moment
 SIZES, TIMED, PER_NODE, ROUNDS = (40, 120, 400), 300, 12, 7

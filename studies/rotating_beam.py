@@ -4,9 +4,9 @@ A blade is clamped to a shaft that turns at constant speed W about z, its root o
 w(W)^2 = w(0)^2 + c W^2 with c = 1.193 for the first flap mode (out of the plane of rotation; Southwell and Gough 1921)
 and c = 0.193 for the first lag mode. Reduces the blade by rotating_beam.toml and finds c in two ways:
 
-- by linearisation: the elastic equations of morembs.multibody about steady spin (they are linear in the elastic
+- by linearisation: the elastic equations of morembs.dynamics.multibody about steady spin (linear in the elastic
   coordinates and their rates), as an eigenvalue problem;
-- by simulation: the blade, set off in its first flap shape, swings for a while in morembs.multibody and in Exudyn;
+- by simulation: the blade, set off in its first flap shape, swings in morembs.dynamics.multibody and in Exudyn;
   the frequency comes from the zeros of the tip's motion.
 
 Exudyn has no geometric stiffening: it shows what is wrong without. The picture is rotating_beam.png.
@@ -23,8 +23,8 @@ import numpy as np
 import scipy.linalg as sl
 from common import OURS, THEIRS, THIRD, Curve, Floats, Panel, draw, make_body, parse
 
+from morembs.dynamics.multibody import DrivenAngle, FlexibleBody, Motion, RevoluteJoint, System, ground, simulate
 from morembs.exporters.exudyn_system import ExudynBody, ExudynSystem, exudyn_missing
-from morembs.multibody import DrivenAngle, FlexibleBody, Motion, RevoluteJoint, System, ground, simulate
 
 SIZE, CELLS = (1.0, 0.03, 0.01), (40, 1, 2)  # m: length, width in the plane of rotation (lag), height (flap)
 FLAP, LAG = 2, 1  # axes
@@ -74,7 +74,7 @@ def frequency(time: Floats, z: Floats) -> float:
 
 
 def in_ours(source: ExudynBody, speed: float, end: float, *, stiffening: bool) -> tuple[Floats, Floats]:
-    """Times and flapping of the tip in morembs.multibody."""
+    """Times and flapping of the tip in morembs.dynamics.multibody."""
     frame = source.floating
     system = System()
     blade = system.add(

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import morembs
-from morembs import gmp, multibody, nonlinear
-from morembs.arguments import checked
+from morembs.base.arguments import checked
+from morembs.dynamics import gmp, multibody, nonlinear
 
 SECTION = nonlinear.Section(EA=1e6, GA=1e6, EI=1.0, mass=1.0)
 LINE = np.linspace([0.0, 0, 0], [1.0, 0, 0], 9)

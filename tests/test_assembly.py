@@ -11,11 +11,11 @@ import pytest
 from typer.testing import CliRunner
 
 import morembs
-from morembs.assembly import Couple, Substructure, assemble_bodies
+from morembs.app.cli.commands import app
+from morembs.base.errors import InputError
 from morembs.body.file import StoredBodies, read_body, write_body
-from morembs.cli.commands import app
-from morembs.errors import InputError
-from morembs.model import FEModel, rigid_motion
+from morembs.dynamics.assembly import Couple, Substructure, assemble_bodies
+from morembs.fem import FEModel, rigid_motion
 from tests.support.meshes import box, steel, where
 
 LENGTH, SECTION = 0.3, (0.05, 0.04)

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from morembs import scratch as scratches
+from morembs.base import scratch as scratches
+from morembs.base.budget import Budget
+from morembs.base.errors import InputError, OutputError
+from morembs.base.scratch import ScratchFolder, free_bytes
 from morembs.base.types import Values
-from morembs.budget import Budget
-from morembs.errors import InputError, OutputError
 from morembs.linalg.columns import dot, multiply_into, subtract
 from morembs.linalg.congruence import congruence, magnitudes
 from morembs.linalg.lanczos import BlockLanczos
-from morembs.scratch import ScratchFolder, free_bytes
 from tests.support.machine import has_memory
 from tests.support.matrices import brick, mass, random
 
@@ -112,8 +112,8 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 import numpy as np
-from morembs.budget import (Budget)
-from morembs.memory import resident_bytes
+from morembs.base.budget import (Budget)
+from morembs.base.memory import resident_bytes
 memory = resident_bytes() + int(sys.argv[2])
 budget = Budget(memory, Path(sys.argv[1]), in_memory=16_000_000)
 A = budget.empty(10_000_000)
@@ -192,7 +192,7 @@ SCRATCH = """
 import sys
 from itertools import pairwise
 from pathlib import Path
-from morembs.scratch import ScratchFolder
+from morembs.base.scratch import ScratchFolder
 folder = ScratchFolder(Path(sys.argv[1]))
 (folder.path / "factor").write_bytes(b"x" * 1000)
 print(folder.path, flush=True)
@@ -248,7 +248,7 @@ CUT = """
 import os, sys
 from itertools import pairwise
 from pathlib import Path
-from morembs.scratch import ScratchFolder
+from morembs.base.scratch import ScratchFolder
 
 def traced(event, arguments):
     if event == sys.argv[2]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from morembs import memory
+from morembs.base import memory
 from morembs.body.file import read_body
 from tests.support.decks import folder
 
@@ -20,8 +20,8 @@ MB = 1_000_000
 BATCH = """
 import sys
 import numpy as np
-from morembs.cli import main
-from morembs.jobs import run
+from morembs.app.cli import main
+from morembs.app.jobs import run
 real, calls = run.run_job, []
 
 def large_first(*args):

@@ -13,7 +13,7 @@ import pytest
 
 import morembs
 from morembs import InputError
-from morembs.optional import optional
+from morembs.base.optional import optional
 
 MESH = Path(__file__).parents[1] / "data" / "small_meshes" / "beam.msh"
 # The last line of each is shown; then what it has to say, in its text and in its table.

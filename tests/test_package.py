@@ -39,7 +39,7 @@ def test_it_holds_the_package_and_nothing_else(wheel):
     held = {name for name in archive.namelist() if ".dist-info/" not in name}
     files = (path for path in (ROOT / "morembs").rglob("*") if path.is_file() and path.suffix not in (".pyc", ".pyo"))
     assert held == {path.relative_to(ROOT).as_posix() for path in files}
-    assert {"morembs/py.typed", "morembs/__init__.pyi", "morembs/cli/page.html"} <= held
+    assert {"morembs/py.typed", "morembs/__init__.pyi", "morembs/app/cli/page.html"} <= held
 
 
 def test_its_metadata_are_those_of_the_project(wheel):
@@ -50,5 +50,5 @@ def test_its_metadata_are_those_of_the_project(wheel):
     assert told["Author"] == "morembs developers" and told["License-Expression"] == "BSD-3-Clause"
     assert told.get_all("Classifier") == project["classifiers"]
     assert set(told.get_all("Provides-Extra")) == set(project["optional-dependencies"])
-    assert "morembs = morembs.cli:console" in archive.read(f"{info}/entry_points.txt").decode()
+    assert "morembs = morembs.app.cli:console" in archive.read(f"{info}/entry_points.txt").decode()
     assert f"version: {VERSION}\n" in (ROOT / "CITATION.cff").read_text()

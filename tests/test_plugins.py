@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from morembs.app.cli import app
+from morembs.app.jobs.job import load_job
+from morembs.base.errors import InputError
+from morembs.base.plugins import Registry
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
-from morembs.cli import app
-from morembs.errors import InputError
 from morembs.exporters import EXPORTERS, make_exporter
+from morembs.fem.interface import COUPLINGS, make_interface
 from morembs.importers import IMPORTERS
-from morembs.interface import COUPLINGS, make_interface
-from morembs.jobs.job import load_job
 from morembs.linalg.sparse.select import SOLVERS, available_solvers, select_solver
-from morembs.plugins import Registry
 from morembs.problem import Problem
 from morembs.reducers import REDUCERS, CraigBampton
 from tests.support.decks import BEAM, deck, folder

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import typer
 
+from morembs.app.cli.commands import app
+from morembs.app.jobs.schema import JobTables
 from morembs.body.file import read_body
-from morembs.cli.commands import app
 from morembs.importers.model_file import read_model, write_model
-from morembs.jobs.schema import JobTables
 from morembs.reducers import REDUCERS
 from scripts.schema import job_keys
 from tests.support.fmus import needs_compiler

@@ -16,11 +16,11 @@ ROOT = Path(__file__).parents[1]
 # Each command of the list of arguments in a process of its own would be start-up for the most part.
 COMMANDS = """
 import contextlib, sys
-import morembs.cli
+import morembs.app.cli
 for arguments in {commands!r}:
     sys.argv = ["morembs", *arguments]
     with contextlib.suppress(SystemExit):
-        morembs.cli.main()
+        morembs.app.cli.main()
         raise RuntimeError("a command does not end")
     print(arguments[0], "done", flush=True)
 {more}
@@ -29,7 +29,7 @@ for arguments in {commands!r}:
 ARRAYS = """
 from pathlib import Path
 import numpy as np
-from morembs.budget import Budget
+from morembs.base.budget import Budget
 scratch = Path("arrays")
 budget = Budget(1, scratch, in_memory=0)
 held, given_up = budget.empty(10_000), budget.empty(10_000)
@@ -77,7 +77,11 @@ def test_commands_without_what_only_linux_has(tmp_path: Path, system: str) -> No
     assert f"names {1 if system == 'windows' else 0}" in done
     assert f"left {1 if system == 'windows' else 0}" in done
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".morembs")] == []
-    run(system, tmp_path, "from morembs.scratch import *; [remove_abandoned(Path(f)) for f in ('scratch', 'arrays')]")
+    run(
+        system,
+        tmp_path,
+        "from morembs.base.scratch import *; [remove_abandoned(Path(f)) for f in ('scratch', 'arrays')]",
+    )
     assert not list((tmp_path / "scratch").iterdir()) and not list((tmp_path / "arrays").iterdir())
 
 

@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import morembs
+from morembs.app.cli.commands import app
+from morembs.app.jobs.assembly import assembly_of
+from morembs.app.jobs.inputs import interfaces_of
+from morembs.app.jobs.job import load_job
+from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.errors import BudgetError
 from morembs.body.file import StoredBodies, read_body, write_body
-from morembs.budget import UNLIMITED, Budget
-from morembs.cli.commands import app
-from morembs.errors import BudgetError
-from morembs.jobs.assembly import assembly_of
-from morembs.jobs.inputs import interfaces_of
-from morembs.jobs.job import load_job
 from tests.support import decks
 from tests.support.dense_assembly import Joint, Part, Whole, elastic
 from tests.support.tubes import STEEL

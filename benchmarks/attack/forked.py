@@ -112,14 +112,14 @@ def run(
 @cache
 def _built() -> Any:
     """The tree of commands, which typer builds from its signatures in a third of the time of a short run."""
-    from morembs.cli.commands import app
+    from morembs.app.cli.commands import app
 
     return typer.main.get_command(app)
 
 
 def program(arguments: Sequence[str]) -> Callable[[], None]:
     """The command line of morembs."""
-    from morembs.cli import console
+    from morembs.app.cli import console
 
     _built()
 

@@ -12,9 +12,9 @@ MODULES = (
     "matplotlib.pyplot",
     "meshio",
     "scipy.io",
-    "morembs.cli.commands",
-    "morembs.gmp.stored",
-    "morembs.nonlinear",
+    "morembs.app.cli.commands",
+    "morembs.dynamics.gmp.stored",
+    "morembs.dynamics.nonlinear",
     "rich.table",
     "casadi",
 )

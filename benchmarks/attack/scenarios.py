@@ -95,9 +95,9 @@ def _spilled(folder: Path) -> None:
 
 def offline(workers: int) -> Callable[[], None]:
     def work() -> None:
-        from morembs.gmp import ReducedMember
-        from morembs.gmp.stored import write_members
-        from morembs.nonlinear import PlanarBeam, Section
+        from morembs.dynamics.gmp import ReducedMember
+        from morembs.dynamics.gmp.stored import write_members
+        from morembs.dynamics.nonlinear import PlanarBeam, Section
 
         section = Section.of(E=3e6, A=7.854e-5, I=4.909e-10, density=2770)
         beam = PlanarBeam.straight(0.304, 6, section)

@@ -26,10 +26,10 @@ sys.path.insert(0, str(ROOT))
 from morembs.exporters.abaqus_matrices import write_abaqus_matrix
 from morembs.exporters.dmig import write_dmig
 from morembs.exporters.op4 import write_op4
+from morembs.fem import FEModel
 from morembs.importers.dmig import DmigMatrix
 from morembs.importers.from_matrices import from_matrices
 from morembs.importers.model_file import write_model
-from morembs.model import FEModel
 from tests.importers import test_abaqus_deck as abaqus_decks
 from tests.importers import test_ansys as ansys_files
 from tests.importers import test_nastran_deck as nastran_decks
@@ -338,7 +338,7 @@ class _Workshop:
 
 
 def _members() -> None:
-    from morembs.gmp.stored import read_members, write_members
+    from morembs.dynamics.gmp.stored import read_members, write_members
 
     write_members("out.h5", read_members("member.h5"))
 
@@ -347,7 +347,7 @@ def _as_command(work: Callable[[], object]) -> Callable[[], None]:
     """A function that ends as a command does: its errors are one message and exit code 2."""
 
     def command() -> None:
-        from morembs.cli.terminal import messages
+        from morembs.app.cli.terminal import messages
 
         failed: list[str] = []
         with messages(failed):

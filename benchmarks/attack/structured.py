@@ -25,11 +25,11 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.errors import MorembsError
 from morembs.base.types import Floats
 from morembs.certificate.certify import certify
-from morembs.errors import MorembsError
-from morembs.interface import make_interface
-from morembs.model import DofMap, FEModel, Nodes, rigid_motion
+from morembs.fem import DofMap, FEModel, Nodes, rigid_motion
+from morembs.fem.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import AutoReducer, CraigBampton, Modal
 from morembs.reducers.base import ReducedModel

@@ -13,8 +13,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import morembs
-from morembs.jobs.job import load_job
-from morembs.jobs.run import run_job
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.run import run_job
 
 mesh_file = Path("../../data/small_meshes/conrod.msh").resolve()
 folder = Path(tempfile.mkdtemp())

@@ -13,8 +13,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import morembs
+from morembs.dynamics.multibody import FlexibleBody, RevoluteJoint, System, ground, simulate
 from morembs.exporters.exudyn_system import ExudynBody, ExudynSystem
-from morembs.multibody import FlexibleBody, RevoluteJoint, System, ground, simulate
 
 folder = Path(tempfile.mkdtemp())
 gravity, end, step = (0, 0, -9.81), 0.3, 5e-4

@@ -14,8 +14,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import morembs
-from morembs.jobs.job import load_job
-from morembs.jobs.run import run_job
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.run import run_job
 
 folder = Path(tempfile.mkdtemp())
 mesh = morembs.read_mesh("../../data/small_meshes/bracket.inp", "mm-t-s")

@@ -9,24 +9,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
+from morembs.base.summary import hertz, kinds_words, summarised
 from morembs.base.types import Floats, Ints
+from morembs.body.floating.frame import FloatingFrame, floating_frame, why_not_floating
+from morembs.body.floating.ranking import RankedTerm
+from morembs.body.floating.spin import ReducedSpin
 from morembs.body.stress_shapes import Recovery
 from morembs.body.view import Viewed, refuse_no_modes
 from morembs.body.vtkhdf import VTK_VERTEX, Cells
 from morembs.body.vtkhdf_series import Grid, View
-from morembs.errors import InputError
-from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
-from morembs.floating.ranking import RankedTerm
-from morembs.floating.spin import ReducedSpin
-from morembs.interface import Interface
-from morembs.model import FEModel, Nodes
-from morembs.model.elements import FACES, TYPES
-from morembs.model.surface import outer_faces
+from morembs.fem import FEModel, Nodes
+from morembs.fem.elements import FACES, TYPES
+from morembs.fem.interface import Interface
+from morembs.fem.surface import outer_faces
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 from morembs.reducers.pymor import to_pymor
 from morembs.reducers.switching_tables import StaticModeTables
-from morembs.summary import hertz, kinds_words, summarised
 
 if TYPE_CHECKING:
     from morembs.body.parametric_parts import ParametricParts

@@ -6,19 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from morembs.base.errors import InputError
+from morembs.base.progress import SILENT, Progress
 from morembs.body.body import ElasticBody, Part, elastic_body
+from morembs.body.floating.frame import FloatingFrame, floating_frame, why_not_floating
+from morembs.body.floating.ranking import ranked_terms
+from morembs.body.floating.spin import ReducedSpin
+from morembs.body.floating.stiffening import Envelope
+from morembs.body.floating.stiffening_terms import geometric_stiffening
 from morembs.body.stress_shapes import stress_recovery
-from morembs.errors import InputError
-from morembs.floating.frame import FloatingFrame, floating_frame, why_not_floating
-from morembs.floating.ranking import ranked_terms
-from morembs.floating.spin import ReducedSpin
-from morembs.floating.stiffening import Envelope
-from morembs.floating.stiffening_terms import geometric_stiffening
-from morembs.model.selection import select_nodes
-from morembs.model.stress_operator import StressOperator, stress_operator
-from morembs.moved import renamed
+from morembs.fem.selection import select_nodes
+from morembs.fem.stress_operator import StressOperator, stress_operator
 from morembs.problem import Problem
-from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
 from morembs.reducers.switching_tables import StaticModeTables
 
@@ -125,6 +124,3 @@ def _frame(problem: Problem, reduced: ReducedModel, options: BodyOptions, progre
     if options.stiffening is None:
         return frame
     return replace(frame, stiffening=geometric_stiffening(problem, reduced, frame, options.stiffening, progress))
-
-
-__getattr__ = renamed(__name__, {"Delivery": "BodyOptions", "deliver": "build_body"})

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from morembs.base.types import Floats
-from morembs.diagnostics.findings import Finding
+from morembs.body.diagnostics.findings import Finding
 
 # Frequencies of the curve that are computed again, spread over the band.
 SAMPLES = 3

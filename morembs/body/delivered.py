@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.body.curve_check import Curve
+from morembs.body.diagnostics.findings import MOTIONS
+from morembs.body.floating.frame import FloatingFrame
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.body.tables import SKEW_PARTS
-from morembs.diagnostics.findings import MOTIONS
-from morembs.errors import InputError
-from morembs.floating.frame import FloatingFrame
-from morembs.model import rigid_motion
-from morembs.model.fe_model import SCALAR, STRUCTURAL, WITHOUT_MASS
+from morembs.fem import rigid_motion
+from morembs.fem.fe_model import SCALAR, STRUCTURAL, WITHOUT_MASS
 
 if TYPE_CHECKING:
     from morembs.body import ElasticBody, Part

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats
 from morembs.body.curve_check import curve_findings
 from morembs.body.delivered import Delivered, delivered
+from morembs.body.diagnostics.findings import Diagnosis, Finding, sentences
 from morembs.body.frame_check import frame_findings
 from morembs.body.rigid_check import ROUND_OFF, eigh, rigid_findings, scale
 from morembs.body.stored import StoredBodies, StoredBody
-from morembs.diagnostics.findings import Diagnosis, Finding, sentences
-from morembs.errors import InputError, SolverError
 
 if TYPE_CHECKING:
     from morembs.body import ElasticBody, Part

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from morembs.base.errors import InputError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats
 from morembs.body import tables, vtkhdf
 from morembs.body.delivery_check import refuse_unsound, stored_findings
 from morembs.body.stored import StoredBodies, StoredBody, StoredInterface, basis_columns, stored_bodies
 from morembs.body.stored_check import check_file
 from morembs.body.tables import BLOCK_BYTES, FORMAT, FORMAT_VERSION, SKEW_PARTS
-from morembs.errors import InputError
-from morembs.progress import SILENT, Progress
 from morembs.storage import checksums
 from morembs.storage.hdf5 import reading_format
 from morembs.storage.table import Table, read_rows

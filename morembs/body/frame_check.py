@@ -6,7 +6,7 @@ import numpy as np
 
 from morembs.base.types import Floats
 from morembs.body.delivered import Delivered
-from morembs.diagnostics.findings import Finding
+from morembs.body.diagnostics.findings import Finding
 
 # Difference against what cancels in a product.
 AGREES = 1e-6

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.body.parametric import ParametricBody
-from morembs.errors import InputError
 from morembs.parametric.update import SIGMA, Measured
 from morembs.storage.csv_table import read_table
 

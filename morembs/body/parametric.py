@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Complexes, Floats
 from morembs.body.parametric_parts import ParametricParts
 from morembs.body.stored import ByName, StoredBodies, StoredBody
-from morembs.errors import InputError
 from morembs.parametric.model import ModelAt, Sensitivity
 
 if TYPE_CHECKING:
-    from morembs.floating.frame import FloatingFrame
+    from morembs.body.floating.frame import FloatingFrame
     from morembs.parametric.update import Measured, Updated
 
 # Difference of the nominal matrices, which are computed in two ways, against the largest entry.

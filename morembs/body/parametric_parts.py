@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
-from morembs.floating.parametric import FrameTerms, frame_terms
+from morembs.body.floating.parametric import FrameTerms, frame_terms
 from morembs.parametric.law import Law
 from morembs.parametric.model import ParametricModel
 from morembs.parametric.parameter import Box

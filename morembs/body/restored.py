@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.body import tables, vtkhdf
 from morembs.body.stored import StoredBodies, StoredBody
 from morembs.body.tables import BLOCK_BYTES, FORMAT
 from morembs.body.vtkhdf_series import Grid, read_grid
-from morembs.errors import InputError
 from morembs.reducers.base import MODE_KINDS
 from morembs.storage.safefile import one_file
 from morembs.storage.writer import Columns, writing

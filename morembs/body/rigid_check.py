@@ -17,9 +17,9 @@ import numpy as np
 
 from morembs.base.types import Floats, Ints
 from morembs.body.delivered import Delivered
-from morembs.diagnostics.findings import MOTIONS, Finding, listed
-from morembs.model import skew
-from morembs.model.mass import mass_properties
+from morembs.body.diagnostics.findings import MOTIONS, Finding, listed
+from morembs.fem import skew
+from morembs.fem.mass import mass_properties
 
 # Against the largest eigenvalue, in units of the mass.
 ROUND_OFF = 1e-12

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
 from morembs.body.vtkhdf_series import Grid, View
-from morembs.model import ElementBlock, Mesh, Nodes
-from morembs.model.elements import FACES, TYPES
-from morembs.model.surface import outer_faces
+from morembs.fem import ElementBlock, Mesh, Nodes
+from morembs.fem.elements import FACES, TYPES
+from morembs.fem.surface import outer_faces
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
-from morembs.summary import summarised
 
 SHOWN_MODES = 4
 

@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
+from morembs.base.errors import InputError, nearest
+from morembs.base.summary import error_words, hertz, kinds_words, summarised
 from morembs.base.types import Floats, Ints
+from morembs.body.floating.frame import FloatingFrame
+from morembs.body.floating.ranking import RankedTerm
+from morembs.body.floating.spin import ReducedSpin
 from morembs.body.tables import BODY, FILE, INTERFACE
 from morembs.body.view import Viewed, refuse_no_modes
-from morembs.errors import InputError, nearest
-from morembs.floating.frame import FloatingFrame
-from morembs.floating.ranking import RankedTerm
-from morembs.floating.spin import ReducedSpin
-from morembs.model.fe_model import STRUCTURAL
+from morembs.fem.fe_model import STRUCTURAL
 from morembs.storage.checksums import GROUP, Checksums
 from morembs.storage.lemma import read_lemmas
 from morembs.storage.table import read_rows
 from morembs.storage.table_check import refuse_not_finite
-from morembs.summary import error_words, hertz, kinds_words, summarised
 
 if TYPE_CHECKING:
     from morembs.body.vtkhdf_series import View
-    from morembs.interface import CouplingKind
+    from morembs.fem.interface import CouplingKind
     from morembs.reducers.base import ReducedModel
     from morembs.reducers.switching_tables import StaticModeTables
 
@@ -64,7 +64,7 @@ class StoredInterface:
     def kind(self) -> CouplingKind:
         """What the coupling does."""
         # Not at the top: files are shown without what couples and solves.
-        from morembs.interface import COUPLINGS
+        from morembs.fem.interface import COUPLINGS
 
         return COUPLINGS[self.coupling]
 

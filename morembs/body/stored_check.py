@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
+from morembs.body.floating.frame import FRAMES
 from morembs.body.tables import BODY, FILE, INTERFACE
-from morembs.errors import InputError
-from morembs.floating.frame import FRAMES
-from morembs.interface import COUPLINGS
-from morembs.model.elements import FACES, TYPES
-from morembs.model.fe_model import SCALAR
+from morembs.fem.elements import FACES, TYPES
+from morembs.fem.fe_model import SCALAR
+from morembs.fem.interface import COUPLINGS
 from morembs.storage.table import KINDS
 from morembs.storage.table_check import TableCheck, refuse_not_finite
 

@@ -16,17 +16,17 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.progress import SILENT, Progress
+from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints, Reals
 from morembs.body.tables import RECOVERY
-from morembs.model import frozen
-from morembs.model.stress_operator import StressOperator, stress_operator, von_mises
+from morembs.fem import frozen
+from morembs.fem.stress_operator import StressOperator, stress_operator, von_mises
 from morembs.problem import Problem
-from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
 from morembs.responses.loads import static_response
 from morembs.storage.table import Table, read_rows
 from morembs.storage.writer import Columns
-from morembs.summary import summarised
 
 # Columns of length N that one block of shapes costs, in addition to the gradients at the points.
 _COPIES = 6

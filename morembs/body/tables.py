@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from morembs.floating.frame import FloatingFrame, InterfaceMarker
-from morembs.floating.integrals import ShapeIntegrals
-from morembs.floating.ranking import RankedTerm
-from morembs.floating.spin import ReducedSpin
-from morembs.floating.stiffening import Stiffening
+from morembs.body.floating.frame import FloatingFrame, InterfaceMarker
+from morembs.body.floating.integrals import ShapeIntegrals
+from morembs.body.floating.ranking import RankedTerm
+from morembs.body.floating.spin import ReducedSpin
+from morembs.body.floating.stiffening import Stiffening
 from morembs.storage.table import Row, Table
 
 if TYPE_CHECKING:

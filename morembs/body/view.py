@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from morembs.errors import InputError
-from morembs.optional import optional
+from morembs.base.errors import InputError
+from morembs.base.optional import optional
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
+from morembs.base.optional import optional
+from morembs.base.progress import SILENT, Progress
+from morembs.base.summary import error_words, summarised
 from morembs.base.types import Complexes, Floats
 from morembs.certificate.limits import ErrorLimits, body_response, checked_sharpness, error_limits, sampled
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.proof import proof_of
 from morembs.certificate.response import reduced_response
-from morembs.errors import InputError
-from morembs.optional import optional
 from morembs.problem import Problem
-from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
 from morembs.responses.band import POINTS, band_frequencies, checked_band
 from morembs.responses.certified import CertifiedReference, certified_reference
@@ -27,7 +28,6 @@ from morembs.responses.layout import Layout
 from morembs.responses.loads import static_response
 from morembs.responses.measures import SHARPNESS, Limit, checked_measure
 from morembs.storage.lemma import Lemma, kind_of
-from morembs.summary import error_words, summarised
 
 # A mode whose MAC is below this is missing.
 MISSING = 0.5

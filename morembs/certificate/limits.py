@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from morembs.base.errors import InputError
+from morembs.base.summary import summarised, upwards
 from morembs.base.types import Floats
-from morembs.errors import InputError
 from morembs.reducers.base import ReducedModel
 from morembs.responses.cells import MOST, Cells
 from morembs.responses.certified import CertifiedReference
@@ -17,7 +18,6 @@ from morembs.responses.measures import MEASURES, SHARPNESS, Limit, Standard, com
 from morembs.responses.pencils import response_of
 from morembs.responses.rational import Terms
 from morembs.responses.rounding import Response
-from morembs.summary import summarised, upwards
 
 # Neighbouring cells whose limits differ by less than this are stored as one, at most so many of them.
 ALIKE, STORED = 0.05, 5000

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from morembs.base.summary import upwards
 from morembs.certificate.limits import ErrorLimits
 from morembs.certificate.poles import enclosures
 from morembs.responses.certified import CertifiedReference
 from morembs.storage.lemma import ESTIMATE, PROVEN, Lemma
-from morembs.summary import upwards
 
 
 def proof_of(reference: CertifiedReference, known: ErrorLimits) -> tuple[Lemma, ...]:

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from morembs.base.errors import InputError
+from morembs.base.optional import optional
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Complexes, Floats
-from morembs.errors import InputError
-from morembs.interface import Interface
-from morembs.optional import optional
+from morembs.fem.interface import Interface
 from morembs.problem import Problem
-from morembs.progress import SILENT, Progress
 from morembs.reducers.base import ReducedModel
 from morembs.responses.direct import direct_response
 from morembs.responses.reference import reference_model

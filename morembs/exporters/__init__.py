@@ -6,9 +6,12 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from morembs.base.errors import InputError
+from morembs.base.former_names import renamed
+from morembs.base.options import checked
+from morembs.base.plugins import Registry, subclass_fault
 from morembs.body.file import read_body
 from morembs.body.stored import StoredBody, choose_body
-from morembs.errors import InputError
 from morembs.exporters.abaqus_matrices import AbaqusExporter
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.dmig import DmigExporter
@@ -23,9 +26,6 @@ from morembs.exporters.op4 import OP4Exporter
 from morembs.exporters.sid import SidFem
 from morembs.exporters.simscape import Simscape
 from morembs.exporters.state_space_files import StateSpaceExporter
-from morembs.moved import renamed
-from morembs.options import checked
-from morembs.plugins import Registry, subclass_fault
 from morembs.storage.contents import keeping_ledger
 
 # One line for each target.

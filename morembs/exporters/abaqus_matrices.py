@@ -11,8 +11,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
 from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import body_transfer, on_interfaces

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
 
+from morembs.base.errors import InputError, OutputError
 from morembs.base.types import Floats
 from morembs.body.stored import StoredBodies, StoredBody
-from morembs.errors import InputError, OutputError
 from morembs.exporters.read_back import ReadBack, frequencies_between
-from morembs.model.fe_model import SCALAR
+from morembs.fem.fe_model import SCALAR
 from morembs.problem.damping import frequency_domain_only
 from morembs.storage.safefile import looked_at
 
 if TYPE_CHECKING:
-    from morembs.floating.frame import FloatingFrame, InterfaceMarker
+    from morembs.body.floating.frame import FloatingFrame, InterfaceMarker
 
 # Columns of a basis that are in memory at a time.
 BLOCK_BYTES = 16 * 2**20

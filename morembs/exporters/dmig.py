@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
 from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import body_transfer, on_interfaces

@@ -13,8 +13,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats
-from morembs.errors import InputError, nearest
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
 from morembs.exporters.simscape import framed_rows, interfaces_first, refuse_not_symmetric
 from morembs.storage.safefile import replacing

@@ -13,16 +13,16 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
+from morembs.body.floating.integrals import ShapeIntegrals
 from morembs.body.stored import StoredBodies
 from morembs.body.stored_check import check_grid
 from morembs.body.vtkhdf_series import read_grid
-from morembs.errors import InputError, nearest
 from morembs.exporters.base import ExportContext, Exported, Exporter
-from morembs.floating.integrals import ShapeIntegrals
-from morembs.model import ElementBlock, Mesh, Nodes, skew
-from morembs.model.elements import FACES, TYPES
-from morembs.model.surface import outer_faces
+from morembs.fem import ElementBlock, Mesh, Nodes, skew
+from morembs.fem.elements import FACES, TYPES
+from morembs.fem.surface import outer_faces
 from morembs.storage.writer import writing
 
 # Coordinates of the frame: three of position, four Euler parameters.

@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.body.file import read_body
+from morembs.body.floating.frame import FloatingFrame
 from morembs.body.stored import StoredBodies, StoredBody, choose_body
-from morembs.errors import InputError
 from morembs.exporters import export_body
 from morembs.exporters.exudyn import exudyn_marker
-from morembs.floating.frame import FloatingFrame
 
 Point = Sequence[float] | Floats
 
@@ -219,7 +219,8 @@ class ExudynSystem:
     def solve(self, *, end: float, step: float, rho: float = 0.9, watch: Sequence[int]) -> tuple[Floats, list[Floats]]:
         """Times (s,) and positions (s, 3) of each marker in ``watch``, from the start to ``end`` s.
 
-        Equal steps of at most ``step`` s, as ``morembs.multibody.simulate`` takes; generalised-alpha with ``rho``.
+        Equal steps of at most ``step`` s, as ``simulate`` of ``morembs.dynamics.multibody`` takes;
+        generalised-alpha with ``rho``.
         """
         sensors = [
             self.mbs.AddSensor(

@@ -14,8 +14,8 @@ from scipy.io import mmwrite
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import reduced_matrices, second_order
+from morembs.fem.fe_model import SCALAR
 from morembs.importers.matrix_market import read_matrix_market
-from morembs.model.fe_model import SCALAR
 from morembs.storage.safefile import replacing_all
 
 _DIGITS = 17

@@ -16,8 +16,8 @@ from typing import ClassVar
 import numpy as np
 
 from morembs.base.types import Floats
+from morembs.body.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits, names_without_blanks
-from morembs.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.linalg.columns import symmetric
 from morembs.storage.safefile import replacing
 

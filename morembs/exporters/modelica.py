@@ -1,6 +1,6 @@
 """Modelica package of an elastic body: small motion, large rotations, and frames of Modelica.Mechanics.MultiBody.
 
-The equations of large rotations are those of Wallrapp (1994) in the integrals of ``morembs.floating.integrals``: every
+The equations of large rotations are those of Wallrapp (1994) in the integrals of ``body.floating``: every
 term in the elastic coordinates up to the second order, in axes of the body. They need no library; the standard one has
 no elastic bodies to fill with data.
 """
@@ -12,12 +12,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
+from morembs.body.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.ports import Port, ports_of_file
 from morembs.exporters.state_space import StateSpace, state_space
-from morembs.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.storage.safefile import replacing
 
 # Modelica 3.6, section 2.3.3.

@@ -16,13 +16,13 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
+from morembs.body.floating.frame import FloatingFrame
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.sid import normal_coordinates
 from morembs.exporters.simscape import quaternion
-from morembs.floating.frame import FloatingFrame
-from morembs.model import skew
+from morembs.fem import skew
 from morembs.storage.safefile import replacing
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
 from morembs.body.body import ElasticBody, input_columns
 from morembs.body.stored import StoredBodies
-from morembs.errors import InputError, nearest
-from morembs.interface import Interface
-from morembs.model import Nodes
-from morembs.model.fe_model import SCALAR, rigid_motion
+from morembs.fem import Nodes
+from morembs.fem.fe_model import SCALAR, rigid_motion
+from morembs.fem.interface import Interface
 
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 # Ratio of singular values, rows scaled to one, below which supports leave a rigid-body motion.

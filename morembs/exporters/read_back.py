@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
+from morembs.base.errors import OutputError
 from morembs.base.types import Complexes, Floats
-from morembs.errors import OutputError
 
 # Round-off of double precision in sums of n terms, and of changes of coordinates before the file was written, per n.
 EPS, CHANGED = float(np.finfo(float).eps), 1e-12

@@ -10,13 +10,13 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.body.stored import StoredBodies, StoredBody
-from morembs.errors import InputError
 from morembs.exporters.base import ExportContext
 from morembs.exporters.read_back import SecondOrder
+from morembs.fem.fe_model import SCALAR
 from morembs.linalg.columns import symmetric
-from morembs.model.fe_model import SCALAR
 
 # Ratio of singular values of C, rows scaled to one, below which interface degrees of freedom depend on each other.
 _INDEPENDENT = 1e-9

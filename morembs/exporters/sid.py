@@ -14,13 +14,13 @@ from typing import ClassVar, Literal
 import numpy as np
 import scipy.linalg as sl
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
+from morembs.body.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits, names_without_blanks
 from morembs.exporters.read_back import ReadBack, SecondOrder
 from morembs.exporters.sid_reader import INERTIA, NODE_TERMS, Sid, SidNode, Taylor, read_sid
-from morembs.floating.frame import FloatingFrame, InterfaceMarker
-from morembs.model import skew
+from morembs.fem import skew
 from morembs.storage.safefile import replacing
 
 MOST_NODES = 99999

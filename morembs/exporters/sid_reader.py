@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
 
 TERMS = ("mdCM", "J", "Ct", "Cr", "Me", "Gr", "Ge", "Oe", "ksigma", "Ke", "De")
 NODE_TERMS = ("origin", "phi", "psi", "AP")

@@ -18,9 +18,9 @@ import scipy.io as sio
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.body.stored import StoredBody
-from morembs.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import body_transfer, held_and_free, interface_transfer

@@ -13,17 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
+from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.body.body import ElasticBody
 from morembs.body.stored import StoredBodies, choose_body
-from morembs.errors import InputError
 from morembs.exporters.ports import Port, parts_of, ports_of_body, ports_of_file, refuse_loose
 from morembs.exporters.reduced import held_and_free
 from morembs.linalg.columns import symmetric
 from morembs.linalg.eigen import graded_modes
 from morembs.problem.damping import frequency_domain_only
 from morembs.reducers.base import ReducedModel
-from morembs.summary import summarised
 
 # Quantity and row of each degree of freedom that was named.
 Named = Sequence[tuple[str, int]]

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.io as sio
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.read_back import FirstOrder, ReadBack
 from morembs.exporters.simscape import DIGITS, write_mat

@@ -10,7 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.base.options import Text, checked, known
+from morembs.base.plugins import Registry
+from morembs.base.units import Units, parse_units
+from morembs.fem import Mesh, Nodes
+from morembs.fem.handedness import right_handed
+from morembs.fem.middle_nodes import mesh_in_order
 from morembs.importers.abaqus import import_abaqus, read_abaqus
 from morembs.importers.ansys_cdb import import_ansys_cdb
 from morembs.importers.ansys_full import import_ansys_full
@@ -26,13 +32,7 @@ from morembs.importers.nastran import import_nastran, read_nastran
 from morembs.importers.native import import_native
 from morembs.importers.npz import import_npz
 from morembs.importers.unv import import_unv, read_unv
-from morembs.model import Mesh, Nodes
-from morembs.model.handedness import right_handed
-from morembs.model.middle_nodes import mesh_in_order
-from morembs.options import Text, checked, known
-from morembs.plugins import Registry
 from morembs.storage.hdf5 import reading
-from morembs.units import Units, parse_units
 
 # Endings with a mesh reader of their own; every other mesh goes through meshio.
 READERS: dict[str, Callable[..., Mesh]] = {

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from morembs.errors import InputError, nearest
+from morembs.base.errors import InputError, nearest
+from morembs.fem import Mesh
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_constraints import Constraints
 from morembs.importers.abaqus_deck import SOLIDS, Deck
@@ -23,7 +24,6 @@ from morembs.importers.deck_options import deck_options, left_out
 from morembs.importers.formulations import DIALECTS, deck_warnings
 from morembs.importers.imported import Imported, nodes_of, sets_on
 from morembs.importers.problems import Problem
-from morembs.model import Mesh
 
 
 def read_abaqus(path: Path, *, dialect: str = "auto", allow_includes_outside: bool = False) -> Mesh:

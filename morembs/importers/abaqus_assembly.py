@@ -7,14 +7,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
+from morembs.fem import ElementBlock, skew
+from morembs.fem.elements import TYPES
+from morembs.fem.middle_nodes import in_order
 from morembs.importers.abaqus_data import LARGEST
 from morembs.importers.abaqus_deck import Deck, Instance, values
 from morembs.importers.abaqus_names import Discrete, Names, Placed, ascending, of_instance
-from morembs.model import ElementBlock, skew
-from morembs.model.elements import TYPES
-from morembs.model.middle_nodes import in_order
 
 # Type, formulation and mass of solids.
 Kind = tuple[str, str, str]

@@ -8,8 +8,8 @@ from itertools import groupby
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
 from morembs.importers.abaqus_data import element_numbers, fields, label, members
 from morembs.importers.abaqus_deck import DISCRETE, NODES, SOLIDS, Members
 from morembs.importers.abaqus_keywords import Card

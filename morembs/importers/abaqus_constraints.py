@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
+from morembs.fem.constraints import AverageElement, Equations, RigidElement, Term
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_data import number
 from morembs.importers.abaqus_deck import Deck, Rows
@@ -22,7 +23,6 @@ from morembs.importers.abaqus_ties import Glue, is_sector
 from morembs.importers.abaqus_words import CONTACT
 from morembs.importers.imported import DiscreteElement, PointMass
 from morembs.importers.problems import Problem
-from morembs.model.constraints import AverageElement, Equations, RigidElement, Term
 
 _ALL = (0, 1, 2, 3, 4, 5)
 SECTOR = "CYCLIC SYMMETRY MODEL"

@@ -7,8 +7,8 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
 from morembs.importers.abaqus_keywords import Card, decoded
 from morembs.importers.text_matrices import integers, numbers, table
 

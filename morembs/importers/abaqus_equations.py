@@ -7,15 +7,15 @@ from collections.abc import Iterable
 import numpy as np
 import scipy.linalg as sl
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
+from morembs.fem.constraints import Equations, Term, solved_for_first
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_data import number
 from morembs.importers.abaqus_deck import Rows, values
 from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_materials import frame_of
 from morembs.importers.abaqus_names import Placed
-from morembs.model.constraints import Equations, Term, solved_for_first
 
 _TEMPERATURE = "11"
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
+from morembs.fem import skew
 from morembs.importers.abaqus_data import label
 from morembs.importers.abaqus_deck import Members, NamedSet, Rows, Scope, join, values
 from morembs.importers.abaqus_keywords import Card
-from morembs.model import skew
 
 GENERATING = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY")
 _NOT_HERE = ("SYSTEM", "SINGULAR", "BIAS", "TWO STEP", "POLE", "REFLECT", "ALL NODES")

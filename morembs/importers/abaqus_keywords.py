@@ -14,7 +14,7 @@ from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.importers.abaqus_words import canonical, canonical_option
 from morembs.importers.includes import Includes, open_text
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats
-from morembs.errors import InputError, nearest
+from morembs.fem.material import VOIGT, Material, isotropic, orthotropic
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_data import LARGEST
 from morembs.importers.abaqus_deck import Deck, Rows, Scope, values
 from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_names import Placed
 from morembs.importers.imported import Lacking
-from morembs.model.material import VOIGT, Material, isotropic, orthotropic
 
 # What has a stiffness of its own, but no linear one.
 _NOT_LINEAR = {

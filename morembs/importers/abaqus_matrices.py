@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
 from morembs.importers.text_matrices import integers, numbers, opened, parallel_map, table, text_blocks
 from morembs.importers.triplets import (
     SAME,

@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 
 from morembs.base.types import Ints
+from morembs.fem import Mesh, Nodes
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.imported import first_nodes
-from morembs.model import Mesh, Nodes
 
 
 def mesh_of(assembly: Assembly, extra: Ints) -> tuple[Mesh, Nodes, Ints]:

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError, nearest
+from morembs.fem import ElementBlock
 from morembs.importers.abaqus_data import label
 from morembs.importers.abaqus_deck import Members, NamedSet, Scope
-from morembs.model import ElementBlock
 
 _DEEPEST = 100
 _NONE = np.empty(0, dtype=np.int64)

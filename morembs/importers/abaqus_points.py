@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_deck import Deck, Rows, values
 from morembs.importers.abaqus_equations import Axes

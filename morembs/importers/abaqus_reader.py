@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.importers.abaqus_blocks import other_records, set_parts, solid_records
 from morembs.importers.abaqus_data import fields, node_rows
 from morembs.importers.abaqus_deck import DISCRETE, KINDS, SOLIDS, Deck, Instance, Members, Rows, Scope, join

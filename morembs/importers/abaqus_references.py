@@ -12,8 +12,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.fem.constraints import AverageElement
 from morembs.importers.problems import Problem
-from morembs.model.constraints import AverageElement
 
 _IN_CALCULIX = {
     "COUPLING": "CalculiX leaves it loose",

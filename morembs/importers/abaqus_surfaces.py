@@ -6,16 +6,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError, nearest
+from morembs.fem import Mesh, Nodes
+from morembs.fem.elements import TYPES
+from morembs.fem.surface import outer_faces
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_data import number
 from morembs.importers.abaqus_deck import Rows
 from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_names import Placed
-from morembs.model import Mesh, Nodes
-from morembs.model.elements import TYPES
-from morembs.model.surface import outer_faces
 
 # Corners of the faces S1, S2, ...
 FACES = {

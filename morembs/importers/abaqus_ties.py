@@ -9,8 +9,11 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
+from morembs.fem import Mesh, Nodes
+from morembs.fem.constraints import Equations
+from morembs.fem.surface import outer_faces
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_data import number
 from morembs.importers.abaqus_deck import Rows
@@ -19,9 +22,6 @@ from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_surfaces import Surface, Surfaces
 from morembs.importers.facing import Facing
 from morembs.importers.projection import face_size, project
-from morembs.model import Mesh, Nodes
-from morembs.model.constraints import Equations
-from morembs.model.surface import outer_faces
 
 # Part of the mean size of the master's faces within which nodes are tied where a deck says nothing (Abaqus).
 _TOLERANCE = 0.05

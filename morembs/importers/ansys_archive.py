@@ -7,14 +7,14 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
+from morembs.fem.constraints import Term
 from morembs.importers import ansys_blocks as blocks
 from morembs.importers.ansys_elements import Elements, from_plain_form, from_solid_form
 from morembs.importers.ansys_properties import ELASTIC, SAID
 from morembs.importers.deck_options import DeckOptions
 from morembs.importers.problems import Problems
-from morembs.model.constraints import Term
 
 # What ties nodes together, and would have to be worked out: without it the model would be another one.
 REFUSED = {

@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
+from morembs.fem import ElementBlock, Mesh, Nodes
+from morembs.fem.constraints import Equations, solved_for_first
+from morembs.fem.material import Material
 from morembs.importers.ansys_archive import Archive, read_commands
 from morembs.importers.ansys_elements import CARRIERS, CONTACT, HANGING, NAMES, SOLIDS, Elements, element_name, solids
 from morembs.importers.ansys_properties import material
@@ -20,9 +23,6 @@ from morembs.importers.formulations import Meaning, ansys_meaning, warnings_of
 from morembs.importers.imported import Imported, Lacking, picked_nodes
 from morembs.importers.missing_middles import filled, middle_equations
 from morembs.importers.problems import Problem, Problems
-from morembs.model import ElementBlock, Mesh, Nodes
-from morembs.model.constraints import Equations, solved_for_first
-from morembs.model.material import Material
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

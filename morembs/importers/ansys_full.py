@@ -15,8 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
 from morembs.importers.ansys_nodes import joined
 from morembs.importers.imported import Imported
 from morembs.importers.text_matrices import opened

@@ -10,8 +10,8 @@ from typing import BinaryIO
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
 from morembs.importers.text_matrices import integers, numbers, opened
 from morembs.importers.triplets import assembled
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
+from morembs.fem import DofMap, Nodes, rigid_motion
 from morembs.importers.ansys_cdb import read_ansys_archive
 from morembs.importers.imported import Imported, picked_nodes
 from morembs.importers.text_matrices import text_blocks
-from morembs.model import DofMap, Nodes, rigid_motion
 
 # |K R| over |K| |R|: round-off of printed digits stays below, a wrong order of rows is near one.
 FREE = 1e-5

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.fem.material import Material, isotropic, orthotropic
 from morembs.importers.imported import Lacking
-from morembs.model.material import Material, isotropic, orthotropic
 
 ELASTIC = {"EX", "EY", "EZ", "NUXY", "NUYZ", "NUXZ", "PRXY", "PRYZ", "PRXZ", "GXY", "GYZ", "GXZ", "DENS"}
 # Damping and temperature: said, not kept. Conductivity and the like say nothing about a structure and are passed over.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
+from morembs.fem import ElementBlock
 from morembs.importers.ansys_archive import Archive
-from morembs.model import ElementBlock
 
 
 def _members(ranges: Ints, ids: Ints, what: str, name: str) -> Ints:

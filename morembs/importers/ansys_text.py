@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
 from morembs.importers.ansys_hb import read_harwell_boeing
 from morembs.importers.ansys_nodes import COMPONENTS, joined
 from morembs.importers.imported import Imported

@@ -9,14 +9,14 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
+from morembs.fem.constraints import RigidElement, Term
 from morembs.importers.ansys_archive import Archive
 from morembs.importers.ansys_elements import MASS, RIGID, Elements, element_name
 from morembs.importers.discrete import spring
 from morembs.importers.imported import DiscreteElement, Imported, PointMass
 from morembs.importers.problems import Problems
-from morembs.model.constraints import RigidElement, Term
 
 Options = Mapping[int, int]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from morembs.errors import InputError, nearest
+from morembs.base.errors import InputError, nearest
+from morembs.fem.material import Material
 from morembs.importers.imported import Lacking
 from morembs.importers.problems import Problem, Problems
-from morembs.model.material import Material
 
 CONTACT = ("refuse", "skip", "tie")
 

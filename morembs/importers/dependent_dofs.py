@@ -14,11 +14,11 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError, nearest
-from morembs.interface import Average, Interface, Rigid, averaging
-from morembs.model import FEModel, rigid_motion
-from morembs.model.constraints import AverageElement, DependentDofs, Equations, RigidElement
+from morembs.fem import FEModel, rigid_motion
+from morembs.fem.constraints import AverageElement, DependentDofs, Equations, RigidElement
+from morembs.fem.interface import Average, Interface, Rigid, averaging
 
 ALL = (0, 1, 2, 3, 4, 5)
 # Entries that a reference with stiffness or mass of its own may spread over its nodes.

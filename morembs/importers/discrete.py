@@ -9,12 +9,12 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
+from morembs.base.units import Units
+from morembs.fem import FEModel
 from morembs.importers.dependent_dofs import dof_table
 from morembs.importers.imported import DiscreteElement
-from morembs.model import FEModel
-from morembs.units import Units
 
 
 def si_discrete(element: DiscreteElement, units: Units) -> DiscreteElement:

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
 from morembs.importers.dmig_cards import Column, columns_of
 from morembs.importers.nastran_cards import Cards
 from morembs.importers.nastran_text import BulkText

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
 from morembs.importers.nastran_cards import Cards, Table
 from morembs.importers.text_matrices import integers
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
 
 _COMPONENTS = {
     **{name: i for i, name in enumerate(("x", "y", "z", "rx", "ry", "rz"))},

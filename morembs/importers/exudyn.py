@@ -9,12 +9,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
+from morembs.fem import DofMap, Nodes
 from morembs.importers.hdf5_sparse import sparse_group
 from morembs.importers.imported import Imported
 from morembs.importers.named import square_csr
-from morembs.model import DofMap, Nodes
 from morembs.storage.hdf5 import read_dataset, reading
 
 

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
+from morembs.base.units import Units, parse_units
+from morembs.fem import DofMap, FEModel, Nodes
+from morembs.fem.fe_model import SCALAR
+from morembs.fem.named_columns import columns_of_input, columns_of_output
 from morembs.importers.imported import Imported
 from morembs.importers.named import square_csr
 from morembs.importers.to_model import model_of
-from morembs.model import DofMap, FEModel, Nodes
-from morembs.model.fe_model import SCALAR
-from morembs.model.named_columns import columns_of_input, columns_of_output
-from morembs.units import Units, parse_units
 
 
 def from_matrices(
@@ -49,7 +49,7 @@ def from_matrices(
         name: what messages call the model.
         units: of all numbers, as ``parse_units`` takes them ("mm-t-s"); SI unless given.
 
-    Whether places, dofs and units fit the matrices is not looked at here: ``morembs.diagnostics.examined(model)`` says.
+    Whether places, dofs and units fit the matrices is not looked at here: ``morembs.examined(model)`` says.
 
     Peak memory: copies of the matrices in CSR form.
 

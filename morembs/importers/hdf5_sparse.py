@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.base.types import Values
-from morembs.errors import InputError
 from morembs.importers.imported import Imported
 from morembs.importers.named import Matrices, Wanted, matrices_by_name
 from morembs.importers.triplets import Place, refuse_twice, row_and_column

@@ -10,9 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base.types import Floats, Ints
-from morembs.model import DofMap, Mesh, NamedColumns, Nodes, frozen
-from morembs.model.constraints import AverageElement, Equations, RigidElement
-from morembs.model.material import Material
+from morembs.fem import DofMap, Mesh, NamedColumns, Nodes, frozen
+from morembs.fem.constraints import AverageElement, Equations, RigidElement
+from morembs.fem.material import Material
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

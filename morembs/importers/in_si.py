@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.base.units import Units
+from morembs.fem import DofMap, NamedColumns
+from morembs.fem.constraints import Equations
+from morembs.fem.fe_model import MATRICES, SCALAR
+from morembs.fem.material import Material
 from morembs.importers.imported import Imported
-from morembs.model import DofMap, NamedColumns
-from morembs.model.constraints import Equations
-from morembs.model.fe_model import MATRICES, SCALAR
-from morembs.model.material import Material
-from morembs.units import Units
 
 
 def matrices_in_si(imported: Imported, dofs: DofMap, units: Units) -> list[sp.csr_array | None]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 
 DEEPEST, MOST, LARGEST_SUM = 50, 1000, 1 << 32
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)

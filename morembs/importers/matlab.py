@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.errors import InputError, MorembsError
+from morembs.base.errors import InputError, MorembsError
 from morembs.importers.hdf5_sparse import checked_csr, import_hdf5
 from morembs.importers.imported import Imported
 from morembs.importers.matlab_v5 import read_matlab_v5

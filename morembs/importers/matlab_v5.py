@@ -15,10 +15,10 @@ from typing import BinaryIO
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
+from morembs.base.memory import refuse_too_large
 from morembs.base.types import Values
-from morembs.errors import InputError
 from morembs.importers.hdf5_sparse import checked_csc
-from morembs.memory import refuse_too_large
 
 _HEADER = 128
 _MATRIX, _COMPRESSED = 14, 15

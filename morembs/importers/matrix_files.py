@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
+from morembs.fem import DofMap, Nodes
+from morembs.fem.fe_model import SCALAR
 from morembs.importers.abaqus_matrices import AbaqusMatrix, aligned, read_abaqus_matrix
 from morembs.importers.calculix_matrices import read_calculix_matrices
 from morembs.importers.dmig import DmigMatrix, read_dmig
@@ -20,8 +22,6 @@ from morembs.importers.nastran_cards import Cards
 from morembs.importers.nastran_geometry import Grids
 from morembs.importers.nastran_text import BulkText
 from morembs.importers.op4 import read_op4
-from morembs.model import DofMap, Nodes
-from morembs.model.fe_model import SCALAR
 
 _GRID = re.compile(rb"^GRID[ *,][^\n]*\n(?:[*+ ,][^\n]*\n)*", re.MULTILINE)
 # The component of rows of scalar points.

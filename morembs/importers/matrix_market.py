@@ -11,8 +11,8 @@ from typing import TypeVar
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.base.types import Values
-from morembs.errors import InputError
 from morembs.importers.imported import Imported
 from morembs.importers.named import Wanted, square_csr
 from morembs.importers.text_matrices import integers, numbers, parallel_map, table, text_blocks

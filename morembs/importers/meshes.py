@@ -13,12 +13,12 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError, MorembsError
 from morembs.base.types import Ints
-from morembs.errors import InputError, MorembsError
+from morembs.fem import ElementBlock, Mesh, Nodes
+from morembs.fem.elements import TYPES
 from morembs.importers.abaqus import read_abaqus
 from morembs.importers.imported import Imported, picked_nodes
-from morembs.model import ElementBlock, Mesh, Nodes
-from morembs.model.elements import TYPES
 from morembs.storage.hdf5 import refuse_unsafe_file
 
 if TYPE_CHECKING:

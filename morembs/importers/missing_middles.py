@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from morembs.base.types import Ints
-from morembs.model.constraints import Equations
-from morembs.model.elements import TYPES
+from morembs.fem.constraints import Equations
+from morembs.fem.elements import TYPES
 
 LINEAR_EDGES = "edges without middle nodes"
 

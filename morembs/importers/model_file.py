@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
+from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.errors import InputError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Ints
-from morembs.budget import UNLIMITED, Budget
-from morembs.errors import InputError
+from morembs.fem import FEModel, Mesh
+from morembs.fem.constraints import RigidElement
+from morembs.fem.fe_model import MATRICES
 from morembs.importers.native import FORMAT, FORMAT_VERSION, MODEL, import_native
 from morembs.importers.to_model import model_of
-from morembs.model import FEModel, Mesh
-from morembs.model.constraints import RigidElement
-from morembs.model.fe_model import MATRICES
-from morembs.progress import SILENT, Progress
 from morembs.storage.hdf5 import holds_format
 from morembs.storage.writer import writing
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.errors import InputError, nearest
+from morembs.base.errors import InputError, nearest
+from morembs.fem import DofMap, Nodes
+from morembs.fem.fe_model import LARGEST
+from morembs.fem.named_columns import NamedColumns, columns_of_input, columns_of_output
 from morembs.importers.imported import Imported
-from morembs.model import DofMap, Nodes
-from morembs.model.fe_model import LARGEST
-from morembs.model.named_columns import NamedColumns, columns_of_input, columns_of_output
 
 Matrices = dict[str, sp.csr_array]
 # Names by which matrices go, in small letters; the first that is there is taken.

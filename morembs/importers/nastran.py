@@ -14,8 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
+from morembs.fem import ElementBlock, Mesh, Nodes
+from morembs.fem.constraints import Equations
 from morembs.importers.deck_options import DeckOptions, deck_options, left_out
 from morembs.importers.formulations import Meaning, nastran_mass_warnings, nastran_meaning, warnings_of
 from morembs.importers.imported import Imported, first_nodes, nodes_of
@@ -27,8 +29,6 @@ from morembs.importers.nastran_properties import Materials, labels_of, padded
 from morembs.importers.nastran_rigid import Ties
 from morembs.importers.nastran_springs import Springs
 from morembs.importers.problems import Problem
-from morembs.model import ElementBlock, Mesh, Nodes
-from morembs.model.constraints import Equations
 
 # Values of PARAM COUPMASS that leave the mass lumped.
 OFF = ("-1", "NO", "")

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.importers.abaqus_keywords import Card
 from morembs.importers.deck_options import DeckOptions
 from morembs.importers.nastran_cards import Table, real, tables

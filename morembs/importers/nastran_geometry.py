@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
 from morembs.importers.abaqus_data import LARGEST
 from morembs.importers.abaqus_materials import frame_of
 from morembs.importers.nastran_cards import Table, integer, real

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import qr
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
+from morembs.fem.constraints import Equations, solved_for_first
 from morembs.importers.nastran_cards import integer
 from morembs.importers.nastran_geometry import Grids, Systems
-from morembs.model.constraints import Equations, solved_for_first
 
 # A component of a grid along its own axes: row of the grid, 0 to 5.
 Motion = tuple[int, int]

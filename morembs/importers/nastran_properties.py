@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
+from morembs.fem.material import Material, isotropic, orthotropic
 from morembs.importers.abaqus_materials import turned
 from morembs.importers.imported import Lacking
 from morembs.importers.nastran_cards import integer, real
 from morembs.importers.nastran_geometry import Grids, Systems
-from morembs.model.material import Material, isotropic, orthotropic
 
 Rows = list[list[str]]
 # Nastran orders shear xy, yz, zx; here it is yz, zx, xy.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from decimal import Decimal
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 
 BLOCK = re.compile(rb"(?:^[ \t]*=[^\n]*\n(?:[ \t]*\n)*)+", re.MULTILINE)
 _AGAIN = re.compile(r"=\(?(\d{1,6})\)?")

@@ -7,13 +7,13 @@ import re
 import numpy as np
 import scipy.linalg as sl
 
+from morembs.base.errors import InputError
 from morembs.base.types import Bools, Floats
-from morembs.errors import InputError
+from morembs.fem.constraints import Equations
 from morembs.importers.nastran_bulk import Bulk
 from morembs.importers.nastran_cards import integer
 from morembs.importers.nastran_motions import components
 from morembs.importers.nastran_properties import labels_of, padded
-from morembs.model.constraints import Equations
 
 _SPC = re.compile(r"^[ \t]*SPC[ \t]*=[ \t]*(\d+)", re.MULTILINE | re.IGNORECASE)
 # Directions whose part in others is smaller than this say nothing new.

@@ -7,14 +7,14 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
+from morembs.fem.constraints import AverageElement, Equations, RigidElement, Term, solved_for_first
 from morembs.importers.imported import PointMass
 from morembs.importers.nastran_cards import integer, real
 from morembs.importers.nastran_geometry import Grids, Systems
 from morembs.importers.nastran_motions import Motion, Motions, components
 from morembs.importers.nastran_properties import Rows, labels_of, padded
-from morembs.model.constraints import AverageElement, Equations, RigidElement, Term, solved_for_first
 
 _ALL = (0, 1, 2, 3, 4, 5)
 _MPC = re.compile(r"^[ \t]*MPC[ \t]*=[ \t]*(\d+)", re.MULTILINE | re.IGNORECASE)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
+from morembs.fem import skew
 from morembs.importers.abaqus_materials import frame_of
 from morembs.importers.discrete import spring
 from morembs.importers.imported import DiscreteElement
@@ -13,7 +14,6 @@ from morembs.importers.nastran_cards import integer, real
 from morembs.importers.nastran_geometry import Grids, Systems
 from morembs.importers.nastran_names import SCALARS
 from morembs.importers.nastran_properties import Rows, padded
-from morembs.model import skew
 
 # Fields of each property on one card.
 _PROPERTY = {"PELAS": 4, "PMASS": 2, "PDAMP": 2}

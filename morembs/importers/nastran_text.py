@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.importers.includes import Includes, open_text
 from morembs.importers.nastran_replication import BLOCK, replicated
 

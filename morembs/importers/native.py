@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.budget import UNLIMITED, Budget
-from morembs.errors import InputError
+from morembs.fem import DofMap, ElementBlock, Mesh, NamedColumns, Nodes
+from morembs.fem.constraints import AverageElement, Equations, RigidElement
+from morembs.fem.elements import TYPES
+from morembs.fem.fe_model import MATRICES, SCALAR
+from morembs.fem.formulations import FORMULATIONS, MASSES, formulation_of
+from morembs.fem.material import Material
 from morembs.importers.hdf5_sparse import checked_csr
 from morembs.importers.imported import Imported, first_nodes
-from morembs.model import DofMap, ElementBlock, Mesh, NamedColumns, Nodes
-from morembs.model.constraints import AverageElement, Equations, RigidElement
-from morembs.model.elements import TYPES
-from morembs.model.fe_model import MATRICES, SCALAR
-from morembs.model.formulations import FORMULATIONS, MASSES, formulation_of
-from morembs.model.material import Material
 from morembs.storage.checksums import Checksums
 from morembs.storage.hdf5 import reading_format
 from morembs.storage.table import Row, Table, read_rows

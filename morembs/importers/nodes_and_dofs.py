@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.fem import DofMap, Nodes
+from morembs.fem.fe_model import SCALAR, refuse_far
 from morembs.importers.imported import Imported
-from morembs.model import DofMap, Nodes
-from morembs.model.fe_model import SCALAR, refuse_far
 
 
 def nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple[str, ...]]:

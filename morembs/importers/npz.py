@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError, MorembsError
 from morembs.base.types import Values
-from morembs.errors import InputError, MorembsError
 from morembs.importers.hdf5_sparse import checked_csc, checked_csr
 from morembs.importers.imported import Imported
 from morembs.importers.named import Matrices, Wanted, matrices_by_name

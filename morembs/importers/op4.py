@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError, nearest
 from morembs.base.types import Ints
-from morembs.errors import InputError, nearest
 from morembs.importers.op4_columns import Collector, Header, OP4Matrix, header
 from morembs.importers.op4_text import read_op4_text
 from morembs.importers.text_matrices import opened

@@ -9,8 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
 from morembs.importers.triplets import asymmetry
 
 SQUARE, RECTANGULAR, DIAGONAL, SYMMETRIC, IDENTITY = 1, 2, 3, 6, 8

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
 from morembs.importers.op4_columns import Collector, Header, OP4Matrix, header
 from morembs.importers.text_matrices import integers, numbers, text_blocks
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
+from morembs.base.units import Units
+from morembs.fem import DofMap, FEModel, skew
+from morembs.fem.constraints import AverageElement, Equations, RigidElement
+from morembs.fem.fe_model import MATRICES
 from morembs.importers.dependent_dofs import dof_table
 from morembs.importers.imported import DiscreteElement, PointMass, Ties, nodes_of
-from morembs.model import DofMap, FEModel, skew
-from morembs.model.constraints import AverageElement, Equations, RigidElement
-from morembs.model.fe_model import MATRICES
-from morembs.units import Units
 
 
 def si_mass(mass: PointMass, units: Units) -> PointMass:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from morembs.base.types import Floats, Ints
-from morembs.model.elements import FACES
+from morembs.fem.elements import FACES
 
 # Faces that are tried for each point, by the distance of their centres.
 _TRIED = 9

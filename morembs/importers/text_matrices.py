@@ -20,8 +20,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
 
 BLOCK = 1 << 20
 _ALLOWED = b"0123456789+-.eEdD \t\r\n,"

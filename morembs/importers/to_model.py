@@ -12,9 +12,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.errors import InputError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Ints
-from morembs.budget import UNLIMITED, Budget
-from morembs.errors import InputError
+from morembs.base.units import Units
+from morembs.fem import FEModel, Mesh, Nodes
+from morembs.fem.assembly import assemble
+from morembs.fem.fe_model import MATRICES, refuse_far
+from morembs.fem.handedness import right_handed
+from morembs.fem.middle_nodes import mesh_in_order
+from morembs.fem.surface import seam_faces
 from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.importers.discrete import si_discrete, with_discrete
 from morembs.importers.imported import Imported, Ties, nodes_of, picked_nodes
@@ -23,14 +31,6 @@ from morembs.importers.missing_middles import LINEAR_EDGES
 from morembs.importers.named import refuse_entries
 from morembs.importers.nodes_and_dofs import nodes_and_dofs
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
-from morembs.model import FEModel, Mesh, Nodes
-from morembs.model.assembly import assemble
-from morembs.model.fe_model import MATRICES, refuse_far
-from morembs.model.handedness import right_handed
-from morembs.model.middle_nodes import mesh_in_order
-from morembs.model.surface import seam_faces
-from morembs.progress import SILENT, Progress
-from morembs.units import Units
 
 
 def model_of(

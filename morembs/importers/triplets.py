@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.closing import Closing
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.closing import Closing
-from morembs.errors import InputError
 
 Triplets = tuple[Ints, Ints, Floats]
 # Words for a row and a column counted from 0.

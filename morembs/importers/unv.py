@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.fem import ElementBlock, Mesh, Nodes
 from morembs.importers.imported import Imported
-from morembs.model import ElementBlock, Mesh, Nodes
 
 # FE descriptor -> type and the nodes of the file in VTK order. Quadratic solids list each middle between its corners,
 # bottom, upright edges, top.

@@ -24,11 +24,11 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.errors import SolverError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Values
-from morembs.budget import UNLIMITED, Budget
-from morembs.errors import SolverError
 from morembs.linalg.columns import multiply_into, orthonormal
-from morembs.progress import SILENT, Progress
 
 # Directions of Z below this part of the largest are dropped: (1e-10)^2 is nothing in the Gramian.
 NEGLIGIBLE = 1e-10

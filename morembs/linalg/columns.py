@@ -12,9 +12,8 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.types import Floats, Values
-from morembs.budget import UNLIMITED, Budget
-from morembs.moved import renamed
 
 # A column that keeps less than this part of its norm after orthogonalisation is dependent.
 DEPENDENT = 1e-10
@@ -247,11 +246,6 @@ def _weighted(W: Values, M: sp.sparray | None) -> Values:
 def _blocks(V: Values, budget: Budget) -> list[slice]:
     width = budget.read_at_once(len(V))
     return [slice(first, first + width) for first in range(0, V.shape[1], width)]
-
-
-__getattr__ = renamed(
-    __name__, {"remove": "project_out", "combine": "multiply_into", "beside": "hstack", "m_orthonormal": "orthonormal"}
-)
 
 
 def without_rigid_motion(K: Floats, M: Floats, rigid: Floats) -> Floats:

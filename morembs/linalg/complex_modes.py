@@ -14,12 +14,12 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError, SingularMatrixError, SolverError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Complexes, Floats
-from morembs.errors import InputError, SingularMatrixError, SolverError
 from morembs.linalg.columns import complement, m_norms, orthonormal
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Factorization, LinearSolver
-from morembs.progress import SILENT, Progress
 
 # |K^-1 r| against |x| in M at which a mode is taken; its eigenvalue is off by the square of that without damping.
 TOLERANCE = 1e-8

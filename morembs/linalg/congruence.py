@@ -9,9 +9,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.budget import Budget
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.budget import Budget
-from morembs.errors import InputError
 
 _ENTRIES = 1 << 20
 

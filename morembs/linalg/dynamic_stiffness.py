@@ -9,13 +9,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.closing import Closing
+from morembs.base.errors import InputError
 from morembs.base.types import Values
-from morembs.budget import UNLIMITED, Budget
-from morembs.closing import Closing
-from morembs.errors import InputError
 from morembs.linalg.sparse.solver import Analysis, Factorization, Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import General, Lower
-from morembs.moved import renamed
 
 _CHUNK = 1 << 20
 
@@ -249,6 +248,3 @@ def _keys(A: Lower, first: int, last: int) -> NDArray[np.int64]:
     """One ascending number for each entry of the columns ``first`` to ``last``."""
     column = np.repeat(np.arange(last - first, dtype=np.int64), np.diff(A.indptr[first : last + 1]))
     return np.asarray(column * A.n + A.indices[A.indptr[first] : A.indptr[last]], dtype=np.int64)
-
-
-__getattr__ = renamed(__name__, {"held": "constrained", "sprung": "grounded"})

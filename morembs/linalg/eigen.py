@@ -10,15 +10,14 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError, SolverError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats
-from morembs.errors import InputError, SolverError
 from morembs.linalg.columns import dense, fix_signs, m_norms
 from morembs.linalg.lanczos import BlockLanczos, largest
 from morembs.linalg.second_shift import first_look, keeps_two_factors, modes_below, shifted_factor
 from morembs.linalg.slicing import SLICE, Shifted, sliced_modes
 from morembs.linalg.statics import ConstrainedStatics
-from morembs.moved import renamed
-from morembs.progress import SILENT, Progress
 
 log = logging.getLogger(__name__)
 # Up to this size, or when a large part of all modes is wanted, LAPACK is faster and finds all.
@@ -283,6 +282,3 @@ def _gap_after(values: Floats, count: int) -> float | None:
         if values[k] - values[k - 1] > GAP * values[k]:
             return float(0.5 * (values[k] + values[k - 1]))
     return None
-
-
-__getattr__ = renamed(__name__, {"signed": "fix_signs"})

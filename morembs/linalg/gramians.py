@@ -18,8 +18,8 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.types import Floats
-from morembs.budget import UNLIMITED, Budget
 from morembs.linalg.columns import complement, m_norms, multiply_into, project_out
 
 # Singular values below this part of the largest are round-off.

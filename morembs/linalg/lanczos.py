@@ -14,11 +14,11 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.errors import SolverError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats
-from morembs.budget import UNLIMITED, Budget
-from morembs.errors import SolverError
 from morembs.linalg.columns import complement, m_norms, multiply, multiply_into, orthonormal_pair, symmetric, take_out
-from morembs.progress import SILENT, Progress
 
 TOLERANCE = 1e-9
 MAX_STEPS = 400

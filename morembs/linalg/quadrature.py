@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Complexes, Floats
-from morembs.errors import InputError
 
 # Gauss points for each unit of asinh, and to begin with: 1e-10 beside a pole.
 POINTS, FIRST_POINTS = 4, 8

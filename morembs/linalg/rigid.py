@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
 
 EPS = float(np.finfo(float).eps)
 # Forces against what cancels in their row: round-off up to the first (assembled bodies reach 3 eps), a support from

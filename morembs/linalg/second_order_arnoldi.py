@@ -17,8 +17,8 @@ from collections.abc import Callable
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.types import Values
-from morembs.budget import UNLIMITED, Budget
 from morembs.linalg.columns import orthonormal, split
 
 Solve = Callable[[Values], Values]

@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import SingularMatrixError, SolverError
+from morembs.base.memory import installed_bytes
+from morembs.base.progress import Progress
 from morembs.base.types import Floats
-from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.lanczos import TOLERANCE, BlockLanczos
 from morembs.linalg.slicing import Shifted
 from morembs.linalg.statics import NUDGES, ConstrainedStatics
-from morembs.memory import installed_bytes
-from morembs.progress import Progress
 
 # Residual of the Ritz values between which the second shift is put: their error is about its square.
 ROUGH = 0.03

@@ -14,14 +14,14 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.closing import Closing
+from morembs.base.errors import SingularMatrixError, SolverError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Ints
-from morembs.closing import Closing
-from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.columns import dense, dot, map_columns, project_out
 from morembs.linalg.dynamic_stiffness import constrained
 from morembs.linalg.lanczos import MAX_STEPS, TOLERANCE, BlockLanczos
 from morembs.linalg.statics import NUDGES, ConstrainedStatics, room_for_factor, unit_rows
-from morembs.progress import SILENT, Progress
 
 log = logging.getLogger(__name__)
 # Modes per slice, and columns of a Krylov block.

@@ -17,16 +17,15 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.closing import Closing
+from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
 from morembs.base.types import Floats, Ints
-from morembs.budget import UNLIMITED, Budget
-from morembs.closing import Closing
-from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
 from morembs.linalg.columns import DEPENDENT, m_norms, map_columns
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, constrained, grounded, spring_stiffness
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.moved import renamed
 
 # Error of unit interface displacements that is refused, and the one before any refinement, beyond which the condensed
 # stiffness has lost too much; the error that is not refined any more, and the number of steps.
@@ -348,6 +347,3 @@ def _sizes(A: Floats, usual: Floats) -> Floats:
     """Roots (c,) of the diagonal of ``A`` (c, c), those ``usual`` for their flexibility where it is round-off."""
     diagonal = np.diag(A)
     return np.asarray(np.sqrt(np.where(diagonal > ROUND_OFF * usual**2, diagonal, usual**2)))
-
-
-__getattr__ = renamed(__name__, {"solved": "map_columns", "Restricted": "ConstrainedStatics"})

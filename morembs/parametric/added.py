@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.errors import InputError, nearest
-from morembs.interface import Elimination, Interface
+from morembs.base.errors import InputError, nearest
+from morembs.fem import FEModel, skew
+from morembs.fem.interface import Elimination, Interface
 from morembs.linalg.statics import support_dofs
-from morembs.model import FEModel, skew
 from morembs.parametric.parameter import Parameter
 from morembs.parametric.varied import VariedModel
 

@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg as sl
 
+from morembs.base.errors import InputError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats
-from morembs.errors import InputError
 from morembs.linalg.columns import map_columns, multiply, symmetric
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.parametric.bound import BEYOND, ParametricBound, ratio, ritz_pairs
@@ -28,7 +29,6 @@ from morembs.parametric.steps import SearchSteps, Step
 from morembs.parametric.terms import AffineProblem
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
-from morembs.progress import SILENT, Progress
 from morembs.responses.certified import floor_of
 
 # Modes up to these multiples of the upper frequency: those that are deflated at the anchor, those taken at other p.

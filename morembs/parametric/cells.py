@@ -24,9 +24,10 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 from numpy.typing import NDArray
 
+from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.errors import InputError, SingularMatrixError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Ints
-from morembs.budget import UNLIMITED, Budget
-from morembs.errors import InputError, SingularMatrixError
 from morembs.linalg.columns import map_columns, symmetric
 from morembs.linalg.dynamic_stiffness import constrained
 from morembs.linalg.sparse.select import select_solver
@@ -36,7 +37,6 @@ from morembs.parametric.bound import Cells
 from morembs.parametric.law import LINEAR, Law, bernstein
 from morembs.parametric.model import ParametricModel
 from morembs.parametric.space import GlobalSpace
-from morembs.progress import SILENT, Progress
 
 # Parts of what eigenvalues promise that are tried, one after the other.
 TRIED = (0.97, 0.9, 0.8, 0.65)

@@ -8,8 +8,8 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.types import Floats
-from morembs.budget import UNLIMITED, Budget
 from morembs.linalg.columns import dot, m_norms, orthonormal, project_out, subtract, symmetric
 
 # What a column has less than this part of its own size beside the others is left out, and counts by its norm.

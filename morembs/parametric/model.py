@@ -15,8 +15,8 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Complexes, Floats
-from morembs.errors import InputError, SolverError
 from morembs.linalg.columns import projected, without_rigid_motion
 from morembs.linalg.eigen import graded_modes
 from morembs.parametric.law import Law

@@ -16,12 +16,12 @@ from itertools import pairwise, product
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
-from morembs.model import ElementBlock, Mesh
-from morembs.model.assembly import chunks
-from morembs.model.elements import TYPES, Rule
-from morembs.model.formulations import formulation_of, jacobian
+from morembs.fem import ElementBlock, Mesh
+from morembs.fem.assembly import chunks
+from morembs.fem.elements import TYPES, Rule
+from morembs.fem.formulations import formulation_of, jacobian
 from morembs.parametric.law import bernstein, chebyshev_points, chebyshev_roots, lagrange
 from morembs.parametric.parameter import Parameter
 

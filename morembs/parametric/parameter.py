@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats
-from morembs.errors import InputError, nearest
 from morembs.problem.damping import Damping
 
 # What may vary, and the unit of its values in SI.

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from morembs.base.errors import InputError, nearest
 from morembs.base.types import Ints
-from morembs.errors import InputError, nearest
-from morembs.model import Mesh
-from morembs.model.assembly import material_of_elements
-from morembs.model.material import Material, isotropic
+from morembs.fem import Mesh
+from morembs.fem.assembly import material_of_elements
+from morembs.fem.material import Material, isotropic
 from morembs.parametric.parameter import Parameter
 
 # Part by which elastic constants may differ from those of an isotropic material.

@@ -6,8 +6,8 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
 from morembs.linalg.columns import complement, dot, fix_signs, hstack, multiply_into, symmetric
 from morembs.linalg.congruence import weighted_row_sums
 from morembs.linalg.rigid import EPS, ROUND_OFF

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
 from morembs.parametric.terms import AffineProblem
 from morembs.storage.checksums import Checksums
 from morembs.storage.contents import own_files

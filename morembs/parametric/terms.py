@@ -12,14 +12,14 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.budget import UNLIMITED, Budget
-from morembs.errors import InputError
-from morembs.interface import Interface, couple
+from morembs.fem import FEModel, skew
+from morembs.fem.assembly import mass_matrix
+from morembs.fem.interface import Interface, couple
 from morembs.linalg.columns import symmetric
 from morembs.linalg.congruence import congruence
-from morembs.model import FEModel, skew
-from morembs.model.assembly import mass_matrix
 from morembs.parametric.added import with_springs
 from morembs.parametric.law import Law
 from morembs.parametric.parameter import DAMPING

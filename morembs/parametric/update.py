@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import least_squares, linear_sum_assignment
 
+from morembs.base.errors import InputError, SolverError, nearest
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError, SolverError, nearest
 from morembs.parametric.model import ModelAt, ParametricModel
 
 # Standard deviation of a measured frequency of which none is given, as a part of it.

@@ -14,10 +14,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Ints
-from morembs.budget import UNLIMITED, Budget
-from morembs.model import FEModel, Mesh
-from morembs.model.assembly import (
+from morembs.fem import FEModel, Mesh
+from morembs.fem.assembly import (
     assemble,
     check_mesh,
     entries_of,
@@ -27,17 +28,16 @@ from morembs.model.assembly import (
     material_of_elements,
     stiffness_matrix,
 )
-from morembs.model.elements import TYPES, Rule
-from morembs.model.fe_model import DofMap, ElementBlock
-from morembs.model.formulations import formulation_of, mass_rule
-from morembs.model.material import Material
-from morembs.model.middle_nodes import mesh_in_order
+from morembs.fem.elements import TYPES, Rule
+from morembs.fem.fe_model import DofMap, ElementBlock
+from morembs.fem.formulations import formulation_of, mass_rule
+from morembs.fem.material import Material
+from morembs.fem.middle_nodes import mesh_in_order
 from morembs.parametric.law import LAGRANGE, LINEAR, ONE, Law
 from morembs.parametric.morph import CUBIC, Morph
 from morembs.parametric.parameter import Box, Parameter
 from morembs.parametric.regions import regions_of
 from morembs.parametric.volumes import VolumeRatios, volume_ratios
-from morembs.progress import SILENT, Progress
 
 Chosen = dict[int, NDArray[np.bool_]]
 # Parts of the tolerance of a body that the stiffness of a morph may take, and that it takes where the terms of one

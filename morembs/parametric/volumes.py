@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.base.types import Floats
-from morembs.model import ElementBlock
-from morembs.model.assembly import chunks
-from morembs.model.elements import Rule
+from morembs.fem import ElementBlock
+from morembs.fem.assembly import chunks
+from morembs.fem.elements import Rule
 from morembs.parametric.law import lagrange
 from morembs.parametric.morph import CUBIC, Morph, on_grid
 

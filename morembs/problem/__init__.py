@@ -1,6 +1,6 @@
 """M u'' + D u' + K u = B f: a model coupled to its interfaces, with damping and a solver."""
 
-from morembs.model.fe_model import STRUCTURAL
+from morembs.fem.fe_model import STRUCTURAL
 from morembs.problem.damping import Damping, frequency_domain_only, modal_steps
 from morembs.problem.dynamics import Dynamics, crew_of
 from morembs.problem.problem import AS_A_RULE, LOST, SOFTER, Problem

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sl
 
-from morembs.arguments import checked
+from morembs.base.arguments import checked
+from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats
-from morembs.errors import InputError, nearest
-from morembs.model.fe_model import STRUCTURAL
+from morembs.fem.fe_model import STRUCTURAL
 
 Steps = tuple[tuple[float, float], ...]
 # The default of Adams: 1 % below 100 Hz, 10 % from there to 1 kHz, critical above.

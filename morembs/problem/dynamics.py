@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.budget import Budget
-from morembs.crew import Crew
+from morembs.base.budget import Budget
+from morembs.base.crew import Crew
+from morembs.base.memory import resident_bytes
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
-from morembs.memory import resident_bytes
 from morembs.problem.damping import Damping
 
 if TYPE_CHECKING:

@@ -9,11 +9,17 @@ from typing import Any, TypeVar
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.budget import Budget
+from morembs.base.closing import Closing
+from morembs.base.errors import InputError, MorembsError, SingularMatrixError, SolverError
+from morembs.base.progress import SILENT, Progress
+from morembs.base.summary import summarised
 from morembs.base.types import Floats
-from morembs.budget import Budget
-from morembs.closing import Closing
-from morembs.errors import InputError, MorembsError, SingularMatrixError, SolverError
-from morembs.interface import Coupling, Interface, couple
+from morembs.fem import FEModel
+from morembs.fem.fe_model import has_places
+from morembs.fem.interface import Coupling, Interface, couple
+from morembs.fem.mass import mass_properties
+from morembs.fem.rigid_residual import share_of_other_geometry
 from morembs.linalg.columns import dense, map_columns
 from morembs.linalg.congruence import congruence, scaled_row_sums
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
@@ -22,14 +28,8 @@ from morembs.linalg.rigid import resists, written
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_count, room_for_factor
-from morembs.model import FEModel
-from morembs.model.fe_model import has_places
-from morembs.model.mass import mass_properties
-from morembs.model.rigid_residual import share_of_other_geometry
 from morembs.problem.damping import Damping as Damping
 from morembs.problem.rigid_motions import need_factor, nodes_of_rows, rigid_motions, terms_in_rows
-from morembs.progress import SILENT, Progress
-from morembs.summary import summarised
 
 Shared = TypeVar("Shared")
 # Round-off adds up at random: part of its bound that is seen as a rule.
@@ -380,7 +380,7 @@ class Problem(Closing):
             raise InputError(
                 f"the stiffness matrix K does not fit the geometry: rigid motion strains it at {share:.0%} of the dofs "
                 f"and {count} other motions have no energy; check that coordinates and dof map belong to these "
-                "matrices, in this order; morembs.diagnostics.examine_model(model) says more"
+                "matrices, in this order; morembs.body.diagnostics.examine_model(model) says more"
             )
 
     def _round_off_shift(self, K: sp.csr_array, Z: Floats) -> float:

@@ -12,16 +12,16 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
+from morembs.base.budget import Budget
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.budget import Budget
-from morembs.errors import InputError
-from morembs.interface import Coupling
+from morembs.fem import FEModel
+from morembs.fem.fe_model import SCALAR, has_places
+from morembs.fem.interface import Coupling
 from morembs.linalg.congruence import cancelling
 from morembs.linalg.null_space import DENSE, groups_of, null_space
 from morembs.linalg.rigid import free_in_groups, strain_free, written
 from morembs.linalg.sparse.solver import LinearSolver
-from morembs.model import FEModel
-from morembs.model.fe_model import SCALAR, has_places
 
 # Number of terms up to which round-off of their sum is that of a row of an assembled matrix.
 FEW_TERMS = 100

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from morembs.moved import renamed
-from morembs.plugins import Registry, subclass_fault
+from morembs.base.plugins import Registry, subclass_fault
 from morembs.reducers.automatic import AutoReducer
 from morembs.reducers.balanced import Balanced
 from morembs.reducers.base import MODE_KINDS, Basis, ReducedModel, Reducer
@@ -55,5 +54,3 @@ __all__ = [
     "Reducer",
     "StaticModesSwitching",
 ]
-
-__getattr__ = renamed(__name__, {"Automatic": "AutoReducer"})

@@ -19,10 +19,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from morembs.base.errors import InputError, SolverError
+from morembs.base.progress import Progress
 from morembs.base.types import Floats
-from morembs.errors import InputError, SolverError
 from morembs.problem import SOFTER, Problem
-from morembs.progress import Progress
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.families import OfResponses
 from morembs.reducers.family_search import MANY, FamilySearch

@@ -15,14 +15,14 @@ from typing import ClassVar
 
 import numpy as np
 
+from morembs.base.errors import InputError, SolverError
+from morembs.base.progress import Progress
 from morembs.base.types import Floats, Values
-from morembs.errors import InputError, SolverError
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
 from morembs.linalg.columns import multiply, project_out, projected
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.sparse.select import select_solver
 from morembs.problem import Damping, Problem
-from morembs.progress import Progress
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.families import OfResponses

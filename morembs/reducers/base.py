@@ -11,8 +11,12 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError, SolverError
+from morembs.base.former_names import with_old_names
+from morembs.base.progress import SILENT, Progress
+from morembs.base.summary import hertz, kinds_words, summarised
 from morembs.base.types import Floats
-from morembs.errors import InputError, SolverError
+from morembs.fem.fe_model import STRUCTURAL, WITHOUT_MASS
 from morembs.linalg.columns import (
     complement,
     dot,
@@ -25,20 +29,16 @@ from morembs.linalg.columns import (
 )
 from morembs.linalg.complex_modes import small_complex_modes
 from morembs.linalg.eigen import graded_modes
-from morembs.model.fe_model import STRUCTURAL, WITHOUT_MASS
-from morembs.moved import with_old_names
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
-from morembs.progress import SILENT, Progress
 from morembs.reducers.facts import Facts, Shifted
 from morembs.responses.band import MOST_HZ as MOST_HZ
 from morembs.responses.massless import massless_motions, massless_words
-from morembs.summary import hertz, kinds_words, summarised
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
 
-    from morembs.budget import Budget
-    from morembs.model.stress_operator import StressOperator
+    from morembs.base.budget import Budget
+    from morembs.fem.stress_operator import StressOperator
     from morembs.parametric.model import ParametricModel
     from morembs.reducers.switching_tables import StaticModeTables
 

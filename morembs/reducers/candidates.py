@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
-from morembs.interface import Interface
-from morembs.model import DofMap, FEModel
-from morembs.model.selection import select_nodes
-from morembs.model.stress_operator import StressOperator, stress_operator
-from morembs.model.surface import outer_faces
+from morembs.fem import DofMap, FEModel
+from morembs.fem.interface import Interface
+from morembs.fem.selection import select_nodes
+from morembs.fem.stress_operator import StressOperator, stress_operator
+from morembs.fem.surface import outer_faces
 from morembs.problem import Problem
 
 NORMALS = "normals"

@@ -19,10 +19,10 @@ from typing import ClassVar
 import numpy as np
 import scipy.linalg as sl
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.base.progress import Progress
 from morembs.linalg.columns import hstack
 from morembs.problem import Problem
-from morembs.progress import Progress
 from morembs.reducers.base import MOST_HZ, Basis, add_residual_modes
 from morembs.reducers.facts import Facts
 from morembs.reducers.families import OfModes, squared

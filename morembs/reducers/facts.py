@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
-from morembs.interface import Coupling, Interface
+from morembs.fem import FEModel
+from morembs.fem.interface import Coupling, Interface
 from morembs.linalg.dynamic_stiffness import structure_at
 from morembs.linalg.sparse.solver import STRUCTURES
-from morembs.model import FEModel
 from morembs.problem import Damping, Problem
 from morembs.responses.damped_reference import AT_ONCE
 from morembs.responses.direct import DENSE

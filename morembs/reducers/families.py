@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.reducers.base import MOST_HZ, Reducer
 from morembs.reducers.cost import mode_seconds, response_seconds
 from morembs.reducers.facts import Facts, Shifted

@@ -12,9 +12,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from morembs.base.progress import Progress
 from morembs.linalg.columns import hstack
 from morembs.problem import Problem
-from morembs.progress import Progress
 from morembs.reducers.base import Basis, add_residual_modes
 from morembs.reducers.families import OfModes
 

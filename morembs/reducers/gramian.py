@@ -24,14 +24,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.crew import Crew
+from morembs.base.errors import InputError
+from morembs.base.progress import Progress
 from morembs.base.types import Floats
-from morembs.crew import Crew
-from morembs.errors import InputError
 from morembs.linalg.columns import hstack, m_norms, map_columns, orthonormal, project_out
 from morembs.linalg.gramians import StreamedSVD, WeightedSVD, snapshot_factor
 from morembs.linalg.quadrature import gauss, modal_poles, resonant
 from morembs.problem import Problem
-from morembs.progress import Progress
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.families import OfResponses

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from morembs.base.progress import Progress
 from morembs.problem import Problem
-from morembs.progress import Progress
 from morembs.reducers.base import Basis, Reducer
 
 

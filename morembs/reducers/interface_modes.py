@@ -19,16 +19,16 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.closing import Closing
+from morembs.base.errors import InputError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Ints
-from morembs.closing import Closing
-from morembs.errors import InputError
 from morembs.linalg.columns import dot, fix_signs, multiply_into, project_out
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
 from morembs.linalg.lanczos import BlockLanczos, largest
 from morembs.linalg.statics import ConstrainedStatics, Statics
 from morembs.problem import Problem
-from morembs.progress import SILENT, Progress
 
 # Up to this many interface dofs, or where so large a part of them is wanted, all constraint modes are computed.
 DENSE = 400

@@ -18,13 +18,13 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
+from morembs.base.progress import Progress
 from morembs.base.types import Complexes, Floats
-from morembs.errors import InputError
 from morembs.linalg.columns import orthonormal
 from morembs.linalg.quadrature import trapezoid
 from morembs.linalg.second_order_arnoldi import PASSES
 from morembs.problem import Problem
-from morembs.progress import Progress
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.facts import Facts
 from morembs.reducers.families import OfResponses

@@ -19,12 +19,12 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError, nearest
+from morembs.base.progress import Progress
 from morembs.base.types import Floats
-from morembs.errors import InputError, nearest
 from morembs.linalg.columns import complement, dot, hstack, map_columns, multiply_into, projected
 from morembs.linalg.second_order_arnoldi import PASSES
 from morembs.problem import Problem
-from morembs.progress import Progress
 from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.petrov_galerkin import two_sided_basis

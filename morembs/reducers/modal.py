@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from morembs.errors import InputError, nearest
+from morembs.base.errors import InputError, nearest
+from morembs.base.progress import Progress
 from morembs.linalg.columns import hstack
 from morembs.problem import Problem
-from morembs.progress import Progress
 from morembs.reducers.base import Basis
 from morembs.reducers.facts import Facts
 from morembs.reducers.families import OfModes

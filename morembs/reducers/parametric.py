@@ -8,12 +8,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.base.progress import SILENT, Progress
 from morembs.parametric.basis import GreedySearch, ParametricBasis, Wanted
 from morembs.parametric.model import ParametricModel
 from morembs.parametric.terms import AffineProblem
 from morembs.problem import Problem
-from morembs.progress import SILENT, Progress
 from morembs.reducers.base import Basis, ReducedModel, Reducer
 from morembs.responses.band import checked_band
 from morembs.responses.certified import checked_floor

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 import scipy.linalg as sl
 
+from morembs.base.errors import SolverError
 from morembs.base.types import Floats
-from morembs.errors import SolverError
 from morembs.linalg.columns import hstack, multiply, projected
 from morembs.problem import Problem
 from morembs.reducers.base import Basis

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
+from morembs.base.optional import optional
 from morembs.base.types import Floats
-from morembs.errors import InputError
-from morembs.optional import optional
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 

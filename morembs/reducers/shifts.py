@@ -17,13 +17,13 @@ from functools import partial
 import numpy as np
 import scipy.linalg as sl
 
+from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.base.progress import Progress
 from morembs.base.types import Floats, Values
-from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.columns import complement, map_columns
 from morembs.linalg.second_order_arnoldi import PASSES, SecondOrderArnoldi
 from morembs.linalg.sparse.solver import STRUCTURES
 from morembs.problem import Dynamics, Problem, crew_of
-from morembs.progress import Progress
 
 Solve = Callable[[Values], Values]
 # Backward error that a solution may have.

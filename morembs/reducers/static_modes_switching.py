@@ -16,15 +16,15 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.budget import Budget
+from morembs.base.errors import InputError, nearest
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats
-from morembs.budget import Budget
-from morembs.errors import InputError, nearest
-from morembs.interface import Interface
+from morembs.fem import FEModel
+from morembs.fem.interface import Interface
+from morembs.fem.stress_operator import StressOperator
 from morembs.linalg.columns import dot, subtract
-from morembs.model import FEModel
-from morembs.model.stress_operator import StressOperator
 from morembs.problem import Problem
-from morembs.progress import SILENT, Progress
 from morembs.reducers.base import Basis, ReducedModel, Reducer
 from morembs.reducers.candidates import NORMALS, Candidates
 from morembs.reducers.craig_bampton import CraigBampton

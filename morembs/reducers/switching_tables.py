@@ -15,11 +15,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
+from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints, Reals
-from morembs.errors import InputError
-from morembs.model import frozen
-from morembs.moved import renamed
-from morembs.summary import summarised
+from morembs.fem import frozen
 
 KINDS = ("path", "surface")
 INTERPOLATIONS = ("catmull-rom", "linear")
@@ -325,6 +324,3 @@ def active_set(tables: StaticModeTables, candidates: Ints) -> ActiveSet:
     heavy = inverse > RANK * inverse[-1]
     omega = 1.0 / np.sqrt(inverse[heavy])
     return ActiveSet(candidates, np.asarray((X @ W[:, heavy]) * omega), omega)
-
-
-__getattr__ = renamed(__name__, {"Switching": "StaticModeTables"})

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
 from morembs.problem import Problem
 from morembs.responses.clusters import damping_of_clusters
 

@@ -14,14 +14,15 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg as sl
 
+from morembs.base.errors import InputError, SolverError
+from morembs.base.progress import SILENT, Progress
+from morembs.base.summary import summarised, upwards
 from morembs.base.types import Complexes, Floats
-from morembs.errors import InputError, SolverError
 from morembs.linalg.columns import dot, subtract
 from morembs.linalg.congruence import scaled_row_sums
 from morembs.linalg.eigen import GAP
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
-from morembs.progress import SILENT, Progress
 from morembs.responses.band import beyond, checked_band
 from morembs.responses.clusters import clusters, damping_of_clusters
 from morembs.responses.direct import refuse_skew_parts
@@ -34,7 +35,6 @@ from morembs.responses.rational import Terms, squares
 from morembs.responses.reference import Reference, ReferenceSpace, reference_model, reference_space, stands_still
 from morembs.responses.residual_bound import CLOSE, Residual, numerator, slope
 from morembs.responses.rounding import EPS, Rounding
-from morembs.summary import summarised, upwards
 
 # Error of the reference, as part of the envelope of the response.
 TOLERANCE = 1e-9

@@ -16,13 +16,13 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.errors import SolverError
+from morembs.base.progress import Progress
 from morembs.base.types import Complexes, Floats
-from morembs.errors import SolverError
 from morembs.linalg.columns import complement, dot, hstack, multiply, orthonormal, projected, symmetric
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
 from morembs.problem import SOFTER, Problem
-from morembs.progress import Progress
 from morembs.responses.direct import DENSE, state, states_crew
 
 MAX_ORDER = 2000

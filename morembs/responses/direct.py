@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from morembs.base.crew import Crew
+from morembs.base.errors import InputError, SingularMatrixError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Complexes, Floats, Values
-from morembs.crew import Crew
-from morembs.errors import InputError, SingularMatrixError
 from morembs.linalg.columns import map_columns
 from morembs.linalg.sparse.solver import STRUCTURES
 from morembs.problem import Damping, Dynamics, Problem, crew_of
-from morembs.progress import SILENT, Progress
 
 # Models with a damping matrix are taken whole up to this size.
 DENSE = 400

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.linalg.null_space import groups_of, null_space
 from morembs.problem import Problem
 from morembs.responses.loads import static_response

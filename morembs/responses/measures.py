@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
 from morembs.responses.cells import MOST, Bounds, Cells, first_edges, search
 from morembs.responses.layout import Layout
 from morembs.responses.rational import BULGE, DEGREE, GRID, POINTS, SEGMENTS, Terms, cell_points, on_grid, squares

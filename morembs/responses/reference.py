@@ -23,14 +23,14 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError, SolverError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Complexes, Floats
-from morembs.errors import InputError, SolverError
 from morembs.linalg.columns import dot, hstack, multiply, orthonormal_pair, projected, take_out
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.problem import SOFTER, Problem
 from morembs.problem.damping import Damping
-from morembs.progress import SILENT, Progress
 from morembs.responses.band import NEAR, ON
 from morembs.responses.damped_reference import DampedSpace
 from morembs.responses.direct import refuse_skew_parts, why_no_response

@@ -5,8 +5,8 @@ from __future__ import annotations
 import zipfile
 from collections import Counter
 
-from morembs.errors import InputError
-from morembs.memory import refuse_too_large
+from morembs.base.errors import InputError
+from morembs.base.memory import refuse_too_large
 
 
 def refuse_unsafe_archive(source: str, archive: zipfile.ZipFile | None) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from morembs.scratch import remove_abandoned
+from morembs.base.scratch import remove_abandoned
 from morembs.storage.safefile import PREFIX, Place, checked, take_names
 
 # The token is eight digits of a key and the number of the attempt.

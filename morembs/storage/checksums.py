@@ -14,8 +14,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Values
-from morembs.errors import InputError
 from morembs.storage.storable import text
 
 GROUP = "checksums"

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from morembs.errors import OverwriteError
+from morembs.base.errors import OverwriteError
 
 # Times of files are as coarse as this on some disks, in ns: a younger file may have changed without a new time.
 _COARSE = 2_000_000_000

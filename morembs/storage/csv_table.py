@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np

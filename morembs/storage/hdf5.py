@@ -17,8 +17,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.errors import InputError, MorembsError
-from morembs.memory import available_bytes
+from morembs.base.errors import InputError, MorembsError
+from morembs.base.memory import available_bytes
 
 # What the libraries raise where a file is damaged.
 DAMAGE = (

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 
 PROVEN, ESTIMATE = "proven", "estimate"
 

@@ -1,6 +1,6 @@
 """Files that are whole or not there, one or several together: written in a private folder beside, then renamed.
 
-What a killed run leaves behind, the next one that writes to the same folder removes (``morembs.scratch``). A link that
+What a killed run leaves behind, the next one that writes to the same folder removes (``base.scratch``). A link that
 was given as output stays, and the file that it leads to is replaced. A file that was read is never replaced
 (``storage.contents``): that is asked here, where files get their names, and as soon as an output is named.
 
@@ -21,9 +21,9 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 
-from morembs import stopping
-from morembs.errors import OutputError
-from morembs.scratch import PrivateFolder
+from morembs.base import stopping
+from morembs.base.errors import OutputError
+from morembs.base.scratch import PrivateFolder
 from morembs.storage.contents import promise, refuse_input, same_place, was_written
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

@@ -15,7 +15,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.storage.storable import json_text, storable, text
 
 

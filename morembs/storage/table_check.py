@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.storage.table import KINDS, Row, Table
 
 # Letter of a table -> its size, and the dataset that gave it.

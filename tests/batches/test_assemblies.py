@@ -6,10 +6,10 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
+from morembs.app.cli import app
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.order import order_of
 from morembs.body.file import read_body
-from morembs.cli import app
-from morembs.jobs.job import load_job
-from morembs.jobs.order import order_of
 from tests.support import decks
 
 ARM = """

@@ -17,15 +17,15 @@ from pathlib import Path
 
 import pytest
 
-from morembs import stopping
-from morembs.batches.children import Children
-from morembs.batches.manifest import Ended, Manifest
-from morembs.batches.plan import parts_of, unchanged
-from morembs.batches.records import Nobody, Record
-from morembs.batches.run import batch
-from morembs.batches.workers import Finished, Heard, Task, Worker
+from morembs.app.batches.children import Children
+from morembs.app.batches.manifest import Ended, Manifest
+from morembs.app.batches.plan import parts_of, unchanged
+from morembs.app.batches.records import Nobody, Record
+from morembs.app.batches.run import batch
+from morembs.app.batches.workers import Finished, Heard, Task, Worker
+from morembs.base import stopping
+from morembs.base.errors import InputError
 from morembs.body.file import read_body
-from morembs.errors import InputError
 from morembs.storage.contents import Content
 from tests.support import decks, processes
 
@@ -394,8 +394,8 @@ def test_a_command_leaves_with_its_input(tmp_path: Path) -> None:
 
 
 def test_what_a_job_read_is_in_its_results(tmp_path: Path) -> None:
-    from morembs.jobs.job import load_job
-    from morembs.jobs.run import run_job
+    from morembs.app.jobs.job import load_job
+    from morembs.app.jobs.run import run_job
 
     job = decks.folder(tmp_path, text="*INCLUDE, INPUT=inner.inp\n")
     (tmp_path / "inner.inp").write_text(decks.deck(decks.BEAM[:12]))

@@ -17,10 +17,10 @@ import pytest
 from typer.testing import CliRunner
 
 from morembs import batch
-from morembs.batches.cluster_file import place_of
-from morembs.batches.queues import queue_of
-from morembs.cli import app
-from morembs.errors import InputError
+from morembs.app.batches.cluster_file import place_of
+from morembs.app.batches.queues import queue_of
+from morembs.app.cli import app
+from morembs.base.errors import InputError
 from morembs.storage.checksums import whole_sum
 from tests.support import decks
 from tests.support.dask_cluster import PATIENCE, ROOT, Cluster, children_of_jobs, cluster, until
@@ -222,7 +222,7 @@ def test_without_dask_a_message_says_how_to_get_it(tmp_path: Path) -> None:
     folder = jobs(tmp_path, 1)
     code = (
         "import sys; sys.modules['distributed'] = None; sys.argv = ['morembs', 'batch', sys.argv[1], '--cluster', "
-        "'tcp://x:1']; from morembs.cli import console; console()"
+        "'tcp://x:1']; from morembs.app.cli import console; console()"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, str(folder)], capture_output=True, text=True, stdin=subprocess.DEVNULL

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from morembs import batch
-from morembs.cli import app
+from morembs.app.cli import app
 from tests.batches.test_cluster import jobs, strays, sums
 from tests.support.slurm import slurm, why_not
 

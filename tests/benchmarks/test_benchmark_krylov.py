@@ -17,7 +17,7 @@ import interpolation
 from models import make
 
 from morembs import assemble, isotropic
-from morembs.model import ElementBlock, FEModel, Mesh, Nodes
+from morembs.fem import ElementBlock, FEModel, Mesh, Nodes
 
 TOP_HZ = 40_000.0
 

@@ -11,9 +11,9 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from morembs.jobs.check import check_job
-from morembs.jobs.job import load_job
-from morembs.model.elements import TYPES
+from morembs.app.jobs.check import check_job
+from morembs.app.jobs.job import load_job
+from morembs.fem.elements import TYPES
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 

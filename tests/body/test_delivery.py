@@ -8,18 +8,18 @@ import pytest
 from typer.testing import CliRunner
 
 from morembs import Envelope, assemble, elastic_body, make_part, read_body, write_body
+from morembs.app.cli import app
+from morembs.base.units import parse_units
+from morembs.body.floating.frame import floating_frame
+from morembs.body.floating.stiffening_terms import geometric_stiffening
 from morembs.body.stress_shapes import stress_recovery
-from morembs.cli import app
-from morembs.floating.frame import floating_frame
-from morembs.floating.stiffening_terms import geometric_stiffening
+from morembs.fem.interface import make_interface
+from morembs.fem.material import isotropic
+from morembs.fem.selection import select_nodes
+from morembs.fem.stress_operator import von_mises
 from morembs.importers import read_mesh
-from morembs.interface import make_interface
-from morembs.model.material import isotropic
-from morembs.model.selection import select_nodes
-from morembs.model.stress_operator import von_mises
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
-from morembs.units import parse_units
 from tests.support.decks import folder
 
 TABLES = {

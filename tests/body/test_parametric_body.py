@@ -8,9 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 import morembs
+from morembs.app.cli import app
+from morembs.base.errors import InputError
 from morembs.body.build import BodyOptions
-from morembs.cli import app
-from morembs.errors import InputError
 from morembs.exporters import EXPORTERS, export_body
 from morembs.parametric.terms import AffineProblem, varied_model
 from morembs.storage.checksums import seal

@@ -18,13 +18,13 @@ import h5py
 import numpy as np
 import pytest
 
+from morembs.base.errors import InputError, OutputError
+from morembs.base.progress import Stage
 from morembs.body import Cells, elastic_body, make_part
 from morembs.body.file import check_names, read_body, write_body
 from morembs.body.vtkhdf import shown_modes
-from morembs.errors import InputError, OutputError
-from morembs.interface import make_interface
+from morembs.fem.interface import make_interface
 from morembs.problem import Problem
-from morembs.progress import Stage
 from morembs.reducers import CraigBampton, Modal, ReducedModel
 from morembs.storage.safefile import check_writable
 from scripts.schema import stale

@@ -10,22 +10,22 @@ import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
+from morembs.base.budget import Budget
+from morembs.base.errors import InputError
+from morembs.base.units import parse_units
 from morembs.body.stress_shapes import read_recovery, recovery_parts, stress_recovery, stress_shapes
 from morembs.body.tables import RECOVERY
-from morembs.budget import Budget
-from morembs.errors import InputError
+from morembs.fem import Mesh
+from morembs.fem.assembly import assemble
+from morembs.fem.elements import TYPES
+from morembs.fem.interface import make_interface
+from morembs.fem.material import isotropic, orthotropic
+from morembs.fem.stress_operator import principal, stress_operator, von_mises
 from morembs.importers import read_mesh
-from morembs.interface import make_interface
-from morembs.model import Mesh
-from morembs.model.assembly import assemble
-from morembs.model.elements import TYPES
-from morembs.model.material import isotropic, orthotropic
-from morembs.model.stress_operator import principal, stress_operator, von_mises
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, FreeInterface, Guyan, Krylov, Modal
 from morembs.responses.loads import static_response
 from morembs.storage.writer import Writer
-from morembs.units import parse_units
 from tests.support.meshes import STEEL, box, heavy, steel, where
 
 TENSOR = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from morembs.app.cli import commands as cli
 from morembs.certificate.certify import certify
-from morembs.cli import commands as cli
-from morembs.interface import make_interface
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import AutoReducer, FreeInterface
 from tests.support.decks import folder

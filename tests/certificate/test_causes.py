@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from morembs.certificate.certify import certify
-from morembs.interface import make_interface
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import FreeInterface
 from tests.support.meshes import box, steel, where

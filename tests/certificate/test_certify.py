@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError, SolverError
+from morembs.base.units import parse_units
 from morembs.certificate.certify import Certificate, certify
-from morembs.errors import InputError, SolverError
+from morembs.fem import DofMap, FEModel
+from morembs.fem.interface import make_interface
 from morembs.importers import read_mesh
-from morembs.interface import make_interface
 from morembs.linalg.eigen import Modes
-from morembs.model import DofMap, FEModel
 from morembs.problem import Damping, Problem
 from morembs.reducers import AutoReducer, CraigBampton, FreeInterface, Guyan, Modal
 from morembs.responses.band import band_frequencies
-from morembs.units import parse_units
 from tests.support.exact_responses import Truth, envelope, norms, pencil, response_of
 from tests.support.meshes import box, merged, points_and_cells, steel, where
 

@@ -8,12 +8,12 @@ import pytest
 import scipy.linalg as sl
 
 from benchmarks import certificates as campaign
+from morembs.base.units import parse_units
 from morembs.certificate.certify import certify
+from morembs.fem.interface import make_interface
 from morembs.importers import read_mesh
-from morembs.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import AutoReducer, FreeInterface
-from morembs.units import parse_units
 from tests.support.meshes import steel, where
 
 

@@ -10,13 +10,13 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from benchmarks import certificates as campaign
+from morembs.app.jobs.job import load_job
+from morembs.base.errors import InputError, SolverError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
 from morembs.certificate.certify import certify
 from morembs.certificate.limits import error_limits, merge_cells
-from morembs.errors import InputError, SolverError
-from morembs.interface import make_interface
-from morembs.jobs.job import load_job
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import AutoReducer, Balanced, FreeInterface, Modal
 from morembs.reducers.automatic import unreachable

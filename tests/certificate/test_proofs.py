@@ -11,11 +11,11 @@ import pytest
 import scipy.sparse as sp
 from typer.testing import CliRunner
 
+from morembs.app.cli import commands as cli
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
 from morembs.certificate.certify import certify
-from morembs.cli import commands as cli
-from morembs.interface import make_interface
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import FreeInterface
 from morembs.responses.certified import certified_reference

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from morembs.base.errors import InputError
 from morembs.certificate.response import full_response, reduced_response
-from morembs.errors import InputError
-from morembs.interface import make_interface
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Modal
 from tests.support.meshes import box, steel, where

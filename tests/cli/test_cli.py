@@ -21,15 +21,15 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import morembs
+from morembs.app.cli import commands as cli
+from morembs.app.cli import screen, terminal
+from morembs.app.cli.certificates import Certified
+from morembs.app.cli.report import beside
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.run import run_job
 from morembs.body.drawing import viewed_axes
 from morembs.body.file import read_body
-from morembs.cli import commands as cli
-from morembs.cli import screen, terminal
-from morembs.cli.certificates import Certified
-from morembs.cli.report import beside
 from morembs.importers import read_mesh
-from morembs.jobs.job import load_job
-from morembs.jobs.run import run_job
 from tests.support.commands import FACTORISING, factorisations, without_progress
 from tests.support.decks import BEAM, HINGED, deck, folder
 from tests.support.progress import Heard
@@ -180,7 +180,7 @@ def test_check_forecasts_without_factorising(tmp_path: Path, caplog: pytest.LogC
     run("reduce", str(job))
     assert factorisations(caplog.records) > 0
     # The symbolic analysis counts what the factorisation then stores.
-    model = morembs.assemble(read_mesh(tmp_path / "part.inp", morembs.units.parse_units("mm-t-s")), [steel])
+    model = morembs.assemble(read_mesh(tmp_path / "part.inp", morembs.base.units.parse_units("mm-t-s")), [steel])
     assert forecast["solver"] in morembs.available_solvers() and "fastest" in forecast["choice"]
     assert model.K.nnz == forecast["stiffness_nonzeros"]
     factor = run("reduce", str(job))["factor"]

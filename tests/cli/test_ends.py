@@ -19,9 +19,9 @@ import pytest
 import scipy.linalg
 from typer.testing import CliRunner
 
-from morembs import scratch, stopping
-from morembs.cli import commands as cli
-from morembs.cli import entry
+from morembs.app.cli import commands as cli
+from morembs.app.cli import entry
+from morembs.base import scratch, stopping
 from tests.support.decks import folder
 from tests.support.processes import Ended, apart, program
 

@@ -9,10 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 import morembs
+from morembs.app.cli import app
 from morembs.body import make_part
 from morembs.body.build import BodyOptions, build_body
 from morembs.body.file import write_body
-from morembs.cli import app
 from morembs.parametric.terms import AffineProblem, varied_model
 from morembs.reducers import ParametricReducer
 from tests.support.parametric import STEEL, bracket, interfaces, longer, parameters, parametric_file

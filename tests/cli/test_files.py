@@ -13,10 +13,10 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-import morembs.cli
-from morembs.cli import commands
-from morembs.cli.tables import plain_table, titled
-from morembs.jobs.job import load_job
+import morembs.app.cli
+from morembs.app.cli import commands
+from morembs.app.cli.tables import plain_table, titled
+from morembs.app.jobs.job import load_job
 from tests.support import decks
 
 RUNNER = CliRunner()
@@ -135,7 +135,7 @@ def test_a_command_in_a_thread_leaves_the_signals_alone(
 
     def work() -> None:
         try:
-            morembs.cli.main()
+            morembs.app.cli.main()
         except SystemExit as end:
             ends.append(end.code)
 

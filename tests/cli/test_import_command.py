@@ -18,10 +18,10 @@ import scipy.sparse as sp
 from typer.testing import CliRunner
 
 from morembs import CraigBampton, Damping, Problem, make_interface, read_body
-from morembs.cli import app
+from morembs.app.cli import app
+from morembs.fem import FEModel
 from morembs.importers import IMPORTERS, import_file
 from morembs.importers.model_file import read_model, write_model
-from morembs.model import FEModel
 from tests.support.decks import BEAM, deck, folder
 from tests.support.meshes import box, steel
 

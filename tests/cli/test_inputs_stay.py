@@ -12,10 +12,10 @@ import meshio
 import pytest
 from typer.testing import CliRunner
 
-from morembs.batches.run import batch
+from morembs.app.batches.run import batch
+from morembs.app.cli import app
+from morembs.base.errors import OutputError, OverwriteError
 from morembs.body.file import read_body
-from morembs.cli import app
-from morembs.errors import OutputError, OverwriteError
 from morembs.importers import read_mesh
 from morembs.storage.contents import Content, keeping_ledger, own_files
 from morembs.storage.safefile import check_writable, copy_into, replacing, replacing_all

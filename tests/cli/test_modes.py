@@ -13,11 +13,11 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from typer.testing import CliRunner
 
+from morembs.app.cli import app
 from morembs.body.file import read_body
-from morembs.cli import app
-from morembs.floating.spin import campbell
+from morembs.body.floating.spin import campbell
+from morembs.fem.tubes import tube_model
 from morembs.importers.model_file import write_model
-from morembs.model.tubes import tube_model
 from tests.support.commands import refused
 from tests.support.meshes import box
 from tests.support.tubes import PIPE

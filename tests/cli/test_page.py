@@ -12,9 +12,9 @@ from urllib.parse import unquote
 import pytest
 from typer.testing import CliRunner
 
-from morembs.cli import commands as cli
-from morembs.cli.page import Entry, write_report
-from morembs.jobs.compare import recommended
+from morembs.app.cli import commands as cli
+from morembs.app.cli.page import Entry, write_report
+from morembs.app.jobs.compare import recommended
 from tests.support import decks
 
 RUNNER = CliRunner()

@@ -12,12 +12,12 @@ import pytest
 
 BODY = Path(__file__).parents[1] / "data" / "0.1.0" / "symmetric.h5.gz"
 HEAVY = {"matplotlib", "skfem", "meshio", "pydantic", "casadi", "pyamg", "scipy"}
-AT_WORK = {"morembs.problem", "morembs.reducers", "morembs.importers", "morembs.jobs"}
+AT_WORK = {"morembs.problem", "morembs.reducers", "morembs.importers", "morembs.app.jobs"}
 LOADED = """
 import sys
 sys.argv[0] = "morembs"
 try:
-    __import__("morembs.cli").cli.main()
+    __import__("morembs.app.cli").cli.main()
 finally:
     print("\\n" + " ".join({".".join(name.split(".")[:2]) for name in sys.modules}), file=sys.stderr)
 """

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 import morembs
-from morembs.cli import app
+from morembs.app.cli import app
 from morembs.parametric.terms import AffineProblem, varied_model
 from tests.support.parametric import STEEL, bracket, interfaces, longer, parameters, parametric_file
 

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from morembs.app.cli import app
+from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
+from morembs.body.floating.frame import floating_frame
+from morembs.body.floating.stiffening_terms import geometric_stiffening
+from morembs.body.recovery.recover import Trajectory, expand, recover
 from morembs.body.stress_shapes import stress_recovery
 from morembs.certificate.certify import certify
-from morembs.cli import app
-from morembs.errors import InputError
 from morembs.exporters import EXPORTERS, export_body
-from morembs.floating.frame import floating_frame
-from morembs.floating.stiffening_terms import geometric_stiffening
+from morembs.fem import FEModel
+from morembs.fem.interface import make_interface
 from morembs.importers import import_file
-from morembs.interface import make_interface
-from morembs.model import FEModel
 from morembs.problem import Damping, Problem
-from morembs.recovery.recover import Trajectory, expand, recover
 from morembs.reducers import CraigBampton, Krylov
 from morembs.storage.checksums import seal
 from tests.support.meshes import box, steel, where

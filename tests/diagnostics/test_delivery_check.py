@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from morembs.app.cli import app
+from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.delivery_check import check_delivery
 from morembs.body.file import read_body, write_body
-from morembs.cli import app
-from morembs.errors import InputError
-from morembs.interface import make_interface
-from morembs.model import FEModel
+from morembs.fem import FEModel
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, FreeInterface, Guyan, Krylov
 from tests.support.diagnoses import finding, grave

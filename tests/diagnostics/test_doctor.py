@@ -5,17 +5,17 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.diagnostics import examine, examine_model, repaired
-from morembs.diagnostics.units import model_outlook
-from morembs.diagnostics.warnings import examined_mesh
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.base.units import parse_units
+from morembs.body.diagnostics import examine, examine_model, repaired
+from morembs.body.diagnostics.units import model_outlook
+from morembs.body.diagnostics.warnings import examined_mesh
+from morembs.fem import DofMap, Mesh, Nodes
+from morembs.fem.assembly import assemble
+from morembs.fem.interface import make_interface
+from morembs.fem.material import isotropic
 from morembs.importers import read_mesh
-from morembs.interface import make_interface
-from morembs.model import DofMap, Mesh, Nodes
-from morembs.model.assembly import assemble
-from morembs.model.material import isotropic
 from morembs.problem import Problem
-from morembs.units import parse_units
 from tests.support.diagnoses import finding, grave
 from tests.support.meshes import STEEL, box, merged, points_and_cells, steel, where
 

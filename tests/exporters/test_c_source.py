@@ -9,9 +9,9 @@ import scipy.linalg as sl
 import scipy.signal
 
 from morembs import read_body
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.dynamics.multibody import FlexibleBody, PointLoad, System, simulate
 from morembs.exporters import export_body, make_exporter
-from morembs.multibody import FlexibleBody, PointLoad, System, simulate
 from morembs.reducers import CraigBampton, Modal
 from tests.support.fmus import LENGTH, exported, needs_compiler, strip
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
-from morembs.errors import InputError
+from morembs.body.floating.frame import floating_frame
 from morembs.exporters import EXPORTERS, export_body
 from morembs.exporters.exudyn import exudyn_marker
-from morembs.floating.frame import floating_frame
-from morembs.interface import make_interface
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import STEEL, box, steel, where

@@ -15,14 +15,14 @@ import scipy.io
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError, OutputError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
-from morembs.errors import InputError, OutputError
+from morembs.body.floating.frame import floating_frame
 from morembs.exporters import EXPORTERS, export_body
-from morembs.floating.frame import floating_frame
+from morembs.fem import NamedColumns
+from morembs.fem.interface import make_interface, matrix_interface
 from morembs.importers.abaqus_matrices import aligned, read_abaqus_matrix
-from morembs.interface import make_interface, matrix_interface
-from morembs.model import NamedColumns
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.reducers import CraigBampton, Krylov, Modal, StaticModesSwitching

@@ -9,13 +9,13 @@ import pytest
 import scipy.io as sio
 import scipy.linalg as sl
 
+from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
-from morembs.errors import InputError
 from morembs.exporters import export_body
 from morembs.exporters.simscape import Simscape, quaternion
-from morembs.interface import make_interface
-from morembs.model import rigid_motion
+from morembs.fem import rigid_motion
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Krylov, Modal
 from tests.support.meshes import box, steel, where

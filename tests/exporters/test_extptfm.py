@@ -7,9 +7,9 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
 from morembs import DofMap, FEModel, elastic_body, make_part, write_body
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.exporters import export_body
-from morembs.interface import make_interface
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Krylov, Modal
 from tests.support.exports import extptfm_file

@@ -8,10 +8,10 @@ import scipy.linalg as sl
 import scipy.signal
 
 from morembs import read_body
+from morembs.base.errors import InputError
 from morembs.body.vtkhdf_series import stored_recovery
-from morembs.errors import InputError
 from morembs.exporters import export_body
-from morembs.model.stress_operator import von_mises
+from morembs.fem.stress_operator import von_mises
 from morembs.reducers import CraigBampton
 from tests.support.fmus import HEIGHT, LENGTH, WIDTH, InCasadi, by_axes, exported, needs_compiler, run, strip
 

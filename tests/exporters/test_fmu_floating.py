@@ -8,10 +8,10 @@ import scipy.integrate
 
 from morembs import read_body
 from morembs.body.vtkhdf_series import stored_recovery
+from morembs.dynamics.multibody import FlexibleBody, PointLoad, SpringDamper, System, ground, simulate
+from morembs.dynamics.multibody.rotations import rotation
 from morembs.exporters import export_body
-from morembs.model.stress_operator import von_mises
-from morembs.multibody import FlexibleBody, PointLoad, SpringDamper, System, ground, simulate
-from morembs.multibody.rotations import rotation
+from morembs.fem.stress_operator import von_mises
 from morembs.reducers import CraigBampton, Modal
 from tests.support.fmus import HEIGHT, LENGTH, WIDTH, InCasadi, by_axes, exported, needs_compiler, run, strip
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
+from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
-from morembs.errors import InputError
+from morembs.body.floating.frame import floating_frame
+from morembs.body.floating.stiffening_terms import geometric_stiffening
 from morembs.exporters import export_body
-from morembs.floating.frame import floating_frame
-from morembs.floating.stiffening_terms import geometric_stiffening
-from morembs.interface import make_interface
-from morembs.model import skew
+from morembs.fem import skew
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton
 from tests.support.exports import mbdyn_groups

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from morembs import elastic_body, make_part, read_body, state_space, write_body
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.body.floating.frame import floating_frame
+from morembs.dynamics.multibody import FlexibleBody, PointLoad, System, simulate
 from morembs.exporters import export_body
 from morembs.exporters.modelica import identifiers
-from morembs.floating.frame import floating_frame
-from morembs.interface import make_interface
-from morembs.multibody import FlexibleBody, PointLoad, System, simulate
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Modal
 from tests.support.exports import NO_RUMOCA, simulated_modelica

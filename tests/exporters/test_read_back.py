@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from morembs import read_body
-from morembs.errors import OutputError
+from morembs.base.errors import OutputError
 from morembs.exporters import EXPORTERS, Exported, make_exporter
 from morembs.exporters.op4 import OP4Exporter
 from morembs.reducers import CraigBampton

@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
-from morembs.errors import InputError
+from morembs.body.floating.frame import Stiffening, floating_frame
+from morembs.body.floating.stiffening_terms import geometric_stiffening
 from morembs.exporters import export_body
 from morembs.exporters.base import in_two_digits
 from morembs.exporters.sid import SidFem, normal_coordinates
 from morembs.exporters.sid_reader import read_sid
-from morembs.floating.frame import Stiffening, floating_frame
-from morembs.floating.stiffening_terms import geometric_stiffening
-from morembs.interface import make_interface
+from morembs.fem.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import box, steel, where

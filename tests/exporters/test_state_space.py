@@ -11,11 +11,11 @@ import scipy.sparse.linalg as spl
 
 import morembs
 from morembs import elastic_body, make_part, state_space
+from morembs.base.errors import InputError
 from morembs.body.file import read_body, write_body
-from morembs.errors import InputError
 from morembs.exporters import export_body
 from morembs.exporters.state_space_files import read_state_space, write_state_space
-from morembs.interface import make_interface
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.problem.damping import STRUCTURAL
 from morembs.reducers import CraigBampton, Krylov

@@ -7,13 +7,13 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.errors import InputError
-from morembs.floating.frame import floating_frame, frame_rows, why_not_floating
-from morembs.floating.integrals import shape_integrals
-from morembs.floating.ranking import ranked_terms
-from morembs.floating.stiffening import Envelope
-from morembs.interface import make_interface
-from morembs.model import DofMap, FEModel, Nodes, rigid_motion, skew
+from morembs.base.errors import InputError
+from morembs.body.floating.frame import floating_frame, frame_rows, why_not_floating
+from morembs.body.floating.integrals import shape_integrals
+from morembs.body.floating.ranking import ranked_terms
+from morembs.body.floating.stiffening import Envelope
+from morembs.fem import DofMap, FEModel, Nodes, rigid_motion, skew
+from morembs.fem.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import Balanced, CraigBampton, Modal
 from tests.support.meshes import box, steel, where

@@ -5,9 +5,9 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from morembs.floating.frame import floating_frame
-from morembs.floating.integrals import ShapeIntegrals, shape_integrals
-from morembs.floating.parametric import frame_terms
+from morembs.body.floating.frame import floating_frame
+from morembs.body.floating.integrals import ShapeIntegrals, shape_integrals
+from morembs.body.floating.parametric import frame_terms
 from morembs.parametric.model import parametric_model
 from morembs.parametric.terms import AffineProblem, varied_model
 from morembs.reducers.base import ReducedModel

@@ -5,18 +5,18 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
+from morembs.app.jobs.inputs import rotation_of
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.run import preload_of, run_job
+from morembs.base.budget import Budget
+from morembs.base.errors import InputError
 from morembs.body.file import read_body
-from morembs.budget import Budget
-from morembs.errors import InputError
-from morembs.floating.frame import floating_frame
-from morembs.floating.preload import Preload, preloaded, prestressed
-from morembs.floating.stiffening_terms import geometric_stiffening
-from morembs.interface import make_interface
-from morembs.jobs.inputs import rotation_of
-from morembs.jobs.job import load_job
-from morembs.jobs.run import preload_of, run_job
+from morembs.body.floating.frame import floating_frame
+from morembs.body.floating.preload import Preload, preloaded, prestressed
+from morembs.body.floating.stiffening_terms import geometric_stiffening
+from morembs.fem import DofMap, FEModel
+from morembs.fem.interface import make_interface
 from morembs.linalg.sparse.select import select_solver
-from morembs.model import DofMap, FEModel
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import STEEL, box, steel, where

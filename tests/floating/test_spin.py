@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
+from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
-from morembs.errors import InputError
-from morembs.floating.spin import campbell, whirl_of
-from morembs.floating.spinning import Rotation, spinning
-from morembs.floating.spinning_modes import modes_over_speed, spinning_modes, with_spin
-from morembs.interface import make_interface
-from morembs.model import DofMap, FEModel, Nodes
-from morembs.multibody.rotations import rotation
+from morembs.body.floating.spin import campbell, whirl_of
+from morembs.body.floating.spinning import Rotation, spinning
+from morembs.body.floating.spinning_modes import modes_over_speed, spinning_modes, with_spin
+from morembs.dynamics.multibody.rotations import rotation
+from morembs.fem import DofMap, FEModel, Nodes
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import STEEL, box, steel, where

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
-from morembs.budget import Budget
-from morembs.errors import InputError
-from morembs.floating.frame import floating_frame, frame_rows
-from morembs.floating.link_stiffness import Links
-from morembs.floating.stiffening import Envelope
-from morembs.floating.stiffening_terms import geometric_stiffening, why_no_stiffening
-from morembs.interface import make_interface
-from morembs.model import FEModel, Mesh, skew
-from morembs.model.assembly import assemble
-from morembs.model.elements import TYPES
-from morembs.model.geometric_stiffness import StressedMesh, geometric_stiffness
-from morembs.model.material import isotropic, orthotropic
+from morembs.base.budget import Budget
+from morembs.base.errors import InputError
+from morembs.body.floating.frame import floating_frame, frame_rows
+from morembs.body.floating.link_stiffness import Links
+from morembs.body.floating.stiffening import Envelope
+from morembs.body.floating.stiffening_terms import geometric_stiffening, why_no_stiffening
+from morembs.fem import FEModel, Mesh, skew
+from morembs.fem.assembly import assemble
+from morembs.fem.elements import TYPES
+from morembs.fem.geometric_stiffness import StressedMesh, geometric_stiffness
+from morembs.fem.interface import make_interface
+from morembs.fem.material import isotropic, orthotropic
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, FreeInterface, Krylov, Modal
 from tests.support.meshes import STEEL, box, steel, where

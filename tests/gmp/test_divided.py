@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from morembs.errors import InputError
-from morembs.gmp import ReducedMember, divide_until_within, divided_member
-from morembs.nonlinear import FullMember, LeftTablesError, Mechanism, PlanarBeam, Section, simulate
+from morembs.base.errors import InputError
+from morembs.dynamics.gmp import ReducedMember, divide_until_within, divided_member
+from morembs.dynamics.nonlinear import FullMember, LeftTablesError, Mechanism, PlanarBeam, Section, simulate
 
 # A strip of 1 m by 20 mm by 6 mm, so soft that it folds as it falls.
 OF_A_COMPONENT = ("size", "frames", "translations", "reference", "M", "energy", "force", "tangent")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
-from morembs.errors import InputError, SolverError
-from morembs.gmp import ChebyshevTable, ReducedMember, Solver, bending_modes, manifold, points
-from morembs.nonlinear import FullMember, Mechanism, PlanarBeam, Section, simulate
+from morembs.base.errors import InputError, SolverError
+from morembs.dynamics.gmp import ChebyshevTable, ReducedMember, Solver, bending_modes, manifold, points
+from morembs.dynamics.nonlinear import FullMember, Mechanism, PlanarBeam, Section, simulate
 
 LENGTH = 0.304
 FORMULATIONS = ("linear", "foreshortened", "membrane", "tangent")

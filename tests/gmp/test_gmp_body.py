@@ -1,4 +1,4 @@
-"""Parameterised members as bodies of morembs.multibody, against the nodal mechanism and conservation laws."""
+"""Parameterised members as bodies of morembs.dynamics.multibody, against the nodal mechanism and conservation laws."""
 
 import re
 from pathlib import Path
@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from morembs.errors import InputError, SolverError
-from morembs.gmp import ParameterisedBody, PlaneJoint, ReducedMember, solid_member
-from morembs.multibody import RevoluteJoint, RigidBody, System, ground, rotation, simulate
-from morembs.nonlinear import Mechanism
-from morembs.nonlinear import simulate as simulate_nodes
+from morembs.base.errors import InputError, SolverError
+from morembs.dynamics.gmp import ParameterisedBody, PlaneJoint, ReducedMember, solid_member
+from morembs.dynamics.multibody import RevoluteJoint, RigidBody, System, ground, rotation, simulate
+from morembs.dynamics.nonlinear import Mechanism
+from morembs.dynamics.nonlinear import simulate as simulate_nodes
 from tests.gmp.test_gmp import LENGTH, bent, pendulum, rod
 from tests.gmp.test_solid_member import prism
 

@@ -8,11 +8,11 @@ import h5py
 import numpy as np
 import pytest
 
-from morembs.errors import InputError, OutputError
-from morembs.gmp import AngleRange, ReducedMember, Solver, manifold, solid_member
-from morembs.gmp.symmetry import symmetries
-from morembs.nonlinear import PlanarBeam, Section
-from morembs.nonlinear.continuation import follow_equilibrium
+from morembs.base.errors import InputError, OutputError
+from morembs.dynamics.gmp import AngleRange, ReducedMember, Solver, manifold, solid_member
+from morembs.dynamics.gmp.symmetry import symmetries
+from morembs.dynamics.nonlinear import PlanarBeam, Section
+from morembs.dynamics.nonlinear.continuation import follow_equilibrium
 from tests.gmp.test_gmp import LENGTH, Softening, rod
 from tests.gmp.test_solid_member import LENGTH as SOLID
 from tests.gmp.test_solid_member import SIDE, E, prism

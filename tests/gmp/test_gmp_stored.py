@@ -7,10 +7,10 @@ import h5py
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
-from morembs.gmp import ReducedMember
-from morembs.gmp.stored import read_members, write_members
-from morembs.nonlinear import PlanarBeam, Section
+from morembs.base.errors import InputError
+from morembs.dynamics.gmp import ReducedMember
+from morembs.dynamics.gmp.stored import read_members, write_members
+from morembs.dynamics.nonlinear import PlanarBeam, Section
 
 DOCS = Path(__file__).parents[2] / "docs" / "gmp.md"
 

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 import scipy.sparse.linalg as spl
 
-from morembs.errors import InputError
-from morembs.gmp import ReducedMember
-from morembs.gmp.manifold import Solver
-from morembs.gmp.solid_manifold import SolidEquilibria, plane_bending_modes
-from morembs.gmp.solid_member import solid_member
-from morembs.interface import make_interface
-from morembs.nonlinear import FullMember, Mechanism, PlanarBeam, Section, simulate
-from morembs.nonlinear.continuation import follow_equilibrium
-from morembs.nonlinear.solid import NonlinearSolid
+from morembs.base.errors import InputError
+from morembs.dynamics.gmp import ReducedMember
+from morembs.dynamics.gmp.manifold import Solver
+from morembs.dynamics.gmp.solid_manifold import SolidEquilibria, plane_bending_modes
+from morembs.dynamics.gmp.solid_member import solid_member
+from morembs.dynamics.nonlinear import FullMember, Mechanism, PlanarBeam, Section, simulate
+from morembs.dynamics.nonlinear.continuation import follow_equilibrium
+from morembs.dynamics.nonlinear.solid import NonlinearSolid
+from morembs.fem.interface import make_interface
 from tests.support.meshes import box, steel, where
 
 # Half of the rod of Escalona, Hussien and Shabana (1998) with a square section, very soft.

@@ -4,13 +4,13 @@ import meshio
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.fem.assembly import assemble
+from morembs.fem.elements import TYPES
+from morembs.fem.mass import mass_properties
+from morembs.fem.material import isotropic, orthotropic
 from morembs.importers.abaqus import import_abaqus, read_abaqus
 from morembs.importers.abaqus_keywords import PIECE
-from morembs.model.assembly import assemble
-from morembs.model.elements import TYPES
-from morembs.model.mass import mass_properties
-from morembs.model.material import isotropic, orthotropic
 from morembs.problem import Problem
 from tests.support.decks import damaged, filled
 from tests.support.mesh_decks import ABAQUS_CODES, abaqus_mesh

@@ -8,14 +8,14 @@ import scipy.io
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
-from morembs.errors import InputError
 from morembs.exporters import export_body
 from morembs.exporters.abaqus_matrices import write_abaqus_matrix
+from morembs.fem.interface import make_interface
 from morembs.importers.abaqus_matrices import aligned, read_abaqus_matrix, read_abaqus_substructure
 from morembs.importers.text_matrices import numbers, text_blocks
-from morembs.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, Modal
 from tests.support.meshes import box, steel, where

@@ -8,16 +8,16 @@ import pytest
 import scipy.linalg
 import scipy.sparse as sp
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.fem import rigid_motion
+from morembs.fem.assembly import assemble
+from morembs.fem.material import isotropic
 from morembs.importers import import_file
 from morembs.importers.abaqus_matrices import read_abaqus_matrix
 from morembs.importers.ansys_cdb import import_ansys_cdb
 from morembs.importers.ansys_full import import_ansys_full, read_ansys_full
 from morembs.importers.ansys_text import import_ansys_matrices, read_ansys_matrix
 from morembs.importers.to_model import model_of
-from morembs.model import rigid_motion
-from morembs.model.assembly import assemble
-from morembs.model.material import isotropic
 from morembs.problem import Problem
 from tests.support.mesh_decks import ARCHIVE_FORMS, ansys_archive, ansys_elements, e21
 from tests.support.meshes import STEEL, box, fully_integrated, steel

@@ -13,9 +13,9 @@ import pytest
 import scipy.sparse as sp
 from typer.testing import CliRunner
 
-from morembs.cli import app
+from morembs.app.cli import app
+from morembs.fem import FEModel, formulations, rigid_motion
 from morembs.importers.model_file import read_model
-from morembs.model import FEModel, formulations, rigid_motion
 from tests.support.meshes import box
 
 CCX = next((path for name in ("ccx", "ccx_2.20") if (path := shutil.which(name))), None)

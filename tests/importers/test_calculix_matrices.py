@@ -8,7 +8,7 @@ import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.importers.abaqus_matrices import read_abaqus_matrix
 from morembs.importers.calculix_matrices import read_calculix_matrices
 

@@ -8,7 +8,7 @@ import scipy.linalg as sl
 from typer.testing import CliRunner
 
 from morembs import InputError
-from morembs.cli import app
+from morembs.app.cli import app
 from morembs.importers import import_file
 from morembs.importers.to_model import model_of
 from tests.support.calculix import independent, needs_ccx, on_plane, solids, stored_matrices

@@ -19,14 +19,14 @@ import scipy.io
 import scipy.sparse as sp
 from typer.testing import CliRunner
 
-from morembs.cli import app
-from morembs.errors import InputError
+from morembs.app.cli import app
+from morembs.base.errors import InputError
 from morembs.exporters.op4 import write_op4
+from morembs.fem import FEModel
 from morembs.importers import import_file
 from morembs.importers.matlab_v5 import read_matlab_v5
 from morembs.importers.model_file import write_model
 from morembs.importers.op4 import read_op4
-from morembs.model import FEModel
 from tests.support.machine import has_memory
 from tests.support.meshes import box, steel
 

@@ -12,8 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from morembs import read_mesh
-from morembs.cli import app
-from morembs.errors import InputError
+from morembs.app.cli import app
+from morembs.base.errors import InputError
 from morembs.importers import import_file
 from morembs.importers.model_file import read_model
 from tests.support.decks import BEAM, JOB, MATERIAL, deck, folder

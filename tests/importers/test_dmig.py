@@ -8,17 +8,17 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
-from morembs.errors import InputError
 from morembs.exporters import export_body
 from morembs.exporters.dmig import sixteen, write_dmig
+from morembs.fem.interface import make_interface
 from morembs.importers import import_file
 from morembs.importers.dmig import DmigMatrix, read_dmig
 from morembs.importers.nastran_text import BulkText
 from morembs.importers.op4 import read_op4
 from morembs.importers.to_model import model_of
-from morembs.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Modal
 from tests.support.meshes import box, steel, where

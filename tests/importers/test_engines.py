@@ -11,12 +11,12 @@ import pytest
 from typer.testing import CliRunner
 
 from morembs import InputError
-from morembs.cli import app
+from morembs.app.cli import app
+from morembs.fem import FEModel, rigid_motion
 from morembs.importers import import_file
 from morembs.importers.abaqus_surfaces import FACES
 from morembs.importers.model_file import read_model
 from morembs.importers.to_model import model_of
-from morembs.model import FEModel, rigid_motion
 from morembs.problem import Problem
 from tests.support import calculix
 from tests.support.calculix import STEEL, eigenvalues, needs_ccx, on_plane, own_frequencies, program, solids

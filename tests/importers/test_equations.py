@@ -10,13 +10,13 @@ import pytest
 import scipy.linalg as sl
 
 from morembs import InputError, Problem, make_interface
+from morembs.base.units import parse_units
+from morembs.fem import Nodes
+from morembs.fem.constraints import Equations, RigidElement, solved_for_first
+from morembs.fem.material import isotropic
 from morembs.importers.imported import Imported, PointMass
 from morembs.importers.model_file import read_model, write_model
 from morembs.importers.to_model import model_of
-from morembs.model import Nodes
-from morembs.model.constraints import Equations, RigidElement, solved_for_first
-from morembs.model.material import isotropic
-from morembs.units import parse_units
 from tests.support.meshes import STEEL, box
 
 MATERIAL = isotropic(set="all", **STEEL)

@@ -11,14 +11,14 @@ import pytest
 from typer.testing import CliRunner
 
 from morembs import read_body, read_mesh
-from morembs.cli import app
-from morembs.diagnostics.warnings import diagnosis_of
+from morembs.app.cli import app
+from morembs.base.units import parse_units
+from morembs.body.diagnostics.warnings import diagnosis_of
+from morembs.fem.material import isotropic
 from morembs.importers import import_file
 from morembs.importers.formulations import ansys_meaning, deck_warnings, meaning_of
 from morembs.importers.model_file import read_model, write_model
 from morembs.importers.to_model import model_of
-from morembs.model.material import isotropic
-from morembs.units import parse_units
 from tests.support.decks import BEAM, MATERIAL, deck, folder
 from tests.support.mesh_decks import ansys_archive, nastran_mesh
 from tests.support.meshes import STEEL, box

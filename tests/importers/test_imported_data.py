@@ -16,10 +16,10 @@ import scipy.sparse as sp
 from typer.testing import CliRunner
 
 from morembs import Problem
-from morembs.cli import app
+from morembs.app.cli import app
+from morembs.fem import FEModel
 from morembs.importers import import_file
 from morembs.importers.model_file import read_model
-from morembs.model import FEModel
 
 STEEL = ["--material", "young=2.1e11,poisson=0.3,density=7850"]
 STEEL_MM = ["--units", "mm-t-s", "--material", "young=210e3,poisson=0.3,density=7.85e-9"]

@@ -4,11 +4,11 @@ import meshio
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.base.units import parse_units
+from morembs.fem.elements import TYPES
 from morembs.importers import read_mesh
 from morembs.importers.meshes import SOLIDS
-from morembs.model.elements import TYPES
-from morembs.units import parse_units
 from tests.support.meshes import STEEL, box, steel
 
 # Element type, nodes, exact volume of the shape in the file's units to the power three, its node sets.

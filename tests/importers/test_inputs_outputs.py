@@ -12,14 +12,14 @@ import scipy.io
 import scipy.sparse as sp
 
 import morembs
+from morembs.app.jobs.import_job import ImportJob, run_import
+from morembs.app.jobs.inputs import interfaces_of
+from morembs.app.jobs.job import load_job
+from morembs.base.errors import InputError
 from morembs.certificate.response import full_response, reduced_response
-from morembs.errors import InputError
 from morembs.exporters.op4 import write_op4
 from morembs.importers import import_file
 from morembs.importers.model_file import read_model, write_model
-from morembs.jobs.import_job import ImportJob, run_import
-from morembs.jobs.inputs import interfaces_of
-from morembs.jobs.job import load_job
 from tests.support.meshes import box, steel
 from tests.support.processes import morembs as cli
 

@@ -18,17 +18,17 @@ import scipy.sparse as sp
 from typer.testing import CliRunner
 
 from morembs import CraigBampton, Problem, make_interface
+from morembs.app.cli import app
+from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
-from morembs.cli import app
-from morembs.errors import InputError
 from morembs.exporters import export_body
 from morembs.exporters.abaqus_matrices import write_abaqus_matrix
 from morembs.exporters.dmig import write_dmig
 from morembs.exporters.op4 import write_op4
+from morembs.fem import FEModel
 from morembs.importers.dmig import DmigMatrix
 from morembs.importers.model_file import read_model, write_model
-from morembs.model import FEModel
 from tests.support.meshes import box, steel
 
 KINDS = ("symmetric", "general", "complex")

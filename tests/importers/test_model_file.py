@@ -13,16 +13,16 @@ import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
 from morembs import CraigBampton, InputError, Problem, elastic_body, isotropic, make_interface, make_part, write_body
+from morembs.base.units import parse_units
+from morembs.body.diagnostics.warnings import examined
 from morembs.certificate.response import full_response
-from morembs.diagnostics.warnings import examined
+from morembs.fem import DofMap, FEModel, Mesh, Nodes, skew
+from morembs.fem.constraints import AverageElement, RigidElement
+from morembs.fem.mass import mass_properties
 from morembs.importers.dependent_dofs import interface_of_coupling
 from morembs.importers.imported import Imported, PointMass
 from morembs.importers.model_file import read_model, write_model
 from morembs.importers.to_model import model_of
-from morembs.model import DofMap, FEModel, Mesh, Nodes, skew
-from morembs.model.constraints import AverageElement, RigidElement
-from morembs.model.mass import mass_properties
-from morembs.units import parse_units
 from tests.support.meshes import STEEL, box, steel, where
 
 # Along x alone, bending in one plane would not touch the other.

@@ -11,11 +11,11 @@ import scipy.sparse.linalg as sla
 from typer.testing import CliRunner
 
 from morembs import InputError
-from morembs.cli import app
+from morembs.app.cli import app
+from morembs.fem import FEModel, rigid_motion
 from morembs.importers import import_file
 from morembs.importers.model_file import read_model
 from morembs.importers.to_model import model_of
-from morembs.model import FEModel, rigid_motion
 from tests.support import mystran
 from tests.support.calculix import independent, program
 from tests.support.meshes import box

@@ -4,17 +4,17 @@ import meshio
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.fem import rigid_motion
+from morembs.fem.assembly import assemble
+from morembs.fem.elements import TYPES
+from morembs.fem.material import isotropic, orthotropic
+from morembs.fem.surface import nodal_areas, outer_faces
 from morembs.importers.nastran import import_nastran, read_nastran
 from morembs.importers.nastran_cards import real
 from morembs.importers.nastran_text import PIECE
 from morembs.importers.problems import DeckError
 from morembs.importers.to_model import model_of
-from morembs.model import rigid_motion
-from morembs.model.assembly import assemble
-from morembs.model.elements import TYPES
-from morembs.model.material import isotropic, orthotropic
-from morembs.model.surface import nodal_areas, outer_faces
 from morembs.problem import Problem
 from tests.support.decks import damaged, filled
 from tests.support.mesh_decks import nastran_card, nastran_mesh

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.exporters.op4 import write_op4
 from morembs.importers.op4 import read_op4
 

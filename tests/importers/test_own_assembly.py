@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from morembs.fem import ElementBlock, FEModel, Mesh
+from morembs.fem.assembly import assemble
+from morembs.fem.material import isotropic
 from morembs.importers import import_file
 from morembs.importers.abaqus_matrices import read_abaqus_matrix
 from morembs.importers.ansys_text import import_ansys_matrices
 from morembs.importers.to_model import model_of
-from morembs.model import ElementBlock, FEModel, Mesh
-from morembs.model.assembly import assemble
-from morembs.model.material import isotropic
 
 
 def apart(A: sp.csr_array, B: sp.csr_array) -> float:

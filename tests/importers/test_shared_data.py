@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from morembs.base.units import parse_units
+from morembs.fem.assembly import assemble
+from morembs.fem.mass import mass_properties
+from morembs.fem.material import isotropic
 from morembs.importers import read_mesh
-from morembs.model.assembly import assemble
-from morembs.model.mass import mass_properties
-from morembs.model.material import isotropic
 from morembs.problem import Problem
-from morembs.units import parse_units
 from tests.support.meshes import STEEL, steel
 
 CONROD_HZ = [5931.72907, 10572.56166, 13006.48953, 14286.39617, 22263.38637, 24315.61338, 24728.82045, 28365.58687]

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from morembs.cli import app
-from morembs.errors import InputError
+from morembs.app.cli import app
+from morembs.base.errors import InputError
+from morembs.fem import rigid_motion
+from morembs.fem.elements import FACES, TYPES
+from morembs.fem.handedness import mirror_of
+from morembs.fem.interface.average import averaging
 from morembs.importers.abaqus import import_abaqus
 from morembs.importers.dependent_dofs import interface_of_coupling
 from morembs.importers.model_file import read_model
 from morembs.importers.problems import DeckError
 from morembs.importers.projection import project
 from morembs.importers.to_model import model_of
-from morembs.interface.average import averaging
-from morembs.model import rigid_motion
-from morembs.model.elements import FACES, TYPES
-from morembs.model.handedness import mirror_of
 from tests.support.meshes import box, fully_integrated, steel
 
 STEEL_LINES = "*MATERIAL, NAME=M\n*ELASTIC\n2.1E11, .3\n*DENSITY\n7850.\n"

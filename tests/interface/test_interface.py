@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.fem import Mesh, Nodes, rigid_motion, skew
+from morembs.fem.interface import averaging, couple, make_interface
+from morembs.fem.selection import select_nodes
 from morembs.importers import read_mesh
-from morembs.interface import averaging, couple, make_interface
-from morembs.model import Mesh, Nodes, rigid_motion, skew
-from morembs.model.selection import select_nodes
 from tests.support.meshes import box, steel, where
 
 CURVED = {"tet10": (3, 3, 2), "hex20": (3, 3, 1), "hex27": (2, 3, 1), "wedge15": (2, 2, 1), "tet4": (3, 3, 2)}

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
+from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.delivered import delivered
 from morembs.body.file import read_body, write_body
-from morembs.errors import InputError
-from morembs.interface import COUPLINGS, CouplingKind, make_interface
-from morembs.model import rigid_motion
-from morembs.nonlinear.solid import NonlinearSolid
+from morembs.dynamics.nonlinear.solid import NonlinearSolid
+from morembs.fem import rigid_motion
+from morembs.fem.interface import COUPLINGS, CouplingKind, make_interface
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import box, steel, where

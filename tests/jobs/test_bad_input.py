@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from morembs.cli import app
+from morembs.app.cli import app
 from tests.support.commands import OLD_RESULT, refused
 from tests.support.decks import APART, BEAM, HINGED, Cell, deck, folder
 from tests.support.processes import apart, program

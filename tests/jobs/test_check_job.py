@@ -14,16 +14,16 @@ import pytest
 import scipy.sparse as sp
 from typer.testing import CliRunner
 
-from morembs.cli import commands as cli
-from morembs.diagnostics import examined
-from morembs.errors import InputError
+from morembs.app.cli import commands as cli
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.run import run_job
+from morembs.base.errors import InputError
+from morembs.base.progress import duration_words
+from morembs.body.diagnostics import examined
+from morembs.fem.interface import make_interface
 from morembs.importers.model_file import write_model
-from morembs.interface import make_interface
-from morembs.jobs.job import load_job
-from morembs.jobs.run import run_job
 from morembs.linalg.sparse.threads import Speed
 from morembs.problem import Damping, Problem
-from morembs.progress import duration_words
 from morembs.reducers import AutoReducer, Balanced, CraigBampton, Facts, Gramian, Irka, Krylov
 from morembs.reducers.cost import mode_seconds
 from morembs.responses.direct import why_no_response

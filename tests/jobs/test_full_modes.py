@@ -2,8 +2,8 @@
 
 import pytest
 
-from morembs.jobs.job import load_job
-from morembs.jobs.run import run_job
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.run import run_job
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
 from tests.support import decks
 

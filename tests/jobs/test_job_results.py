@@ -9,13 +9,13 @@ import meshio
 import numpy as np
 import pytest
 
+from morembs.app.jobs.inputs import budget_of, solver_of
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.run import run_job
+from morembs.base.errors import InputError
 from morembs.body.file import read_body
-from morembs.errors import InputError
 from morembs.exporters.state_space import state_space
 from morembs.exporters.state_space_files import read_state_space
-from morembs.jobs.inputs import budget_of, solver_of
-from morembs.jobs.job import load_job
-from morembs.jobs.run import run_job
 from morembs.linalg.sparse.mumps import EmbeddedMumps
 from morembs.problem import Problem
 from tests.support import decks

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from morembs.app.cli import app
 from morembs.body.file import read_body
-from morembs.cli import app
 from tests.support.mesh_decks import abaqus_mesh
 from tests.support.meshes import box
 

@@ -13,15 +13,15 @@ import pytest
 import scipy.linalg as sl
 from typer.testing import CliRunner
 
+from morembs.app.cli import app
+from morembs.app.jobs.check import check_job
+from morembs.app.jobs.inputs import mesh_of
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.parameters import parameters_of
+from morembs.base.errors import InputError
 from morembs.body.file import read_body
-from morembs.cli import app
-from morembs.errors import InputError
-from morembs.interface import make_interface
-from morembs.jobs.check import check_job
-from morembs.jobs.inputs import mesh_of
-from morembs.jobs.job import load_job
-from morembs.jobs.parameters import parameters_of
-from morembs.model.assembly import assemble
+from morembs.fem.assembly import assemble
+from morembs.fem.interface import make_interface
 from morembs.parametric.terms import AffineProblem, varied_model
 from morembs.problem import Problem
 from tests.support.meshes import box

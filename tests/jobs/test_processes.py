@@ -21,14 +21,14 @@ import pytest
 import scipy.sparse as sp
 from typer.testing import CliRunner
 
-from morembs.cli import app
-from morembs.crew import Crew
-from morembs.errors import InputError, SolverError
+from morembs.app.cli import app
+from morembs.base.crew import Crew
+from morembs.base.errors import InputError, SolverError
+from morembs.fem import DofMap
 from morembs.importers.model_file import write_model
 from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.ranks import why_not
 from morembs.linalg.sparse.select import SOLVERS
-from morembs.model import DofMap
 from tests.support.commands import refused, without_progress
 from tests.support.matrices import brick, shifted
 from tests.support.meshes import box, steel, where
@@ -176,7 +176,7 @@ def tube(tmp_path: Path) -> dict[str, str]:
 @pytest.mark.parametrize(("model", "crews"), [("dampers", [2, 2, 2, 2, 3, 2]), ("tube", [2, 2, 2, 3])])
 def test_damped_bodies_and_certificates_do_not_depend_on_workers(tmp_path, caplog, request, model, crews):
     keys, made = request.getfixturevalue(model), []
-    caplog.set_level("INFO", "morembs.crew")
+    caplog.set_level("INFO", "morembs.base.crew")
     for workers in (1, 2, 3):
         job = damped(tmp_path / f"w{workers}", f"workers = {workers}", keys)
         made.append(datasets(job))
@@ -270,7 +270,7 @@ def test_results_come_in_the_order_of_tasks_and_the_first_failure_counts(tmp_pat
 
 UNGUARDED = """
 import operator, os, signal
-from morembs.crew import Crew
+from morembs.base.crew import Crew
 
 print("begun", flush=True)
 with Crew(3, 2) as crew:
@@ -279,7 +279,7 @@ with Crew(3, 2) as crew:
 """
 GUARDED = """
 import operator
-from morembs.crew import Crew
+from morembs.base.crew import Crew
 
 class Number:
     def __init__(self, value):

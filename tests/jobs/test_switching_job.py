@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from morembs.app.cli import app
+from morembs.base.errors import InputError
 from morembs.body.file import read_body
-from morembs.cli import app
-from morembs.errors import InputError
 from morembs.problem import Problem
 from morembs.reducers import StaticModesSwitching
 from tests.support.decks import job

@@ -6,7 +6,7 @@ import scipy.io
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.errors import SolverError
+from morembs.base.errors import SolverError
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
 from tests.support.matrices import chain, dense_gramians, difference, mass, slender_beam
 

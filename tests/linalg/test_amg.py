@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.fem import rigid_motion
 from morembs.linalg.sparse import amg
 from morembs.linalg.sparse.amg import Amg
 from morembs.linalg.sparse.select import SOLVERS, select_solver
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.model import rigid_motion
 from tests.support.matrices import random
 from tests.support.meshes import box, steel, where
 

@@ -5,8 +5,8 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.budget import UNLIMITED
-from morembs.errors import InputError
+from morembs.base.budget import UNLIMITED
+from morembs.base.errors import InputError
 from morembs.linalg.complex_modes import complex_modes, frequencies_below, small_complex_modes
 from morembs.linalg.congruence import congruence
 from morembs.linalg.sparse.select import select_solver

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
-from morembs.budget import Budget
-from morembs.errors import SolverError
-from morembs.interface import make_interface
+from morembs.base.budget import Budget
+from morembs.base.errors import SolverError
+from morembs.fem.interface import make_interface
 from morembs.linalg import eigen
 from morembs.linalg.columns import orthonormal
 from morembs.linalg.eigen import DENSE, lowest_modes

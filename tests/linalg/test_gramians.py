@@ -5,8 +5,8 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.budget import Budget
-from morembs.errors import InputError
+from morembs.base.budget import Budget
+from morembs.base.errors import InputError
 from morembs.linalg.gramians import StreamedSVD, WeightedSVD, snapshot_factor
 from morembs.linalg.quadrature import gauss, modal_poles, resonant, trapezoid
 

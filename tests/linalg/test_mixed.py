@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from morembs.errors import InputError, SingularMatrixError, SolverError
+from morembs.base.errors import InputError, SingularMatrixError, SolverError
+from morembs.fem.assembly import assemble
+from morembs.fem.material import isotropic
 from morembs.linalg.sparse.mixed import Mixed
 from morembs.linalg.sparse.mumps import Mumps, MumpsAnalysis
 from morembs.linalg.sparse.solver import SYMMETRIC_STRUCTURES, Analysis, Factorization
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.model.assembly import assemble
-from morembs.model.material import isotropic
 from morembs.problem import Problem
 from tests.support.matrices import backward_error, brick, damped, random, shifted, slender_beam
 from tests.support.meshes import box

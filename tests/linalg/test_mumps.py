@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse import mumps, mumps_instance, mumps_library, ordering
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
 from morembs.linalg.sparse.symmetric import Lower

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.linalg.sparse import foreign, mumps_library
 from morembs.linalg.sparse.foreign import open_deep
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps

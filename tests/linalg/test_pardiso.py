@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from morembs.errors import BudgetError, InputError, SingularMatrixError
+from morembs.base.errors import BudgetError, InputError, SingularMatrixError
 from morembs.linalg.sparse import pardiso, pardiso_library
 from morembs.linalg.sparse.mumps import Mumps
 from morembs.linalg.sparse.pardiso import Pardiso

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from morembs.errors import BudgetError, InputError, enough_megabytes
+from morembs.base.errors import BudgetError, InputError, enough_megabytes
 from morembs.linalg.sparse import select as selection
 from morembs.linalg.sparse.mixed import Mixed
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps

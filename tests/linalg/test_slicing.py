@@ -7,14 +7,14 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.budget import Budget
-from morembs.errors import InputError, SolverError
-from morembs.interface import make_interface
+from morembs.base.budget import Budget
+from morembs.base.errors import InputError, SolverError
+from morembs.fem import DofMap, FEModel, Nodes
+from morembs.fem.assembly import assemble
+from morembs.fem.interface import make_interface
+from morembs.fem.material import isotropic
 from morembs.linalg.eigen import lowest_modes
 from morembs.linalg.slicing import sliced_modes
-from morembs.model import DofMap, FEModel, Nodes
-from morembs.model.assembly import assemble
-from morembs.model.material import isotropic
 from morembs.problem import Problem
 from tests.support.meshes import box
 from tests.support.progress import Heard

@@ -15,15 +15,15 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
-from morembs.budget import Budget
-from morembs.errors import InputError, SingularMatrixError, SolverError
+from morembs.base.budget import Budget
+from morembs.base.errors import InputError, SingularMatrixError, SolverError
+from morembs.base.memory import resident_bytes
 from morembs.linalg.sparse import mumps_library
 from morembs.linalg.sparse.mumps import Mumps
 from morembs.linalg.sparse.select import SOLVERS, select_solver
 from morembs.linalg.sparse.solver import STRUCTURES, LinearSolver
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import General, Lower
-from morembs.memory import resident_bytes
 from tests.support.matrices import (
     backward_error,
     badly_scaled,

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse import cholmod_library, cholmod_session, umfpack
 from morembs.linalg.sparse.cholmod import Cholmod
 from morembs.linalg.sparse.interruptible import ForeignObject

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from morembs.budget import Budget
-from morembs.errors import InputError, SingularMatrixError
+from morembs.base.budget import Budget
+from morembs.base.errors import InputError, SingularMatrixError
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, constrained, grounded
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.linalg.sparse import threads
 from morembs.linalg.sparse.threads import blas_threads, limit_threads, measured_speed, quiet_idle_threads
 

@@ -4,13 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from morembs.errors import InputError
-from morembs.floating.frame import FloatingFrame
-from morembs.floating.integrals import ShapeIntegrals
-from morembs.interface import make_interface
-from morembs.model.assembly import assemble
-from morembs.model.material import isotropic
-from morembs.multibody import (
+from morembs.base.errors import InputError
+from morembs.body.floating.frame import FloatingFrame
+from morembs.body.floating.integrals import ShapeIntegrals
+from morembs.dynamics.multibody import (
     DrivenPosition,
     FlexibleBody,
     Motion,
@@ -22,15 +19,18 @@ from morembs.multibody import (
     ground,
     rotation,
 )
-from morembs.multibody.component import Marker, MarkerState
-from morembs.multibody.contact.curves import Path
-from morembs.multibody.contact.impact import project_positions
-from morembs.multibody.contact.kinematics import Contact, Contacts
-from morembs.multibody.contact.patches import TriangleSurface
-from morembs.multibody.contact.result import ContactError
-from morembs.multibody.contact.run import simulate_contact
-from morembs.multibody.contact.surfaces import GridSurface, Plane, Sphere
-from morembs.multibody.system import Assembly
+from morembs.dynamics.multibody.component import Marker, MarkerState
+from morembs.dynamics.multibody.contact.curves import Path
+from morembs.dynamics.multibody.contact.impact import project_positions
+from morembs.dynamics.multibody.contact.kinematics import Contact, Contacts
+from morembs.dynamics.multibody.contact.patches import TriangleSurface
+from morembs.dynamics.multibody.contact.result import ContactError
+from morembs.dynamics.multibody.contact.run import simulate_contact
+from morembs.dynamics.multibody.contact.surfaces import GridSurface, Plane, Sphere
+from morembs.dynamics.multibody.system import Assembly
+from morembs.fem.assembly import assemble
+from morembs.fem.interface import make_interface
+from morembs.fem.material import isotropic
 from morembs.problem import Problem
 from morembs.reducers import FreeInterface, Gramian
 from tests.support.meshes import box, where

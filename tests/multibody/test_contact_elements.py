@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 import morembs
-from morembs.errors import InputError, SolverError
-from morembs.model import DofMap, FEModel
-from morembs.model.grid import grid_mesh
-from morembs.multibody import (
+from morembs.base.errors import InputError, SolverError
+from morembs.dynamics.multibody import (
     ContactElement,
     ContactTable,
     Cylinder,
@@ -25,6 +23,8 @@ from morembs.multibody import (
     linearised,
     simulate,
 )
+from morembs.fem import DofMap, FEModel
+from morembs.fem.grid import grid_mesh
 
 STIFFNESS = 1e9
 # Rebound over approach of a sphere with the exponent 1.5, from a quadrature of each law: independent of mass and speed.

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import morembs
-from morembs.errors import InputError
-from morembs.multibody import (
+from morembs.base.errors import InputError
+from morembs.dynamics.multibody import (
     FixedJoint,
     PointLoad,
     System,
@@ -21,7 +21,7 @@ from morembs.multibody import (
     rotation,
     simulate,
 )
-from morembs.nonlinear import BeamBody, SpatialBeam, SpatialSection, beam_pieces
+from morembs.dynamics.nonlinear import BeamBody, SpatialBeam, SpatialSection, beam_pieces
 from tests.support.meshes import box
 
 # The bend of Bathe and Bolourchi (1979), with a mass.

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import morembs
-from morembs.errors import InputError
-from morembs.floating.frame import FloatingFrame
-from morembs.multibody import (
+from morembs.base.errors import InputError
+from morembs.body.floating.frame import FloatingFrame
+from morembs.dynamics.multibody import (
     DrivenAngle,
     FlexibleBody,
     Linearised,

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from morembs.errors import SolverError
-from morembs.multibody import Contact, Plane, RigidBody, System, ground, rotation, simulate_contact
-from morembs.multibody.contact.cone import coulomb
+from morembs.base.errors import SolverError
+from morembs.dynamics.multibody import Contact, Plane, RigidBody, System, ground, rotation, simulate_contact
+from morembs.dynamics.multibody.contact.cone import coulomb
 
 G = 9.81
 

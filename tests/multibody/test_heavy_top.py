@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from morembs.errors import SolverError
-from morembs.multibody import RigidBody, SphericalJoint, System, ground, simulate
+from morembs.base.errors import SolverError
+from morembs.dynamics.multibody import RigidBody, SphericalJoint, System, ground, simulate
 
 MASS, INERTIA = 15.0, np.array([0.234375, 0.46875, 0.234375])
 CENTER, SPIN, GRAVITY = np.array([0.0, 1.0, 0.0]), np.array([0.0, 150.0, -4.61538]), np.array([0.0, 0.0, -9.81])

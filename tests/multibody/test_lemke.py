@@ -5,8 +5,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
-from morembs.multibody.contact.lemke import RayError, lemke
+from morembs.base.errors import InputError
+from morembs.dynamics.multibody.contact.lemke import RayError, lemke
 
 
 def enumerated(M, q):

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from morembs import multibody, nonlinear
-from morembs.errors import InputError, SolverError
-from morembs.floating.frame import FloatingFrame
-from morembs.floating.integrals import ShapeIntegrals
-from morembs.multibody import (
+from morembs.base.errors import InputError, SolverError
+from morembs.body.floating.frame import FloatingFrame
+from morembs.body.floating.integrals import ShapeIntegrals
+from morembs.dynamics.multibody import (
     Assembly,
     DrivenAngle,
     DrivenPosition,
@@ -30,7 +29,7 @@ from morembs.multibody import (
     rotation,
     simulate,
 )
-from morembs.multibody.rotations import exponential, logarithm, tangent
+from morembs.dynamics.multibody.rotations import exponential, logarithm, tangent
 
 DOWN = (0.0, 0.0, -9.81)
 
@@ -509,20 +508,7 @@ def test_bad_systems_are_told():
         simulate(system, end=1, step=0.1, events=Again())
 
 
-def test_old_names_still_work_and_say_so():
-    in_multibody = {"Place": "MarkerState", "Restart": "RestartState", "Switch": "EventHandler"}
-    in_nonlinear = {
-        "Moment": "MemberState",
-        "Motion": "MechanismMotion",
-        "Settled": "EquilibriumPath",
-        "settle": "follow_equilibrium",
-    }
-    for module, names in ((multibody, in_multibody), (nonlinear, in_nonlinear)):
-        for old, new in names.items():
-            with pytest.warns(DeprecationWarning, match=f"{old} is now {new}"):
-                assert getattr(module, old) is getattr(module, new)
-        with pytest.raises(AttributeError, match="has no attribute 'Plaice'"):
-            module.Plaice  # noqa: B018
+def test_the_former_keyword_of_events_still_works_and_says_so():
     system = System(gravity=DOWN)
     system.add(RigidBody(1.0, (1, 1, 1), position=(0, 0, 1)))
     with pytest.warns(DeprecationWarning, match=r"events=\.\.\."):

@@ -8,12 +8,11 @@ import pytest
 import scipy.linalg as sl
 from scipy.integrate import solve_ivp
 
-from morembs.errors import InputError, SolverError
-from morembs.floating.frame import FloatingFrame, floating_frame
-from morembs.floating.integrals import ShapeIntegrals
-from morembs.floating.stiffening_terms import geometric_stiffening
-from morembs.interface import make_interface
-from morembs.multibody import (
+from morembs.base.errors import InputError, SolverError
+from morembs.body.floating.frame import FloatingFrame, floating_frame
+from morembs.body.floating.integrals import ShapeIntegrals
+from morembs.body.floating.stiffening_terms import geometric_stiffening
+from morembs.dynamics.multibody import (
     DrivenAngle,
     FixedJoint,
     FlexibleBody,
@@ -27,8 +26,9 @@ from morembs.multibody import (
     ground,
     simulate,
 )
-from morembs.multibody.inertia import Foreshortening, Inertia
-from morembs.multibody.rotations import exponential
+from morembs.dynamics.multibody.inertia import Foreshortening, Inertia
+from morembs.dynamics.multibody.rotations import exponential
+from morembs.fem.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import box, steel, where

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from morembs import multibody as mb
-from morembs.errors import InputError
-from morembs.floating.frame import FloatingFrame, InterfaceMarker
-from morembs.floating.integrals import PERMUTATION, ShapeIntegrals
-from morembs.floating.parametric import frame_terms
-from morembs.multibody.tangents import pulls, stiffness_and_damping
-from morembs.multibody.variation import variations
+from morembs.base.errors import InputError
+from morembs.body.floating.frame import FloatingFrame, InterfaceMarker
+from morembs.body.floating.integrals import PERMUTATION, ShapeIntegrals
+from morembs.body.floating.parametric import frame_terms
+from morembs.dynamics import multibody as mb
+from morembs.dynamics.multibody.tangents import pulls, stiffness_and_damping
+from morembs.dynamics.multibody.variation import variations
 from morembs.parametric.model import parametric_model
 from morembs.parametric.terms import AffineProblem, varied_model
 from tests.support.parametric import STEEL, bracket, interfaces, longer, parameters, some_basis

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
-from morembs.floating.frame import floating_frame
-from morembs.floating.stiffening_terms import geometric_stiffening
-from morembs.interface import make_interface
-from morembs.multibody import (
+from morembs.base.errors import InputError
+from morembs.body.floating.frame import floating_frame
+from morembs.body.floating.stiffening_terms import geometric_stiffening
+from morembs.dynamics.multibody import (
     DrivenAngle,
     FlexibleBody,
     LinearBody,
@@ -25,6 +24,7 @@ from morembs.multibody import (
     ground,
     rotation,
 )
+from morembs.fem.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import box, steel, where

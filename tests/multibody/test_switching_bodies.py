@@ -7,17 +7,17 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.errors import InputError
-from morembs.floating.frame import floating_frame
-from morembs.interface import make_interface
-from morembs.model import DofMap, FEModel
-from morembs.model.stress_operator import stress_operator
-from morembs.multibody import FlexibleBody, RigidBody, System
-from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.sliding.body import SwitchingBody
-from morembs.multibody.sliding.handler import SlidingSwitch, UnfinishedRunError, simulate_sliding
-from morembs.multibody.sliding.loads import MovingLoad, PathSupport, PointOnPath
-from morembs.multibody.sliding.response import local_response
+from morembs.base.errors import InputError
+from morembs.body.floating.frame import floating_frame
+from morembs.dynamics.multibody import FlexibleBody, RigidBody, System
+from morembs.dynamics.multibody.linear_body import LinearBody
+from morembs.dynamics.multibody.sliding.body import SwitchingBody
+from morembs.dynamics.multibody.sliding.handler import SlidingSwitch, UnfinishedRunError, simulate_sliding
+from morembs.dynamics.multibody.sliding.loads import MovingLoad, PathSupport, PointOnPath
+from morembs.dynamics.multibody.sliding.response import local_response
+from morembs.fem import DofMap, FEModel
+from morembs.fem.interface import make_interface
+from morembs.fem.stress_operator import stress_operator
 from morembs.problem import Problem
 from morembs.reducers import StaticModesSwitching
 from morembs.reducers.switching_tables import StaticModeTables

@@ -7,13 +7,18 @@ import pytest
 import scipy.linalg as sl
 from scipy.integrate import solve_ivp
 
-from morembs.interface import make_interface
-from morembs.multibody import RigidBody, System
-from morembs.multibody.linear_body import LinearBody
-from morembs.multibody.sliding.body import SwitchingBody
-from morembs.multibody.sliding.handler import SlidingSwitch, project_in_mass, project_in_stiffness, simulate_sliding
-from morembs.multibody.sliding.loads import MovingLoad, PathSupport, PointOnPath
-from morembs.multibody.sliding.response import amplitudes, local_response, state_of
+from morembs.dynamics.multibody import RigidBody, System
+from morembs.dynamics.multibody.linear_body import LinearBody
+from morembs.dynamics.multibody.sliding.body import SwitchingBody
+from morembs.dynamics.multibody.sliding.handler import (
+    SlidingSwitch,
+    project_in_mass,
+    project_in_stiffness,
+    simulate_sliding,
+)
+from morembs.dynamics.multibody.sliding.loads import MovingLoad, PathSupport, PointOnPath
+from morembs.dynamics.multibody.sliding.response import amplitudes, local_response, state_of
+from morembs.fem.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import StaticModesSwitching
 from tests.support.sliding import ELEMENTS, hermite_beam, reduced_beam

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
-from morembs.multibody import RevoluteJoint, System, ground, rotation, simulate
-from morembs.nonlinear import (
+from morembs.base.errors import InputError
+from morembs.dynamics.multibody import RevoluteJoint, System, ground, rotation, simulate
+from morembs.dynamics.nonlinear import (
     BeamBody,
     FullMember,
     Mechanism,
@@ -15,7 +15,7 @@ from morembs.nonlinear import (
     SpatialSection,
     follow_equilibrium,
 )
-from morembs.nonlinear import simulate as simulate_planar
+from morembs.dynamics.nonlinear import simulate as simulate_planar
 
 SOFT = SpatialSection(EA=30.0, GA2=10.0, GA3=15.0, GJ=0.03, EI2=0.02, EI3=0.04, mass=1.3, rotary=(0.03, 0.01, 0.02))
 

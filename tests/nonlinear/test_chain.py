@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from morembs.errors import InputError
-from morembs.nonlinear import Chain, Link, Mechanism, Section, simulate
+from morembs.base.errors import InputError
+from morembs.dynamics.nonlinear import Chain, Link, Mechanism, Section, simulate
 
 SECTION = Section.of(E=7.3e10, A=4e-4, I=3.33e-9, density=2700.0)
 LINKS = (Link(length=0.5, section=SECTION, tip=1.0), Link(length=0.7, section=SECTION, elements=2, tip=0.3))

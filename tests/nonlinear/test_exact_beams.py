@@ -6,8 +6,16 @@ from scipy.optimize import brentq
 from scipy.special import ellipe as complete
 from scipy.special import ellipeinc, ellipk, ellipkinc
 
-from morembs.errors import InputError, SolverError
-from morembs.nonlinear import FullMember, Mechanism, NonlinearComponent, PlanarBeam, Section, equilibrium, simulate
+from morembs.base.errors import InputError, SolverError
+from morembs.dynamics.nonlinear import (
+    FullMember,
+    Mechanism,
+    NonlinearComponent,
+    PlanarBeam,
+    Section,
+    equilibrium,
+    simulate,
+)
 
 SLENDER = Section(EA=1e7, GA=1e7, EI=1.0, mass=1.0)
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from morembs.errors import InputError, SolverError
-from morembs.interface import make_interface
-from morembs.model import DofMap, FEModel
-from morembs.model.assembly import assemble
-from morembs.model.material import orthotropic
-from morembs.nonlinear.continuation import follow_equilibrium
-from morembs.nonlinear.solid import NonlinearSolid
+from morembs.base.errors import InputError, SolverError
+from morembs.dynamics.nonlinear.continuation import follow_equilibrium
+from morembs.dynamics.nonlinear.solid import NonlinearSolid
+from morembs.fem import DofMap, FEModel
+from morembs.fem.assembly import assemble
+from morembs.fem.interface import make_interface
+from morembs.fem.material import orthotropic
 from tests.support.elastica import tip_of_elastica
 from tests.support.meshes import box, heavy, steel, where
 

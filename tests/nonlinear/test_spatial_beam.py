@@ -6,10 +6,10 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
-from morembs.errors import InputError
-from morembs.nonlinear.continuation import follow_equilibrium
-from morembs.nonlinear.rotation_vectors import curvature, shortened, tangents
-from morembs.nonlinear.spatial_beam import SpatialBeam, SpatialSection
+from morembs.base.errors import InputError
+from morembs.dynamics.nonlinear.continuation import follow_equilibrium
+from morembs.dynamics.nonlinear.rotation_vectors import curvature, shortened, tangents
+from morembs.dynamics.nonlinear.spatial_beam import SpatialBeam, SpatialSection
 from tests.support.elastica import tip_of_elastica
 
 CLAMPED = np.arange(6)

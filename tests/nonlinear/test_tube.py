@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
-from morembs.nonlinear import BeamInTube, CurvedTube, PlanarBeam, Section
+from morembs.base.errors import InputError
+from morembs.dynamics.nonlinear import BeamInTube, CurvedTube, PlanarBeam, Section
 
 SECTION = Section.of(E=2e11, A=2e-7, I=3e-15, density=7850.0)
 RADIUS, CLEARANCE = 0.2, 5e-5

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
-from morembs.floating.preload import Preload, preloaded
-from morembs.interface import make_interface
-from morembs.model.material import isotropic
+from morembs.base.errors import InputError
+from morembs.body.floating.preload import Preload, preloaded
+from morembs.fem.interface import make_interface
+from morembs.fem.material import isotropic
 from morembs.parametric.added import with_preload
 from morembs.parametric.parameter import Parameter, Spring
 from morembs.parametric.space import GlobalSpace

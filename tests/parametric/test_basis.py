@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.parametric.bound import ritz_pairs
 from morembs.parametric.cells import Proofs
 from morembs.parametric.parameter import Parameter

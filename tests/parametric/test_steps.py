@@ -7,8 +7,8 @@ import signal
 import h5py
 import numpy as np
 
-from morembs.jobs.job import load_job
-from morembs.jobs.run import run_job
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.run import run_job
 from morembs.parametric.steps import clear_steps
 from tests.support.parametric import BRACKET
 from tests.support.processes import apart

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
-from morembs.model.assembly import assemble, integrate, material_of_elements
-from morembs.model.elements import TYPES
-from morembs.model.material import isotropic, orthotropic
+from morembs.base.errors import InputError
+from morembs.fem.assembly import assemble, integrate, material_of_elements
+from morembs.fem.elements import TYPES
+from morembs.fem.material import isotropic, orthotropic
 from morembs.parametric.law import Law, chebyshev_points, lagrange
 from morembs.parametric.parameter import Box
 from morembs.parametric.terms import AffineProblem, varied_model

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.parametric.model import parametric_model
 from morembs.parametric.terms import AffineProblem, varied_model
 from morembs.parametric.update import Measured, update

@@ -10,8 +10,8 @@ import pytest
 import scipy.linalg as sl
 from numpy.polynomial import Legendre
 
+from morembs.body.recovery.recover import recover
 from morembs.exporters.exudyn_system import exudyn_missing
-from morembs.recovery.recover import recover
 from tests.support.processes import python
 
 ROOT = Path(__file__).parents[2]

@@ -13,7 +13,7 @@ import common  # noqa: E402
 import moving_load  # noqa: E402
 
 from data import make_spur_gear  # noqa: E402
-from morembs.multibody import UnfinishedRunError  # noqa: E402
+from morembs.dynamics.multibody import UnfinishedRunError  # noqa: E402
 from studies import gear_teeth  # noqa: E402
 
 

@@ -7,13 +7,13 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.run import damping_of
+from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
 from morembs.certificate.certify import certify
 from morembs.certificate.response import full_response, reduced_response
-from morembs.errors import InputError
-from morembs.jobs.job import load_job
-from morembs.jobs.run import damping_of
 from morembs.problem import Problem
 from morembs.problem.damping import ADAMS, STRUCTURAL, Damping, frequency_domain_only
 from morembs.reducers import REDUCERS, AutoReducer, Balanced, FreeInterface, Gramian, Irka, Krylov, Modal

@@ -12,16 +12,16 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from typer.testing import CliRunner
 
+from morembs.app.cli import app
+from morembs.base.errors import InputError, SingularMatrixError
+from morembs.body.diagnostics.warnings import examined
 from morembs.body.file import read_body
-from morembs.cli import app
-from morembs.diagnostics.warnings import examined
-from morembs.errors import InputError, SingularMatrixError
+from morembs.fem import FEModel
+from morembs.fem.interface import Interface, make_interface, matrix_interface
 from morembs.importers.from_matrices import from_matrices
 from morembs.importers.model_file import write_model
-from morembs.interface import Interface, make_interface, matrix_interface
 from morembs.linalg.null_space import DENSE, null_space
 from morembs.linalg.sparse.select import select_solver
-from morembs.model import FEModel
 from morembs.problem import Damping, Problem
 from morembs.problem.rigid_motions import need_factor
 from morembs.reducers import CraigBampton, FreeInterface, Guyan, Krylov, Modal

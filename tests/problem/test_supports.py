@@ -12,12 +12,12 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.certificate.certify import certify
-from morembs.errors import InputError
-from morembs.interface import make_interface
+from morembs.fem import DofMap, FEModel, Nodes
+from morembs.fem.geometric_stiffness import geometric_stiffness
+from morembs.fem.interface import make_interface
 from morembs.linalg.rigid import written
-from morembs.model import DofMap, FEModel, Nodes
-from morembs.model.geometric_stiffness import geometric_stiffness
 from morembs.problem import Problem
 from morembs.reducers import AutoReducer, CraigBampton, Guyan, Modal
 from morembs.reducers.family_search import apart

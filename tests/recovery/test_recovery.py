@@ -14,23 +14,23 @@ import scipy.linalg as sl
 import vtk
 from vtk.util.numpy_support import vtk_to_numpy
 
+from morembs.base.errors import InputError, OutputError, OverwriteError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
+from morembs.body.floating.frame import floating_frame
+from morembs.body.recovery.expansion import Expander
+from morembs.body.recovery.recover import Recovered, Trajectory, expand, read_trajectory, recover
 from morembs.body.stress_shapes import recovery_parts, stress_recovery
 from morembs.body.tables import RECOVERY
 from morembs.body.vtkhdf_series import stored_recovery
-from morembs.errors import InputError, OutputError, OverwriteError
-from morembs.floating.frame import floating_frame
-from morembs.interface import make_interface
-from morembs.model import Mesh, Nodes
-from morembs.model.assembly import assemble
-from morembs.model.material import isotropic
-from morembs.model.stress_operator import von_mises
-from morembs.multibody import FixedJoint, FlexibleBody, PointLoad, System, ground, simulate
-from morembs.multibody.rotations import exponential
+from morembs.dynamics.multibody import FixedJoint, FlexibleBody, PointLoad, System, ground, simulate
+from morembs.dynamics.multibody.rotations import exponential
+from morembs.fem import Mesh, Nodes
+from morembs.fem.assembly import assemble
+from morembs.fem.interface import make_interface
+from morembs.fem.material import isotropic
+from morembs.fem.stress_operator import von_mises
 from morembs.problem import Problem
-from morembs.recovery.expansion import Expander
-from morembs.recovery.recover import Recovered, Trajectory, expand, read_trajectory, recover
 from morembs.reducers import CraigBampton, Modal
 from morembs.storage.writer import Writer
 from tests.support.machine import has_memory

@@ -10,14 +10,14 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from benchmarks import certificates as campaign
+from morembs.app.cli import app
+from morembs.app.cli.report import print_result, result_json
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.run import run_job
+from morembs.base.errors import InputError, MorembsError, SolverError
 from morembs.body.file import read_body
 from morembs.certificate.certify import certify
-from morembs.cli import app
-from morembs.cli.report import print_result, result_json
-from morembs.errors import InputError, MorembsError, SolverError
 from morembs.importers import read_mesh
-from morembs.jobs.job import load_job
-from morembs.jobs.run import run_job
 from morembs.problem import Damping, Problem
 from morembs.reducers import AutoReducer
 from morembs.responses.band import band_frequencies

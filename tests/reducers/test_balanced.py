@@ -6,10 +6,10 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from benchmarks.certificates import truss
+from morembs.base.errors import InputError, SolverError
 from morembs.certificate.response import full_response, reduced_response
-from morembs.errors import InputError, SolverError
-from morembs.interface import make_interface
-from morembs.model import DofMap, FEModel
+from morembs.fem import DofMap, FEModel
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers.balanced import Balanced
 from morembs.reducers.petrov_galerkin import refuse_unstable

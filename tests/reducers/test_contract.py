@@ -9,13 +9,13 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from morembs.errors import SolverError
-from morembs.interface import make_interface
+from morembs.base.errors import SolverError
+from morembs.base.progress import SILENT
+from morembs.fem.interface import make_interface
 from morembs.parametric.parameter import Parameter
 from morembs.parametric.terms import AffineProblem
 from morembs.parametric.varied import varied_model
 from morembs.problem import Damping, Problem
-from morembs.progress import SILENT
 from morembs.reducers import REDUCERS, Facts, Modal
 from morembs.reducers.base import MODE_KINDS, ReducedModel
 from tests.support.meshes import box, steel, where

@@ -7,11 +7,11 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError
 from morembs.certificate.response import full_response, reduced_response
-from morembs.errors import InputError
-from morembs.interface import make_interface
+from morembs.fem import FEModel
+from morembs.fem.interface import make_interface
 from morembs.linalg.quadrature import gauss
-from morembs.model import FEModel
 from morembs.problem import Damping, Problem
 from morembs.reducers import FreeInterface, Modal
 from morembs.reducers.gramian import Gramian

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.run import run_job
+from morembs.base.budget import Budget
+from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
-from morembs.budget import Budget
-from morembs.errors import InputError
-from morembs.floating.frame import floating_frame
-from morembs.interface import make_interface
-from morembs.jobs.job import load_job
-from morembs.jobs.run import run_job
+from morembs.body.floating.frame import floating_frame
+from morembs.fem.interface import make_interface
 from morembs.linalg.sparse.select import select_solver
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, Guyan

@@ -8,9 +8,9 @@ import pytest
 import scipy.linalg as sl
 
 from benchmarks.certificates import truss
+from morembs.base.errors import InputError
 from morembs.certificate.response import full_response, reduced_response
-from morembs.errors import InputError
-from morembs.interface import make_interface
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers.irka import Irka
 from morembs.reducers.krylov import Krylov

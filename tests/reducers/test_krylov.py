@@ -7,9 +7,9 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError, SolverError
 from morembs.certificate.response import full_response, reduced_response
-from morembs.errors import InputError, SolverError
-from morembs.interface import make_interface
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers.krylov import Krylov
 from morembs.responses.loads import inertia_loads

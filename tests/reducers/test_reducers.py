@@ -7,13 +7,13 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError, SingularMatrixError
 from morembs.body import elastic_body, make_part
 from morembs.certificate.response import full_response, reduced_response
-from morembs.errors import InputError, SingularMatrixError
-from morembs.interface import Interface, make_interface
-from morembs.model import DofMap, ElementBlock, FEModel, Mesh, Nodes
-from morembs.model.assembly import assemble
-from morembs.model.material import isotropic
+from morembs.fem import DofMap, ElementBlock, FEModel, Mesh, Nodes
+from morembs.fem.assembly import assemble
+from morembs.fem.interface import Interface, make_interface
+from morembs.fem.material import isotropic
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, FreeInterface, Guyan, Modal
 from tests.support.meshes import STEEL, box, ends, steel, where

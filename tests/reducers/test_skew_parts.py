@@ -33,15 +33,15 @@ from morembs import (
     tube_model,
     write_body,
 )
-from morembs.cli.report_stored import print_stored
-from morembs.diagnostics.findings import Diagnosis
+from morembs.app.cli.report_stored import print_stored
+from morembs.app.jobs.check import check_job
+from morembs.app.jobs.import_job import ImportJob, run_import
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.modes import job_modes
+from morembs.app.jobs.run import run_job
+from morembs.body.diagnostics.findings import Diagnosis
 from morembs.exporters import EXPORTERS
 from morembs.importers.model_file import read_model, write_model
-from morembs.jobs.check import check_job
-from morembs.jobs.import_job import ImportJob, run_import
-from morembs.jobs.job import load_job
-from morembs.jobs.modes import job_modes
-from morembs.jobs.run import run_job
 from morembs.responses.certified import certified_reference
 from tests.support.tubes import BORE, STEEL, arch, dense, eigenvalues, ports
 

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from morembs.base.budget import Budget
+from morembs.base.errors import InputError
 from morembs.body.tables import SWITCHING
-from morembs.budget import Budget
-from morembs.errors import InputError
-from morembs.interface import make_interface
-from morembs.model import DofMap, FEModel, Nodes
-from morembs.model.stress_operator import stress_operator
+from morembs.fem import DofMap, FEModel, Nodes
+from morembs.fem.interface import make_interface
+from morembs.fem.stress_operator import stress_operator
 from morembs.problem import Problem
 from morembs.reducers import REDUCERS, StaticModesSwitching
 from morembs.reducers import candidates as candidate_module

@@ -7,11 +7,11 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError, SingularMatrixError
 from morembs.certificate.certify import certify
 from morembs.certificate.response import full_response, reduced_response
-from morembs.errors import InputError, SingularMatrixError
-from morembs.interface import make_interface
-from morembs.model import DofMap, FEModel, Nodes
+from morembs.fem import DofMap, FEModel, Nodes
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import AutoReducer, FreeInterface
 from morembs.responses.band import band_frequencies

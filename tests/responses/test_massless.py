@@ -10,13 +10,13 @@ import pytest
 import scipy.sparse as sp
 from typer.testing import CliRunner
 
+from morembs.app.cli import app
+from morembs.base.errors import InputError, MorembsError
 from morembs.body.file import read_body
 from morembs.certificate.certify import certify
-from morembs.cli import app
-from morembs.errors import InputError, MorembsError
+from morembs.fem import FEModel
+from morembs.fem.interface import make_interface
 from morembs.importers.model_file import write_model
-from morembs.interface import make_interface
-from morembs.model import FEModel
 from morembs.problem import Damping, Problem
 from morembs.reducers import AutoReducer, FreeInterface, Gramian, Krylov, Modal
 from tests.support.frames import beams, chain, clamped_beam, model_on

@@ -9,10 +9,10 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from benchmarks import certificates as campaign
+from morembs.base.errors import SolverError
 from morembs.certificate.limits import error_limits
-from morembs.errors import SolverError
-from morembs.interface import make_interface
-from morembs.model import DofMap, FEModel, Nodes
+from morembs.fem import DofMap, FEModel, Nodes
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import Gramian, Modal
 from morembs.responses.certified import certified_reference

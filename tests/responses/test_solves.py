@@ -6,8 +6,8 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.certificate.certify import certify
-from morembs.interface import make_interface
-from morembs.model import DofMap, FEModel, Nodes
+from morembs.fem import DofMap, FEModel, Nodes
+from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import FreeInterface
 from morembs.responses.certified import certified_reference

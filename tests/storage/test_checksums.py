@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from morembs.app.cli import app
+from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
+from morembs.body.floating.frame import floating_frame
 from morembs.body.stress_shapes import stress_recovery
 from morembs.body.vtkhdf_series import read_grid, stored_recovery
-from morembs.cli import app
-from morembs.errors import InputError
-from morembs.floating.frame import floating_frame
-from morembs.gmp.checkpoint import Checkpoint
+from morembs.dynamics.gmp.checkpoint import Checkpoint
+from morembs.fem.interface import make_interface
 from morembs.importers.model_file import read_model, write_model
-from morembs.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from morembs.storage.checksums import Checksums, seal

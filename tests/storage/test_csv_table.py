@@ -2,7 +2,7 @@
 
 import pytest
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.storage.csv_table import read_table
 
 

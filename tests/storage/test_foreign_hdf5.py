@@ -9,10 +9,10 @@ import meshio
 import numpy as np
 import pytest
 
+from morembs.base.errors import InputError
 from morembs.body.file import read_body
 from morembs.body.vtkhdf_series import read_arrays, read_grid
-from morembs.errors import InputError
-from morembs.gmp.stored import read_members
+from morembs.dynamics.gmp.stored import read_members
 from morembs.importers import import_file
 from morembs.importers.model_file import read_model, write_model
 from tests.support.machine import has_memory

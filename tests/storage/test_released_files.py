@@ -15,10 +15,10 @@ import pytest
 from rich.console import Console
 
 from morembs import read_body
+from morembs.app.cli.certificates import Certified, print_certificates
+from morembs.base.errors import InputError
 from morembs.body.stress_shapes import read_recovery
-from morembs.cli.certificates import Certified, print_certificates
-from morembs.errors import InputError
-from morembs.gmp.stored import read_members, write_members
+from morembs.dynamics.gmp.stored import read_members, write_members
 from morembs.importers.model_file import read_model
 from morembs.importers.native import import_native
 from tests.support.released import body_file, described, member

@@ -12,8 +12,8 @@ from types import ModuleType
 
 import pytest
 
-from morembs import scratch
-from morembs.errors import OutputError
+from morembs.base import scratch
+from morembs.base.errors import OutputError
 from morembs.storage.safefile import PREFIX, check_writable, replacing, replacing_all
 
 WRITING = """
@@ -87,7 +87,7 @@ def raising(error: OSError):
 
 def test_a_copy_of_the_process_removes_nothing(tmp_path: Path) -> None:
     code = (
-        "import os, sys\nfrom pathlib import Path\nfrom morembs.scratch import PrivateFolder\n"
+        "import os, sys\nfrom pathlib import Path\nfrom morembs.base.scratch import PrivateFolder\n"
         "folder = PrivateFolder(Path(sys.argv[1]))\n"
         "if os.fork() == 0:\n    sys.exit()\n"
         "os.wait()\nsys.exit(0 if folder.path.is_dir() else 1)\n"

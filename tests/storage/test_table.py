@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.storage.table import Row, Table, read_rows
 from morembs.storage.table_check import TableCheck
 from morembs.storage.writer import Columns, Writer, writing

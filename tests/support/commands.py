@@ -8,7 +8,7 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
-from morembs.cli import app
+from morembs.app.cli import app
 
 # Whoever makes a factor says so here.
 FACTORISING = "morembs.linalg.sparse.solver"

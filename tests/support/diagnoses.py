@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from morembs.diagnostics.findings import Diagnosis, Finding
+from morembs.body.diagnostics.findings import Diagnosis, Finding
 
 
 def grave(diagnosis: Diagnosis) -> set[str]:

@@ -14,10 +14,10 @@ import pytest
 from morembs import isotropic, stress_recovery
 from morembs.body import elastic_body, make_part
 from morembs.body.file import write_body
+from morembs.body.floating.frame import floating_frame
 from morembs.exporters import export_body
-from morembs.floating.frame import floating_frame
-from morembs.interface import make_interface
-from morembs.model.assembly import assemble
+from morembs.fem.assembly import assemble
+from morembs.fem.interface import make_interface
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.reducers.base import Reducer

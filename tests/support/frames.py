@@ -8,7 +8,7 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.model import DofMap, FEModel, Nodes
+from morembs.fem import DofMap, FEModel, Nodes
 
 
 def beam_element(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from morembs.model import Mesh
+from morembs.fem import Mesh
 
 Element = tuple[int, int, int, int, Sequence[int]]
 

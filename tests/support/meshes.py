@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from morembs.interface import Interface, make_interface
-from morembs.model import ElementBlock, FEModel, Mesh, Nodes
-from morembs.model.assembly import assemble, chunks
-from morembs.model.elements import TYPES
-from morembs.model.material import isotropic
+from morembs.fem import ElementBlock, FEModel, Mesh, Nodes
+from morembs.fem.assembly import assemble, chunks
+from morembs.fem.elements import TYPES
+from morembs.fem.interface import Interface, make_interface
+from morembs.fem.material import isotropic
 
 STEEL = {"young": 2.1e11, "poisson": 0.3, "density": 7850.0}
 _HEX = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], dtype=float)

@@ -11,8 +11,8 @@ import pytest
 import scipy.linalg as sl
 
 from morembs import InputError
+from morembs.fem import FEModel
 from morembs.importers.engines.mystran import mystran_path
-from morembs.model import FEModel
 from tests.support import calculix
 
 try:

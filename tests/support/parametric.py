@@ -8,18 +8,18 @@ from typing import ClassVar
 
 import numpy as np
 
+from morembs.base.progress import SILENT
+from morembs.base.units import parse_units
 from morembs.body import make_part
 from morembs.body.build import BodyOptions, build_body
 from morembs.body.file import write_body
+from morembs.fem.interface import make_interface
+from morembs.fem.material import isotropic
+from morembs.fem.selection import select_nodes
 from morembs.importers import read_mesh
-from morembs.interface import make_interface
-from morembs.model.material import isotropic
-from morembs.model.selection import select_nodes
 from morembs.parametric.model import parametric_model
 from morembs.parametric.parameter import Parameter
-from morembs.progress import SILENT
 from morembs.reducers.base import Basis, Reducer
-from morembs.units import parse_units
 
 BRACKET = Path(__file__).parents[2] / "data" / "small_meshes" / "bracket.inp"
 ARM = ("Volume2", "Volume3", "Volume4", "Volume5")

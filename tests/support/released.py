@@ -94,8 +94,8 @@ def deck() -> str:
 
 def member(**options: Any) -> Any:
     """A rod with large deflections, tabulated."""
-    from morembs.gmp import ReducedMember
-    from morembs.nonlinear import PlanarBeam, Section
+    from morembs.dynamics.gmp import ReducedMember
+    from morembs.dynamics.nonlinear import PlanarBeam, Section
 
     section = Section.of(E=3e6, A=7.854e-5, I=4.909e-10, density=2770)
     beam = PlanarBeam.straight(0.304, 6, section)
@@ -111,12 +111,12 @@ def make(folder: Path) -> None:
     from morembs.storage.model_file import write_model
     from morembs.stress.shapes import read_recovery
 
-    from morembs.gmp.stored import read_members, write_members
+    from morembs.app.jobs.job import load_job
+    from morembs.app.jobs.run import run_job
+    from morembs.dynamics.gmp.stored import read_members, write_members
+    from morembs.fem import Nodes
     from morembs.importers import read_mesh
     from morembs.importers.native import import_native
-    from morembs.jobs.job import load_job
-    from morembs.jobs.run import run_job
-    from morembs.model import Nodes
 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "bar.inp").write_text(deck())

@@ -6,10 +6,10 @@ import itertools
 
 import numpy as np
 
-from morembs.interface import Interface, make_interface
-from morembs.model import ElementBlock, FEModel, Mesh
-from morembs.model.assembly import assemble
-from morembs.model.material import isotropic
+from morembs.fem import ElementBlock, FEModel, Mesh
+from morembs.fem.assembly import assemble
+from morembs.fem.interface import Interface, make_interface
+from morembs.fem.material import isotropic
 from tests.support.meshes import merged, points_and_cells, where
 
 SHAFT, DISC = 0.3, 0.02

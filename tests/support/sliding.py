@@ -3,7 +3,7 @@
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.model import DofMap, FEModel, Nodes
+from morembs.fem import DofMap, FEModel, Nodes
 from morembs.problem import Problem
 from morembs.reducers import StaticModesSwitching
 

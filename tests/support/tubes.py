@@ -8,7 +8,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from morembs import FEModel, Flow, Tube, conveying, make_interface, tube_model
-from morembs.model import DofMap
+from morembs.fem import DofMap
 
 PIPE = Tube(outer=0.02, inner=0.018, young=2e11, density=7800.0)
 STEEL = Tube(outer=3e-3, inner=2.6e-3, young=195e9, density=8000.0)

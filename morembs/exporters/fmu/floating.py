@@ -8,6 +8,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from morembs.base.types import Floats
+from morembs.body.floating.frame import FloatingFrame
 from morembs.exporters.base import ExportContext, refuse_rigid
 from morembs.exporters.fmu.linear import damping_parameter
 from morembs.exporters.fmu.system import (
@@ -23,7 +24,6 @@ from morembs.exporters.fmu.system import (
     stress_rows,
     variables,
 )
-from morembs.floating.frame import FloatingFrame
 
 _QUATERNION = "wxyz"
 # Error of a step per length of the body, unless another is given.
@@ -31,7 +31,7 @@ _TOLERANCE = 1e-6
 
 
 def floating_system(context: ExportContext, *, stress: Sequence[int], damping_ratio: float) -> System:
-    """The body in its floating frame, as ``morembs.multibody`` has it without stiffening.
+    """The body in its floating frame, as ``morembs.dynamics.multibody`` has it without stiffening.
 
     Inputs are gravity, forces and moments at the interfaces that have a frame; outputs are where these are and how
     they move, all along inertial axes, and stresses along the axes of the body. The frame starts where it is in the

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError, nearest
 from morembs.exporters.base import ExportContext
 from morembs.exporters.fmu.system import (
     ACCELERATIONS,

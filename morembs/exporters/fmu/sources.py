@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
 from morembs.exporters.fmu.system import System, Variable, identifier
 
 Precision = Literal["double", "single"]

@@ -10,12 +10,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.body.stress_shapes import Recovery
 from morembs.body.vtkhdf_series import stored_recovery
-from morembs.errors import InputError
 from morembs.exporters.base import ExportContext
-from morembs.model.fe_model import SCALAR
+from morembs.fem.fe_model import SCALAR
 
 AXES = "xyz"
 LOADS = (("force", "N"), ("moment", "N.m"))

@@ -13,8 +13,8 @@ from typing import ClassVar, Literal
 import numpy as np
 import scipy.linalg as sl
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.errors import InputError
 from morembs.exporters.base import LOSSES, ExportContext, Exported, Exporter
 from morembs.exporters.fmu.compiler import SINGLE_STEPS, compiled, single_error
 from morembs.exporters.fmu.description import Version, build_description, model_description

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
+from morembs.base.options import Text, checked, known
+from morembs.base.plugins import Registry
 from morembs.importers.engines.calculix import find_ccx
 from morembs.importers.engines.calculix_import import import_with_calculix, readable_by_calculix
 from morembs.importers.engines.mystran import find_mystran
 from morembs.importers.engines.mystran_import import import_with_mystran, readable_by_mystran
 from morembs.importers.engines.run import Program
 from morembs.importers.imported import Imported
-from morembs.options import Text, checked, known
-from morembs.plugins import Registry
 
 # What of the parameters is no option.
 _NO_OPTIONS = ("executable",)

@@ -16,15 +16,15 @@ import numpy as np
 import psutil
 import scipy.sparse as sp
 
+from morembs.base.closing import Closing
+from morembs.base.errors import InputError
+from morembs.base.scratch import ScratchFolder
 from morembs.base.types import Ints
-from morembs.closing import Closing
-from morembs.errors import InputError
 from morembs.importers.calculix_matrices import CalculixMatrices, read_calculix_matrices
 from morembs.importers.engines.calculix_deck import FlatDeck
 from morembs.importers.engines.calculix_expansion import read_expansion
 from morembs.importers.engines.calculix_rows import Expanded
 from morembs.importers.engines.run import Program, find_executable, run
-from morembs.scratch import ScratchFolder
 from morembs.storage.safefile import copy_into
 
 CURE = "no program ccx was found; install calculix-ccx (Debian, conda-forge) or give calculix:PATH"

@@ -11,8 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
+from morembs.fem import Mesh, Nodes
+from morembs.fem.handedness import right_handed
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_data import label
 from morembs.importers.abaqus_deck import Rows
@@ -22,8 +24,6 @@ from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_surfaces import FACES, Surfaces
 from morembs.importers.engines.calculix_read import EngineDeck
 from morembs.importers.engines.calculix_text import ENTRIES, element_lines, node_lines, numeral, sixteen
-from morembs.model import Mesh, Nodes
-from morembs.model.handedness import right_handed
 
 # What the fields of data lines are: n a node or a set of such, e an element or set, s a surface, o an orientation,
 # m a material, . as it stands. The last letter holds for all fields behind it.

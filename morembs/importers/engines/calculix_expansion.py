@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
 from morembs.importers.engines.calculix_rows import Expanded
 
 _LABEL = re.compile(r'with label "(\w+)')

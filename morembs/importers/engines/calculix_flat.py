@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_constraints import Constraints, refuse_sector
 from morembs.importers.abaqus_deck import Rows, values

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from morembs.errors import InputError, nearest
+from morembs.base.errors import InputError, nearest
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.deck_options import DeckOptions, deck_options
 from morembs.importers.engines.calculix import Ccx, find_ccx

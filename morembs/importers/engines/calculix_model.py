@@ -8,8 +8,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
+from morembs.fem import DofMap, Mesh, Nodes
+from morembs.fem.constraints import AverageElement, Equations
+from morembs.fem.fe_model import SCALAR
 from morembs.importers.abaqus import skipped_warnings
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_deck import SOLIDS
@@ -24,9 +27,6 @@ from morembs.importers.engines.calculix_rows import STRAINED, Expanded, RowMap, 
 from morembs.importers.engines.calculix_ties import Flat
 from morembs.importers.formulations import deck_warnings
 from morembs.importers.imported import Imported, nodes_of, on_rows, sets_on
-from morembs.model import DofMap, Mesh, Nodes
-from morembs.model.constraints import AverageElement, Equations
-from morembs.model.fe_model import SCALAR
 
 FOLLOWS = "constraints of CalculiX"
 # Sums below this part of their terms are round-off; CalculiX writes 14 digits.

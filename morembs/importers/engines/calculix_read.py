@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
 from morembs.importers.abaqus_data import element_numbers, fields
 from morembs.importers.abaqus_deck import DISCRETE, NODES, SOLIDS, Deck, Members, Rows, Scope, join
 from morembs.importers.abaqus_generate import GENERATING

@@ -17,8 +17,8 @@ import scipy.sparse.linalg as sla
 from numpy.typing import NDArray
 
 from morembs.base.types import Bools, Floats, Ints
-from morembs.model import rigid_motion
-from morembs.model.fe_model import SCALAR
+from morembs.fem import rigid_motion
+from morembs.fem.fe_model import SCALAR
 
 # How near R_u must come to that of a place or motion, of 1 for displacements, and of lengths of the model.
 NEAR = 1e-3

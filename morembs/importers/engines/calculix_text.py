@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from morembs.base.types import Ints
+from morembs.fem import ElementBlock
 from morembs.importers.abaqus_assembly import Assembly
-from morembs.model import ElementBlock
 
 # CalculiX takes this many characters of a number, and entries of a line of a set or an element.
 _DIGITS, ENTRIES, _PER_ELEMENT = 20, 16, 10

@@ -7,8 +7,9 @@ from itertools import count
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.errors import InputError
+from morembs.fem.constraints import AverageElement
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_constraints import Constraints
 from morembs.importers.abaqus_deck import Rows
@@ -17,7 +18,6 @@ from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_names import Placed
 from morembs.importers.engines.calculix_deck import FlatDeck
 from morembs.importers.imported import PointMass
-from morembs.model.constraints import AverageElement
 
 
 @dataclass(eq=False)

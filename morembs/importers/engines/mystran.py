@@ -23,14 +23,14 @@ import numpy as np
 import psutil
 import scipy.sparse as sp
 
+from morembs.base.closing import Closing
+from morembs.base.errors import InputError
+from morembs.base.scratch import ScratchFolder
 from morembs.base.types import Floats, Ints
-from morembs.closing import Closing
-from morembs.errors import InputError
 from morembs.importers.engines.mystran_cards import card
 from morembs.importers.engines.mystran_elements import Elements
 from morembs.importers.engines.run import Program, find_executable, run
 from morembs.importers.op4 import OP4Matrix, read_op4
-from morembs.scratch import ScratchFolder
 from morembs.storage.safefile import copy_into
 
 CURE = (

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.errors import InputError
+from morembs.fem import Mesh
 from morembs.importers.engines.mystran_cards import Field, card, system_card
 from morembs.importers.engines.mystran_sections import Sections
 from morembs.importers.nastran_bulk import Bulk
 from morembs.importers.nastran_cards import integer, real
 from morembs.importers.nastran_geometry import SOLIDS, card_of
 from morembs.importers.nastran_properties import padded
-from morembs.model import Mesh
 
 # For each card: the kind of its properties and how many grids it has.
 STRUCTURES = {

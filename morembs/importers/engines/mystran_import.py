@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.errors import InputError, nearest
 from morembs.base.types import Ints
-from morembs.errors import InputError, nearest
+from morembs.fem import DofMap, Mesh, Nodes, rigid_motion
+from morembs.fem.constraints import Equations
+from morembs.fem.handedness import right_handed
 from morembs.importers.deck_options import DeckOptions, deck_options, lacking_problems
 from morembs.importers.engines.mystran import Mystran, cores, mystran_path
 from morembs.importers.engines.mystran_elements import STRUCTURES, Structures, solid_elements
@@ -20,9 +23,6 @@ from morembs.importers.nastran import bulk_mesh, grids_of, notes_of, sets_of, sk
 from morembs.importers.nastran_bulk import Bulk
 from morembs.importers.nastran_names import RESTRAINTS
 from morembs.importers.nastran_restraints import held_directions, held_equations
-from morembs.model import DofMap, Mesh, Nodes, rigid_motion
-from morembs.model.constraints import Equations
-from morembs.model.handedness import right_handed
 
 BOUNDARY = ("drop", "keep")
 # Cards beside those of the own reader.

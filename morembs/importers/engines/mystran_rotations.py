@@ -14,10 +14,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.base.types import Floats, Ints
+from morembs.fem import rigid_motion
+from morembs.fem.constraints import AverageElement, Equations, RigidElement
 from morembs.importers.engines.mystran_elements import Elements
 from morembs.importers.imported import DiscreteElement, PointMass, Ties
-from morembs.model import rigid_motion
-from morembs.model.constraints import AverageElement, Equations, RigidElement
 
 # Part of a grid's largest rotational stiffness below which there is none (AUTOSPC_RAT of Nastran).
 NONE = 1e-8

@@ -11,7 +11,7 @@ from math import pi
 
 import numpy as np
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.importers.engines.mystran_cards import Field, card, system_card
 from morembs.importers.imported import Lacking
 from morembs.importers.nastran import is_full

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 
 # The end of what a program printed that is looked at: one that repeats itself may print gigabytes.
 _TAIL = 1 << 20

@@ -19,8 +19,8 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.base.types import Floats, Ints, Values
-from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.conjugate_gradient import conjugate_gradients
 from morembs.linalg.sparse.ordering import node_graph
 from morembs.linalg.sparse.solver import (

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
+from morembs.base.errors import SingularMatrixError, SolverError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Values
-from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.sparse.cholmod_library import (
     GIVEN,
     LONG,
@@ -27,7 +28,6 @@ from morembs.linalg.sparse.cholmod_library import (
 from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.solver import MECHANISM
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.progress import SILENT, Progress
 
 # Columns solved at once. Narrow blocks spend their time in reading the factor; wider ones gain nothing more.
 _BLOCK = 128

@@ -13,8 +13,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from morembs.errors import SolverError
-from morembs.progress import SILENT, Progress
+from morembs.base.errors import SolverError
+from morembs.base.progress import SILENT, Progress
 
 T = TypeVar("T")
 # How often news of a long call is given, in seconds.

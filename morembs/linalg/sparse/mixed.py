@@ -12,8 +12,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from morembs.base.errors import InputError, SingularMatrixError
 from morembs.base.types import Values
-from morembs.errors import InputError, SingularMatrixError
 from morembs.linalg.sparse.conjugate_gradient import conjugate_gradients
 from morembs.linalg.sparse.mumps import Mumps
 from morembs.linalg.sparse.solver import Analysis, Factorization, FactorStats, Forecast, LinearSolver

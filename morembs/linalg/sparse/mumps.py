@@ -14,8 +14,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.base.progress import SILENT, Progress
+from morembs.base.scratch import ScratchFolder, free_bytes
 from morembs.base.types import Values
-from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.mumps_instance import ANALYSE, FACTORIZE, Instance
 from morembs.linalg.sparse.mumps_library import Library, embedded_library, system_library
 from morembs.linalg.sparse.ordering import metis_ordering
@@ -29,8 +31,6 @@ from morembs.linalg.sparse.solver import (
     LinearSolver,
 )
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.progress import SILENT, Progress
-from morembs.scratch import ScratchFolder, free_bytes
 
 log = logging.getLogger(__name__)
 PRECISIONS = ("double", "single")

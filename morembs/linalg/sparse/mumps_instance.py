@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from morembs.base.errors import SingularMatrixError, SolverError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Values
-from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.mumps_library import USE_COMM_WORLD, Library
 from morembs.linalg.sparse.solver import MECHANISM
 from morembs.linalg.sparse.symmetric import General, Lower
-from morembs.progress import SILENT, Progress
 
 SYM = {"spd": 1, "symmetric": 2, "complex-symmetric": 2, "unsymmetric": 0, "complex-unsymmetric": 0}
 ANALYSE, FACTORIZE, SOLVE, END, FREE_FACTOR = 1, 2, 3, -2, -4

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 from morembs.linalg.sparse.mumps import _MumpsSolver
 from morembs.linalg.sparse.mumps_instance import Instance
 from morembs.linalg.sparse.mumps_library import ARITHMETIC, Library, parse_header, rank_files

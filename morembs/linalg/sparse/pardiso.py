@@ -13,15 +13,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from morembs.base.errors import SingularMatrixError, SolverError
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Values
-from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.ordering import metis_ordering
 from morembs.linalg.sparse.pardiso_library import mkl_library
 from morembs.linalg.sparse.sessions import SessionAnalysis, SessionFactor
 from morembs.linalg.sparse.solver import MECHANISM, Analysis, Factorization, Forecast, ForeignSolver
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.progress import SILENT, Progress
 
 _MTYPE = {"spd": 2, "symmetric": -2, "complex-symmetric": 6}
 _ANALYSE, _FACTORIZE, _SOLVE, _FREE_FACTOR, _FREE = 11, 22, 33, 0, -1

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from morembs.base.memory import peak_memory_bytes
 from morembs.linalg.sparse.mumps_library import Library, rank_library
-from morembs.memory import peak_memory_bytes
 
 # Arrays of the matrix and of right-hand sides, which rank 0 alone has.
 ARRAYS = {"irn": np.int32, "jcn": np.int32, "perm_in": np.int32, "a": None, "rhs": None}

@@ -28,11 +28,11 @@ from typing import Any
 
 import numpy as np
 
-from morembs.crew import processors, threads_for
-from morembs.errors import InputError, OutputError, SolverError
+from morembs.base.crew import processors, threads_for
+from morembs.base.errors import InputError, OutputError, SolverError
+from morembs.base.scratch import ScratchFolder
 from morembs.linalg.sparse.mumps_library import Library, rank_files
 from morembs.linalg.sparse.rank import ARRAYS, COUNTS, END, NEW, SOCKET, TOLD
-from morembs.scratch import ScratchFolder
 
 log = logging.getLogger(__name__)
 _PROGRAM = "morembs.linalg.sparse.rank"

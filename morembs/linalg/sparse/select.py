@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
+from morembs.base.errors import BudgetError, InputError, SolverError, enough_megabytes
+from morembs.base.plugins import Registry, subclass_fault
 from morembs.base.types import Floats
-from morembs.errors import BudgetError, InputError, SolverError, enough_megabytes
 from morembs.linalg.sparse.amg import Amg
 from morembs.linalg.sparse.cholmod import Cholmod
 from morembs.linalg.sparse.mixed import Mixed
@@ -20,8 +21,6 @@ from morembs.linalg.sparse.solver import STRUCTURES, Analysis, Forecast, LinearS
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.umfpack import Umfpack
-from morembs.moved import renamed
-from morembs.plugins import Registry, subclass_fault
 
 log = logging.getLogger(__name__)
 AUTO = "auto"
@@ -185,6 +184,3 @@ def _reason(analysis: Analysis, refused: list[SolverError], memory: int | None) 
         f"{plan.backend}, {plan.precision} precision, {place}: {plan.factor_entries:.3g} factor entries, "
         f"{plan.flops:.2g} operations, {plan.memory / 1e9:.2f} GB at the peak; {why}"
     )
-
-
-__getattr__ = renamed(__name__, {"Automatic": "AutoSolver"})

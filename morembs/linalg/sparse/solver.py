@@ -18,13 +18,13 @@ from typing import Any, ClassVar, Self, final
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.closing import Closing
+from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.base.former_names import with_old_names
+from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Values
-from morembs.closing import Closing
-from morembs.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.symmetric import General, Lower
 from morembs.linalg.sparse.threads import blas_threads
-from morembs.moved import with_old_names
-from morembs.progress import SILENT, Progress
 
 log = logging.getLogger(__name__)
 

@@ -11,8 +11,8 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from numpy.typing import NDArray
 
+from morembs.base.errors import BudgetError, SingularMatrixError, SolverError
 from morembs.base.types import Values
-from morembs.errors import BudgetError, SingularMatrixError, SolverError
 from morembs.linalg.sparse.ordering import metis_ordering
 from morembs.linalg.sparse.solver import (
     MECHANISM,

@@ -12,9 +12,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.errors import InputError, SingularMatrixError
 from morembs.base.types import Values
-from morembs.budget import UNLIMITED, Budget
-from morembs.errors import InputError, SingularMatrixError
 
 # Rows handled at once: the temporaries of a piece stay small compared with the matrix.
 _ROWS = 1 << 15

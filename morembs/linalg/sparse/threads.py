@@ -10,7 +10,7 @@ from functools import lru_cache
 
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from morembs.errors import InputError
+from morembs.base.errors import InputError
 
 # Binary logarithm of the processor cycles that an idle thread of OpenBLAS keeps asking for work before it
 # sleeps; 26 by default, which is 20 ms or more.

@@ -16,8 +16,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.errors import SingularMatrixError, SolverError
+from morembs.base.progress import Progress
 from morembs.base.types import Values
-from morembs.errors import SingularMatrixError, SolverError
 from morembs.linalg.sparse.cholmod_session import fill_of
 from morembs.linalg.sparse.foreign import find_library, open_deep
 from morembs.linalg.sparse.interruptible import ForeignObject
@@ -25,7 +26,6 @@ from morembs.linalg.sparse.ordering import metis_ordering
 from morembs.linalg.sparse.sessions import SessionAnalysis, SessionFactor
 from morembs.linalg.sparse.solver import MECHANISM, Analysis, Factorization, FactorStats, Forecast, ForeignSolver
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.progress import Progress
 
 HINT = "sudo apt-get install libsuitesparse-dev"
 # Places in the array of controls and their values, the same since version 4.

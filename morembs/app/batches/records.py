@@ -1,0 +1,59 @@
+"""How the jobs of a batch went, and who is told of that while it goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+from morembs.app.batches.plan import Part
+
+State = Literal["done", "unchanged", "failed", "sound", "waits"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """How a job of a batch went: ``state``, the ``message`` of a failed one with its exit ``code``, the ``output``,
+    and ``facts``, the plain values of ``morembs reduce --json``, of ``morembs check --json`` for a checked one."""
+
+    name: str
+    job: str
+    output: str = ""
+    state: State
+    message: str = ""
+    code: int = 0
+    seconds: float = 0.0
+    facts: Mapping[str, Any]
+
+
+class Listener(Protocol):
+    """What a batch tells while it goes on; ``count`` is the number of its jobs."""
+
+    def checking(self, count: int) -> None:
+        """The jobs that are due are checked."""
+
+    def began(self, part: Part, count: int) -> None:
+        """A job begins."""
+
+    def said(self, part: Part, count: int, line: str) -> None:
+        """A job says what it does."""
+
+    def ended(self, part: Part, count: int, record: Record) -> None:
+        """A job is done, is found unchanged, or has failed."""
+
+    def told(self, line: str) -> None:
+        """Something about the workers, or about an attempt that is made again."""
+
+
+class Nobody:
+    """The default: nobody listens."""
+
+    def checking(self, count: int) -> None: ...
+
+    def began(self, part: Part, count: int) -> None: ...
+
+    def said(self, part: Part, count: int, line: str) -> None: ...
+
+    def ended(self, part: Part, count: int, record: Record) -> None: ...
+
+    def told(self, line: str) -> None: ...

@@ -1,0 +1,232 @@
+"""Verbs of the command line that work on body files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from morembs.app.cli.messages import Failure, print_json, print_names, printing
+from morembs.app.cli.terminal import EPILOG, AsJson, messages, progress_line
+from morembs.base import stopping
+from morembs.base.errors import InputError
+from morembs.base.options import pairs
+
+if TYPE_CHECKING:
+    from morembs.body.recovery.recover import Recovered
+
+app = typer.Typer()
+BodyFile = Annotated[Path, typer.Argument(metavar="FILE.h5", help="A body file.", show_default=False)]
+Documents = list[dict[str, Any]] | None
+BodyName = Annotated[str | None, typer.Option("--body", help="Which body, where the file holds several.")]
+
+
+@app.command(epilog=EPILOG)
+def info(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE.h5...", help="Body files.", show_default=False)],
+    proof: Annotated[bool, typer.Option("--proof", help="Print the lemmas that limits of errors rest on.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Show what body files hold."""
+    from morembs.app.cli.report_stored import show
+
+    each_file(files, as_json, lambda file, documents: show(file, documents, proof))
+
+
+@app.command(epilog=EPILOG)
+def export(
+    files: Annotated[
+        list[Path] | None, typer.Argument(metavar="[FILE.h5...]", help="Body files.", show_default=False)
+    ] = None,
+    to: Annotated[str | None, typer.Option("--to", help="The target, one that --list names.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="The file to write, by default beside FILE.")] = None,
+    body: BodyName = None,
+    frame: Annotated[
+        str | None, typer.Option(help="Another floating frame: mean-axes, tangent:NAME, chord:NAME,NAME ...")
+    ] = None,
+    option: Annotated[list[str] | None, typer.Option("--set", help="An option of the target, KEY=VALUE.")] = None,
+    at: Annotated[
+        str | None, typer.Option("--at", metavar="NAME=VALUE,...", help="Values of parameters, in SI units.")
+    ] = None,
+    table: Annotated[
+        Path | None, typer.Option("--table", metavar="FILE.csv", help="Values of parameters, a row for each body.")
+    ] = None,
+    listed: Annotated[bool, typer.Option("--list", help="List the targets.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write bodies for another program."""
+    from morembs.exporters import EXPORTERS, export_body
+    from morembs.storage.contents import note_input
+
+    with messages():
+        if listed:
+            print_names({name: f"{kind.about} ({kind.suffix})" for name, kind in EXPORTERS.items()}, as_json)
+            return
+        if not files or to is None:
+            raise InputError("export needs a body file and a target: morembs export FILE.h5 --to NAME (see --list)")
+        for file in files:
+            note_input(str(file))  # also of those whose turn comes later
+        if out is not None and len(files) > 1:
+            raise InputError(f"--out {out} was given for {len(files)} files; without it each goes beside its own")
+        if table is not None:
+            # Not at the top: few bodies have parameters.
+            from morembs.app.cli.families import export_family
+
+            if at is not None or len(files) > 1:
+                raise InputError("--table was given with --at or several files; expected one file and a table")
+            export_family(files[0], table, to, out, body, pairs(option or []), frame, as_json)
+            return
+
+    taken: list[Path] = []
+
+    def write(file: Path, documents: Documents) -> None:
+        done = export_body(
+            file,
+            to,
+            path=out,
+            body=body,
+            options=pairs(option or []),
+            frame=frame,
+            taken=taken,
+            at=None if at is None else values_of(at),
+        )
+        taken.extend(done.paths)
+        paths = [str(path) for path in done.paths]
+        if documents is not None:
+            documents.append({"file": str(file), "to": to, "written": paths, "notes": list(done.notes)})
+            return
+        with printing(paths):
+            typer.echo("\n".join([f"written: {', '.join(paths)}", *(f"note: {note}" for note in done.notes)]))
+
+    each_file(files, as_json, write)
+
+
+def values_of(text: str | None, option: str = "--at") -> dict[str, float]:
+    """Values by name of NAME=VALUE,NAME=VALUE.
+
+    Raises:
+        InputError: another form, a name twice, or no number.
+    """
+    values: dict[str, float] = {}
+    parts = [part.replace(" ", "") for part in (text or "").split(",") if part.strip()]
+    for name, value in pairs(parts, option).items():
+        try:
+            values[name] = float(value)
+        except ValueError:
+            values[name] = math.nan
+        if not math.isfinite(values[name]):
+            raise InputError(f"{option} {name}={value} was given; expected NAME=NUMBER,NAME=NUMBER")
+    return values
+
+
+def each_file(files: Sequence[Path], as_json: bool, work: Callable[[Path, Documents], None]) -> None:
+    """Do ``work`` for each file: it prints, or adds to the documents; a file that fails does not stop the others.
+
+    Raises:
+        typer.Exit: some failed.
+    """
+    documents: list[dict[str, Any]] = []
+    failed: list[Failure] = []
+    for file in files:
+        stopping.check()
+        before = len(failed)
+        with messages(failed, f"{file}: " if len(files) > 1 else ""):
+            work(file, documents if as_json else None)
+        if len(failed) > before and len(files) > 1:
+            documents.append({"file": str(file), "error": failed[-1].message})
+    if documents and as_json:
+        written = [path for document in documents for path in document.get("written", ())]
+        with messages(failed), printing(written):
+            print_json(documents)
+    if failed:
+        raise typer.Exit(min(fault.code for fault in failed))
+
+
+@app.command(epilog=EPILOG)
+def recover(
+    file: BodyFile,
+    trajectory: Annotated[
+        Path,
+        typer.Argument(metavar="TRAJECTORY", help="Coordinates over time, .npz .csv .txt .h5.", show_default=False),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The .vtkhdf file to write.", show_default=False)],
+    body: BodyName = None,
+    no_stress: Annotated[bool, typer.Option("--no-stress", help="Displacements only.")] = False,
+    scale: Annotated[float, typer.Option(help="Magnify deformations.")] = 1.0,
+    every: Annotated[int, typer.Option(help="Take every n-th step.")] = 1,
+    at: Annotated[
+        str | None, typer.Option("--at", metavar="NAME=VALUE,...", help="Values of parameters, with --no-stress.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Expand a reduced motion to all nodes, with stresses, for ParaView."""
+    from morembs.body.recovery.recover import recover as recover_series
+
+    with messages():
+        if at is not None and not no_stress:
+            raise InputError("--at was given; shapes of stress belong to nominal values, so give --no-stress too")
+        with progress_line() as progress, _evaluated(file, body, at) as source:
+            done = recover_series(
+                source, trajectory, out, body=body, stress=not no_stress, scale=scale, every=every, progress=progress
+            )
+        with printing([str(done.path)]):
+            _print_recovered(done, as_json)
+
+
+@contextmanager
+def _evaluated(file: Path, body: str | None, at: str | None) -> Iterator[Path]:
+    """The body file, or that of other values of its parameters for as long as it is needed."""
+    if at is None:
+        yield file
+        return
+    # Not at the top: few bodies have parameters.
+    from morembs.app.cli.families import parametric_of
+
+    with TemporaryDirectory(prefix="morembs-") as folder:
+        yield parametric_of(file, body).at(**values_of(at)).write(Path(folder) / file.name)
+
+
+def _print_recovered(done: Recovered, as_json: bool) -> None:
+    peak, worst = (_placed(*each) for each in ((done.peak, "von_mises_pa"), (done.worst_jump, "jump_pa")))
+    if as_json:
+        if peak is not None:
+            peak["jump_pa"] = done.peak_jump
+        print_json(
+            [
+                {
+                    "written": str(done.path),
+                    "body": done.body,
+                    "steps": done.steps,
+                    "nodes": done.nodes,
+                    "peak": peak,
+                    "worst_jump": worst,
+                    "notes": list(done.notes),
+                }
+            ]
+        )
+        return
+    typer.echo(f"written: {done.path}, {done.steps} steps of body {done.body} at {done.nodes:,} nodes")
+    if done.peak is not None:
+        stress, node, time = done.peak
+        near = ""
+        if done.peak_jump is not None and stress > 0:
+            near = f"; elements around it miss the average by {done.peak_jump / stress:.1%}"
+        typer.echo(f"largest von Mises stress: {stress / 1e6:,.4g} MPa at node {node}, {time:g} s{near}")
+    if done.peak is not None and done.worst_jump is not None and done.peak[0] > 0:
+        jump, node, time = done.worst_jump
+        typer.echo(
+            f"largest jump between elements: {jump / 1e6:,.4g} MPa ({jump / done.peak[0]:.1%} of that stress) at "
+            f"node {node}, {time:g} s"
+        )
+    for note in done.notes:
+        typer.echo(f"note: {note}")
+
+
+def _placed(largest: tuple[float, int, float] | None, key: str) -> dict[str, Any] | None:
+    """A largest value with its node and its time, by their names."""
+    return None if largest is None else dict(zip((key, "node", "time_s"), largest, strict=True))

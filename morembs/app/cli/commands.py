@@ -1,0 +1,252 @@
+"""The command line: its verbs on jobs; those on body files are in ``bodies``, on models in ``models``.
+
+What a verb needs it imports itself: most of the time of short commands would go into what they do not use.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from morembs.app.cli.batch import app as batches
+from morembs.app.cli.bodies import app as bodies
+from morembs.app.cli.evaluate import app as evaluation
+from morembs.app.cli.messages import console, echo, print_json, printing, warn, without_nan
+from morembs.app.cli.models import app as models
+from morembs.app.cli.modes import app as modes
+from morembs.app.cli.terminal import (
+    EPILOG,
+    AsJson,
+    Attached,
+    Changes,
+    Done,
+    Jobs,
+    Quiet,
+    Report,
+    each_job,
+    leave_with_input,
+    messages,
+)
+from morembs.app.cli.update import app as updating
+from morembs.base.errors import InputError, MorembsError
+from morembs.base.progress import Progress
+from morembs.storage.contents import keeping_ledger
+from morembs.version import VERSION
+
+if TYPE_CHECKING:
+    from morembs.app.jobs.job import Job
+    from morembs.app.jobs.order import Order
+
+
+class _Verbs(TyperGroup):
+    """The verbs, each with a ledger of its own: none of its results takes the place of what it has read."""
+
+    def invoke(self, ctx: Any) -> Any:
+        with keeping_ledger():
+            return super().invoke(ctx)
+
+
+app = typer.Typer(
+    name="morembs",
+    cls=_Verbs,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    epilog=EPILOG,
+    help="Reduces finite-element models to small elastic bodies for multibody simulation.",
+)
+
+
+@app.command(epilog=EPILOG)
+def reduce(
+    jobs: Jobs,
+    changes: Changes = None,
+    report: Report = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    attached: Attached = False,
+    attempt: Annotated[str, typer.Option(hidden=True, help="Token of an attempt.")] = "",
+) -> None:
+    """Reduce the models of job files and write their bodies."""
+    from morembs.app.cli.report import print_result, result_json
+    from morembs.app.jobs.job import load_job
+    from morembs.app.jobs.run import run_job
+
+    if attached:
+        leave_with_input()
+
+    def work(path: Path, progress: Progress) -> Done:
+        job = replace(load_job(path, changes or ()), attempt=attempt)
+        shown: list[str] = []
+
+        def tell(sentence: str) -> None:
+            shown.append(sentence)
+            warn(sentence)
+
+        result = run_job(job, progress, tell)
+        return result_json(result), lambda: print_result(console(), result, shown)
+
+    each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()), report)
+
+
+@app.command(epilog=EPILOG)
+def compare(
+    jobs: Jobs,
+    changes: Changes = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw it: a .png, .pdf or .svg file.")] = None,
+    report: Report = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run jobs and set the reductions of each side by side: order, errors, time, memory."""
+    from morembs.app.cli.report import print_contenders
+    from morembs.app.jobs.job import load_job
+    from morembs.app.jobs.order import PICTURES
+    from morembs.app.jobs.pareto import contenders, draw_contenders
+    from morembs.app.jobs.run import run_job
+    from morembs.storage.safefile import check_writable, one_file
+
+    def work(path: Path, progress: Progress) -> Done:
+        if picture is not None:
+            if len(jobs) > 1:
+                raise InputError(f"--picture {picture} was given for {len(jobs)} jobs; compare them one by one for it")
+            if picture.suffix not in PICTURES:
+                raise InputError(f"--picture {picture} was given; expected a name that ends in .png, .pdf or .svg")
+            check_writable(picture)
+        loaded = load_job(path, changes or ())
+        if picture is not None and any(one_file(picture, path) for path in loaded.results.values()):
+            raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
+        if loaded.tables.certify is None and not any(reducer.certified_band for reducer in loaded.reducers.values()):
+            raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
+        result = run_job(loaded, progress, warn)
+        compared = contenders(result)
+        if picture is not None:
+            draw_contenders(picture, compared, path.name)
+        document = {
+            "job": str(path),
+            "output": str(loaded.output),
+            "seconds": {stage.name: stage.seconds for stage in result.stages},
+            "job_peak_memory_bytes": result.peak_memory_bytes,
+            "contenders": [{key: without_nan(value) for key, value in asdict(each).items()} for each in compared],
+        }
+        written = [loaded.output, *(file for file in (loaded.picture, picture) if file is not None)]
+        return document, lambda: print_contenders(console(), str(path), compared, written)
+
+    each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()), report)
+
+
+@app.command(epilog=EPILOG)
+def check(
+    jobs: Jobs, changes: Changes = None, as_json: AsJson = False, quiet: Quiet = False, attached: Attached = False
+) -> None:
+    """Check job files and forecast size and memory; factorises nothing, writes nothing."""
+    from morembs.app.cli.report import print_forecast
+    from morembs.app.jobs.check import check_job
+    from morembs.app.jobs.job import load_job
+
+    if attached:
+        leave_with_input()
+
+    def work(path: Path, progress: Progress) -> Done:
+        with keeping_ledger() as ledger:
+            forecast = check_job(load_job(path, changes or ()), progress)
+        document = {"job": str(path), **forecast.as_json(), "inputs": ledger.names()}
+        return document, lambda: print_forecast(console(), str(path), forecast)
+
+    each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()))
+
+
+@app.command(epilog=EPILOG)
+def init(
+    file: Annotated[Path, typer.Argument(metavar="MESH", help="A mesh or a model file.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="The job to write, by default beside the file.")
+    ] = None,
+    units: Annotated[
+        str | None, typer.Option(help="Length, mass and time of the mesh.", show_default="by its size m-kg-s or mm-t-s")
+    ] = None,
+) -> None:
+    """Write a first job for a mesh or a model file, with comments."""
+    from morembs.app.jobs.template import job_text, refuse_existing
+    from morembs.base.units import parse_units
+    from morembs.storage.safefile import replacing
+
+    with messages():
+        if file.is_dir():
+            raise InputError(f"{file} is a folder; expected a mesh or a model file")
+        job = file.with_name(file.name.partition(".")[0] + ".toml") if out is None else out
+        if job.suffix != ".toml":
+            raise InputError(f"--out {str(job)!r} was given; expected a name that ends in .toml")
+        refuse_existing(job)
+        text = job_text(file, job.parent, None if units is None else parse_units(units))
+        with replacing(job) as written:
+            written.write(text.encode())
+        with printing([str(job)]):
+            typer.echo(f"written: {job}; look at its units, materials and interfaces, then: morembs check {job}")
+
+
+@app.command(epilog=EPILOG)
+def schema() -> None:
+    """Print the JSON schema of job files, by which editors complete and check keys."""
+    from morembs.app.jobs.schema import JobTables
+
+    with messages(), printing():
+        echo(json.dumps(JobTables.model_json_schema(), indent=2))
+
+
+def _order(jobs: Sequence[Path], changes: Sequence[str]) -> Order:
+    """The order of jobs by their places; those that cannot be read say so in their turn."""
+    from morembs.app.jobs.job import load_job
+    from morembs.app.jobs.order import order_of, read_ahead
+
+    loaded: dict[int, Job] = {}
+    for number, path in enumerate(jobs):
+        with suppress(MorembsError):
+            loaded[number] = load_job(path, changes)
+    read_ahead(list(loaded.values()))
+    return order_of(loaded, range(len(jobs)))
+
+
+app.add_typer(batches)
+app.add_typer(bodies)
+app.add_typer(evaluation)
+app.add_typer(updating)
+app.add_typer(models)
+app.add_typer(modes)
+
+
+@app.command(epilog=EPILOG)
+def solvers(as_json: AsJson = False) -> None:
+    """List the sparse solvers, and why some cannot run here."""
+    from morembs.linalg.sparse.select import available_solvers
+
+    with messages(), printing():
+        known = available_solvers()
+        if as_json:
+            print_json([{"name": name, "available": not why, "reason": why} for name, why in known.items()])
+            return
+        for name, reason in known.items():
+            typer.echo(f"{name}: {reason or 'available'}")
+        typer.echo('Models differ: "auto" weighs those that can run for each one, and says which it takes and why.')
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"morembs {VERSION}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Options of all verbs."""

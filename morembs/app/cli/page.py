@@ -1,0 +1,243 @@
+"""A report: one HTML file with a row and a section for each part, made from body files; it needs no other file."""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+import numpy as np
+
+from morembs.app.cli.certificates import KINDS, MEASURES
+from morembs.app.cli.tables import bytes_words
+from morembs.base.errors import InputError, MorembsError
+from morembs.base.progress import duration_words
+from morembs.base.summary import upwards
+from morembs.body.file import read_body
+from morembs.body.stored import StoredBodies
+from morembs.storage.safefile import check_writable, replacing
+from morembs.version import VERSION
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FREQUENCIES = 5
+# Stages of a job in the order in which they run; files keep them by name.
+STAGES = ("read", "assemble", "couple", "preload", "factorise", "reduce", "certify", "compare", "response", "deliver")
+# Width, height in inches and dots per inch: of the small picture in a row, of shapes and of responses.
+SMALL, SHAPES, RESPONSE = (1.6, 1.0, 80), (9.0, 4.0, 90), (9.0, 4.6, 90)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """A job of a report: its ``state`` (``done``, ``unchanged``, ``failed``), the ``message`` of a failed one, and of
+    another the body file ``output`` and what it cost, where that is known."""
+
+    name: str
+    job: str
+    output: str = ""
+    state: str
+    message: str = ""
+    seconds: float | None = None
+    peak_memory_bytes: int | None = None
+
+
+def check_report(path: Path | None) -> None:
+    """Check, before the work begins, that a report can be written.
+
+    Raises:
+        InputError: another ending than .html.
+        OutputError: the folder cannot be written.
+    """
+    if path is None:
+        return
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"--report {path} was given; expected a name that ends in .html")
+    check_writable(path)
+
+
+def write_report(path: Path, entries: Sequence[Entry], title: str) -> None:
+    """Write the report of some jobs, from the body files that they wrote.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    # Not at the top: commands without a report do without it.
+    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+
+    environment = Environment(
+        loader=PackageLoader("morembs.app.cli", "."),
+        autoescape=select_autoescape(default=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    parts = [_part(number, entry, path) for number, entry in enumerate(entries, start=1)]
+    text = environment.get_template("page.html").render(title=title, parts=parts, version=VERSION, measures=MEASURES)
+    with replacing(path) as file:
+        file.write(text.encode())
+
+
+def _part(number: int, entry: Entry, report: Path) -> dict[str, Any]:
+    """What the page says of a part; a body file that cannot be read is a failure of its own."""
+    said: dict[str, Any] = {
+        "number": number,
+        "name": entry.name,
+        "state": entry.state,
+        "message": entry.message,
+        "bodies": [],
+        "job": _link(entry.job, report),
+        "small": "",
+        "pictures": [],
+        "warnings": [],
+        "row": {},
+        "interfaces": {},
+        "stages": [],
+        "inputs": [],
+    }
+    if entry.state == "failed":
+        return said
+    place = Path(entry.output)
+    try:
+        stored = read_body(place)
+        bodies = [_body(name, stored) for name in stored.bodies]
+        shown = _recommended(bodies)
+        said |= {"bodies": bodies, **_pictures(stored, shown["name"])}
+    except MorembsError as error:
+        return said | {"state": "failed", "message": str(error)}
+    origin = stored.provenance
+    memory = entry.peak_memory_bytes
+    said["row"] = {
+        "dofs": _number(stored.recipe.get("dofs")),
+        "order": _number(shown["order"]),
+        "error": (shown["value"], shown["limits"][shown["measure"]] if shown["limits"] else "-"),
+        "frequencies": shown["frequencies"][:FREQUENCIES],
+        "lowest": shown["lowest"],
+        "mass": (stored.mass, f"{stored.mass:.4g} kg"),
+        "seconds": (-1, "-") if entry.seconds is None else (entry.seconds, duration_words(entry.seconds)),
+        "memory": (-1, "-") if memory is None else (memory, bytes_words(memory)),
+    }
+    seconds, peaks = dict(origin.get("seconds") or {}), dict(origin.get("peak_memory_bytes") or {})
+    inputs = origin.get("inputs") or {}
+    return said | {
+        "shown": shown["name"],
+        "body": _link(place, report),
+        "warnings": list(stored.warnings),
+        "interfaces": {name: (each.coupling, len(each.node_ids)) for name, each in stored.interfaces.items()},
+        "stages": [
+            (name, f"{seconds[name]:.2f} s", bytes_words(peaks.get(name, 0))) for name in sorted(seconds, key=_in_turn)
+        ],
+        "inputs": list(zip(*(_texts(inputs.get(key, [])) for key in ("file", "sha256")), strict=True)),
+        "origin": [
+            ("source", str(stored.recipe.get("source") or "model")),
+            ("solver", str(origin.get("solver", "-"))),
+            ("written by", f"morembs {origin.get('morembs_version', '-')}"),
+            ("at", str(origin.get("created", "-"))),
+        ],
+        "center": ", ".join(f"{x:.4g}" for x in stored.center_of_mass),
+        "file": place.name,
+    }
+
+
+def _body(name: str, stored: StoredBodies) -> dict[str, Any]:
+    """A body in a line: its certificate by measures, and its first elastic frequencies."""
+    body = stored.bodies[name]
+    elastic = body.frequencies_hz[body.rigid_count :]
+    said: dict[str, Any] = {
+        "name": name,
+        "order": len(body.mass_matrix),
+        "method": str(body.recipe.get("method", "-")),
+        "limits": {},
+        "frequencies": [f"{f:,.6g}" for f in elastic[: 2 * FREQUENCIES]],
+        "lowest": min(elastic, default=-1.0),
+        "kind": "none",
+        "band": "",
+        "measure": "",
+        "value": float("inf"),
+        "notes": "",
+    }
+    known = body.certificate
+    if known is None:
+        return said
+    said["kind"] = KINDS[str(known["bound_kind"])]
+    low, high = known["band_hz"] if "band_hz" in known else known["frequencies_hz"][[0, -1]]
+    said["band"] = f"{low:,.6g} to {high:,.6g} Hz"
+    floor = float(known.get("damping_floor", 0.0))
+    assumed = f"damping of {100 * floor:.3g} % of critical assumed beside its own" if floor else ""
+    said["notes"] = "; ".join(filter(None, (assumed, str(known.get("notes") or "").strip())))
+    if "limits" in known:
+        said["measure"] = str(known["measure"])
+        upper = {name: float(known["limits"][name][1]) for name in MEASURES}
+        said["value"] = upper[said["measure"]]
+        said["limits"] = {name: upwards(value) for name, value in upper.items()}
+    return said
+
+
+def _recommended(bodies: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    from morembs.app.jobs.compare import recommended
+
+    name = recommended({body["name"]: body["value"] if body["limits"] else None for body in bodies})
+    return next(body for body in bodies if body["name"] == name)
+
+
+def _pictures(stored: StoredBodies, shown: str) -> dict[str, Any]:
+    """The first mode for the row; four modes and the response with its certificates for the section."""
+    from morembs.app.jobs.compare import stored_response
+    from morembs.app.jobs.picture import draw_response
+    from morembs.body.drawing import draw_first, draw_shapes
+    from morembs.body.shapes import SHOWN_MODES, shapes_on
+
+    shapes = shapes_on(stored.bodies[shown].view(SHOWN_MODES)) if len(stored.node_ids) else None
+    response = stored_response(stored)
+    pictures = []
+    if shapes is not None:
+        pictures.append((f"modes of {shown}", _png(SHAPES, lambda figure: draw_shapes(figure, shapes))))
+    if response is not None:
+        pictures.append(("response and error", _png(RESPONSE, lambda figure: draw_response(figure, response))))
+    small = "" if shapes is None else _png(SMALL, lambda figure: draw_first(figure, shapes))
+    return {"small": small, "pictures": pictures}
+
+
+def _png(size: tuple[float, float, int], draw: Any) -> str:
+    """A drawing as a picture within the page."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    width, height, dots = size
+    with mpl.rc_context({"font.size": 9, "axes.titlesize": 10, "font.family": "DejaVu Sans"}):
+        figure: Figure = Figure(figsize=(width, height), dpi=dots, facecolor="white")
+        FigureCanvasAgg(figure)
+        draw(figure)
+        file = io.BytesIO()
+        figure.savefig(file, format="png", metadata={"Software": None})
+    return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode()
+
+
+def _in_turn(stage: str) -> tuple[int, str]:
+    """Where a stage stands in a list of them."""
+    kind = "reduce" if stage.startswith("reduce ") else stage
+    return (STAGES.index(kind) if kind in STAGES else len(STAGES), stage)
+
+
+def _number(value: Any) -> tuple[float, str]:
+    """What a column is sorted by, and what it shows."""
+    return (-1.0, "-") if value is None else (float(value), f"{int(value):,}")
+
+
+def _texts(values: Any) -> list[str]:
+    return [each.decode() if isinstance(each, bytes) else str(each) for each in np.atleast_1d(values).tolist()]
+
+
+def _link(path: str | Path, report: Path) -> tuple[str, str]:
+    """Where a page finds a file, and the name that it shows."""
+    try:
+        target = Path(os.path.relpath(path, report.resolve().parent)).as_posix()
+    except ValueError:  # on another drive
+        return Path(path).resolve().as_uri(), Path(path).name
+    return quote(target), Path(path).name

@@ -1,0 +1,192 @@
+"""What a body file holds, for people and for scripts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from morembs.app.cli.messages import console, printing, without_nan
+from morembs.base.errors import InputError
+from morembs.body.delivery_check import refuse_unsound, stored_findings
+from morembs.body.diagnostics.findings import Diagnosis
+from morembs.body.file import read_unexamined
+from morembs.body.stored import StoredBodies
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+SHOWN_FREQUENCIES = 10
+PROOFS = "docs/methods.md"
+
+
+def show(file: str | Path, documents: list[dict[str, Any]] | None, proof: bool = False) -> None:
+    """Print what a body file holds, with the ``proof`` of its limits, or add it to the ``documents``, and say what is
+    wrong with it.
+
+    Raises:
+        InputError: the file cannot be used, or contradicts itself.
+        OutputError: standard output cannot be written.
+    """
+    try:
+        stored = read_unexamined(file, whole=True)
+    except InputError:
+        _refuse_model(Path(file))
+        raise
+    diagnoses = stored_findings(stored)
+    if documents is not None:
+        documents.append(stored_json(str(file), stored, diagnoses))
+    else:
+        with printing():
+            print_stored(console(), str(file), stored, diagnoses)
+            if proof:
+                print_proofs(console(), stored)
+    refuse_unsound(str(file), diagnoses)
+
+
+def _refuse_model(path: Path) -> None:
+    """Say what a model file holds, if ``path`` is a sound one, and what it is for.
+
+    Raises:
+        InputError: it is one.
+    """
+    from morembs.importers.model_file import is_model_file, read_model
+
+    if not is_model_file(path):
+        return
+    model = read_model(path)
+    couplings = f", couplings {', '.join(model.couplings)}" if model.couplings else ""
+    raise InputError(
+        f"{path} is a model file ({model.size:,} dofs at {len(model.nodes):,} nodes{couplings}), and info shows body "
+        f"files; morembs init {path} writes a job that reduces it, and morembs check says what the job needs"
+    )
+
+
+def stored_json(path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnosis]) -> dict[str, Any]:
+    """A body file as plain values, SI units; ``diagnoses`` say what is wrong with each body."""
+    first = next(iter(stored.bodies.values()))
+    origin = stored.provenance
+    return {
+        "output": path,
+        "format_version": stored.format_version,
+        "source": stored.recipe.get("source"),
+        "solver": origin.get("solver"),
+        "factor": origin.get("factor"),
+        "dofs": stored.recipe.get("dofs"),
+        "stored_nodes": len(stored.node_ids),
+        "mass": stored.mass,
+        "center_of_mass": stored.center_of_mass.tolist(),
+        "inertia": stored.inertia.tolist(),
+        "frequencies_hz": first.frequencies_hz.tolist(),
+        "full_frequencies_hz": None if first.full_frequencies_hz is None else first.full_frequencies_hz.tolist(),
+        "interfaces": {
+            name: {
+                "coupling": interface.coupling,
+                "components": list(interface.components),
+                "point": interface.point.tolist(),
+                "nodes": len(interface.node_ids),
+            }
+            for name, interface in stored.interfaces.items()
+        },
+        "bodies": {
+            name: {
+                "order": len(body.stiffness_matrix),
+                "rigid_count": body.rigid_count,
+                "frequencies_hz": body.frequencies_hz.tolist(),
+                "mode_kind": list(body.mode_kind),
+                "recipe": body.recipe,
+                "frame": None if body.floating is None else body.floating.kind,
+                "ranking": [[term.name, term.equation, term.share] for term in body.ranking],
+                "stress_recovery": body.has_recovery,
+                "switching": body.has_switching,
+                "parameters": body.has_parameters,
+                "certificate": None if body.certificate is None else without_nan(body.certificate),
+                "findings": findings_json(diagnoses[name]),
+            }
+            for name, body in stored.bodies.items()
+        },
+        "warnings": list(stored.warnings),
+        "seconds": dict(origin.get("seconds") or {}),
+        "peak_memory_bytes": dict(origin.get("peak_memory_bytes") or {}),
+    }
+
+
+def findings_json(diagnosis: Diagnosis | None) -> list[dict[str, str]]:
+    """Findings as plain values."""
+    keys = ("severity", "code", "sentence", "cure")
+    return [] if diagnosis is None else [{key: getattr(each, key) for key in keys} for each in diagnosis.findings]
+
+
+def flat(certificate: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of a stored certificate by the names of their datasets."""
+    limits = {f"limits/{name}": value for name, value in certificate.get("limits", {}).items()}
+    return {**{name: value for name, value in certificate.items() if name != "limits"}, **limits}
+
+
+def print_proofs(console: Console, stored: StoredBodies) -> None:
+    """The lemmas that the limits of each body rest on, and where their proofs are."""
+    for name, body in stored.bodies.items():
+        known = body.certificate
+        lemmas = [] if known is None else known.get("proof", [])
+        if not lemmas:
+            why = (
+                "has no certificate"
+                if known is None
+                else ("is certified without a proof: by samples alone, or by an earlier version; certify it again")
+            )
+            console.print(f"proof: {name} {why}", highlight=False, soft_wrap=True, markup=False)
+            continue
+        console.print(f"proof: limits of {name}, each lemma by its section in {PROOFS}", highlight=False, markup=False)
+        for lemma in lemmas:
+            numbers = ", ".join(f"{key} = {value:.6g}" for key, value in lemma["numbers"].items())
+            console.print(
+                f"  {lemma['name']} ({lemma['kind']}): {lemma['statement']}\n    {numbers}",
+                highlight=False,
+                soft_wrap=True,
+                markup=False,
+            )
+
+
+def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnosis]) -> None:
+    """What a body file holds, and warnings of what ``diagnoses`` say is wrong with each body."""
+    from rich.markup import escape
+
+    from morembs.app.cli.certificates import Certified, print_certificates
+    from morembs.app.cli.tables import frame_words, mass_table, ranking_words, titled, words
+
+    values = stored_json(path, stored, diagnoses)
+    console.print(
+        f"[bold]{path}[/]: {values['source'] or 'model'}, "
+        + (f"{values['dofs']:,} degrees of freedom, " if values["dofs"] else "")
+        + f"{values['stored_nodes']:,} nodes stored",
+        highlight=False,
+        soft_wrap=True,
+    )
+    for name, interface in values["interfaces"].items():
+        console.print(f"  interface {name}: {interface['coupling']}, {interface['nodes']:,} nodes", highlight=False)
+    for name, body in stored.bodies.items():
+        console.print(f"  {name}: {words(body.mode_kind)}", highlight=False)
+        elastic = body.frequencies_hz[body.rigid_count :][:SHOWN_FREQUENCIES]
+        listed = ", ".join(f"{f:,.1f}" for f in elastic) or "none"
+        console.print(f"    elastic Hz: {listed}", highlight=False, soft_wrap=True)
+        if body.floating is not None:
+            console.print(f"    {frame_words(body.floating)}", highlight=False, soft_wrap=True)
+        if body.ranking:
+            console.print(f"    inertia terms: {ranking_words(body.ranking)}", highlight=False, soft_wrap=True)
+        if body.has_recovery:
+            console.print("    stress recovery", highlight=False)
+        if body.has_switching:
+            console.print("    static modes of candidate loads", highlight=False)
+        if body.has_parameters:
+            console.print("    parameters, shown at nominal values; `morembs evaluate` takes others", highlight=False)
+        for finding in diagnoses[name].warnings:
+            console.print(f"    {escape(str(finding))}", highlight=False, soft_wrap=True)
+    known = [
+        Certified(name=name, order=len(body.stiffness_matrix), values=flat(body.certificate))
+        for name, body in stored.bodies.items()
+        if body.certificate is not None
+    ]
+    print_certificates(console, known, list(stored.interfaces))
+    titled(console, "mass properties", mass_table(stored.mass, stored.center_of_mass, stored.inertia))
+    for warning in stored.warnings:
+        console.print(f"warning: {escape(warning)}", highlight=False, soft_wrap=True)

@@ -1,0 +1,261 @@
+"""What the verbs of the command line share: progress, messages, exit codes, where output goes."""
+
+from __future__ import annotations
+
+import _thread
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from threading import Event, Lock, Thread
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from morembs.app.cli.messages import Failure, failure, print_json, printing, tell
+from morembs.base import stopping
+from morembs.base.errors import InputError
+from morembs.base.memory import release
+from morembs.base.progress import SILENT, Progress
+
+if TYPE_CHECKING:
+    from morembs.app.jobs.order import Order
+
+# Shorter work writes no lines of progress.
+PATIENCE_OF_LINES = 5.0
+# Lines: a new stage is told after this, and a stage that goes on is told again each so many seconds.
+STAGE_SECONDS, REPEAT_SECONDS = 1.0, 15.0
+
+EPILOG = (
+    "Exit codes: 0 done; 1 a fault of this program (a file holds the traceback); 2 input that cannot be used, a model "
+    "that cannot be solved, or a result that cannot be written (one message on standard error); 130 interrupted; 143 "
+    "terminated; a second signal ends the run without cleaning up. Of several jobs one that fails does not stop the "
+    "others; the exit code is then 2, or 1 where one was a fault of this program."
+)
+
+Jobs = Annotated[list[Path], typer.Argument(metavar="JOB.toml...", help="Job files.", show_default=False)]
+AsJson = Annotated[bool, typer.Option("--json", help="Print a list of JSON documents on standard output.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress on standard error.")]
+Changes = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Another value, such as reduce.modes=40.")
+]
+Report = Annotated[Path | None, typer.Option(help="Write a report of all: an .html file.")]
+Attached = Annotated[bool, typer.Option(hidden=True, help="End when standard input does.")]
+
+# Plain values for JSON, and what prints them for people.
+Done = tuple[dict[str, Any], Callable[[], None]]
+Work = Callable[[Path, Progress], Done]
+
+
+def leave_with_input() -> None:
+    """End this process, as SIGTERM does, when its standard input ends: with the process that holds the other end."""
+
+    def wait() -> None:
+        with suppress(OSError, ValueError):
+            while os.read(0, 4096):
+                pass
+        if sys.platform == "win32":
+            # Another process cannot be asked to end there, and os.kill ends this one without cleaning up.
+            _thread.interrupt_main(signal.SIGTERM)
+        else:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    Thread(target=wait, daemon=True).start()
+
+
+class LineProgress:
+    """Lines on standard error where no terminal is: a stage that begins, and each quarter of a minute what it does.
+
+    A thread looks at the clock, so that long calls of libraries are told too, as far as they let other threads run.
+    Work that takes less than ``patience`` seconds writes nothing.
+    """
+
+    def __init__(
+        self,
+        write: Callable[[str], object],
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        patience: float = PATIENCE_OF_LINES,
+    ) -> None:
+        self._write, self._clock, self._patience = write, clock, patience
+        self._start = clock()
+        self._stage, self._news, self._told = "", "", ""
+        self._last = -REPEAT_SECONDS
+        self._lock, self._end = Lock(), Event()
+
+    def stage(self, name: str) -> None:
+        """A new stage begins."""
+        with self._lock:
+            self._stage, self._news = name, ""
+        self.look()
+
+    def update(self, text: str) -> None:
+        """News within the stage."""
+        with self._lock:
+            self._news = text
+        self.look()
+
+    def look(self) -> None:
+        """Write a line if one is due."""
+        with self._lock:
+            elapsed = self._clock() - self._start
+            since = elapsed - self._last
+            due = since >= (STAGE_SECONDS if self._stage != self._told else REPEAT_SECONDS)
+            if elapsed < self._patience or not due or not (self._stage or self._news):
+                return
+            self._told, self._last = self._stage, elapsed
+            self._write(f"[{elapsed:,.0f} s] " + ": ".join(filter(None, (self._stage, self._news))))
+
+    def _watch(self) -> None:
+        while not self._end.wait(min(STAGE_SECONDS, REPEAT_SECONDS) / 2):
+            self.look()
+
+    @contextmanager
+    def shown(self) -> Iterator[Progress]:
+        """Write lines while work goes on."""
+        watcher = Thread(target=self._watch, daemon=True)
+        watcher.start()
+        try:
+            yield self
+        finally:
+            self._end.set()
+            watcher.join()
+
+
+class Heeding:
+    """Passes progress on, and ends the work where a signal has asked for that and its exception was lost."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+
+    def stage(self, name: str) -> None:
+        """A new stage begins."""
+        stopping.check()
+        self._progress.stage(name)
+
+    def update(self, text: str) -> None:
+        """News within the stage."""
+        stopping.check()
+        self._progress.update(text)
+
+
+@contextmanager
+def progress_line(quiet: bool = False) -> Iterator[Progress]:
+    """Progress on standard error while work goes on: one line that changes where somebody watches, else lines."""
+    stopping.check()
+    if quiet:
+        yield Heeding(SILENT)
+        return
+    seen = sys.stderr is not None and sys.stderr.isatty()
+    if seen:
+        from morembs.app.cli.screen import Screen, TerminalProgress
+
+        shown = TerminalProgress(Screen(stderr=True), True).shown()
+    else:
+        shown = LineProgress(tell).shown()
+    with shown as progress:
+        yield Heeding(progress)
+
+
+@contextmanager
+def messages(failed: list[Failure] | None = None, prefix: str = "") -> Iterator[None]:
+    """Turn errors into one message on standard error, and into an exit code or, for many jobs, an entry of ``failed``.
+
+    Raises:
+        typer.Exit: there was an error, and no list to keep it in.
+        KeyboardInterrupt, SystemExit: a signal asked for the end before the error.
+    """
+    try:
+        yield
+    except typer.Exit:
+        raise
+    except Exception as error:
+        # What a library makes of a signal that comes in the midst of it is no error of its own.
+        stopping.check()
+        fault = failure(error)
+        tell(f"error: {prefix}{fault.message}")
+        if failed is None:
+            raise typer.Exit(fault.code) from None
+        failed.append(fault)
+
+
+def each_job(
+    jobs: Sequence[Path],
+    as_json: bool,
+    work: Work,
+    quiet: bool = False,
+    order: Order | None = None,
+    report: Path | None = None,
+) -> None:
+    """Do ``work`` for each job, assemblies after their parts, but for those that ``order`` refuses."""
+    if report is not None:
+        from morembs.app.cli.page import check_report
+
+        with messages():
+            check_report(report)
+    documents: list[dict[str, Any]] = []
+    failed: list[Failure] = []
+    lost: set[int] = set()
+    for count, number in enumerate(range(len(jobs)) if order is None else order.sequence):
+        stopping.check()
+        path = jobs[number]
+        with messages(failed, f"{path}: " if len(jobs) > 1 else ""):
+            if order is not None:
+                _refuse(order, number, [jobs[part] for part in order.parts.get(number, ()) if part in lost])
+            _do(work, path, as_json, quiet, documents)
+        if len(documents) == count:
+            lost.add(number)
+            documents.append({"job": str(path), "error": failed[-1].message})
+        # The next job shall not hold, nor report, what this one needed.
+        release()
+    if report is not None:
+        with messages(failed), progress_line(quiet) as progress:
+            progress.stage("write report")
+            _write_report(report, documents)
+    if as_json:
+        with messages(failed), printing([name for document in documents for name in _written(document)]):
+            print_json(documents)
+    if failed:
+        raise typer.Exit(min(fault.code for fault in failed))
+
+
+def _refuse(order: Order, number: int, lost: Sequence[Path]) -> None:
+    if number in order.refused:
+        raise InputError(order.refused[number])
+    if lost:
+        raise InputError(f"its part {lost[0]} failed; mend that first")
+
+
+def _do(work: Work, path: Path, as_json: bool, quiet: bool, documents: list[dict[str, Any]]) -> None:
+    with progress_line(quiet) as progress:
+        document, show = work(path, progress)
+    documents.append(document)
+    if not as_json:
+        with printing(_written(document)):
+            show()
+
+
+def _write_report(report: Path, documents: Sequence[Mapping[str, Any]]) -> None:
+    from morembs.app.cli.page import Entry, write_report
+
+    entries = [
+        Entry(
+            name=Path(document["job"]).stem,
+            job=document["job"],
+            state="failed" if "error" in document else "done",
+            message=document.get("error", ""),
+            output=document.get("output", ""),
+            seconds=sum(document.get("seconds", {}).values()),
+            peak_memory_bytes=document.get("job_peak_memory_bytes"),
+        )
+        for document in documents
+    ]
+    write_report(report, entries, ", ".join(entry.name for entry in entries))
+
+
+def _written(document: Mapping[str, Any]) -> list[str]:
+    """The files of a finished job."""
+    return [document[key] for key in ("output", "picture") if document.get(key)]

@@ -1,0 +1,160 @@
+"""The bodies of a job as one model, with the models that they were reduced from where their jobs are named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.app.jobs.equations import equations_of_motion
+from morembs.app.jobs.inputs import (
+    certified_band,
+    damping_of,
+    inputs_of,
+    interfaces_of,
+    materials_of,
+    mesh_of,
+    reducers_of,
+    solver_of,
+    units_of,
+)
+from morembs.app.jobs.job import Job, load_job
+from morembs.app.jobs.schema import SubstructureTable
+from morembs.base.budget import Budget
+from morembs.base.errors import InputError
+from morembs.base.types import Floats
+from morembs.body.file import StoredBodies, read_body
+from morembs.body.stored import choose_body
+from morembs.dynamics.assembly import AssembledModel, Couple, Substructure, assemble_bodies
+from morembs.fem.assembly import assemble
+from morembs.importers.model_file import read_model
+from morembs.problem import Problem
+from morembs.storage.safefile import one_file
+
+# Tables that make another model of the part than its mesh or file holds.
+NOT_PLAIN = ("substructure", "parameter", "preload", "spin")
+
+
+def assembly_of(job: Job, budget: Budget) -> AssembledModel:
+    """The bodies of the job as one model, in SI units; a file that serves for several parts is read once.
+
+    Raises:
+        InputError: body files or jobs of parts that cannot be read, bodies that cannot be coupled, or couplings that
+            leave a mechanism.
+    """
+    units = units_of(job)
+    force = units.stress * units.length**2
+    linear, turning = [force / units.length] * 3, [force * units.length] * 3
+    scale = np.array(linear + turning)
+    tables = job.tables.substructure
+    files = {table.body: read_body(job.resolve(table.body)) for table in tables}
+    makers = {table.job: _Maker(job, table.job, budget) for table in tables if table.job is not None}
+    if makers and certified_band(job) is None:
+        raise InputError(
+            "[[substructure]] job was given, and there is no certificate to measure against the unreduced parts; add "
+            "[certify], or leave job out"
+        )
+    parts = [
+        Substructure(
+            name=table.name,
+            bodies=_at_values(files[table.body], table),
+            reduction=table.reduction,
+            position=units.length * np.array(table.position),
+            rotation=_turned(table),
+            problem=None if table.job is None else makers[table.job].problem,
+            basis=None if table.job is None else makers[table.job].basis(files[table.body], table),
+        )
+        for table in tables
+    ]
+    couples = [
+        Couple(
+            between=(table.between[0], table.between[1]),
+            components=tuple(table.components),
+            stiffness=None if table.stiffness is None else (scale * table.stiffness).tolist(),
+            damping=None if table.damping is None else (units.time * scale * table.damping).tolist(),
+        )
+        for table in job.tables.couple
+    ]
+    model = assemble_bodies(parts, couples, name=job.path.stem)
+    if model.free_motions:
+        raise InputError(
+            f"the couplings leave the parts free to move against each other: {'; '.join(model.free_motions)}; a body "
+            "has the six rigid motions of one free part only: couple these components too, by a [[couple]] with "
+            "stiffness if they are soft, or reduce the parts one by one and join them in the simulation"
+        )
+    return model
+
+
+class _Maker:
+    """The job ``path`` that made a body of the assembly ``job``, and the problem that it reduced."""
+
+    def __init__(self, job: Job, path: str, budget: Budget) -> None:
+        self.where = f"[[substructure]] job = {path!r}"
+        try:
+            self.job = load_job(job.resolve(path))
+            given = [name for name in NOT_PLAIN if getattr(self.job.tables, name)]
+            if given:
+                raise InputError(
+                    f"it has a table {given[0]!r}; certificates against unreduced parts take a mesh or a model file as "
+                    "it is: leave job out"
+                )
+            self._refuse_overwriting(job)
+            self.problem = self._problem(job, budget)
+        except InputError as error:
+            raise InputError(f"{self.where}: {error}") from error
+
+    def _refuse_overwriting(self, job: Job) -> None:
+        for name, path in replace(job, attempt="").results.items():
+            for what, other in inputs_of(self.job).items():
+                if one_file(path, other):
+                    raise InputError(f"{name} = {str(path)!r} would overwrite {what} of it")
+
+    def _problem(self, job: Job, budget: Budget) -> Problem:
+        own = self.job
+        if own.tables.model.file is not None:
+            model = equations_of_motion(own, read_model(own.resolve(own.tables.model.file), budget=budget))
+        else:
+            rule = own.tables.model.mass_integration
+            model = assemble(mesh_of(own), materials_of(own), mass_integration=rule, budget=budget)
+        # That of the part: another one may turn modes of one frequency.
+        solver = solver_of(own).with_memory(solver_of(job).memory)
+        return Problem(model, interfaces_of(own, model), damping=damping_of(own), solver=solver, budget=budget)
+
+    def basis(self, bodies: StoredBodies, table: SubstructureTable) -> Callable[[], Floats]:
+        """What reduces the problem again, for bodies whose file does not keep all displacements."""
+
+        def again() -> Floats:
+            name, reducers = choose_body(bodies, table.reduction, table.body).name, reducers_of(self.job)
+            if name not in reducers:
+                raise InputError(f"{self.where}: it makes no body {name!r}; it has {', '.join(reducers)}")
+            reduced = reducers[name].reduce(self.problem)
+            self.problem.release()
+            return reduced.V
+
+        return again
+
+
+def _at_values(bodies: StoredBodies, table: SubstructureTable) -> StoredBodies:
+    """The bodies of a file, or the one of them that has parameters at the values of ``table``."""
+    if not table.at:
+        return bodies
+    try:
+        evaluated: StoredBodies = choose_body(bodies, table.reduction, table.body).parametric.at(**table.at).bodies
+    except InputError as error:
+        raise InputError(f"substructure {table.name!r}: at was given: {error}") from error
+    return evaluated
+
+
+def _turned(table: SubstructureTable) -> NDArray[np.float64]:
+    if table.rotation is None:
+        return np.eye(3)
+    # Not at the top: few jobs turn anything.
+    from scipy.spatial.transform import Rotation
+
+    axis = np.array(table.rotation.axis)
+    if not np.linalg.norm(axis) > 0:
+        raise InputError(f"substructure {table.name!r}: rotation has axis = {axis.tolist()}; expected a direction")
+    turn = Rotation.from_rotvec(np.radians(table.rotation.degrees) * axis / np.linalg.norm(axis))
+    return np.asarray(turn.as_matrix())

@@ -1,0 +1,258 @@
+"""Checks a job and forecasts its cost without assembling or factorising anything."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from morembs.app.jobs.equations import equations_of_motion
+from morembs.app.jobs.forecast import Cost, JobForecast, forecast_cost, least_memory, outlined, require_room_of_mesh
+from morembs.app.jobs.inputs import (
+    budget_of,
+    damping_of,
+    interfaces_of,
+    materials_of,
+    mesh_of,
+    prepare_output,
+    solver_of,
+    wants_modes,
+)
+from morembs.app.jobs.job import Job
+from morembs.app.jobs.model import matrices_of
+from morembs.app.jobs.preflight import model_warnings, preflight, require_room, shifted_of
+from morembs.app.jobs.run import count_elements
+from morembs.base.budget import Budget
+from morembs.base.memory import available_bytes, resident_bytes
+from morembs.base.progress import SILENT, Progress
+from morembs.base.scratch import free_bytes
+from morembs.base.types import Floats, Ints
+from morembs.fem import Mesh, rigid_motion
+from morembs.fem.assembly import check_mesh, stiffness_pattern
+from morembs.fem.elements import TYPES
+from morembs.fem.fe_model import MATRICES
+from morembs.fem.interface import Interface, couple
+from morembs.linalg.sparse.solver import LinearSolver
+from morembs.linalg.sparse.threads import limit_threads
+from morembs.problem import Problem
+from morembs.problem.rigid_motions import need_factor
+from morembs.reducers import Facts
+from morembs.responses.massless import without_mass_perhaps
+from morembs.storage.contents import keeping_ledger
+
+# More pieces than this are not searched for hinges.
+MANY_PIECES = 300
+
+
+@keeping_ledger()
+def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
+    """Check everything that can be checked without a factorisation, and forecast the cost.
+
+    Peak memory: the stiffness pattern and its triangle; the budget of the job is kept here too.
+
+    Raises:
+        MorembsError: what ``run_job`` would refuse too.
+    """
+    start = resident_bytes()
+    prepare_output(job)
+    solver, materials = solver_of(job), materials_of(job)
+    damping_of(job)
+    progress.stage("read")
+    if job.tables.model.mesh is None:
+        return _check_file(job, solver, start, progress)
+    mesh = mesh_of(job)
+    progress.stage("check elements")
+    require_room_of_mesh(job, mesh, materials, solver, start)
+    graph = check_mesh(mesh, materials, progress)
+    if job.tables.parameter:
+        # Not at the top: most jobs have no parameters.
+        from morembs.app.jobs.parameters import parameters_of
+
+        parameters_of(job, mesh)
+    progress.stage("check interfaces")
+    size = 3 * len(mesh.nodes)
+    model = outlined(job, mesh, materials)
+    warnings = model_warnings(job, model)
+    interfaces = interfaces_of(job, model)
+    coupling = couple(model, interfaces)
+    facts = Facts(model=model, interfaces=interfaces, coupling=coupling, damping=damping_of(job))
+    warnings += preflight(job, facts, 6)
+    progress.stage("check connections")
+    rigid = rigid_modes(mesh, [i for i in interfaces if i.kind.carries])
+    if rigid > 6:
+        # The matrices decide, which are not there.
+        warnings += (
+            f"the mesh has {rigid} rigid-body modes where one free body has 6: unconnected parts, or parts that touch "
+            "in a node or an edge only; a reduction is refused unless each is held; merge coincident nodes, or reduce "
+            "the parts one by one",
+        )
+    progress.stage("analyse")
+    with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget:
+        cost = _cost(job, facts, stiffness_pattern(graph, budget), abs(coupling.T), solver, budget, start)
+        told, seconds = cost.told(), _reduction_seconds(job, facts, cost)
+    x, y, z = np.ptp(mesh.nodes.xyz, axis=0).tolist()
+    return JobForecast(
+        **told,
+        nodes=len(mesh.nodes),
+        elements=count_elements(mesh),
+        dofs=size,
+        coupled_dofs=coupling.T.shape[1],
+        rigid_modes=rigid,
+        stiffness_nonzeros=9 * graph.nnz,
+        mass_nonzeros=3 * graph.nnz,
+        matrices_bytes=12 * 12 * graph.nnz,
+        extent=(x, y, z),
+        interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
+        reduction_seconds=seconds,
+        warnings=(*warnings, *_warnings(cost, solver.scratch)),
+    )
+
+
+def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) -> JobForecast:
+    """Forecast for a model file, whose matrices are there."""
+    with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget:
+        model = matrices_of(job, budget)
+        require_room(job, start, model.size, lambda: least_memory(job, model, solver, start))
+        progress.stage("examine")
+        model = equations_of_motion(job, model)
+        warnings = model_warnings(job, model, budget)
+        interfaces = interfaces_of(job, model)
+        with Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget) as problem:
+            facts, coupling = Facts.of(problem), problem.coupling
+            # Nothing is factorised here.
+            rigid = 0 if need_factor(model, problem.K) else problem.rigid.shape[1]
+            warnings += without_mass_perhaps(problem)
+        warnings += preflight(job, facts, rigid)
+        progress.stage("analyse")
+        # Coordinates that are rigid motions have no stiffness; what holds them while it is factorised has an entry.
+        held = sp.diags_array((model.K.diagonal() == 0).astype(float))
+        cost = _cost(
+            job, facts, sp.csr_array(model.K + held) if held.data.any() else model.K, coupling.T, solver, budget, start
+        )
+        told, seconds = cost.told(), _reduction_seconds(job, facts, cost)
+    matrices = [A for name in MATRICES if (A := getattr(model, name)) is not None]
+    x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()
+    return JobForecast(
+        **told,
+        nodes=len(model.nodes),
+        elements=count_elements(model.mesh),
+        dofs=model.size,
+        coupled_dofs=coupling.T.shape[1],
+        rigid_modes=rigid,
+        stiffness_nonzeros=model.K.nnz,
+        mass_nonzeros=model.M.nnz,
+        matrices_bytes=sum(A.data.nbytes + A.indices.nbytes for A in matrices),
+        extent=(x, y, z),
+        interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
+        reduction_seconds=seconds,
+        warnings=(*warnings, *_warnings(cost, solver.scratch)),
+    )
+
+
+def _cost(
+    job: Job, facts: Facts, K: sp.csr_array, T: sp.csr_array, solver: LinearSolver, budget: Budget, start: int
+) -> Cost:
+    """Cost of the factors of ``job``, for the stiffness of its model, or its pattern, and the coupling."""
+    columns = facts.coupling.B.shape[1] + max(reducer.mode_count for reducer in job.reducers.values())
+    return forecast_cost(
+        K,
+        T,
+        max(columns, job.tables.check.full_modes),
+        solver,
+        budget,
+        start,
+        wants_modes(job),
+        list(shifted_of(job, facts).values()),
+        job.tables.solver.workers,
+    )
+
+
+def _reduction_seconds(job: Job, facts: Facts, cost: Cost) -> dict[str, float]:
+    """Name -> time of each reduction, as far as it can be told."""
+    times = {name: reducer.seconds(facts, cost.plan.factor_entries) for name, reducer in job.reducers.items()}
+    return {name: seconds for name, seconds in times.items() if seconds is not None}
+
+
+def _warnings(cost: Cost, scratch: Path | None) -> tuple[str, ...]:
+    """What may go wrong on this machine."""
+    warnings = []
+    available = available_bytes()
+    needed = cost.told()["all_processes_bytes"]
+    if needed > available:
+        warnings.append(
+            f"{needed / 1e9:.1f} GB of memory are forecast and {available / 1e9:.1f} GB are free; give [solver] a "
+            "memory budget and a scratch folder"
+        )
+    if cost.plan.disk > (free := free_bytes(scratch)):
+        warnings.append(
+            f"the factor needs {cost.plan.disk / 1e9:.1f} GB of scratch, {free / 1e9:.1f} GB are free; give "
+            "another folder"
+        )
+    return tuple(warnings)
+
+
+def rigid_modes(mesh: Mesh, frames: list[Interface]) -> int:
+    """Number of motions free of strain: 6 for one sound free body.
+
+    Elements that share faces, and nodes held by one rigid interface, move together as a piece. Pieces that
+    share nodes move alike there: 6 unknowns for each piece, 3 equations for each shared node, and what the
+    equations leave is the answer. Beyond ``MANY_PIECES`` pieces only whole unconnected parts are counted.
+    """
+    pieces = _pieces(mesh)
+    count = max(int(p.max(initial=-1)) for p in pieces) + 1
+    pairs = []
+    for block, own in zip(mesh.blocks, pieces, strict=True):
+        pairs.append(np.stack([np.repeat(own, block.nodes.shape[1]), block.nodes.ravel()]))
+    for number, frame in enumerate(frames):
+        pairs.append(np.stack([np.full(len(frame.nodes), count + number), frame.nodes]))
+    count += len(frames)
+    piece, node = np.unique(np.concatenate(pairs, axis=1), axis=1)
+    if count == 1:
+        return 6
+    shape = (count, len(mesh.nodes))
+    C = sp.csr_array((np.ones(len(piece), dtype=np.int32), (piece, node)), shape=shape)
+    if count > MANY_PIECES:
+        parts, _ = connected_components(C @ C.T, directed=False)
+        return 6 * int(parts)
+    return 6 * count - _shared_rank(mesh.nodes.xyz, C)
+
+
+def _shared_rank(xyz: Floats, C: sp.csr_array) -> int:
+    """Rank of the equations that make pieces (rows of C) move alike at the nodes (columns) they share."""
+    count = C.shape[0]
+    by_node = C.tocsc()
+    shared = np.flatnonzero(np.diff(by_node.indptr) > 1)
+    centre = xyz.mean(axis=0)
+    size = max(float(np.abs(xyz - centre).max()), np.finfo(float).tiny)
+    gram = np.zeros((6 * count, 6 * count))
+    for at in shared:
+        R = rigid_motion(np.tile((xyz[at] - centre) / size, (3, 1)), np.arange(3))
+        first, *others = by_node.indices[by_node.indptr[at] : by_node.indptr[at + 1]]
+        for other in others:
+            row = np.zeros((3, 6 * count))
+            row[:, 6 * first : 6 * first + 6], row[:, 6 * other : 6 * other + 6] = R, -R
+            gram += row.T @ row
+    values = np.linalg.eigvalsh(gram)
+    return int((values > 1e-10 * max(values[-1], np.finfo(float).tiny)).sum())
+
+
+def _pieces(mesh: Mesh) -> list[Ints]:
+    """For each block the piece that each element belongs to; elements of a piece share faces."""
+    keys, owners, first = [], [], 0
+    for block in mesh.blocks:
+        elements = np.arange(first, first + len(block.ids))
+        for corners in TYPES[block.type].faces:
+            # Three corners tell faces apart, for a quadrilateral the three lowest.
+            keys.append(np.sort(block.nodes[:, list(corners)], axis=1)[:, :3])
+            owners.append(elements)
+        first += len(block.ids)
+    key, owner = np.concatenate(keys), np.concatenate(owners)
+    order = np.lexsort(key.T)
+    key, owner = key[order], owner[order]
+    same = np.flatnonzero((key[1:] == key[:-1]).all(axis=1))
+    links = sp.csr_array((np.ones(len(same), dtype=np.int8), (owner[same], owner[same + 1])), shape=(first, first))
+    _, label = connected_components(links, directed=False)
+    ends = np.cumsum([len(block.ids) for block in mesh.blocks])
+    return [np.asarray(part, dtype=np.int64) for part in np.split(label, ends[:-1])]

@@ -1,0 +1,96 @@
+"""The equations of motion of a job: the model of its file with its skew parts and the fluid that flows through it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.app.jobs.inputs import units_of
+from morembs.app.jobs.job import Job
+from morembs.base.errors import InputError
+from morembs.fem import FEModel
+from morembs.fem.fe_model import split_unsymmetric
+from morembs.fem.selection import select_nodes
+from morembs.fem.tubes import Flow, conveying
+from morembs.importers.to_model import rows_of_labels
+from morembs.problem import Problem
+
+# Part of a rigid motion by which neighbours move apart as a tube turns; round-off of translations is far below.
+TURNED = 1e-9
+
+
+def equations_of_motion(job: Job, model: FEModel) -> FEModel:
+    """The ``model`` of the file with what the job makes of its skew parts, and with the fluid that flows through it."""
+    model = _without_skew_parts(model, job.tables.model.unsymmetric)
+    flows = flows_of(job, model)
+    still = model
+    for path, flow in flows:
+        model = conveying(model, path, flow)
+    # Paths are checked by then.
+    _refuse_loose_tubes(still, [path for path, flow in flows if flow.mass_flow])
+    return model
+
+
+def _refuse_loose_tubes(model: FEModel, paths: Sequence[NDArray[np.int64]]) -> None:
+    """Refuse tubes that nothing keeps from turning in ``model``, which is without the flow.
+
+    Raises:
+        InputError: as said.
+    """
+    if not paths:
+        return
+    with Problem(model) as problem:
+        rigid = np.vstack([problem.rigid, np.zeros((1, problem.rigid.shape[1]))])
+    # Dofs that are not there are at rest, the last row.
+    places = rigid[model.dofs.table(len(model.nodes))[:, :3]]
+    for path in paths:
+        turned = np.abs(np.diff(places[path], axis=0)).max(initial=0.0)
+        if turned > TURNED * np.abs(places).max(initial=0.0):
+            raise InputError(
+                "[[flow]]: nothing keeps the tube from turning as a whole, and the pull of the fluid, which keeps its "
+                "direction, would turn it; hold it in the model at one end or more"
+            )
+
+
+def _without_skew_parts(model: FEModel, unsymmetric: str) -> FEModel:
+    """``model`` with the skew parts of its K and D in N and G, or without them where they are to be dropped."""
+    if unsymmetric == "refuse":
+        return model
+    parts = split_unsymmetric(model)
+    return parts if unsymmetric == "split" else replace(parts, G=model.G, N=model.N)
+
+
+def flows_of(job: Job, model: FEModel) -> list[tuple[NDArray[np.int64], Flow]]:
+    """Rows of the nodes along each tube, in the order of its flow, and the flow in SI units."""
+    units = units_of(job)
+    return [
+        (
+            _path_of(job, model, table.path),
+            Flow(
+                mass_flow=table.mass_flow * units.mass / units.time,
+                density=table.density * units.density,
+                area=table.area * units.length**2,
+                outlet=table.outlet,
+            ),
+        )
+        for table in job.tables.flow
+    ]
+
+
+def _path_of(job: Job, model: FEModel, text: str) -> NDArray[np.int64]:
+    labels = text.removeprefix("ids:").split(",")
+    if text.endswith(".csv"):
+        try:
+            labels = job.resolve(text).read_text(encoding="utf-8-sig").replace(",", " ").split()
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"[[flow]]: path = {text!r} cannot be read; expected a text of labels of nodes") from error
+    elif not text.startswith("ids:"):
+        return select_nodes(model, text, length=units_of(job).length)
+    try:
+        numbers = np.array([int(label) for label in labels], dtype=np.int64)
+    except (ValueError, OverflowError) as error:
+        raise InputError(f"[[flow]]: path = {text!r} holds something else than labels of nodes ({error})") from error
+    return rows_of_labels(model.nodes, numbers, f"[[flow]] path = {text!r}")

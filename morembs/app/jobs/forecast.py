@@ -1,0 +1,279 @@
+"""What a job will need, from the symbolic analysis of its stiffness: nothing is factorised.
+
+The peak is that of the process: the larger one of two moments, the factorisation, and the Sturm count beside the
+factor and the dense columns of the modes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import scipy.sparse as sp
+
+from morembs.app.jobs.inputs import interfaces_of, wants_modes
+from morembs.app.jobs.job import Job
+from morembs.app.jobs.preflight import LEAST_COUNT, LOADED_BYTES, RESTING_BYTES, require_room, resting_bytes
+from morembs.base.budget import UNLIMITED, Budget, memory_that_leaves
+from morembs.base.errors import BudgetError
+from morembs.fem import DofMap, FEModel, Mesh
+from morembs.fem.assembly import check_mesh, mass_warnings, stiffness_pattern
+from morembs.fem.interface import couple
+from morembs.fem.material import Material
+from morembs.linalg.congruence import congruence
+from morembs.linalg.dynamic_stiffness import plan_at_shift
+from morembs.linalg.sparse.solver import Forecast, LinearSolver
+from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.threads import blas_threads, measured_speed
+from morembs.linalg.statics import require_room_to_count
+from morembs.problem.dynamics import PROCESS_BYTES, worker_bytes
+from morembs.reducers.facts import Shifted
+
+# Bytes of a stored entry of K or M, and of the triangle with the places of M in it.
+_ENTRY, _TRIANGLE = 12, 12
+# A Krylov space has about this many columns for each mode, beside blocks in use; measured.
+_SPACE, _BLOCKS = 3, 160
+# Part of the speed of a large dense product that a factorisation reaches, and seconds for each of its entries
+# on top; of compact bodies of 100 to 300 thousand dofs, PARDISO's taken to be that of MUMPS.
+_EFFICIENCY = {"cholmod": 0.56, "mumps": 0.48, "mumps-mixed": 1.0, "mumps-embedded": 0.30, "pardiso": 0.48}
+_SLOWEST = 0.1
+_SECONDS_PER_ENTRY = 1e-8
+# Real products in a complex one.
+_COMPLEX = 4
+# Resident memory of a rank of MPI without its part of a factor; measured.
+RANK_BYTES = 80_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobForecast:
+    """What a job will need. Bytes are those of memory but ``scratch_bytes``; ``extent`` (3,) in m.
+
+    ``choice`` says in one line which solver will be taken and why; ``factor_seconds`` is that of the one
+    factorisation with ``threads`` threads at the speed of this machine now, ``reduction_seconds`` that of each
+    reduction beside it as far as it can be told, within a factor of three. ``shift_factor_...`` is of the largest
+    factor beside that of K, 0 where there is none, ``shift_seconds`` the time of all of these. Workers or ranks are
+    ``processes`` beside this one, of up to ``process_bytes`` each; ``all_processes_bytes`` is the peak of all at once.
+    """
+
+    solver: str
+    choice: str
+    nodes: int
+    elements: int
+    dofs: int
+    coupled_dofs: int
+    rigid_modes: int
+    stiffness_nonzeros: int
+    mass_nonzeros: int
+    matrices_bytes: int
+    factor_entries: int
+    factor_flops: float
+    factor_bytes: int
+    scratch_bytes: int
+    columns_bytes: int
+    peak_memory_bytes: int
+    factor_seconds: float
+    threads: int
+    shift_factor_entries: int
+    shift_factor_bytes: int
+    shift_seconds: float
+    processes: int
+    process_bytes: int
+    all_processes_bytes: int
+    extent: tuple[float, float, float]
+    interface_nodes: dict[str, int]
+    reduction_seconds: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields as plain values."""
+        return {**asdict(self), "warnings": list(self.warnings)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cost:
+    """The part of a ``JobForecast`` that comes from the matrices."""
+
+    plan: Forecast
+    choice: str
+    columns: int
+    peak: int
+    seconds: float
+    shift: Shift
+
+    def told(self) -> dict[str, Any]:
+        """The fields of a ``JobForecast`` that this is."""
+        plan, shift = self.plan, self.shift
+        return {
+            "solver": plan.backend,
+            "choice": self.choice,
+            "factor_entries": plan.factor_entries,
+            "factor_flops": plan.flops,
+            "factor_bytes": plan.kept,
+            "scratch_bytes": plan.disk,
+            "columns_bytes": self.columns,
+            "peak_memory_bytes": self.peak,
+            "factor_seconds": self.seconds,
+            "threads": blas_threads(),
+            "shift_factor_entries": shift.entries,
+            "shift_factor_bytes": shift.kept,
+            "shift_seconds": shift.seconds,
+            "processes": shift.processes,
+            "process_bytes": shift.each,
+            "all_processes_bytes": self.peak + shift.processes * shift.each + shift.beside,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shift:
+    """The largest factor beside that of K, what one takes that is made here, the time of all of them; and how many
+    other processes there are of how many bytes each: those that make them, or ranks. ``beside``: the one that workers
+    are copied from."""
+
+    entries: int = 0
+    kept: int = 0
+    here: int = 0
+    seconds: float = 0.0
+    processes: int = 0
+    each: int = 0
+    beside: int = 0
+
+
+def forecast_cost(
+    K: sp.csr_array,
+    T: sp.csr_array,
+    columns: int,
+    solver: LinearSolver,
+    budget: Budget,
+    start: int,
+    modes: bool,
+    shifted: Sequence[Shifted] = (),
+    workers: int = 1,
+) -> Cost:
+    """Cost of reducing with a stiffness of the pattern of ``K`` (N, N) in coupled dofs of ``T`` (N, Nc).
+
+    Args:
+        columns: number of columns of the basis.
+        start: resident memory of the process before any model was read.
+        modes: whether modes are computed, and so counted.
+        shifted: what is factorised beside K, by ``workers`` processes where there are several.
+
+    Raises:
+        SolverError: no method fits into the budget.
+    """
+    square = T.shape[0] == T.shape[1]
+    lower = Lower.of(K if square else congruence(T, K, budget), budget=budget)
+    n, matrices = lower.n, _matrices(K, lower, square)
+    del K
+    room = None if budget.memory is None else budget.memory - start - resting_bytes(n)
+    # What reduce loads and keeps later is not there yet when it looks at this.
+    first = None if room is None else room + RESTING_BYTES - LOADED_BYTES
+    count = require_room_to_count(solver, lower, first) if modes else None
+    limited = solver.with_memory(None if room is None else max(0, room))
+    with limited.analyse(lower, "spd", "the stiffness matrix") as analysis:
+        plan, choice = analysis.forecast, analysis.choice
+    counting = count.memory if count else 0
+    if count and budget.memory is None:
+        # Without a budget its factor is kept, because it finds modes too.
+        counting += 8 * count.factor_entries
+    dense = 8 * n * (columns + min(_SPACE * columns + _BLOCKS, n))
+    # What the libraries of the reduction take, which are not loaded yet.
+    before, here = start + LOADED_BYTES + matrices, plan
+    left = None if budget.memory is None else budget.memory - before - plan.kept
+    shift = _at_shifts(lower, shifted, solver, workers, left)
+    if plan.ranks > 1:
+        # Right-hand sides and solutions are all that is here.
+        largest = max(plan.memory, plan.kept + max(counting, shift.here))
+        shift = replace(shift, here=0, processes=plan.ranks, each=RANK_BYTES + largest // plan.ranks)
+        here, counting = replace(plan, memory=0, kept=0), 0
+    peak = max(
+        before + 8 * lower.nnz + here.memory,
+        before + 16 * lower.nnz + here.kept + max(counting, shift.here) + dense + (LEAST_COUNT if modes else 0),
+    )
+    if budget.memory is not None:
+        # Matrices and columns rest in files when the factorisation needs their room.
+        peak = min(peak, budget.memory)
+    return Cost(plan=plan, choice=choice, columns=dense, peak=peak, seconds=_seconds(plan), shift=shift)
+
+
+def _at_shifts(lower: Lower, shifted: Sequence[Shifted], solver: LinearSolver, workers: int, left: int | None) -> Shift:
+    """What ``shifted`` takes on up to ``workers`` processes that have ``left`` bytes together (None: no limit)."""
+    if not shifted:
+        return Shift()
+    plans = {each.structure: plan_at_shift(lower, each.structure, solver) for each in shifted}
+    each = max(worker_bytes(plans[x.structure][1], lower.n, x.columns, x.structure) for x in shifted)
+    running = min(workers, max(x.at_once for x in shifted), workers if left is None else max(1, left // each))
+    here = [plans[x.structure][1] for x in shifted if min(running, x.at_once) == 1]
+    seconds = 0.0
+    for x in shifted:
+        products = _COMPLEX if x.structure.startswith("complex") else 1
+        seconds += products * _seconds(plans[x.structure][0]) * math.ceil(x.count / min(running, x.at_once))
+    largest = max((plan for plan, _ in plans.values()), key=lambda plan: plan.kept)
+    return Shift(
+        entries=largest.factor_entries,
+        kept=largest.kept,
+        here=max(here, default=0),
+        seconds=seconds,
+        **({"processes": running, "each": each, "beside": PROCESS_BYTES} if running > 1 else {}),
+    )
+
+
+def least_memory(job: Job, model: FEModel, solver: LinearSolver, start: int, K: sp.csr_array | None = None) -> int:
+    """A budget that will do for the modes of ``job``, from the symbolic analysis of ``K`` (by default that of
+    ``model``); 0 where it has none. ``start`` as in ``forecast_cost``.
+
+    Raises:
+        InputError: interfaces that do not fit.
+    """
+    if not wants_modes(job):
+        return 0
+    K = model.K if K is None else K
+    T = abs(couple(model, interfaces_of(job, model)).T)
+    square = T.shape[0] == T.shape[1]
+    lower = Lower.of(K if square else congruence(T, K, UNLIMITED))
+    count = 0
+    try:
+        require_room_to_count(solver, lower, 0)
+    except BudgetError as error:
+        count = error.needed
+    used = start + resting_bytes(lower.n) - RESTING_BYTES + LOADED_BYTES
+    matrices = _matrices(K, lower, square)
+    return min(used + matrices + count, memory_that_leaves(count, used))
+
+
+def outlined(job: Job, mesh: Mesh, materials: Sequence[Material]) -> FEModel:
+    """The model of ``mesh`` with empty matrices."""
+    size = 3 * len(mesh.nodes)
+    empty = sp.csr_array((size, size))
+    return FEModel(
+        K=empty,
+        M=empty,
+        nodes=mesh.nodes,
+        dofs=DofMap.translations(len(mesh.nodes)),
+        mesh=mesh,
+        materials=tuple(materials),
+        source=mesh.source,
+        warnings=(*mesh.warnings, *mass_warnings(mesh, job.tables.model.mass_integration)),
+    )
+
+
+def require_room_of_mesh(job: Job, mesh: Mesh, materials: Sequence[Material], solver: LinearSolver, start: int) -> None:
+    """As ``require_room``, for a model of ``mesh`` that is not assembled yet."""
+
+    def least() -> int:
+        pattern = stiffness_pattern(check_mesh(mesh, materials))
+        return least_memory(job, outlined(job, mesh, materials), solver, start, pattern)
+
+    require_room(job, start, 3 * len(mesh.nodes), least)
+
+
+def _matrices(K: sp.csr_array, lower: Lower, square: bool) -> int:
+    """Bytes of K and M, as they came and coupled, and of their triangles."""
+    held = (1 if square else 2) * _ENTRY * (K.nnz + K.nnz // 3)
+    return int(held + _TRIANGLE * (lower.nnz + lower.nnz // 3))
+
+
+def _seconds(plan: Forecast) -> float:
+    rate = 1e9 * measured_speed().gemm_gflops * _EFFICIENCY.get(plan.backend, _SLOWEST)
+    return plan.flops / rate + _SECONDS_PER_ENTRY * plan.factor_entries / max(blas_threads(), 1)

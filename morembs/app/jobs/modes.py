@@ -1,0 +1,221 @@
+"""Modes of the full model of a job, real or complex; tables and pictures of modes over the speed."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from morembs.app.jobs.inputs import (
+    budget_of,
+    damping_of,
+    interfaces_of,
+    materials_of,
+    preload_of,
+    rotation_of,
+    solver_of,
+)
+from morembs.app.jobs.job import Job
+from morembs.app.jobs.model import model_of
+from morembs.app.jobs.picture import BODY_COLORS, save
+from morembs.base.errors import InputError
+from morembs.base.memory import PeakMemory, resident_bytes
+from morembs.base.progress import SILENT, Progress, Stopwatch
+from morembs.body.floating.preload import preloaded
+from morembs.body.floating.spin import Whirl, whirl_of
+from morembs.body.floating.spinning import Spin, spinning
+from morembs.body.floating.spinning_modes import modes_over_speed, still_modes
+from morembs.linalg.complex_modes import ComplexModes
+from morembs.linalg.eigen import Modes
+from morembs.linalg.sparse.threads import limit_threads
+from morembs.problem import Problem
+from morembs.storage.safefile import replacing
+
+COLORS = dict(zip(("forward", "backward", "mixed"), BODY_COLORS, strict=False))
+# Frequencies that differ by less than this part are one.
+SAME = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModeRow:
+    """One mode: ``speed`` rad/s; damped frequency in Hz, damping ratio, real part in 1/s, ``residual`` where it is of a
+    full model. ``whirl`` and the whirl speed ``inertial_hz`` of an observer at rest are of a body that spins."""
+
+    speed: float
+    number: int
+    damped_hz: float
+    ratio: float
+    real: float
+    residual: float = math.nan
+    whirl: str = ""
+    inertial_hz: float = math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModeTable:
+    """Modes of a job; ``complete`` says for each speed below which frequency no mode is missing, or why none counts."""
+
+    rows: tuple[ModeRow, ...]
+    complete: Mapping[float, str]
+    warnings: tuple[str, ...] = ()
+
+
+def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress = SILENT) -> ModeTable:
+    """The ``count`` lowest modes of the full model of ``job``; complex ones at every speed of [spin].
+
+    Raises:
+        MorembsError: input that cannot be used, or a model that nothing holds where complex modes are wanted.
+    """
+    start, solver, materials = resident_bytes(), solver_of(job), materials_of(job)
+    with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget, PeakMemory() as memory:
+        model, _ = model_of(job, solver, materials, budget, start, Stopwatch(progress, memory))
+        interfaces, damping = interfaces_of(job, model), damping_of(job)
+        problem = Problem(model, interfaces, solver=solver, damping=damping, budget=budget, progress=progress)
+        load, rotation = preload_of(job), rotation_of(job)
+        if load is not None:
+            with problem:
+                model = preloaded(problem, load, progress).model
+            problem = Problem(model, interfaces, solver=solver, damping=damping, budget=budget, progress=progress)
+        with problem:
+            if not complex_:
+                return _real(problem, count)
+            if rotation is None:
+                modes = still_modes(problem, job.tables.modes.held, count, progress)
+                return ModeTable(rows=tuple(_rows(0.0, modes, None)), complete={0.0: _complete(modes)})
+            if job.tables.modes.held:
+                raise InputError("[modes] held was given beside [spin], which has its own; leave it out")
+            spin = spinning(problem, rotation[0], progress)
+            full = modes_over_speed(problem, spin, rotation[1], count, progress)
+            return _over_speed(problem, spin, full)
+
+
+def _real(problem: Problem, count: int) -> ModeTable:
+    whole = problem.elastic_modes(count=count) if problem.D is None else _whole(problem, count)
+    modes, decay = whole.first(count), _decays(problem, whole)[:count]
+    omega = 2 * np.pi * modes.frequencies_hz
+    # The roots of s^2 + 2 d s + w^2, of an overdamped mode that which decays least.
+    s = np.sqrt(decay**2 - omega**2 + 0j) - decay
+    hz, ratios, real = (s.imag / (2 * np.pi)).tolist(), (decay / omega).tolist(), s.real.tolist()
+    rows = tuple(
+        ModeRow(speed=0.0, number=k + 1, damped_hz=hz[k], ratio=ratios[k], real=real[k]) for k in range(len(omega))
+    )
+    complete = f"complete below {math.sqrt(modes.verified_below) / (2 * math.pi):.6g} Hz"
+    complete += " without damping" if decay.any() else ""
+    warnings = []
+    if not problem.symmetric:
+        warnings.append("modes of M and the symmetric K alone; --complex has the gyroscopic and circulatory matrix too")
+    if problem.D is not None:
+        warnings.append("damping ratios are those of each real mode by itself; --complex has what D couples of them")
+    return ModeTable(rows=rows, complete={0.0: complete}, warnings=tuple(warnings))
+
+
+def _whole(problem: Problem, count: int) -> Modes:
+    """The lowest ``count`` modes and as many more as share the frequency of the last, where there are so many."""
+    most = max(count, problem.K.shape[0] - problem.rigid.shape[1])
+    while count < most:
+        modes = problem.elastic_modes(count=count + 1)
+        last, beyond = modes.frequencies_hz[-2:]
+        if beyond - last > SAME * beyond:
+            return modes
+        count += 1
+    return problem.elastic_modes(count=count)
+
+
+def _decays(problem: Problem, modes: Modes) -> NDArray[np.float64]:
+    """Half of the damping in 1/s of each real mode (m,) by itself."""
+    damping = problem.damping.at_resonance(modes.eigenvalues)
+    if problem.D is None:
+        return 0.5 * damping
+    omega, P = modes.frequencies_hz, modes.vectors.T @ np.asarray(problem.D @ modes.vectors)
+    # Modes of one frequency are any of their span: those that D does not couple have damping of their own.
+    together = np.split(np.arange(len(omega)), 1 + np.flatnonzero(np.diff(omega) > SAME * omega[1:]))
+    return np.asarray(0.5 * (damping + np.concatenate([np.linalg.eigvalsh(P[np.ix_(k, k)]) for k in together])))
+
+
+def _over_speed(problem: Problem, spin: Spin, full: Mapping[float, ComplexModes]) -> ModeTable:
+    rows: list[ModeRow] = []
+    for speed, modes in full.items():
+        rows += _rows(speed, modes, whirl_of(modes.eigenvalues, modes.vectors, spin.C, spin.S, problem.M, speed))
+    complete = {speed: _complete(modes) for speed, modes in full.items()}
+    return ModeTable(rows=tuple(rows), complete=complete, warnings=spin.warnings)
+
+
+def _rows(speed: float, modes: ComplexModes, whirl: Whirl | None) -> list[ModeRow]:
+    rows = whirl_rows(Whirl.unknown(modes.eigenvalues, speed) if whirl is None else whirl)
+    return [
+        ModeRow(**{**vars(row), "residual": float(residual)})
+        for row, residual in zip(rows, modes.residuals, strict=True)
+    ]
+
+
+def whirl_rows(whirl: Whirl) -> list[ModeRow]:
+    """Rows of the modes at one speed."""
+    return [
+        ModeRow(
+            speed=whirl.speed,
+            number=k + 1,
+            damped_hz=float(s.imag) / (2 * math.pi),
+            real=float(s.real),
+            ratio=float(-s.real / abs(s)) + 0.0 if s else 0.0,
+            whirl=word,
+            inertial_hz=float(w) / (2 * math.pi),
+        )
+        for k, (s, word, w) in enumerate(zip(whirl.eigenvalues, whirl.whirl, whirl.inertial, strict=True))
+    ]
+
+
+def _complete(modes: ComplexModes) -> str:
+    if not modes.verified_below:
+        return f"no count of modes: {modes.no_count}"
+    return f"complete below {modes.verified_below / (2 * math.pi):.6g} Hz"
+
+
+def write_csv(path: Path, rows: Sequence[ModeRow]) -> None:
+    """A table with a row for each mode, empty where there is no value.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["speed_rad_s", "mode", "damped_hz", "ratio", "real_1_s", "whirl", "inertial_hz", "residual"])
+    for row in rows:
+        numbers = (row.damped_hz, row.ratio, row.real, row.inertial_hz, row.residual)
+        hz, ratio, real, inertial, residual = ("" if math.isnan(x) else repr(x) for x in numbers)
+        table.writerow([repr(row.speed), row.number, hz, ratio, real, row.whirl, inertial, residual])
+    with replacing(path) as file:
+        file.write(text.getvalue().encode())
+
+
+def draw_campbell(path: Path, rows: Sequence[ModeRow], title: str) -> None:
+    """The Campbell diagram, damped frequencies over the speed in the frame that turns.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    figure = Figure(figsize=(8.0, 5.0), dpi=150, facecolor="white")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    for word, color in COLORS.items():
+        chosen = [(row.speed, row.damped_hz) for row in rows if row.whirl == word]
+        if chosen:
+            axes.plot(*np.array(chosen).T, ".", color=color, markersize=4, label=word)
+    top = max(row.damped_hz for row in rows)
+    speeds = np.array([min(row.speed for row in rows), max(row.speed for row in rows)])
+    axes.plot(speeds, speeds / (2 * math.pi), color="#607d8b", linewidth=0.9, linestyle=(0, (6, 3)), label="speed")
+    axes.set_ylim(0, 1.05 * top)
+    axes.set_title(title, loc="left")
+    axes.set_xlabel("speed in rad/s")
+    axes.set_ylabel("frequency in the frame that turns, Hz")
+    axes.grid(True, color="#d0d4d8", linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1, 1))
+    save(figure, path)

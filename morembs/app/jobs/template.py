@@ -1,0 +1,153 @@
+"""A first job for a mesh or a model file, with comments: what has to be looked at, and what else there is."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.base.errors import InputError
+from morembs.base.units import Units, parse_units
+from morembs.fem import FEModel, Mesh
+from morembs.importers import read_mesh
+from morembs.importers.model_file import is_model_file, read_model
+from morembs.storage.contents import keeping_ledger, same_place
+
+# Steel in SI units.
+YOUNG, POISSON, DENSITY = 2.1e11, 0.3, 7850.0
+# Meshes without declared units that are longer than this are taken in mm, others in m.
+LONGEST_IN_METRES = 5.0
+# Sets that become interfaces; others are named in a comment.
+INTERFACES = 2
+Selections = tuple[list[str], list[str]]
+
+
+def job_text(file: Path, folder: Path, units: Units | None = None) -> str:
+    """A job in ``folder`` that reduces the mesh or model ``file``; numbers of a mesh are in ``units``.
+
+    Without ``units`` they are guessed by the size of the mesh, and the job says so.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    try:
+        path = file.resolve().relative_to(folder.resolve()).as_posix()
+    except ValueError:
+        path = file.resolve().as_posix()
+    with keeping_ledger() as ledger:
+        if is_model_file(file):
+            model = read_model(file)
+            head = _model(path, model)
+            couplings = [f"coupling:{name}" for name in model.couplings]
+            choices = (couplings[:INTERFACES], couplings[INTERFACES:]) if couplings else _node_sets(model)
+        else:
+            mesh = read_mesh(file)
+            head, choices = _mesh(path, mesh, units), _node_sets(mesh)
+    name = file.name.removesuffix(".gz").removesuffix(".h5").removesuffix(".model").partition(".")[0]
+    while any(same_place(folder / f"{name}.h5", opened) for opened in ledger.opened):
+        name += "-body"  # a companion of the mesh, or the mesh itself, has the name
+    return "\n".join([*head, *_interfaces(*choices), *_rest(name), ""])
+
+
+def _mesh(path: str, mesh: Mesh, given: Units | None) -> list[str]:
+    size = np.ptp(mesh.nodes.xyz, axis=0)
+    extent = " x ".join(f"{length:.4g}" for length in size)
+    units = given or parse_units("m-kg-s" if size.max() <= LONGEST_IN_METRES else "mm-t-s")
+    guessed = "" if given else ": guessed from its size"
+    sets = ", ".join(mesh.element_sets) or "none"
+    return [
+        "[model]",
+        f"mesh = {_quoted(path)}",
+        f"units = {_quoted(units.name)}        # of all numbers here and in the mesh ({extent}){guessed}",
+        "",
+        f"[[material]]                # steel; one table for each material. Element sets of the mesh: {sets}",
+        'set = "all"',
+        f"young = {YOUNG / units.stress:.6g}",
+        f"poisson = {POISSON}",
+        f"density = {DENSITY / units.density:.6g}",
+        "",
+    ]
+
+
+def _model(path: str, model: FEModel) -> list[str]:
+    return ["[model]", f"file = {_quoted(path)}        # {model.size:,} dofs at {len(model.nodes):,} nodes", ""]
+
+
+def _node_sets(source: Mesh | FEModel) -> Selections:
+    """Node sets: the smallest that can be interfaces together, and the others."""
+    nodes = source.nodes
+    fit, taken = [], np.zeros(len(nodes), dtype=bool)
+    for name, rows in sorted(nodes.sets.items(), key=lambda item: len(item[1])):
+        if len(rows) <= len(nodes) // 2 and not taken[rows].any() and _spread(nodes.xyz[rows]):
+            fit.append(name)
+            taken[rows] = True
+    chosen = fit[:INTERFACES]
+    return [f"set:{name}" for name in chosen], [f"set:{name}" for name in nodes.sets if name not in chosen]
+
+
+def _spread(xyz: NDArray[np.float64]) -> bool:
+    """Whether points (n, 3) fix all six motions: three or more, not in a line."""
+    if len(xyz) < 3:
+        return False
+    size = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)
+    return bool(size[1] > 1e-6 * size[0])
+
+
+def _interfaces(chosen: Sequence[str], others: Sequence[str]) -> list[str]:
+    lines = ["# Where other bodies touch the part. Instead of a set: box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, ids:1,2,3"]
+    for choice in chosen:
+        kind, _, name = choice.partition(":")
+        safe = "_".join(name.replace("/", "_").split()).lstrip(".") or "interface"
+        lines += ["[[interface]]", f"name = {_quoted(safe)}", f"nodes = {_quoted(choice)}"]
+        if kind == "set":
+            lines += ['coupling = "rigid"         # or "average", "direct"']
+        lines += [""]
+    if others:
+        lines += [f"# There are too: {', '.join(others)}", ""]
+    if not chosen:
+        lines += ["# [[interface]]", '# name = "tip"', '# nodes = "box:0,0,0,1,1,1"', ""]
+    return lines
+
+
+def _rest(name: str) -> list[str]:
+    return [
+        "[[reduce]]                  # one body for each; morembs compare sets them side by side",
+        'method = "craig-bampton"',
+        "modes = 20                  # fixed-interface modes; or: up_to_hz = 5000",
+        "",
+        "# [[reduce]]                # the smallest body within a tolerance over a band",
+        '# method = "auto"',
+        "# band_hz = [0, 2000]",
+        "# tolerance = 0.01",
+        "",
+        "# [damping]",
+        "# modal = 0.01              # of critical damping; or: rayleigh = { alpha = ..., beta = ... }",
+        "",
+        "# [certify]                 # how wrong each body is, at every frequency of a band",
+        "# band_hz = [0, 2000]",
+        "",
+        "# [solver]",
+        '# memory = "8 GB"           # for the whole process',
+        "",
+        "[output]",
+        f"path = {_quoted(f'{name}.h5')}",
+        f"# picture = {_quoted(f'{name}.png')}",
+    ]
+
+
+def _quoted(text: str) -> str:
+    """A text as TOML has it, which takes the escapes of JSON."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+def refuse_existing(path: Path) -> None:
+    """Refuse to write over a job.
+
+    Raises:
+        InputError: there is such a file.
+    """
+    if path.exists():
+        raise InputError(f"{path} is there already; give another name: morembs init FILE -o NAME.toml")

@@ -1,0 +1,199 @@
+"""Arguments of public types and functions, checked against their type hints before anything is done with them."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import inspect
+import operator
+import sys
+import types
+from collections import abc
+from collections.abc import Callable, Iterable
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from morembs.base.errors import InputError
+
+Target = TypeVar("Target", bound=Callable[..., Any])
+ARRAY_LIKE = frozenset(get_args(ArrayLike))
+# How much of a value a message quotes.
+LONGEST = 60
+# Size of a load, a speed or a place in SI units, of which products of four, times a stiffness, are finite numbers.
+LARGEST = 1e60
+
+
+def in_range(value: float) -> bool:
+    """Whether a number is finite, and not so large that the products it goes into are not."""
+    return abs(value) <= LARGEST
+
+
+def refuse_out_of_range(what: str, values: Iterable[float]) -> None:
+    """Refuse numbers that are not ``in_range``.
+
+    Raises:
+        InputError: there is one.
+    """
+    for value in values:
+        if not in_range(value):
+            raise InputError(f"{what} = {value} was given; expected a finite number, {LARGEST:g} at most")
+
+
+def checked(target: Target) -> Target:
+    """Decorator: a class or function that refuses arguments whose types are not those of its hints.
+
+    Numbers must not be NaN, arrays must hold numbers; values and shapes are left to the one who is called. Hints
+    that say nothing about values, such as those of sparse matrices, take anything.
+
+    Raises:
+        InputError: (when called) an argument of another type.
+    """
+    call: Callable[..., Any] = target.__init__ if isinstance(target, type) else target  # type: ignore[misc]
+    signature = inspect.signature(call)
+
+    @functools.wraps(call)
+    def checking(*args: Any, **kwargs: Any) -> Any:
+        hints, given = _hints(call), {}
+        # Python says in its own words what is missing.
+        with contextlib.suppress(TypeError):
+            given = signature.bind(*args, **kwargs).arguments
+        for name, value in given.items():
+            # A default is right whatever its hint.
+            hint = Any if value is signature.parameters[name].default else hints.get(name, Any)
+            if not fits(value, hint):
+                raise InputError(f"{target.__name__}: {name} = {_short(value)} was given; expected {words(hint)}")
+        return call(*args, **kwargs)
+
+    if isinstance(target, type):
+        target.__init__ = checking  # type: ignore[misc]
+        return target
+    return checking  # type: ignore[return-value]
+
+
+@functools.cache
+def _hints(call: Callable[..., Any]) -> dict[str, Any]:
+    several = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    known: dict[str, Any] = {}
+    for name, parameter in inspect.signature(call).parameters.items():
+        if parameter.kind not in several and parameter.annotation is not parameter.empty:
+            one = types.SimpleNamespace(__annotations__={name: parameter.annotation})
+            # Types that only type checkers import say nothing here.
+            with contextlib.suppress(NameError):
+                known |= get_type_hints(one, vars(sys.modules[call.__module__]))
+    return known
+
+
+def fits(value: Any, hint: Any) -> bool:
+    """Whether ``value`` is of the type ``hint``, numbers of NumPy and arrays in place of sequences included."""
+    kind, parts = get_origin(hint), get_args(hint)
+    if kind in (Union, types.UnionType):
+        return any(fits(value, part) for part in _alternatives(parts))
+    if np.ndarray in (hint, kind):
+        return _is_array(value, parts)
+    if kind is Literal:
+        return isinstance(value, str) and value in parts
+    if isinstance(kind, type) and issubclass(kind, abc.Callable):  # type: ignore[arg-type]
+        return callable(value)
+    if isinstance(kind, type) and issubclass(kind, abc.Mapping):
+        return isinstance(value, abc.Mapping) and all(
+            fits(key, parts[0]) and fits(each, parts[1]) for key, each in value.items()
+        )
+    if kind is tuple and parts[-1] is not Ellipsis:
+        return _is_sequence(value) and len(value) == len(parts) and all(map(fits, value, parts))
+    if isinstance(kind, type) and issubclass(kind, abc.Iterable):
+        # A text is a sequence of texts.
+        return isinstance(value, str) if isinstance(value, str) and parts[0] is str else _all_fit(value, parts[0])
+    return _is_one(value, hint)
+
+
+def _is_one(value: Any, hint: Any) -> bool:
+    """``fits`` for hints without parts."""
+    if hint in (float, int):
+        return _is_number(value, hint)
+    if hint is bool:
+        return isinstance(value, bool | np.bool_)
+    if hint is Any or not isinstance(hint, type) or hint.__module__.startswith("scipy"):
+        return True
+    if getattr(hint, "_is_protocol", False):
+        return all(hasattr(value, name) for base in hint.__mro__[:-2] for name in _members(base))
+    return isinstance(value, hint)
+
+
+def _members(protocol: type) -> set[str]:
+    return {name for name in (*vars(protocol), *getattr(protocol, "__annotations__", ())) if name[0] != "_"}
+
+
+def _alternatives(parts: tuple[Any, ...]) -> list[Any]:
+    """Parts of a union, an array in place of all that makes up ``ArrayLike``."""
+    if not set(parts) >= ARRAY_LIKE:
+        return list(parts)
+    return [np.ndarray, *(part for part in parts if part not in ARRAY_LIKE)]
+
+
+def _is_number(value: Any, hint: type) -> bool:
+    if isinstance(value, bool | np.bool_ | str | bytes):
+        return False
+    try:
+        if np.ndim(value):
+            return False
+        number = operator.index(value) if hint is int else float(value)
+    except (TypeError, ValueError, OverflowError):
+        return False
+    return number == number
+
+
+def _is_array(value: Any, parts: tuple[Any, ...]) -> bool:
+    """Whether it holds real numbers; ``parts`` of a hint NDArray ask for one axis or more, and maybe integers."""
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError, OverflowError):
+        return False
+    if array.dtype.kind == "O":
+        # Numbers of other kinds, such as fractions.
+        try:
+            array = array.astype(float)
+        except (TypeError, ValueError):
+            return False
+    whole = parts and np.issubdtype(get_args(parts[1])[0], np.integer)
+    numbers = array.dtype.kind in "biu" or (array.dtype.kind == "f" and not (whole and (array % 1 != 0).any()))
+    return (numbers or not array.size) and array.ndim >= bool(parts)
+
+
+def _is_sequence(value: Any) -> bool:
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, abc.Sequence) and not isinstance(value, str | bytes)
+
+
+def _all_fit(value: Any, part: Any) -> bool:
+    if isinstance(value, np.ndarray) and part in (float, int) and value.ndim == 1:
+        return value.dtype.kind in ("biuf" if part is float else "iu")
+    return _is_sequence(value) and all(fits(each, part) for each in value)
+
+
+def words(hint: Any) -> str:
+    """What a message says is expected."""
+    kind, parts = get_origin(hint), get_args(hint)
+    if kind in (Union, types.UnionType):
+        return " or ".join(dict.fromkeys(words(part) for part in _alternatives(parts)))
+    if np.ndarray in (hint, kind):
+        return "an array of numbers"
+    if kind is Literal:
+        return " or ".join(map(repr, parts))
+    if isinstance(kind, type) and issubclass(kind, abc.Callable):  # type: ignore[arg-type]
+        return "a function"
+    if isinstance(kind, type) and issubclass(kind, abc.Mapping):
+        return f"a mapping (each {words(parts[1])})"
+    if kind is tuple and parts[-1] is not Ellipsis:
+        return f"{len(parts)} values, each {words(parts[0])}"
+    if isinstance(kind, type) and issubclass(kind, abc.Iterable):
+        return f"a sequence (each {words(parts[0])})"
+    simple = {float: "a number", int: "an integer", str: "a text", bool: "True or False", type(None): "None"}
+    return simple.get(hint, getattr(hint, "__name__", str(hint)))
+
+
+def _short(value: Any) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."

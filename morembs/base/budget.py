@@ -1,0 +1,225 @@
+"""The resident memory that a process may use, and the disk for what does not fit.
+
+Large arrays can live in scratch files that are mapped into memory. ``release_pages`` gives their pages back:
+the values stay in the file (and in the cache of the operating system), the resident memory of the process falls.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import mmap
+import os
+import weakref
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from morembs.base.closing import Closing
+from morembs.base.errors import OutputError
+from morembs.base.former_names import with_old_names
+from morembs.base.memory import resident_bytes, trim
+from morembs.base.scratch import ScratchFolder
+from morembs.base.types import Values
+
+# Arrays below this size are not worth a file; where the budget is nearly used up those below the second are not.
+_SMALL, _SMALLEST = 16_000_000, 1_000_000
+# Part of the budget that arrays may take in memory before they go to files.
+_IN_MEMORY = 0.02
+# Part of what is left that one block of columns may take.
+_BLOCK_SHARE = 0.25
+# The same where every block costs as much as a pass over a file, so that blocks are to be wide.
+_WIDE_SHARE = 0.6
+_WIDEST = 256
+# Part of the whole budget that columns of an array in a file may take which a product reads at once, and most of them.
+_READ_SHARE, _MOST_READ = 0.03, 64
+# Less than this part of the budget left is tight.
+_TIGHT = 0.3
+
+
+# Where the system cannot reserve space on a disk, zeros are written, so many bytes at once.
+_ZEROS = 1 << 22
+
+
+@dataclass(frozen=True)
+class _Mapped:
+    """A scratch file of ``size`` bytes at ``path``, and what was resident when it was made; its array may be gone."""
+
+    map: weakref.ref[mmap.mmap]
+    path: Path
+    size: int
+    beside: int
+
+
+def memory_that_leaves(room: int, used: int) -> int:
+    """Memory under which ``room`` bytes are left of a process that has ``used`` ones beside arrays, whatever arrays of
+    ``_SMALLEST`` bytes or more it has: the last that stays in memory takes what is left from ``_TIGHT`` of it."""
+    return max(room + used, math.ceil((room + _SMALL) / _TIGHT))
+
+
+@with_old_names(rest="release_pages", relax="release_if_tight")
+@dataclass(eq=False)
+class Budget(Closing):
+    """What a process may use.
+
+    ``memory`` in bytes for the whole process (None: no limit), ``scratch`` for its files (None: the temporary folder of
+    the system). ``in_memory``: bytes of the largest array that stays in memory (None: chosen by ``memory``; 0 puts all
+    arrays on disk). ``widest``: most columns of a block, however much memory there is.
+    """
+
+    memory: int | None = None
+    scratch: Path | None = None
+    in_memory: int | None = None
+    widest: int = _WIDEST
+    _folder: ScratchFolder | None = field(default=None, repr=False)
+    _mapped: list[_Mapped] = field(default_factory=list, repr=False)
+    _count: int = field(default=0, repr=False)
+
+    def left(self) -> int | None:
+        """Bytes that may still be allocated; None without a limit."""
+        return None if self.memory is None else self.memory - resident_bytes()
+
+    @property
+    def files(self) -> int:
+        """How many arrays live in scratch files."""
+        return len(self._used())
+
+    def columns(self, n: int, copies: int = 4, widest: int | None = None, *, wide: bool = False) -> int:
+        """How many columns of length ``n`` to handle at once when ``copies`` of them exist; a power of two.
+
+        ``wide``: as many as there is room for, once the pages of arrays in files have been given back.
+        """
+        if wide:
+            self.release_pages()
+        left, widest = self.left(), min(self.widest, self.widest if widest is None else widest)
+        if left is None:
+            return widest
+        width = int((_WIDE_SHARE if wide else _BLOCK_SHARE) * max(left, 0) / (8 * n * copies))
+        return max(4, min(widest, width if wide else 1 << max(width, 1).bit_length() - 1))
+
+    def read_at_once(self, n: int) -> int:
+        """How many columns of length ``n`` a product reads at once, whatever is in memory by then."""
+        return _MOST_READ if self.memory is None else max(4, min(_MOST_READ, int(_READ_SHARE * self.memory / (8 * n))))
+
+    def empty(self, shape: int | tuple[int, ...], dtype: DTypeLike = np.float64, order: str = "C") -> Values:
+        """An array of zeros or of nothing in particular, in memory or in a scratch file.
+
+        Raises:
+            OutputError: the scratch folder is full.
+        """
+        kind = np.dtype(dtype)
+        size = int(np.prod(shape)) * kind.itemsize
+        if size <= self._largest():
+            return np.zeros(shape, dtype=kind, order="F" if order == "F" else "C")
+        return np.ndarray(shape, dtype=kind, buffer=self._map(size), order="F" if order == "F" else "C")
+
+    @property
+    def _unlimited(self) -> bool:
+        return self.memory is None and self.in_memory is None
+
+    def raise_for(self, more: int) -> int:
+        """Bytes by which to raise the memory for ``more`` to be left now: under a larger budget some of the arrays that
+        are in files stay in memory, and take their part of it."""
+        staying = -1
+        while (larger := self._staying(more + max(staying, 0))) > staying:
+            staying = larger
+        return more + staying
+
+    def _staying(self, more: int) -> int:
+        """Bytes of the arrays in files that would have stayed in memory with ``more`` bytes of it, at most."""
+        # Pages of earlier arrays in files were resident too, so these need not be added.
+        return sum(array.size for array in self._used() if array.size <= self._largest(more, array.beside))
+
+    def _largest(self, more: int = 0, resident: int | None = None) -> float:
+        """Bytes of the largest array that stays in memory: many small ones are a large one.
+
+        With ``more`` bytes of it, and ``resident`` ones in use (None: now).
+        """
+        if self.in_memory is not None:
+            return self.in_memory
+        if self.memory is None:
+            return math.inf
+        memory, used = self.memory + more, resident_bytes() if resident is None else resident
+        return _SMALLEST if memory - used < _TIGHT * memory else max(_SMALL, _IN_MEMORY * memory)
+
+    def store(self, array: Values) -> Values:
+        """``array``, or a copy of it in a scratch file where the budget wants that."""
+        if self._unlimited:
+            return array
+        copy = self.empty(array.shape, array.dtype, "F" if array.flags.f_contiguous else "C")
+        copy[...] = array
+        return copy
+
+    def release_pages(self) -> None:
+        """Give back the pages of all arrays in files, and memory that was freed but still counts as resident."""
+        if self._unlimited:
+            return
+        for array in self._used():
+            mapped = array.map()
+            if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):
+                mapped.madvise(mmap.MADV_DONTNEED)
+        trim()
+
+    def release_if_tight(self) -> None:
+        """``release_pages`` where the budget is nearly used up: for loops over large arrays."""
+        left = self.left()
+        if left is not None and self._mapped and left < _TIGHT * (self.memory or 0):
+            self.release_pages()
+
+    def close(self) -> None:
+        """Remove the files; arrays in them stay readable as long as somebody holds them."""
+        self._mapped.clear()
+        if self._folder is not None:
+            self._folder.close()
+            self._folder = None
+
+    def _used(self) -> list[_Mapped]:
+        """The files whose arrays somebody holds; others go, where they could not lose their names before."""
+        for array in self._mapped:
+            if array.map() is None:
+                _unlink(array.path)
+        self._mapped = [array for array in self._mapped if array.map() is not None]
+        return self._mapped
+
+    def _map(self, size: int) -> mmap.mmap:
+        if self._folder is None:
+            self._folder = ScratchFolder(self.scratch)
+        self._used()
+        self._count += 1
+        path = self._folder.path / f"array-{self._count}"
+        with open(path, "w+b") as file:
+            try:
+                _reserve(file, size)
+            except OSError as error:
+                raise OutputError(
+                    f"the scratch folder {self._folder.path.parent} has no room for {size / 1e9:.2f} GB more "
+                    f"({error.strerror}); make room, or give another scratch folder or more memory"
+                ) from error
+            mapped = mmap.mmap(file.fileno(), size)
+        # Nothing needs the name any more: the file is gone as soon as nobody maps it.
+        _unlink(path)
+        self._mapped.append(_Mapped(weakref.ref(mapped), path, size, resident_bytes()))
+        return mapped
+
+
+def _reserve(file: BinaryIO, size: int) -> None:
+    """Take the space now: a full disk would otherwise end the process when a page is written."""
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(file.fileno(), 0, size)
+        return
+    zeros = bytes(min(size, _ZEROS))
+    for first in range(0, size, len(zeros)):
+        file.write(zeros[: size - first])
+    file.flush()
+
+
+def _unlink(path: Path) -> None:
+    """Take away the name of a file; Windows refuses that while the file is mapped, and its folder keeps it then."""
+    with contextlib.suppress(OSError):
+        path.unlink(missing_ok=True)
+
+
+UNLIMITED = Budget()

@@ -1,0 +1,217 @@
+"""Geometric stiffening terms of a body in a floating frame, for any basis.
+
+Every unit load l (an acceleration, an angular rate, a force on an interface) is balanced by the reaction of the frame,
+f = (I - S'(R'S')^-1 R') f_l for the conditions S u = 0 and rigid motions R. The free body then has a stress, whatever
+its rigid motion, and G_l = sum_a Phi_a' kg_l Phi_a with the scalar geometric stiffness kg_l and the components Phi_a
+of the elastic shapes along x, y and z, and the share of the couplings (see ``link_stiffness``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+
+from morembs.base.errors import InputError, SolverError
+from morembs.base.progress import SILENT, Progress
+from morembs.base.types import Floats
+from morembs.body.floating.frame import FloatingFrame, frame_rows, why_not_floating
+from morembs.body.floating.integrals import PAIRS
+from morembs.body.floating.link_stiffness import Links
+from morembs.body.floating.stiffening import Envelope, Stiffening
+from morembs.fem import FEModel
+from morembs.fem.geometric_stiffness import StressedMesh
+from morembs.linalg.columns import dot
+from morembs.problem import Problem
+from morembs.reducers.base import ReducedModel
+
+# A load that keeps less than this part of its size once the frame's reaction balances it causes no stress.
+BALANCED = 1e-10
+# Loads, and columns of the basis, that are handled at a time.
+LOADS, COLUMNS = 6, 8
+# Part of the budget left that the matrices of one group of loads may take.
+SHARE_OF_BUDGET = 0.25
+
+
+def why_no_stiffening(model: FEModel) -> str:
+    """Why there are no geometric stiffening terms; "" where there are."""
+    if model.mesh is None or not model.materials:
+        return (
+            "geometric stiffening needs the stress in the elements, and this model has matrices only; give its mesh "
+            "and materials, or leave stiffening out"
+        )
+    if not model.dofs.is_solid:
+        return "geometric stiffening needs solid elements; this model has other degrees of freedom than x, y and z"
+    return ""
+
+
+def geometric_stiffening(
+    problem: Problem,
+    reduced: ReducedModel,
+    frame: FloatingFrame,
+    envelope: Envelope | None = None,
+    progress: Progress = SILENT,
+) -> Stiffening:
+    """Geometric stiffening terms of the body in ``frame``.
+
+    Loads of one unit: acceleration of the frame along each axis (the load -M S_t e_a), angular acceleration
+    (-M (e_a x x)), products of angular velocities (-M (e_a x (e_b x x)), both orders where a and b differ; x from the
+    origin of the frame) and six forces and moments at the point of every rigid and average interface. Terms that stay
+    below ``envelope.share`` of Ke are zero and listed in ``dropped``; without an envelope all are kept.
+
+    Peak memory: the loads (N, 12 + 6 k for k interfaces) where the budget wants them, and for a group of loads a
+    scalar matrix each (1/9 of the entries of K) with three blocks of columns.
+
+    Raises:
+        InputError: a model without elements, or a body that has no floating frame.
+        SolverError: a stiffness of the frame that is not positive.
+
+    >>> stiffening = geometric_stiffening(problem, reduced, body.floating)
+    >>> len(stiffening.share)                                        # 3 + 3 + 6 of the frame, 6 of each interface
+    24
+    """
+    reason = why_no_stiffening(problem.model) or why_not_floating(problem, reduced)
+    if reason:
+        raise InputError(reason)
+    mesh = problem.model.mesh
+    if mesh is None or len(frame.elastic) != reduced.order:
+        raise InputError(
+            f"the floating frame belongs to a body of {len(frame.elastic)} coordinates, but {reduced.name!r} has "
+            f"{reduced.order}; make the frame from the same reduction"
+        )
+    links = Links(problem)
+    loads = _unit_loads(problem, links, frame.origin)
+    loaded = _balance(problem, frame, links, loads)
+    progress.update("geometric stiffening: node graph")
+    stressed = StressedMesh.of(mesh, problem.model.materials)
+    G = np.zeros((loads.F.shape[1], frame.count, frame.count))
+    group = _group(problem, stressed.graph.nnz)
+    for first in range(0, len(loaded), group):
+        some = loaded[first : first + group]
+        U = problem.coupling.T @ problem.elastic.flexibility(loads.F[:, some])
+        kg = stressed.stiffness(U, problem.budget)
+        turning = links.turning(U, loads.inertial[:, some], loads.wrench[:, some])
+        del U
+        P = _projected(problem, reduced.V, kg)
+        for place, load in enumerate(some):
+            value = frame.elastic.T @ P[place] @ frame.elastic
+            for name, A in turning.items():
+                rotation = frame.markers[name].motion[3:]
+                value += rotation.T @ A[place] @ rotation
+            G[load] = 0.5 * (value + value.T)
+        progress.update(f"geometric stiffening: {first + len(some)} of {len(loaded)} loads")
+    return _kept(problem, frame, G, envelope or Envelope(share=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Loads:
+    """Loads ``F`` (Nc, 12 + 6 k) = -M a + wrenches, in the order of ``Envelope.limits``: M a at the nodes of interfaces
+    in ``inertial`` (ns, .), the wrenches on all interfaces in ``wrench`` (6 k, .)."""
+
+    F: Floats
+    inertial: Floats
+    wrench: Floats
+
+
+def _unit_loads(problem: Problem, links: Links, origin: Floats) -> _Loads:
+    model, coupling = problem.model, problem.coupling
+    x, eye, count = model.nodes.xyz - origin, np.eye(3), coupling.frames.shape[1]
+    turned = [np.cross(axis, x) for axis in eye]
+    F = problem.budget.empty((coupling.T.shape[1], 12 + count), order="F")
+    inertial, wrench = np.zeros((len(links.dofs), 12 + count)), np.zeros((count, 12 + count))
+
+    def accelerated(load: int, field: Floats) -> None:
+        force = model.M @ field.ravel()
+        F[:, load], inertial[:, load] = -(coupling.T.T @ force), force[links.dofs]
+
+    for a in range(3):
+        accelerated(a, np.broadcast_to(eye[a], x.shape))
+        accelerated(3 + a, turned[a])
+    for place, (a, b) in enumerate(PAIRS):
+        once = np.cross(eye[a], turned[b])
+        accelerated(6 + place, once if a == b else once + np.cross(eye[b], turned[a]))
+    F[:, 12:], wrench[:, 12:] = coupling.frames.toarray(), np.eye(count)
+    return _Loads(F, inertial, wrench)
+
+
+def _balance(problem: Problem, frame: FloatingFrame, links: Links, loads: _Loads) -> list[int]:
+    """Adds the frame's reaction to the ``loads`` in place; returns those that still load the body."""
+    rows, R = frame_rows(problem, frame.kind, frame.interfaces), problem.coupling.R
+    before = np.linalg.norm(loads.F, axis=0)
+    share = np.linalg.solve(R.T @ rows, R.T @ loads.F)
+    for load in range(loads.F.shape[1]):
+        loads.F[:, load] -= rows @ share[:, load]
+    # Conditions are motions of interfaces or of the mass: rows = M R alpha + frames beta.
+    basis = sp.csc_array(sp.hstack([sp.csc_array(problem.M @ R), problem.coupling.frames]))
+    scale = 1.0 / np.sqrt(np.asarray(basis.multiply(basis).sum(axis=0)).ravel())
+    gram = scale[:, None] * (basis.T @ basis).toarray() * scale
+    parts = scale[:, None] * np.linalg.lstsq(gram, scale[:, None] * (basis.T @ rows), rcond=1e-13)[0] @ share
+    loads.inertial[:] += links.M @ (problem.coupling.T @ R) @ parts[:6]
+    loads.wrench[:] -= parts[6:]
+    return [int(load) for load in np.flatnonzero(np.linalg.norm(loads.F, axis=0) > BALANCED * before)]
+
+
+def _group(problem: Problem, entries: int) -> int:
+    """How many loads to handle at once: each has a scalar matrix, and ``COLUMNS`` and more columns."""
+    left = problem.budget.left()
+    if left is None:
+        return LOADS
+    per_load = 8 * entries + 8 * problem.K.shape[0] * (2 * COLUMNS + 4)
+    return int(np.clip(SHARE_OF_BUDGET * left // per_load, 1, LOADS))
+
+
+def _projected(problem: Problem, V: Floats, kg: list[sp.csr_array]) -> Floats:
+    """V' T' (kg (x) I3) T V (k, nr, nr) for each of the k scalar matrices, a block of columns at a time."""
+    T, budget, order = problem.coupling.T, problem.budget, V.shape[1]
+    width = budget.columns(len(V), copies=2 * len(kg) + 2, widest=COLUMNS)
+    P = np.empty((len(kg), order, order))
+    for first in range(0, order, width):
+        X = np.ascontiguousarray(T @ V[:, first : first + width])
+        w = X.shape[1]
+        # Rows 3 i + a of X: displacement a of node i, so one product with kg serves all three.
+        by_node = X.reshape(-1, 3 * w)
+        Y = np.empty((len(V), len(kg) * w))
+        for place, matrix in enumerate(kg):
+            Y[:, place * w : (place + 1) * w] = T.T @ (matrix @ by_node).reshape(-1, w)
+        product = dot(V, Y, budget)
+        P[:, :, first : first + w] = product.reshape(order, len(kg), w).transpose(1, 0, 2)
+        budget.release_if_tight()
+    return P
+
+
+def _kept(problem: Problem, frame: FloatingFrame, G: Floats, envelope: Envelope) -> Stiffening:
+    """The terms (loads, n, n) that matter within the envelope."""
+    columns = problem.coupling.frame_columns
+    share, load, dropped = {}, {}, []
+    for term, (name, limit) in zip(G, envelope.limits(list(columns)).items(), strict=True):
+        load[name] = 1.0 if limit is None else limit
+        share[name] = load[name] * _largest_change(term, frame.Ke)
+        if limit is not None and term.any() and share[name] < envelope.share:
+            dropped.append(name)
+            term[:] = 0.0
+    return Stiffening(
+        acceleration=G[:3],
+        angular_acceleration=G[3:6],
+        rotation=G[6:12],
+        wrench={name: G[12:][at] for name, at in columns.items()},
+        share=share,
+        load=load,
+        dropped=tuple(dropped),
+        least_share=envelope.share,
+    )
+
+
+def _largest_change(G: Floats, Ke: Floats) -> float:
+    """Largest |eigenvalue| of Ke^-1/2 G Ke^-1/2."""
+    if not G.any():
+        return 0.0
+    try:
+        values = sl.eigh(G, Ke, eigvals_only=True)
+    except sl.LinAlgError as error:
+        raise SolverError(
+            "the stiffness of the body in its floating frame is not positive, so that nothing can be compared with it; "
+            "a shape without stiffness is left in the basis"
+        ) from error
+    return float(np.abs(values).max())

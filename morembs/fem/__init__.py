@@ -1,0 +1,18 @@
+"""The finite-element model: nodes, elements, materials, matrices and what each degree of freedom means."""
+
+from morembs.fem.arrays import frozen, frozen_numbers
+from morembs.fem.fe_model import DofMap, ElementBlock, FEModel, Mesh, Nodes, rigid_motion, skew
+from morembs.fem.named_columns import NamedColumns
+
+__all__ = [
+    "DofMap",
+    "ElementBlock",
+    "FEModel",
+    "Mesh",
+    "NamedColumns",
+    "Nodes",
+    "frozen",
+    "frozen_numbers",
+    "rigid_motion",
+    "skew",
+]
