@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from morembs.base.former_names import renamed
 from morembs.base.plugins import Registry, subclass_fault
 from morembs.reducers.automatic import AutoReducer
 from morembs.reducers.balanced import Balanced
@@ -54,3 +55,5 @@ __all__ = [
     "Reducer",
     "StaticModesSwitching",
 ]
+
+__getattr__ = renamed(__name__, {"Automatic": "AutoReducer"})
