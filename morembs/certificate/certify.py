@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base import progress
 from morembs.base.errors import InputError
+from morembs.base.former_names import with_progress_argument
 from morembs.base.optional import optional
-from morembs.base.progress import SILENT, Progress
 from morembs.base.summary import error_words, summarised
 from morembs.base.types import Complexes, Floats
 from morembs.certificate.limits import ErrorLimits, body_response, checked_sharpness, error_limits, sampled
@@ -126,6 +127,7 @@ class Certificate(ErrorLimits):
         }
 
 
+@with_progress_argument
 def certify(
     problem: Problem,
     bodies: Sequence[ReducedModel],
@@ -136,7 +138,6 @@ def certify(
     sharpness: float = SHARPNESS,
     points: int = POINTS,
     bound: bool = True,
-    progress: Progress = SILENT,
 ) -> tuple[Certificate, ...]:
     """Certificate of each of ``bodies`` over ``band_hz`` (low, high), both ends included.
 
@@ -170,8 +171,8 @@ def certify(
     low, high = checked_band([float(f) for f in band_hz])
     if not problem.symmetric:
         hz = band_frequencies(problem, (low, high), points) if given is None else given
-        return _measured(problem, bodies, hz, (low, high), measure, damping_floor, progress)
-    reference = certified_reference(problem, (low, high), damping_floor=damping_floor, progress=progress)
+        return _measured(problem, bodies, hz, (low, high), measure, damping_floor)
+    reference = certified_reference(problem, (low, high), damping_floor=damping_floor)
     hz = band_frequencies(problem, (low, high), points, floor=reference.floor) if given is None else given
     H = reference.H(2 * np.pi * hz)
     certificates = []
@@ -241,13 +242,12 @@ def _measured(
     band_hz: tuple[float, float],
     measure: str,
     floor: float | None,
-    progress: Progress,
 ) -> tuple[Certificate, ...]:
     """Certificates of bodies of a model that is not symmetric: errors at ``hz`` (nf,), without a limit between them."""
     if floor:
         raise InputError("a damping floor was given for a model with a gyroscopic or circulatory matrix; leave it out")
     S, nothing = np.outer(problem.motion_scale, problem.motion_scale), np.empty(0)
-    H = direct_response(problem, 2 * np.pi * hz, progress) * S
+    H = direct_response(problem, 2 * np.pi * hz) * S
     statics, norm = problem.B.T @ elastic_statics(problem, problem.B) * S, np.linalg.norm(H, axis=(1, 2))
     certificates = []
     for body in bodies:
