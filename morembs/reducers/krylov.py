@@ -28,7 +28,7 @@ from morembs.problem import Problem
 from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.petrov_galerkin import two_sided_basis
-from morembs.reducers.shifts import RIGID_LOAD, Wanted, apply, expansion_point, frequency, grow_at_once
+from morembs.reducers.shifts import RIGID_LOAD, Wanted, expansion_point, frequency, grow_at_once
 from morembs.responses.loads import elastic_part, inertia_loads, load_scale
 
 MOST_COLUMNS = 500
@@ -306,11 +306,11 @@ class _LoadSpace:
             return np.asarray(F)
         width = problem.budget.columns(len(V))
         blocks = [slice(at, min(at + width, self.size)) for at in range(0, self.size, width)]
-        A = np.hstack([dot(V, apply(problem, s, V[:, block]), problem.budget) for block in blocks])
+        A = np.hstack([dot(V, problem.system.apply(s, V[:, block]), problem.budget) for block in blocks])
         y = np.linalg.solve(A, V.T @ F)
         rest: NDArray[Any] = np.array(F, dtype=y.dtype)
         for block in blocks:
-            rest -= apply(problem, s, V[:, block]) @ y[block]
+            rest -= problem.system.apply(s, V[:, block]) @ y[block]
         return np.asarray(rest)
 
     def cut(self, order: int, top: float) -> None:
