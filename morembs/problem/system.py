@@ -17,6 +17,7 @@ from morembs.base.crew import Crew
 from morembs.base.errors import SolverError
 from morembs.base.memory import resident_bytes
 from morembs.base.types import Floats, Values
+from morembs.base.units import in_hz
 from morembs.linalg.columns import map_columns
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.sparse.solver import STRUCTURES
@@ -119,7 +120,7 @@ class System:
         size = np.linalg.norm(d * F, axis=0) + np.linalg.norm(X / np.where(d > 0, d, np.inf), axis=0)
         error = float((small / np.where(size > 0, size, 1.0)).max(initial=0.0))
         if not error <= BACKWARD_ERROR:
-            raise SolverError(f"solved at {abs(s) / (2 * np.pi):.6g} Hz to a backward error of {error:.1e} only")
+            raise SolverError(f"solved at {in_hz(abs(s)):.6g} Hz to a backward error of {error:.1e} only")
 
     def crew(self, others: Any, points: Sequence[complex], *, workers: int, columns: int, damped: bool = True) -> Crew:
         """Processes for a factorisation of A(s) at each of ``points``, with ``columns`` solved for.

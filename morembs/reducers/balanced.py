@@ -18,6 +18,7 @@ import numpy as np
 from morembs.base.errors import InputError, SolverError
 from morembs.base.progress import Progress
 from morembs.base.types import Floats, Values
+from morembs.base.units import in_hz
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
 from morembs.linalg.columns import multiply, project_out, projected
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
@@ -214,7 +215,7 @@ class Balanced(OfResponses):
                 if settled <= SETTLED:
                     notes = {
                         "gramian": "modal damping: Lyapunov equation of a reference model of order "
-                        f"{len(reference.values)}, accurate up to {top / (2 * np.pi):.6g} Hz",
+                        f"{len(reference.values)}, accurate up to {in_hz(top):.6g} Hz",
                         "gramian_change": change,
                     }
                     return _Gramian(Zp=Zp, Zv=Zv, products=products, reference=reference, notes=notes)
@@ -258,7 +259,7 @@ def _up_to(problem: Problem, top: float, progress: Progress) -> Reference:
     except SolverError as error:
         raise SolverError(
             "with modal damping the Gramian over all frequencies needs a reference model up to "
-            f"{top / (2 * np.pi):.6g} Hz, which is out of reach ({error}); {INSTEAD}"
+            f"{in_hz(top):.6g} Hz, which is out of reach ({error}); {INSTEAD}"
         ) from error
 
 

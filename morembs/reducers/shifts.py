@@ -20,6 +20,7 @@ import scipy.linalg as sl
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.base.progress import Progress
 from morembs.base.types import Floats, Values
+from morembs.base.units import in_hz
 from morembs.linalg.columns import complement, map_columns
 from morembs.linalg.second_order_arnoldi import PASSES, SecondOrderArnoldi
 from morembs.problem import Problem, System
@@ -154,8 +155,8 @@ class ExpansionPoint:
                     ) from error
                 if self.moves == MOVES:
                     raise SolverError(
-                        f"shift {frequency(self.asked):.6g} Hz and {MOVES} places above it, up to "
-                        f"{frequency(self.at):.6g} Hz, lie on eigenvalues or on rigid-body motion; take a shift a few "
+                        f"shift {in_hz(abs(self.asked)):.6g} Hz and {MOVES} places above it, up to "
+                        f"{in_hz(abs(self.at)):.6g} Hz, lie on eigenvalues or on rigid-body motion; take a shift a few "
                         f"percent away, or 0 ({error})"
                     ) from error
                 self.chains.clear()
@@ -212,7 +213,7 @@ class ExpansionPoint:
         Q = chain.blocks[0]
         distance = np.abs(sl.eigvalsh(Q.T @ (self.system.K @ Q)) - w2).min()
         if distance < ON_EIGENVALUE * w2:
-            raise SingularMatrixError(f"{frequency(self.at):.6g} Hz is an eigenfrequency")
+            raise SingularMatrixError(f"{in_hz(abs(self.at)):.6g} Hz is an eigenfrequency")
 
 
 def expansion_point(problem: Problem, s: complex) -> ExpansionPoint:
@@ -267,8 +268,3 @@ def _grown(
     chains = point.grow({key: Wanted(loads[key], *asked) for key, asked in counts.items()})
     parts = [(chain.blocks, chain.deflated, chain.finished) for chain in chains]
     return Grown(at=point.at, moves=point.moves, chains=parts)
-
-
-def frequency(s: complex) -> float:
-    """|s| in Hz."""
-    return float(abs(s) / (2 * np.pi))

@@ -13,6 +13,7 @@ from morembs.base.crew import Crew
 from morembs.base.errors import InputError, SingularMatrixError
 from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Complexes, Floats, Values
+from morembs.base.units import in_hz
 from morembs.linalg.columns import map_columns
 from morembs.problem import Damping, Problem, System
 
@@ -74,7 +75,7 @@ def elastic_states(system: System, s: complex, F: Values, *, transposed: bool = 
             X = solve(M @ Z, transposed=transposed)
     except SingularMatrixError as error:
         raise SingularMatrixError(
-            f"{abs(s) / (2 * np.pi):.9g} Hz is an eigenfrequency of the undamped model, where its response is "
+            f"{in_hz(abs(s)):.9g} Hz is an eigenfrequency of the undamped model, where its response is "
             "infinite; move the frequency or give the model damping"
         ) from error
     return np.asarray(U - X @ np.linalg.solve(Z.T @ (M @ X), Z.T @ (M @ U)))
