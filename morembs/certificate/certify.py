@@ -16,6 +16,7 @@ from morembs.base.former_names import with_progress_argument
 from morembs.base.optional import optional
 from morembs.base.summary import error_words, summarised
 from morembs.base.types import Complexes, Floats
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.certificate.limits import ErrorLimits, body_response, checked_sharpness, error_limits, sampled
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.proof import proof_of
@@ -230,7 +231,7 @@ def _certificate(
         mode_deviation=poles.deviation,
         mode_mac=poles.mac,
         residue_deviation=poles.residue,
-        verified_below_hz=float(np.sqrt(reference.cut) / (2 * np.pi)),
+        verified_below_hz=float(eigenvalue_in_hz(reference.cut)),
         notes=(*known.notes, *_on_damping(reference, reduced, poles), *_missing(poles)),
     )
 
@@ -312,7 +313,7 @@ def _on_damping(reference: CertifiedReference, reduced: ReducedModel, poles: Pol
     omega = 2 * np.pi * poles.frequencies_hz
     moved = damping.ratio(omega) != damping.ratio(omega * (1 + np.nan_to_num(poles.deviation)))
     if moved.any():
-        listed = ", ".join(f"{f:,.6g}" for f in omega[moved][:5] / (2 * np.pi)) + (", ..." if moved.sum() > 5 else "")
+        listed = ", ".join(f"{f:,.6g}" for f in in_hz(omega[moved][:5])) + (", ..." if moved.sum() > 5 else "")
         sentences.append(
             f"the modal damping table jumps between the frequencies that {int(moved.sum())} modes have in the full "
             f"model and in this body, which gives them different ratios: {listed} Hz"

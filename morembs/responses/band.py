@@ -8,6 +8,7 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.problem import Problem
 from morembs.responses.clusters import damping_of_clusters
 
@@ -50,10 +51,10 @@ def band_frequencies(problem: Problem, band_hz: Sequence[float], points: int = P
     damped = least > UNDAMPED * (omega + own)
     width = np.maximum(width, NEAR * omega)
     for flank in FLANKS:
-        flanks = (omega + flank * width) / (2 * np.pi)
+        flanks = in_hz(omega + flank * width)
         grid.append(flanks[(flanks > low) & (flanks < high) & (damped | bool(flank))])
     hz = np.unique(np.concatenate(grid))
-    on = np.abs(hz[:, None] - omega[~damped] / (2 * np.pi)) <= ON * hz[:, None]
+    on = np.abs(hz[:, None] - in_hz(omega[~damped])) <= ON * hz[:, None]
     # At the top of an undamped resonance there is no response: its flank within the band takes its place.
     moved = np.where(hz * (1 + NEAR) <= high, 1 + NEAR, 1 - NEAR)
     return np.unique(np.where(on.any(axis=1), hz * moved, hz))

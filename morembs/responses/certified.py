@@ -19,6 +19,7 @@ from morembs.base.errors import InputError, SolverError
 from morembs.base.former_names import with_progress_argument
 from morembs.base.summary import summarised, upwards
 from morembs.base.types import Complexes, Floats
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.linalg.columns import dot, subtract
 from morembs.linalg.congruence import scaled_row_sums
 from morembs.linalg.eigen import GAP
@@ -210,7 +211,7 @@ class CertifiedReference:
         omega = np.concatenate([[low, high], inside])
         off, e = self._lost(omega)
         part = off / e
-        return float(part.max()), float(omega[part.argmax()] / (2 * np.pi))
+        return float(part.max()), float(in_hz(omega[part.argmax()]))
 
     def _lost(self, omega: Floats) -> tuple[Floats, Floats]:
         """``uncertainty`` and envelope (nf,) at ``omega`` (nf,)."""
@@ -367,7 +368,7 @@ class _Build:
             k = int((values < self.cut).sum())
         if k != len(self.modes.eigenvalues):
             raise SolverError(
-                f"{len(self.modes.eigenvalues)} modes lie below {np.sqrt(self.cut) / (2 * np.pi):,.6g} Hz and the "
+                f"{len(self.modes.eigenvalues)} modes lie below {eigenvalue_in_hz(self.cut):,.6g} Hz and the "
                 f"reference has {k}; move the upper end of the band by a percent"
             )
         modes = space.modes(Y, values, k, self.band[1])

@@ -19,6 +19,7 @@ import scipy.sparse as sp
 from morembs.base import progress
 from morembs.base.errors import SolverError
 from morembs.base.types import Complexes, Floats
+from morembs.base.units import in_hz
 from morembs.linalg.columns import complement, dot, hstack, multiply, orthonormal, projected, symmetric
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
@@ -85,7 +86,7 @@ class DampedSpace:
                     true = loads.T @ U
                     errors.append(float(np.abs(true - _response(w, values, D, F)).max() / np.abs(true).max()))
                     progress.update(
-                        f"frequency response: order {len(values)}, error {errors[-1]:.1e} at {w / (2 * np.pi):.4g} Hz"
+                        f"frequency response: order {len(values)}, error {errors[-1]:.1e} at {in_hz(w):.4g} Hz"
                     )
                     solved += [U.real, U.imag]
                 # Both judge one space: the next one, which has them in it, has to be good as well.
