@@ -24,12 +24,13 @@ from morembs.certificate.response import reduced_response
 from morembs.certificate.tolerances import TOL
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
-from morembs.responses.band import POINTS, band_frequencies, checked_band
+from morembs.responses.band import band_frequencies, checked_band
 from morembs.responses.certified import CertifiedReference, certified_reference
 from morembs.responses.direct import direct_response, elastic_statics
 from morembs.responses.layout import Layout
 from morembs.responses.loads import static_response
-from morembs.responses.measures import SHARPNESS, Limit, checked_measure
+from morembs.responses.measures import Limit, checked_measure
+from morembs.responses.tolerances import TOL as RESPONSES
 from morembs.storage.lemma import Lemma, kind_of
 
 OLD_KINDS = {"proven": "bound", "estimate": "estimate", "sampled": "none"}
@@ -136,8 +137,8 @@ def certify(
     *,
     measure: str = "envelope",
     damping_floor: float | None = None,
-    sharpness: float = SHARPNESS,
-    points: int = POINTS,
+    sharpness: float = RESPONSES.sharpness,
+    points: int = RESPONSES.band_points,
     bound: bool = True,
 ) -> tuple[Certificate, ...]:
     """Certificate of each of ``bodies`` over ``band_hz`` (low, high), both ends included.

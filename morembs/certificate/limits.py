@@ -13,13 +13,14 @@ from morembs.base.types import Floats
 from morembs.base.units import in_hz
 from morembs.certificate.tolerances import TOL
 from morembs.reducers.base import ReducedModel
-from morembs.responses.cells import MOST, Cells
+from morembs.responses.cells import Cells
 from morembs.responses.certified import CertifiedReference
 from morembs.responses.layout import Layout
-from morembs.responses.measures import MEASURES, SHARPNESS, Limit, Standard, compare
+from morembs.responses.measures import MEASURES, Limit, Standard, compare
 from morembs.responses.pencils import response_of
 from morembs.responses.rational import Terms
 from morembs.responses.rounding import Response
+from morembs.responses.tolerances import TOL as RESPONSES
 
 UNKNOWN = ("the residual of the reference", "round-off of the full model", "round-off of the body")
 CURES = (
@@ -79,7 +80,11 @@ def body_response(reference: CertifiedReference, reduced: ReducedModel, layout: 
 
 
 def error_limits(
-    reference: CertifiedReference, reduced: ReducedModel, *, sharpness: float = SHARPNESS, most_cells: int = MOST
+    reference: CertifiedReference,
+    reduced: ReducedModel,
+    *,
+    sharpness: float = RESPONSES.sharpness,
+    most_cells: int = RESPONSES.max_cells,
 ) -> ErrorLimits:
     """Limits of the error of any body on every frequency of the band of ``reference``; it may be read from a file.
 

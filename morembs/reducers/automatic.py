@@ -28,8 +28,9 @@ from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.families import OfResponses
 from morembs.reducers.family_search import MANY, FamilySearch
 from morembs.responses.band import band_frequencies, checked_band
-from morembs.responses.certified import TOLERANCE, CertifiedReference, certified_reference, checked_floor, floor_of
+from morembs.responses.certified import CertifiedReference, certified_reference, checked_floor, floor_of
 from morembs.responses.measures import checked_measure
+from morembs.responses.tolerances import TOL as RESPONSES
 
 # The reference is better than the tolerance by this factor.
 BETTER = 1e-3
@@ -94,7 +95,7 @@ class AutoReducer(OfResponses):
             certified = certified_reference(
                 problem,
                 self.band_hz,
-                tolerance=min(BETTER * self.tolerance, TOLERANCE),
+                tolerance=min(BETTER * self.tolerance, RESPONSES.reference_error),
                 damping_floor=floor,
                 inertia_loads=inertia,
             )

@@ -17,9 +17,7 @@ from morembs.base.types import Complexes, Floats, Values
 from morembs.base.units import in_hz
 from morembs.linalg.columns import map_columns
 from morembs.problem import Damping, Problem, System
-
-# Models with a damping matrix are taken whole up to this size.
-DENSE = 400
+from morembs.responses.tolerances import TOL
 
 
 def why_no_response(damping: Damping, own: bool, size: int | None) -> str:
@@ -28,7 +26,7 @@ def why_no_response(damping: Damping, own: bool, size: int | None) -> str:
     ``own`` says that the model has a damping matrix; ``size`` None stands for direct solutions, which take Rayleigh
     damping beside a matrix at no size.
     """
-    small = size is not None and size <= DENSE
+    small = size is not None and size <= TOL.dense_order
     if not own or not (damping.is_modal or (damping.is_rayleigh and not small)):
         return ""
     kind = "modal" if damping.is_modal else "Rayleigh"
