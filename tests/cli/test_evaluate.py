@@ -23,7 +23,7 @@ def path(tmp_path_factory):
     mesh = bracket()
     varied = varied_model(mesh, [STEEL], (*parameters(), longer(mesh)))
     with AffineProblem(varied, interfaces(varied.model(varied.box.nominal))) as problem:
-        return parametric_file(tmp_path_factory.mktemp("bodies") / "bracket.h5", problem, nodes="skin")
+        return parametric_file(tmp_path_factory.mktemp("bodies") / "bracket.h5", problem, nodes="interfaces")
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def proven(tmp_path_factory):
     with AffineProblem(varied, interfaces(varied.model(varied.box.nominal))) as problem:
         reduced = reducer.reduce(problem)
         variation = reducer.variation(problem, reduced)
-        body = build_body(problem, reduced, make_part(problem, "skin"), BodyOptions(), variation=variation)
+        body = build_body(problem, reduced, make_part(problem, "interfaces"), BodyOptions(), variation=variation)
         return write_body(tmp_path_factory.mktemp("proven") / "bracket.h5", [body])
 
 
