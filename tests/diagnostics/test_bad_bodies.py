@@ -27,6 +27,7 @@ from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Krylov
 from morembs.storage.checksums import seal
 from tests.support.meshes import box, steel, where
+from tests.support.stored import datasets
 
 # What follows from other datasets and is for people or other programs only.
 DERIVED = "C4|C6|Cr1|J1|Gr|Ge|Oe|Oe1"
@@ -107,11 +108,8 @@ def used_up(path, folder):
     recover(path, motion, folder / "out.vtkhdf")
 
 
-def datasets(path):
-    by_name = {}
-    with h5py.File(path) as file:
-        file.visititems(lambda name, item: by_name.update({name: item[()]} if isinstance(item, h5py.Dataset) else {}))
-    return {name: value for name, value in by_name.items() if not re.match(UNREAD, name)}
+def read_ones(path):
+    return {name: value for name, value in datasets(path).items() if not re.match(UNREAD, name)}
 
 
 def ways(name, value):
@@ -136,8 +134,8 @@ def ways(name, value):
 )
 def test_every_dataset_of_a_damaged_file_is_named(whole, tmp_path, way, least):
     tried = 0
-    for name, value in datasets(whole).items():
-        other = dict(ways(name, np.asarray(value))).get(way)
+    for name, value in read_ones(whole).items():
+        other = dict(ways(name, value)).get(way)
         if other is None:
             continue
         path = damaged(whole, tmp_path, put(name, other))
