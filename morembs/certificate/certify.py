@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import DampingFloor
 from morembs.base.optional import optional
 from morembs.base.progress import SILENT, Progress
 from morembs.base.summary import error_words, summarised
 from morembs.base.types import Complexes, Floats
-from morembs.certificate.limits import ErrorLimits, body_response, checked_sharpness, error_limits, sampled
+from morembs.certificate.limits import ErrorLimits, body_response, error_limits, sampled
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.proof import proof_of
 from morembs.certificate.response import reduced_response
@@ -26,7 +28,7 @@ from morembs.responses.certified import CertifiedReference, certified_reference
 from morembs.responses.direct import direct_response, elastic_statics
 from morembs.responses.layout import Layout
 from morembs.responses.loads import static_response
-from morembs.responses.measures import SHARPNESS, Limit, checked_measure
+from morembs.responses.measures import SHARPNESS, Limit, Measure, Sharpness
 from morembs.storage.lemma import Lemma, kind_of
 
 # A mode whose MAC is below this is missing.
@@ -129,14 +131,15 @@ class Certificate(ErrorLimits):
         }
 
 
+@checked
 def certify(
     problem: Problem,
     bodies: Sequence[ReducedModel],
     band_hz: Sequence[float] | Floats,
     *,
-    measure: str = "envelope",
-    damping_floor: float | None = None,
-    sharpness: float = SHARPNESS,
+    measure: Measure = "envelope",
+    damping_floor: DampingFloor | None = None,
+    sharpness: Sharpness = SHARPNESS,
     points: int = POINTS,
     bound: bool = True,
     progress: Progress = SILENT,
@@ -160,8 +163,6 @@ def certify(
     """
     if isinstance(bodies, ReducedModel):
         raise InputError("one reduced model was given; expected a list of them, such as [reduced]")
-    checked_measure(measure)
-    checked_sharpness(sharpness)
     given = None
     if len(band_hz) != 2:
         warnings.warn(

@@ -13,11 +13,12 @@ The block of the motions i and loads j is measured by the envelope of its own, s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.base.errors import InputError
+from morembs.base.limits import number, one_of
 from morembs.base.types import Floats
 from morembs.responses.cells import MOST, Bounds, Cells, first_edges, search
 from morembs.responses.layout import Layout
@@ -25,6 +26,8 @@ from morembs.responses.rational import BULGE, DEGREE, GRID, POINTS, SEGMENTS, Te
 from morembs.responses.rounding import Lost, Response, Rounding
 
 MEASURES = ("envelope", "peak", "pointwise")
+Measure = Annotated[str, one_of(*MEASURES)]
+Sharpness = Annotated[float, number("a factor from 1.01 to 2", ge=1.01, le=2)]
 SHARPNESS = 1.05
 # A limit of a cell is at most this times a value that is reached in it.
 LOCAL = 2.0
@@ -45,16 +48,6 @@ class Limit:
     lower: float
     upper: float
     at_hz: float
-
-
-def checked_measure(measure: str) -> None:
-    """Refuse what is no measure.
-
-    Raises:
-        InputError: as said.
-    """
-    if measure not in MEASURES:
-        raise InputError(f'measure = {measure!r} was given; expected "envelope", "peak" or "pointwise"')
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

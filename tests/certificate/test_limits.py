@@ -205,8 +205,8 @@ def test_a_damping_matrix_of_the_models_own_makes_an_estimate():
         ({"damping_floor": -0.1}, r"damping_floor = -0.1 was given; expected a part of critical damping from 0 to"),
         ({"damping_floor": 1.0}, r"damping_floor = 1.0 was given"),
         ({"damping_floor": float("nan")}, r"damping_floor = nan was given"),
-        ({"sharpness": 1.0}, r"sharpness = 1 was given; expected a factor from 1.01 to 2"),
-        ({"sharpness": 3.0}, r"sharpness = 3 was given"),
+        ({"sharpness": 1.0}, r"sharpness = 1.0 was given; expected a factor from 1.01 to 2"),
+        ({"sharpness": 3.0}, r"sharpness = 3.0 was given"),
     ],
 )
 def test_options_that_are_none(options, message):

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from morembs.app.jobs.schema import JobTables, ReduceTable
 from morembs.base.errors import InputError, nearest
-from morembs.base.options import Text, checked, in_toml, pairs, readings
+from morembs.base.options import Text, in_toml, pairs, read_options, readings
 from morembs.reducers import REDUCERS
 from morembs.reducers.base import Reducer
 from morembs.storage.attempts import attempt_at
@@ -173,7 +173,7 @@ def _reducer(name: str, table: ReduceTable) -> Reducer:
     if table.method not in REDUCERS:
         raise InputError(f"{where}method = {table.method!r} was given; {REDUCERS.advice(table.method)}")
     kind = REDUCERS[table.method]
-    options = checked(
+    options = read_options(
         kind, table.options(), f"method {table.method!r}", where=where, word="key", besides=("name", "method")
     )
     try:
