@@ -146,8 +146,8 @@ def fits(value: Any, hint: Any) -> bool:
     if kind is tuple and parts[-1] is not Ellipsis:
         return _is_sequence(value) and len(value) == len(parts) and all(map(fits, value, parts))
     if isinstance(kind, type) and issubclass(kind, abc.Iterable):
-        # A text is a sequence of texts.
-        return isinstance(value, str) if isinstance(value, str) and parts[0] is str else _all_fit(value, parts[0])
+        # A text is a sequence of texts, and no list.
+        return kind is not list if isinstance(value, str) and parts[0] is str else _all_fit(value, parts[0])
     return _is_one(value, hint)
 
 

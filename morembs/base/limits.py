@@ -36,9 +36,11 @@ def number(words: str, **ends: float) -> Domain:
 def text(words: str, pattern: str = ".", longest: int | None = None) -> Domain:
     """A text in which ``pattern`` is found, no longer than ``longest``; by default any but the empty one."""
     most = {} if longest is None else {"maxLength": longest}
+    # "$" of JSON is the end of a text, also where its last character ends a line.
+    found = re.compile(re.sub(r"\$$", r"\\Z", pattern), re.DOTALL)
     return Domain(
         words,
-        lambda value: re.search(pattern, value, re.DOTALL) is not None and len(value) <= (longest or len(value)),
+        lambda value: found.search(value) is not None and len(value) <= (longest or len(value)),
         {"pattern": pattern, **most} if pattern != "." else {"minLength": 1, **most},
     )
 
