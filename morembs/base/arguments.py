@@ -98,9 +98,13 @@ def check_value(name: str, value: object, hint: Any) -> None:
         raise InputError(f"{name} = {shown(value)} was given; expected {words(hint)}")
 
 
-@functools.cache
-def hints_of(target: Callable[..., Any]) -> dict[str, Any]:
+def hints_of(target: Any) -> dict[str, Any]:
     """Name of each field or parameter -> its hint with limits; those that only type checkers can know are left out."""
+    return _hints_of(target)
+
+
+@functools.cache
+def _hints_of(target: Any) -> dict[str, Any]:
     known: dict[str, Any] = {}
     for name, annotation, module in _annotations(target):
         one = types.SimpleNamespace(__annotations__={name: annotation})
@@ -110,12 +114,12 @@ def hints_of(target: Callable[..., Any]) -> dict[str, Any]:
     return known
 
 
-def _annotations(target: Callable[..., Any]) -> Iterator[tuple[str, Any, str]]:
+def _annotations(target: Any) -> Iterator[tuple[str, Any, str]]:
     """Name, annotation and module of each; fields of a dataclass are those of the classes that it derives from too."""
-    call: Callable[..., Any] = target.__init__ if isinstance(target, type) else target  # type: ignore[misc]
+    call = target.__init__ if isinstance(target, type) else target
     parameters = inspect.signature(call).parameters
     if is_dataclass(target):
-        for holder in reversed(target.__mro__):  # type: ignore[union-attr]
+        for holder in reversed(target.__mro__):
             for name, annotation in inspect.get_annotations(holder).items():
                 if name in parameters:
                     yield name, annotation, holder.__module__

@@ -101,22 +101,17 @@ def _read(kind: type[AnyTable], data: Mapping[str, Any], head: str, faults: list
 
 def _value(entry: Field[Any], hint: Any, value: Any, head: str, faults: list[str]) -> Any:
     """The value of a key as its hint has it, and what is wrong with it among the ``faults``."""
-    name, inner = entry.name, inner_table(hint)
-    if inner is not None and isinstance(value, dict) and not holds_several(hint):
+    name, inner, domain = entry.name, inner_table(hint), _domain(hint)
+    if inner is not None and not holds_several(hint) and isinstance(value, dict):
         return _read(inner, value, f"{head}, {name}" if head else f"[{name}]", faults)
-    several = inner is not None and holds_several(hint)
-    if several and isinstance(value, list) and all(isinstance(each, dict) for each in value) and _allows(hint, value):
-        return [_read(inner, each, f"[[{name}]] {k}", faults) for k, each in enumerate(value, 1)]
-    if several or not fits(value, hint):
-        at = f"{head}: " if head else ""
-        faults.append(f"{at}{name} = {in_toml(value)} was given; expected {expected(entry, hint)}")
-        return None
-    return _converted(value, hint)
-
-
-def _allows(hint: Any, value: Any) -> bool:
-    domain = _domain(hint)
-    return domain is None or domain.passes(value)
+    if inner is not None and holds_several(hint) and isinstance(value, list) and (not domain or domain.passes(value)):
+        if all(isinstance(each, dict) for each in value):
+            return [_read(inner, each, f"[[{name}]] {k}", faults) for k, each in enumerate(value, 1)]
+    elif fits(value, hint):
+        return _converted(value, hint)
+    at = f"{head}: " if head else ""
+    faults.append(f"{at}{name} = {in_toml(value)} was given; expected {expected(entry, hint)}")
+    return None
 
 
 def _converted(value: Any, hint: Any) -> Any:
