@@ -116,9 +116,9 @@ def _hints_of(target: Any) -> dict[str, Any]:
 
 def _annotations(target: Any) -> Iterator[tuple[str, Any, str]]:
     """Name, annotation and module of each; fields of a dataclass are those of the classes that it derives from too."""
-    call = target.__init__ if isinstance(target, type) else target
+    call: Callable[..., Any] = target.__init__ if isinstance(target, type) else target  # type: ignore[misc]
     parameters = inspect.signature(call).parameters
-    if is_dataclass(target):
+    if isinstance(target, type) and is_dataclass(target):
         for holder in reversed(target.__mro__):
             for name, annotation in inspect.get_annotations(holder).items():
                 if name in parameters:

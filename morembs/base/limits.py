@@ -68,6 +68,7 @@ Positive = Annotated[float, number("a positive number", gt=0)]
 NotNegative = Annotated[float, number("a number, zero or more", ge=0)]
 # Parts and errors are relative: of a response, a stiffness, a mass.
 RelativeError = Annotated[float, number("a relative error between 0 and 1, such as 1e-3", gt=0, lt=1)]
+Part = Annotated[float, number("a part between 0 and 1", gt=0, lt=1)]
 DampingRatio = Annotated[
     float, number("a part of critical damping from 0 to 1, such as 0.02 for 2 percent", ge=0, le=1)
 ]
