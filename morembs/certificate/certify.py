@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base import progress
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.former_names import with_progress_argument
 from morembs.base.limits import DampingFloor
 from morembs.base.optional import optional
-from morembs.base.progress import SILENT, Progress
 from morembs.base.summary import error_words, summarised
 from morembs.base.types import Complexes, Floats
 from morembs.certificate.limits import ErrorLimits, body_response, error_limits, sampled
@@ -128,6 +129,7 @@ class Certificate(ErrorLimits):
         }
 
 
+@with_progress_argument
 @checked
 def certify(
     problem: Problem,
@@ -139,7 +141,6 @@ def certify(
     sharpness: Sharpness = SHARPNESS,
     points: int = POINTS,
     bound: bool = True,
-    progress: Progress = SILENT,
 ) -> tuple[Certificate, ...]:
     """Certificate of each of ``bodies`` over ``band_hz`` (low, high), both ends included.
 
@@ -171,8 +172,8 @@ def certify(
     low, high = checked_band([float(f) for f in band_hz])
     if not problem.symmetric:
         hz = band_frequencies(problem, (low, high), points) if given is None else given
-        return _measured(problem, bodies, hz, (low, high), measure, damping_floor, progress)
-    reference = certified_reference(problem, (low, high), damping_floor=damping_floor, progress=progress)
+        return _measured(problem, bodies, hz, (low, high), measure, damping_floor)
+    reference = certified_reference(problem, (low, high), damping_floor=damping_floor)
     hz = band_frequencies(problem, (low, high), points, floor=reference.floor) if given is None else given
     H = reference.H(2 * np.pi * hz)
     certificates = []
@@ -242,13 +243,12 @@ def _measured(
     band_hz: tuple[float, float],
     measure: str,
     floor: float | None,
-    progress: Progress,
 ) -> tuple[Certificate, ...]:
     """Certificates of bodies of a model that is not symmetric: errors at ``hz`` (nf,), without a limit between them."""
     if floor:
         raise InputError("a damping floor was given for a model with a gyroscopic or circulatory matrix; leave it out")
     S, nothing = np.outer(problem.motion_scale, problem.motion_scale), np.empty(0)
-    H = direct_response(problem, 2 * np.pi * hz, progress) * S
+    H = direct_response(problem, 2 * np.pi * hz) * S
     statics, norm = problem.B.T @ elastic_statics(problem, problem.B) * S, np.linalg.norm(H, axis=(1, 2))
     certificates = []
     for body in bodies:

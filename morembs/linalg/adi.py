@@ -24,9 +24,9 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import SolverError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Values
 from morembs.linalg.columns import multiply_into, orthonormal
 
@@ -77,7 +77,6 @@ def low_rank_gramian(
     tolerance: float = 1e-10,
     max_steps: int = 300,
     budget: Budget = UNLIMITED,
-    progress: Progress = SILENT,
     rows: int = ROWS,
 ) -> LowRankGramian:
     """Controllability Gramian of ``system`` under the loads ``F`` (N, m).
