@@ -17,6 +17,7 @@ import scipy.linalg as sl
 from morembs.base import progress
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.linalg.columns import map_columns, multiply, symmetric
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.parametric.bound import BEYOND, ParametricBound, ratio, ritz_pairs
@@ -256,7 +257,7 @@ class GreedySearch:
             k = int(np.argmax(relative))
             size = at.residual(omega).max() if np.isinf(relative[k]) else 0.0
             if relative[k] > largest.value or (relative[k] == largest.value and size > residual):
-                largest, residual = Worst(value=float(relative[k]), p=p, hz=float(omega[k] / (2 * np.pi))), size
+                largest, residual = Worst(value=float(relative[k]), p=p, hz=float(in_hz(omega[k]))), size
             if largest.value > enough:
                 break
         return largest
@@ -355,7 +356,7 @@ class GreedySearch:
         if len(undamped):
             raise InputError(
                 f"at {self._words(p)} the body has no damping at {len(undamped)} resonances of the band, the first at "
-                f"{np.sqrt(undamped[0]) / (2 * np.pi):,.6g} Hz, where its response has no limit; expected some: give "
+                f"{eigenvalue_in_hz(undamped[0]):,.6g} Hz, where its response has no limit; expected some: give "
                 "[damping], a range of alpha or beta from above 0, or damping_floor = 0.01"
             )
 

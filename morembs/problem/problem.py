@@ -31,6 +31,7 @@ from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_count, room_for_factor
 from morembs.problem.damping import Damping as Damping
 from morembs.problem.rigid_motions import need_factor, nodes_of_rows, rigid_motions, terms_in_rows
+from morembs.problem.system import System
 
 Shared = TypeVar("Shared")
 # Round-off adds up at random: part of its bound that is seen as a rule.
@@ -210,6 +211,21 @@ class Problem(Closing):
             terms_in_rows(self.model, self.coupling, given, self.rigid),
             nodes_of_rows(self.model, self.coupling),
             written(given.data),
+        )
+
+    @cached_property
+    def system(self) -> System:
+        """The matrices with what solving at any s takes; goes to other processes."""
+        return System(
+            K=self.K,
+            M=self.M,
+            velocity_matrix=self.velocity_matrix,
+            N=self.N,
+            rigid=self.rigid,
+            damping=self.damping,
+            damps_rigid_motion=self.damps_rigid_motion,
+            stiffness=self.stiffness,
+            budget=self.budget,
         )
 
     @cached_property

@@ -16,6 +16,7 @@ from morembs.base.errors import InputError, SolverError
 from morembs.base.former_names import accept_progress, with_old_names, with_progress_argument
 from morembs.base.summary import hertz, kinds_words, summarised
 from morembs.base.types import Floats
+from morembs.base.units import eigenvalue_in_hz
 from morembs.fem.fe_model import STRUCTURAL, WITHOUT_MASS
 from morembs.linalg.columns import (
     complement,
@@ -25,6 +26,7 @@ from morembs.linalg.columns import (
     multiply,
     multiply_into,
     projected,
+    symmetric,
     without_rigid_motion,
 )
 from morembs.linalg.complex_modes import small_complex_modes
@@ -143,7 +145,7 @@ class ReducedModel:
             "name": self.name,
             "order": self.order,
             "coordinates": kinds_words(self.mode_kind),
-            "elastic frequencies": None if values is None else hertz(np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)),
+            "elastic frequencies": None if values is None else hertz(eigenvalue_in_hz(values)),
             "inputs": self.B.shape[1],
         }
 
@@ -157,7 +159,7 @@ class ReducedModel:
         if self.symmetric:
             return graded_modes(self.K, self.M)
         if self.congruent:
-            values, Y = graded_modes(0.5 * (self.K + self.K.T), self.M)
+            values, Y = graded_modes(symmetric(self.K), self.M)
             # Flow may make elastic modes softer than rigid motion.
             rigid = np.sort(np.argsort(np.abs(values))[:r])
             order = np.concatenate([rigid, np.delete(np.arange(self.order), rigid)])
@@ -303,7 +305,7 @@ class Reducer(ABC):
         if basis.W is None:
             M = projected(V, problem.M, budget)
             _refuse_singular_mass(self.method, M, basis.kinds)
-            K = without_rigid_motion(0.5 * (basis.K + basis.K.T), M, basis.rigid)
+            K = without_rigid_motion(symmetric(basis.K), M, basis.rigid)
             B = outputs.T
         else:
             V_velocity = V if basis.V_velocity is None else basis.V_velocity
@@ -464,7 +466,7 @@ def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to:
         constraint = basis.V[:, : basis.kinds.count("constraint")]
         W -= constraint @ (problem.B.T @ W)
     stiffness = W.T @ (problem.K @ W)
-    W = fix_signs(W @ sl.eigh(0.5 * (stiffness + stiffness.T))[1])
+    W = fix_signs(W @ sl.eigh(symmetric(stiffness))[1])
     KW = problem.K @ W
     cross = basis.V.T @ KW
     return Basis(

@@ -22,7 +22,8 @@ import scipy.sparse as sp
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.linalg.columns import dot, fix_signs, multiply_into, project_out
+from morembs.base.units import eigenvalue_in_hz
+from morembs.linalg.columns import dot, fix_signs, multiply_into, project_out, symmetric
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
 from morembs.linalg.lanczos import BlockLanczos, largest
@@ -166,7 +167,7 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
     # Rigid-body motion is known and goes out before the eigenvalues are computed, which it would blur.
     scale = 1.0 / np.sqrt(np.diag(M))
     H = (problem.B.T @ problem.rigid) / scale[:, None]
-    Ms, Ks = (0.5 * (A + A.T) * np.outer(scale, scale) for A in (M, K))
+    Ms, Ks = (symmetric(A) * np.outer(scale, scale) for A in (M, K))
     Q = sl.qr(Ms @ H)[0][:, r:]
     values, Y = sl.eigh(Q.T @ Ks @ Q, Q.T @ Ms @ Q)
     kept = len(values) if count is None else count
@@ -178,7 +179,7 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
     return InterfaceModes(
         eigenvalues=values[:kept],
         vectors=fix_signs(V, problem.budget),
-        next_hz=float(np.sqrt(values[kept]) / (2 * np.pi)) if kept < len(values) else None,
+        next_hz=float(eigenvalue_in_hz(values[kept])) if kept < len(values) else None,
     )
 
 
@@ -203,9 +204,7 @@ def _lowest(
     V = V[:, :kept]
     project_out(problem.rigid, V, problem.M)
     return InterfaceModes(
-        eigenvalues=values[:kept],
-        vectors=fix_signs(V, problem.budget),
-        next_hz=float(np.sqrt(values[kept]) / (2 * np.pi)),
+        eigenvalues=values[:kept], vectors=fix_signs(V, problem.budget), next_hz=float(eigenvalue_in_hz(values[kept]))
     )
 
 

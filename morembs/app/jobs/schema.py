@@ -17,13 +17,17 @@ from morembs.parametric.parameter import NAME as PARAMETER
 from morembs.parametric.parameter import PROPERTIES
 from morembs.problem.damping import modal_steps
 from morembs.reducers import REDUCERS
-from morembs.responses.band import LEAST_HZ, Band
-from morembs.responses.measures import SHARPNESS, Sharpness
+from morembs.responses.band import Band
+from morembs.responses.measures import Sharpness
+from morembs.responses.tolerances import TOL as RESPONSES
 
 Three = Annotated[list[Finite], length("three numbers", 3)]
 Six = Annotated[list[Finite], length("six numbers", 6)]
 CurvePoints = Annotated[int, number("an integer from 2 to 100000", ge=2, le=100_000)]
-ResponseHertz = Annotated[float, number(f"a frequency in Hz from {LEAST_HZ:g} to {MOST_HZ:g}", gt=LEAST_HZ, lt=MOST_HZ)]
+_LOWEST_HZ = RESPONSES.least_upper_hz
+ResponseHertz = Annotated[
+    float, number(f"a frequency in Hz from {_LOWEST_HZ:g} to {MOST_HZ:g}", gt=_LOWEST_HZ, lt=MOST_HZ)
+]
 # Names become groups of the HDF5 file.
 SAFE_NAME = r"^[A-Za-z0-9_][A-Za-z0-9_.+-]*$"
 
@@ -281,7 +285,7 @@ class CertifyTable(Table):
     bound: bool = True
     measure: Literal["envelope", "peak", "pointwise"] = "envelope"
     damping_floor: DampingFloor | None = None
-    sharpness: Sharpness = SHARPNESS
+    sharpness: Sharpness = RESPONSES.sharpness
 
 
 @dataclass(frozen=True, kw_only=True)
