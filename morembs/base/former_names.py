@@ -4,13 +4,13 @@ gives the new way."""
 from __future__ import annotations
 
 import importlib
+import inspect
 import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
-from inspect import unwrap
 from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
 
@@ -108,7 +108,8 @@ def with_progress_argument(function: Callable[P, R]) -> Callable[P, R]:
 
     It warns; the listener hears the call.
     """
-    count = unwrap(function).__code__.co_argcount
+    parameters = inspect.signature(function).parameters.values()
+    count = sum(each.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD for each in parameters)
 
     @wraps(function)
     def accept(*values: Any, **keys: Any) -> Any:
@@ -144,7 +145,7 @@ def accept_progress(plugin: type, **counts: int) -> None:
                 f"{name} of {plugin.__name__} takes progress, which goes with 1.0; leave it out and tell news to "
                 "morembs.base.progress.update",
                 DeprecationWarning,
-                3,
+                4,
             )
         setattr(plugin, name, _adapted(method, count, wants, positional))
 
