@@ -12,6 +12,7 @@ import typer
 
 from morembs.app.cli.commands import app
 from morembs.app.jobs.schema import JobTables
+from morembs.base.key_tables import read_table
 from morembs.body.file import read_body
 from morembs.importers.model_file import read_model, write_model
 from morembs.reducers import REDUCERS
@@ -192,7 +193,7 @@ def test_fragments_of_jobs_are_taken(page):
         whole = {**WHOLE, "material": []} if "model" in given or "substructure" in given else WHOLE
         if "substructure" in given:
             whole = {key: table for key, table in whole.items() if key != "model"}
-        tables = JobTables.model_validate({**whole, **given})
+        tables = read_table(JobTables, {**whole, **given})
         for table in tables.reduce:
             assert REDUCERS[table.method](**table.options())
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from morembs.base.errors import InputError
 from morembs.base.former_names import renamed
-from morembs.base.options import checked
+from morembs.base.options import read_options
 from morembs.base.plugins import Registry, subclass_fault
 from morembs.body.file import read_body
 from morembs.body.stored import StoredBody, choose_body
@@ -79,7 +79,7 @@ def make_exporter(to: str, options: Mapping[str, object] | None = None) -> Expor
         word = to.lower().replace("_", "-")
         raise InputError(f"there is no export to {to!r}; {ADVICE.get(word) or EXPORTERS.advice(word)}")
     kind = EXPORTERS[to]
-    return kind(**checked(kind, options or {}, f"export to {to!r}"))
+    return kind(**read_options(kind, options or {}, f"export to {to!r}"))
 
 
 @keeping_ledger()

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
 
+from morembs.base.arguments import check_options
 from morembs.base.errors import InputError, OutputError
 from morembs.base.types import Floats
 from morembs.body.stored import StoredBodies, StoredBody
@@ -158,6 +159,9 @@ class Exporter(ABC):
     about: ClassVar[str]
     needs_frame: ClassVar[bool] = True
     holds: ClassVar[frozenset[str]] = frozenset()
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
     @abstractmethod
     def _write(self, context: ExportContext) -> Exported:

@@ -21,15 +21,16 @@ import numpy as np
 
 from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
+from morembs.base.limits import DampingFloor, RelativeError
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.problem import SOFTER, Problem
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.families import OfResponses
 from morembs.reducers.family_search import MANY, FamilySearch
-from morembs.responses.band import band_frequencies, checked_band
-from morembs.responses.certified import CertifiedReference, certified_reference, checked_floor, floor_of
-from morembs.responses.measures import checked_measure
+from morembs.responses.band import Band, band_frequencies
+from morembs.responses.certified import CertifiedReference, certified_reference, floor_of
+from morembs.responses.measures import Measure
 from morembs.responses.tolerances import TOL as RESPONSES
 
 # The reference is better than the tolerance by this factor.
@@ -63,20 +64,12 @@ class AutoReducer(OfResponses):
 
     method: ClassVar[str] = "auto"
     of_reference: ClassVar[float] = 4.0
-    band_hz: list[float]
-    tolerance: float
+    band_hz: Band
+    tolerance: RelativeError
     static_exact: bool = False
     inertia_loads: bool = False
-    measure: str = "envelope"
-    damping_floor: float | None = None
-
-    def __post_init__(self) -> None:
-        checked_band(self.band_hz)
-        if not 0 < self.tolerance < 1:
-            raise InputError(f"tolerance = {self.tolerance} was given; expected a relative error between 0 and 1")
-        checked_measure(self.measure)
-        if self.damping_floor is not None:
-            checked_floor(self.damping_floor)
+    measure: Measure = "envelope"
+    damping_floor: DampingFloor | None = None
 
     @property
     def computes_modes(self) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.arguments import check_options
 from morembs.base.errors import InputError, SolverError
 from morembs.base.former_names import accept_progress, with_old_names, with_progress_argument
 from morembs.base.summary import hertz, kinds_words, summarised
@@ -32,7 +33,6 @@ from morembs.linalg.complex_modes import small_complex_modes
 from morembs.linalg.eigen import graded_modes
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
 from morembs.reducers.facts import Facts, Shifted
-from morembs.responses.band import MOST_HZ as MOST_HZ
 from morembs.responses.massless import massless_motions, massless_words
 
 if TYPE_CHECKING:
@@ -186,11 +186,14 @@ class ReducedModel:
 class Reducer(ABC):
     """Options of a reduction method; its fields are the keys of ``[[reduce]]`` in a job file.
 
-    A method states itself what others need from it: what it cannot reduce (``why_not``), what it costs, and the
-    properties below.
+    Limits of options stand with their types (``morembs.base.limits``) and are checked here. A method states itself what
+    others need from it: what it cannot reduce (``why_not``), what it costs, and the properties below.
     """
 
     method: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
     @property
     def takes_unsymmetric(self) -> bool:

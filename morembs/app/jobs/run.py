@@ -300,14 +300,14 @@ def _reduce(
 
         with watch.stage("certify"):
             given = job.tables.certify
-            options = {} if given is None else given.model_dump(exclude={"band_hz"})
+            options = {} if given is None else given.values(but={"band_hz"})
             spanned = reduced if parts is None else [parts.expanded(body) for body in reduced]
             certificates = certify(against, spanned, band, **options)
             if parts is not None:
                 certificates = [replace(each, notes=(parts.note, *each.notes)) for each in certificates]
     check, notes = job.tables.check, tuple[str, ...]()
     with watch.stage("compare") if check.full_modes else nullcontext():
-        notes = know_frequencies(against, check.full_modes, insist="full_modes" in check.model_fields_set)
+        notes = know_frequencies(against, check.full_modes, insist="full_modes" in check.given)
     bodies = _delivered(job, problem, reduced, certificates, spins, wanted, watch)
     return tuple(replace(body, full_frequencies_hz=against.known_frequencies_hz()) for body in bodies), notes
 
@@ -369,7 +369,7 @@ def _band(job: Job, body: ElasticBody) -> Floats:
 
 def _recipe(job: Job, model: FEModel) -> dict[str, object]:
     """What was asked for and of what: the same for the same input."""
-    asked = job.tables.model_dump(exclude_none=True, exclude={"output", "solver"})
+    asked = job.tables.values(without_none=True, but={"output", "solver"})
     return {**asked, "dofs": model.size, "source": model.source}
 
 
