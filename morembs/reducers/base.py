@@ -12,7 +12,7 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.base.errors import InputError, SolverError
-from morembs.base.former_names import with_old_names
+from morembs.base.former_names import FormerMethod, with_old_names
 from morembs.base.progress import SILENT, Progress
 from morembs.base.summary import hertz, kinds_words, summarised
 from morembs.base.types import Floats
@@ -92,7 +92,7 @@ class Basis:
 @with_old_names(left="W")
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ReducedModel:
+class ReducedModel(FormerMethod):
     """M q'' + D q' + K q = B f, interface displacements C q: the projection on ``V`` (Nc, n).
 
     Of a model with gyroscopic or circulatory matrices ``D`` is V'(D + G)V and ``K`` V'(K + N)V, with ``W`` the same

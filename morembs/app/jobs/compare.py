@@ -10,7 +10,7 @@ import numpy as np
 from morembs.base.progress import SILENT, Progress
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
-from morembs.body import ElasticBody
+from morembs.body import Body
 from morembs.body.stored import StoredBodies
 from morembs.certificate.response import full_response, reduced_response
 from morembs.problem import Problem
@@ -66,7 +66,7 @@ def recommended(limits: Mapping[str, float | None]) -> str:
 
 
 def frequency_response(
-    problem: Problem, bodies: Sequence[ElasticBody], frequencies_hz: Floats, progress: Progress = SILENT
+    problem: Problem, bodies: Sequence[Body], frequencies_hz: Floats, progress: Progress = SILENT
 ) -> FrequencyResponse:
     """Full against reduced response at ``frequencies_hz`` (nf,)."""
     omega = 2 * np.pi * frequencies_hz
@@ -83,7 +83,7 @@ def frequency_response(
     )
 
 
-def certified_response(problem: Problem, bodies: Sequence[ElasticBody]) -> FrequencyResponse | None:
+def certified_response(problem: Problem, bodies: Sequence[Body]) -> FrequencyResponse | None:
     """The response that certificates were made with; None if no body has one."""
     known = {body.name: body.certificate for body in bodies if body.certificate is not None}
     if not known:
