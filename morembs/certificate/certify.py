@@ -19,6 +19,7 @@ from morembs.certificate.limits import ErrorLimits, body_response, checked_sharp
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.proof import proof_of
 from morembs.certificate.response import reduced_response
+from morembs.certificate.tolerances import TOL
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 from morembs.responses.band import POINTS, band_frequencies, checked_band
@@ -29,10 +30,6 @@ from morembs.responses.loads import static_response
 from morembs.responses.measures import SHARPNESS, Limit, checked_measure
 from morembs.storage.lemma import Lemma, kind_of
 
-# A mode whose MAC is below this is missing.
-MISSING = 0.5
-# Part of the upper frequency below which rigid-body motion leaves too few digits to hold an interface afterwards.
-HELD = 0.02
 OLD_KINDS = {"proven": "bound", "estimate": "estimate", "sampled": "none"}
 
 
@@ -50,7 +47,7 @@ class Certificate(ErrorLimits):
     is how far the full response is not known, round-off in K included.
     ``block_error`` (ni, ni) largest relative error of each block there, ``held_error`` (ni, nf) the relative error of
     what is left when interface i is held still, from the whole transfer matrix with its rigid-body part; not a number
-    below ``HELD`` of the upper frequency. ``static_error`` that at 0 Hz.
+    below ``TOL.least_held`` of the upper frequency. ``static_error`` that at 0 Hz.
 
     ``mode_frequencies_hz`` (k,) of the full model, which lie within ``mode_enclosure_hz`` (k, 2), as far as that meets
     the band, whose lower end may lie above modes too;
@@ -301,7 +298,7 @@ def _static_error(problem: Problem, reduced: ReducedModel) -> float:
 
 def _missing(poles: Poles) -> list[str]:
     """Modes that loads excite and the body does not have, in words."""
-    lost = poles.frequencies_hz[poles.excited & (poles.mac < MISSING)]
+    lost = poles.frequencies_hz[poles.excited & (poles.mac < TOL.least_mac)]
     if not len(lost):
         return []
     listed = ", ".join(f"{f:,.6g}" for f in lost[:5]) + (", ..." if len(lost) > 5 else "")
@@ -342,7 +339,7 @@ def _held_errors(problem: Problem, H_r: Complexes, H: Complexes, omega: Floats) 
     """(ni, nf) relative error of H_bb - H_ba H_aa^-1 H_ab, the response of the other motions with those of a held."""
     columns = list(problem.coupling.columns.values())
     errors = np.full((len(columns), len(omega)), np.nan)
-    high = omega > max(HELD * omega[-1], 0.0)
+    high = omega > max(TOL.least_held * omega[-1], 0.0)
     ZB = (problem.B.T @ problem.rigid) * problem.motion_scale[:, None]
     rigid = -(ZB @ ZB.T) / omega[high, None, None] ** 2
     for i, own in enumerate(columns):
