@@ -17,16 +17,16 @@ from morembs.base.former_names import renamed
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
 from morembs.body.body import BODY, Body
-from morembs.body.tables import FILE, FORMAT, FORMAT_VERSION, INTERFACE
+from morembs.body.tables import FILE, FORMAT, FORMAT_VERSION
+from morembs.fem.interface import Interface
 from morembs.storage.checksums import GROUP, Checksums
 from morembs.storage.hdf5 import reading_format
 from morembs.storage.lemma import read_lemmas
-from morembs.storage.table import Later, Row, Table, read_rows
+from morembs.storage.table import Later, Row, Table, read_rows, table_of
 from morembs.storage.table_check import refuse_not_finite
 
 if TYPE_CHECKING:
     from morembs.body.vtkhdf_series import Grid
-    from morembs.fem.interface import CouplingKind
 
 T = TypeVar("T")
 
@@ -42,27 +42,7 @@ class ByName(dict[str, T], Generic[T]):
         raise InputError(f"the file has no {self.what} {name!r}; {nearest(str(name), self)}")
 
 
-@summarised
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StoredInterface:
-    """Interface: ``point`` (3,) m, ``axes`` (3, 3) as rows, ``node_ids`` (ns,) labels, ``weights`` (ns,); names of
-    generalised ``forces``."""
-
-    coupling: str
-    components: tuple[int, ...]
-    point: Floats
-    axes: Floats
-    node_ids: Ints
-    weights: Floats
-    forces: tuple[str, ...] = ()
-
-    @property
-    def kind(self) -> CouplingKind:
-        """What the coupling does."""
-        # Not at the top: files are shown without what couples and solves.
-        from morembs.fem.interface import COUPLINGS
-
-        return COUPLINGS[self.coupling]
+INTERFACE = table_of(Interface, build=dict)
 
 
 @summarised
@@ -83,7 +63,7 @@ class StoredBodies:
     inertia: Floats
     node_ids: Ints
     coordinates: Floats
-    interfaces: dict[str, StoredInterface]
+    interfaces: dict[str, Interface]
     input_interface: Ints
     input_component: Ints
     input_node_id: Ints
@@ -137,7 +117,7 @@ class BodyFile:
         """Everything in the open file, which ``check_file`` has seen, but what bodies read later."""
         values = read_rows(file, FILE)
         names, interfaces, kinds = (values.pop(name) for name in ("body_names", "interface_names", "mode_kinds"))
-        shown = {name: StoredInterface(**read_rows(file[f"interfaces/{name}"], INTERFACE)) for name in interfaces}
+        shown = {name: _interface(name, file[f"interfaces/{name}"], values["node_ids"]) for name in interfaces}
         self.content = StoredBodies(
             interfaces=ByName("interface", shown),
             bodies=ByName("body", {name: self._body(name, file[f"bodies/{name}"], kinds) for name in names}),
@@ -197,6 +177,16 @@ class BodyFile:
         return read_grid(self.path), self.content.node_ids, points
 
 
+def _interface(name: str, group: Any, kept: Ints) -> Interface:
+    """An interface of a file with nodes of the labels ``kept``."""
+    values, order = read_rows(group, INTERFACE), np.argsort(kept, kind="stable")
+    rows = np.full(len(values["node_ids"]), -1)
+    if len(kept):
+        places = order[np.minimum(np.searchsorted(kept, values["node_ids"], sorter=order), len(kept) - 1)]
+        rows = np.where(kept[places] == values["node_ids"], places, -1)
+    return Interface(name=name, nodes=rows, **values)
+
+
 def _tree(group: Any, array: Callable[[Any], Any] = np.ndarray.tolist) -> dict[str, Any]:
     """Nested mapping of a group; text as str, numbers as Python numbers, arrays as ``array`` makes them."""
     result: dict[str, Any] = {}
@@ -227,4 +217,4 @@ def basis_columns(data: Any, columns: slice) -> Floats:
     return block
 
 
-__getattr__ = renamed(__name__, {"StoredBody": "Body"})
+__getattr__ = renamed(__name__, {"StoredBody": "Body", "StoredInterface": "Interface"})

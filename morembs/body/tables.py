@@ -318,23 +318,6 @@ SPIN = Table((
         "modes were compared with those of the full model; the recipe has the deviations"),
 ), build=ReducedSpin)
 
-INTERFACE = Table((
-    Row("coupling", "text", doc="`rigid`, `average`, `direct`, `matrix`, or a kind that [another "
-        "package](extending.md) defines"),
-    Row("components", "few", "any", "exposed degrees of freedom 0..5",
-        doc="exposed degrees of freedom: 0, 1, 2 along x, y, z; 3, 4, 5 about them; "
-        "6 for each of `forces`"),
-    Row("forces", "text", "forces", "columns of the input matrix B, rows of the output matrix C of the model",
-        doc="`B:NAME`, a column of the input matrix of the model, or `C:NAME`, a row of its output matrix",
-        when="with coupling `matrix`"),
-    Row("point", "real", "3", "origin of the frame", "m"),
-    Row("axes", "real", "3 3", "axes of the frame as rows", doc="axes of the frame as rows, in the coordinates of the "
-        "model"),
-    Row("node_ids", "whole", "s", "labels of the nodes", doc="labels of the nodes that follow the frame"),
-    Row("weights", "real", "s", "share of each node (area in m2, or 1)", doc="share of each node: area in m² of the "
-        "whole faces between the nodes, 0 for nodes on none; 1 for all if there are no whole faces"),
-))
-
 FILE = Table((
     Row("format", "text", doc="`morembs-body`", read=False),
     Row("format_version", "whole", doc="1, 2 or 3, see above"),

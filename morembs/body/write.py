@@ -14,6 +14,7 @@ from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats
 from morembs.body import tables, vtkhdf
 from morembs.body.body import BODY, UNSYMMETRIC, Body
+from morembs.body.stored import INTERFACE
 from morembs.body.tables import BLOCK_BYTES, FORMAT, SKEW_PARTS
 from morembs.storage.checksums import GROUP
 from morembs.storage.safefile import one_file
@@ -91,8 +92,7 @@ def write_body(
         out.rows("", tables.FILE, _shared(part, bodies, recipe) | {"warnings": sentences})
         out.file.create_group("interfaces")
         for interface in part.interfaces:
-            values = vars(interface) | {"node_ids": part.node_ids[interface.nodes], "forces": interface.forces or None}
-            out.rows(f"interfaces/{interface.name}/", tables.INTERFACE, values)
+            out.rows(f"interfaces/{interface.name}/", INTERFACE, interface, node_ids=part.node_ids[interface.nodes])
         out.doing("the mesh for ParaView")
         vtkhdf.write_grid(out.file.create_group("VTKHDF"), out.file["nodes/coordinates"], part.cells)
         out.check()
@@ -174,7 +174,7 @@ def write_stored(path: str | Path, bodies: StoredBodies, body: Body, source: Pat
         out.rows("", tables.FILE, _shared_again(bodies, body))
         out.file.create_group("interfaces")
         for name, interface in bodies.interfaces.items():
-            out.rows(f"interfaces/{name}/", tables.INTERFACE, vars(interface) | {"forces": interface.forces or None})
+            out.rows(f"interfaces/{name}/", INTERFACE, interface)
         out.doing("the mesh for ParaView")
         vtkhdf.write_grid(out.file.create_group("VTKHDF"), out.file["nodes/coordinates"], _cells(read_grid(source)))
         _write_one(out, body)
