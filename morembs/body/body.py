@@ -119,6 +119,13 @@ class Body(Viewed):
         doc="those of the full coupled model as far as computed",
         when="absent if none were",
     )
+    damping_ratios: Floats | None = dataset(
+        "real",
+        "n",
+        "ratio of critical damping of each mode, rigid ones zero; structural damping is not in it",
+        default=None,
+        when="absent in two-sided bodies, and in files before 0.2",
+    )
     mode_kind: tuple[str, ...] = dataset("code", "n", "kind of each coordinate, code of /mode_kinds", write=_codes)
     rigid_count: int = dataset(
         "whole", "", "number of rigid-body motions", doc="number of rigid-body motions the coordinates span"

@@ -67,9 +67,14 @@ def elastic_body(
 def body_of(reduced: ReducedModel, part: Part, frequencies_hz: Floats | None = None, **more: Any) -> Body:
     """The body of a reduced model alone, with its frequencies where they are not known; ``more`` are further fields."""
     if frequencies_hz is None:
-        omega = np.sqrt(np.maximum(reduced.modes()[0], 0.0))
+        values, Y = reduced.modes()
+        omega = np.sqrt(np.maximum(values, 0.0))
         omega[: reduced.rigid_count] = 0.0
         frequencies_hz = omega / (2 * np.pi)
+        if reduced.congruent:
+            # Modes have unit modal mass; those without frequency have no ratio.
+            damping = np.einsum("in,in->n", Y, reduced.D @ Y)
+            more["damping_ratios"] = np.divide(damping, 2 * omega, out=np.zeros_like(omega), where=omega > 0)
     return Body(
         name=reduced.name,
         mass_matrix=reduced.M,

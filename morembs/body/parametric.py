@@ -194,6 +194,7 @@ class BodyAt:
             damping_matrix=self.D,
             frequencies_hz=np.concatenate([rigid, self.frequencies_hz]),
             full_frequencies_hz=None,
+            damping_ratios=None,
             certificate=None,
             floating=floating,
             ranking=(),

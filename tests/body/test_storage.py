@@ -26,8 +26,9 @@ from morembs.body.build import body_of
 from morembs.body.file import check_names, read_body, write_body
 from morembs.body.vtkhdf import shown_modes
 from morembs.fem.interface import make_interface
-from morembs.problem import Problem
+from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Modal, ReducedModel
+from morembs.storage.checksums import seal
 from morembs.storage.safefile import check_writable
 from scripts.schema import stale
 from tests.support.meshes import box, steel, where
@@ -184,6 +185,32 @@ def test_interfaces_and_the_meaning_of_the_inputs(bar, stored):
         np.testing.assert_allclose(body.input_matrix[:, column], through_basis, rtol=0, atol=1e-9)
     assert back.input_component[:7].tolist() == [0, 1, 2, 4, 0, 1, 2]
     assert back.input_interface[:7].tolist() == [0, 0, 0, 0, 1, 1, 1] and (back.input_node_id[:7] == -1).all()
+
+
+def test_damping_ratios_of_modes_are_kept(tmp_path):
+    model = steel(box("hex8", (4, 1, 1), (0.5, 0.05, 0.03)))
+    left = make_interface(model, name="left", nodes=where(model, 0, 0.0))
+    with Problem(model, [left], damping=Damping(modal=0.03)) as problem:
+        body = elastic_body(problem, CraigBampton(modes=3).reduce(problem), make_part(problem))
+    with h5py.File(write_body(tmp_path / "body.h5", [body])) as file:
+        assert file["bodies/craig-bampton/damping_ratios"].attrs["description"].startswith(b"ratio of critical damping")
+    path = tmp_path / "body.h5"
+    kept = read_body(path).bodies["craig-bampton"].damping_ratios
+    assert kept[:6].tolist() == [0.0] * 6 and kept[6:] == pytest.approx(0.03, rel=1e-6)
+    with h5py.File(path, "r+") as file:
+        del file["bodies/craig-bampton/damping_ratios"]
+        file["bodies/craig-bampton/damping_ratios"] = np.zeros(4)
+        seal(file, apart=["provenance"])
+    with pytest.raises(InputError, match=r"damping_ratios has the shape \(4,\)"):
+        read_body(path)
+
+
+def test_what_0_1_called_is_a_property_now(stored):
+    body = read_body(stored).bodies["modal"]
+    with pytest.warns(DeprecationWarning, match="ReducedModel is there without a call"):
+        assert body.reduced() is body.reduced
+    with pytest.raises(InputError, match="no static modes of candidate loads"):
+        body.switching()
 
 
 def test_names_that_are_not_there_are_told(stored):
