@@ -37,8 +37,8 @@ UNITS = {60, 90, 100, 180, 360, 3600, 10**3, 10**6, 10**9}
 LIMITS = {
     "rooms": (16, 16),
     "context parameters": (173, 0),
-    "module constants": (909, 0),
-    "names of several constants": (139, 0),
+    "module constants": (847, 0),
+    "names of several constants": (131, 0),
     "tolerances without a line": (0, 0),
     "literals": (403, 0),
     "formatter switched off": (20, 20),

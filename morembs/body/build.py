@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
 from morembs.body.body import Body
 from morembs.body.floating.frame import FloatingFrame, floating_frame, why_not_floating
@@ -103,7 +103,7 @@ class StressOptions:
     jump: bool = True
     length: float = 1.0
 
-    def operator(self, problem: Problem, progress: Progress) -> StressOperator:
+    def operator(self, problem: Problem) -> StressOperator:
         """Stress at the chosen nodes; coordinates of a selection are in units of ``length`` m.
 
         Raises:
@@ -111,7 +111,7 @@ class StressOptions:
         """
         model, whole = problem.model, self.nodes in ("skin", "all")
         nodes = self.nodes if whole else select_nodes(model, self.nodes, length=self.length)
-        return stress_operator(model, nodes, elements=self.jump, budget=problem.budget, progress=progress)
+        return stress_operator(model, nodes, elements=self.jump, budget=problem.budget)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +131,7 @@ class BodyOptions:
     stress: StressOptions | None = field(default=None)
 
 
+@with_progress_argument
 def build_body(
     problem: Problem,
     reduced: ReducedModel,
@@ -142,7 +143,6 @@ def build_body(
     switching: StaticModeTables | None = None,
     variation: ParametricModel | None = None,
     spin: ReducedSpin | None = None,
-    progress: Progress = SILENT,
 ) -> Body:
     """The body of ``reduced`` with all that the ``options`` want; ``operator`` is that of the wanted stress,
     ``switching`` what its reducer made of candidate loads, ``variation`` its reduced model of all values of parameters.
@@ -155,18 +155,13 @@ def build_body(
     asked = options.kind != "mean-axes" or options.stiffening is not None or options.envelope is not None
     if reason and asked:
         raise InputError(f"[frame], [envelope] and [stiffening]: {reason}")
-    floating = None if reason else _frame(problem, reduced, options, progress)
+    floating = None if reason else _frame(problem, reduced, options)
     later: dict[str, Any] = {"switching": switching}
     if variation is not None:
         later["parameters"] = _parametric(problem, reduced, part, variation)
     if options.stress is not None and operator is not None:
         later["recovery"] = stress_recovery(
-            problem,
-            reduced,
-            single=options.stress.single,
-            correction=options.stress.correction,
-            operator=operator,
-            progress=progress,
+            problem, reduced, single=options.stress.single, correction=options.stress.correction, operator=operator
         )
     return replace(
         elastic_body(problem, reduced, part, certificate=certificate, floating=floating),
@@ -184,9 +179,9 @@ def _parametric(problem: Problem, reduced: ReducedModel, part: Part, variation: 
     return parametric_parts(problem, reduced, part.nodes.ids, variation)
 
 
-def _frame(problem: Problem, reduced: ReducedModel, options: BodyOptions, progress: Progress) -> FloatingFrame:
+def _frame(problem: Problem, reduced: ReducedModel, options: BodyOptions) -> FloatingFrame:
     origin = problem.mass_properties[1] if options.origin is None else options.origin
     frame = floating_frame(problem, reduced, kind=options.kind, interfaces=options.interfaces, origin=tuple(origin))
     if options.stiffening is None:
         return frame
-    return replace(frame, stiffening=geometric_stiffening(problem, reduced, frame, options.stiffening, progress))
+    return replace(frame, stiffening=geometric_stiffening(problem, reduced, frame, options.stiffening))

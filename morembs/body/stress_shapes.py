@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from morembs.base.progress import SILENT, Progress
+from morembs.base import progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats, Ints, Reals
 from morembs.body.recovery_shapes import Recovery
 from morembs.fem.stress_operator import StressOperator, stress_operator
@@ -25,6 +26,7 @@ from morembs.responses.loads import static_response
 _COPIES = 6
 
 
+@with_progress_argument
 def stress_recovery(
     problem: Problem,
     reduced: ReducedModel,
@@ -34,7 +36,6 @@ def stress_recovery(
     correction: bool = True,
     jump: bool = True,
     operator: StressOperator | None = None,
-    progress: Progress = SILENT,
 ) -> Recovery:
     """Stress recovery of ``reduced`` at ``nodes`` ("skin", "all" or rows), in ``single`` or double precision.
 
@@ -51,7 +52,7 @@ def stress_recovery(
     """
     model, budget = problem.model, problem.budget
     if operator is None:
-        operator = stress_operator(model, nodes, elements=jump, budget=budget, progress=progress)
+        operator = stress_operator(model, nodes, elements=jump, budget=budget)
     dtype = np.float32 if single else np.float64
     rigid = np.array([kind == "rigid" for kind in reduced.mode_kind], dtype=bool)
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from morembs.base import progress
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
 from morembs.body import tables, vtkhdf
 from morembs.body.body import BODY, UNSYMMETRIC, Body
@@ -43,6 +44,7 @@ def check_names(names: Sequence[str], what: str = "body") -> None:
             raise InputError(f"the {what} name {name!r} was given more than once; give each its own name")
 
 
+@with_progress_argument
 def write_body(
     path: str | Path,
     bodies: Sequence[Body],
@@ -50,7 +52,6 @@ def write_body(
     recipe: Mapping[str, object] | None = None,
     provenance: Mapping[str, object] | None = None,
     warnings: Sequence[str] = (),
-    progress: Progress = SILENT,
     block_bytes: int = BLOCK_BYTES,
 ) -> Path:
     """Write bodies of one part; an interrupted or failed run leaves the old file or none.
@@ -97,7 +98,7 @@ def write_body(
         vtkhdf.write_grid(out.file.create_group("VTKHDF"), out.file["nodes/coordinates"], part.cells)
         out.check()
         for body in bodies:
-            _write_one(out, body, progress, block_bytes)
+            _write_one(out, body, block_bytes)
         stamp = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "morembs_version": VERSION}
         given = {f"{key}_" if key == GROUP else key: value for key, value in (provenance or {}).items()}
         out.tree("provenance", {**stamp, **given})
@@ -132,7 +133,7 @@ def _shared(part: Part, bodies: Sequence[Body], recipe: Mapping[str, object]) ->
     }
 
 
-def _write_one(out: Writer, body: Body, progress: Progress = SILENT, block_bytes: int = BLOCK_BYTES) -> None:
+def _write_one(out: Writer, body: Body, block_bytes: int = BLOCK_BYTES) -> None:
     """One body, its basis block by block, and its shapes for ParaView."""
     from morembs.storage.writer import Columns
 

@@ -19,16 +19,18 @@ from typing import ClassVar
 
 import numpy as np
 
+from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
-from morembs.base.progress import Progress
 from morembs.base.types import Floats
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.problem import SOFTER, Problem
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.families import OfResponses
 from morembs.reducers.family_search import MANY, FamilySearch
 from morembs.responses.band import band_frequencies, checked_band
-from morembs.responses.certified import TOLERANCE, CertifiedReference, certified_reference, checked_floor, floor_of
+from morembs.responses.certified import CertifiedReference, certified_reference, checked_floor, floor_of
 from morembs.responses.measures import checked_measure
+from morembs.responses.tolerances import TOL as RESPONSES
 
 # The reference is better than the tolerance by this factor.
 BETTER = 1e-3
@@ -84,7 +86,7 @@ class AutoReducer(OfResponses):
     def certified_band(self) -> Sequence[float]:
         return self.band_hz
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+    def _basis(self, problem: Problem) -> Basis:
         floor = floor_of(problem, self.band_hz, self.damping_floor)
         omega = 2 * np.pi * band_frequencies(problem, self.band_hz, floor=floor)
         # A body that is held has no rigid motion to balance the inertia of its frame.
@@ -93,10 +95,9 @@ class AutoReducer(OfResponses):
             certified = certified_reference(
                 problem,
                 self.band_hz,
-                tolerance=min(BETTER * self.tolerance, TOLERANCE),
+                tolerance=min(BETTER * self.tolerance, RESPONSES.reference_error),
                 damping_floor=floor,
                 inertia_loads=inertia,
-                progress=progress,
             )
             self._refuse_lost(certified)
         except SolverError as fault:
@@ -125,7 +126,7 @@ class AutoReducer(OfResponses):
             "choice": _words(best, orders, self.band_hz, self.tolerance),
         }
         if best == "krylov":
-            notes["frequencies_hz"] = [float(w / (2 * np.pi)) for w in search.chosen]
+            notes["frequencies_hz"] = [float(in_hz(w)) for w in search.chosen]
         basis = elastic_basis(problem, certified.model.vectors(C), KINDS[best], notes)
         limit = search.limit(C, np.diag(basis.K)[problem.rigid.shape[1] :])
         if limit.upper > self.tolerance:
@@ -139,7 +140,7 @@ class AutoReducer(OfResponses):
             InputError: an undamped resonance.
             SolverError: a reference without a limit, a tolerance below round-off, or a band far above all modes.
         """
-        highest_hz = float(np.sqrt(certified.values.max()) / (2 * np.pi))
+        highest_hz = float(eigenvalue_in_hz(certified.values.max()))
         far, endless = self.band_hz[1] > ABOVE * highest_hz, ~np.isfinite(certified.off)
         if endless.any() and certified.undamped:
             raise InputError(
@@ -147,7 +148,7 @@ class AutoReducer(OfResponses):
                 "damping_floor such as 0.01"
             )
         if endless.any() and not far:
-            at_hz = float(certified.edges[:-1][endless][0] / (2 * np.pi))
+            at_hz = float(in_hz(certified.edges[:-1][endless][0]))
             raise SolverError(
                 f"the error of the reference of the full model has no limit from {at_hz:,.6g} Hz on, where its "
                 "residual exceeds the damping of a resonance; give more damping, or a damping_floor such as 0.01"
