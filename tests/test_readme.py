@@ -24,17 +24,6 @@ ROOT = Path(__file__).parent.parent
 SHOWN = typer.main.get_command(app).commands
 
 
-def test_python_example(tmp_path):
-    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL).group(1)
-    assert len(code.strip().splitlines()) < 15
-    code = code.replace("data/small_meshes", str(ROOT / "data" / "small_meshes"))
-    done = python(code, tmp_path)
-    assert done.code == 0, done.errors
-    body = read_body(tmp_path / "conrod.h5").bodies["cb30"]
-    assert np.linalg.matrix_rank(body.stiffness_matrix, tol=1e-9 * np.abs(body.stiffness_matrix).max()) == 42 - 6
-    assert body.frequencies_hz[6] > 1000
-
-
 def blocks(document):
     """Python of a page of docs."""
     text = (ROOT / "docs" / document).read_text()
@@ -56,9 +45,16 @@ def conrod(tmp_path_factory):
     """A folder with the body file of the example of the README."""
     folder = tmp_path_factory.mktemp("conrod")
     code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL).group(1)
+    assert len(code.strip().splitlines()) < 15
     done = python(code.replace("data/small_meshes", str(ROOT / "data" / "small_meshes")), folder)
     assert done.code == 0, done.errors
     return folder
+
+
+def test_python_example(conrod):
+    body = read_body(conrod / "conrod.h5").bodies["cb30"]
+    assert np.linalg.matrix_rank(body.stiffness_matrix, tol=1e-9 * np.abs(body.stiffness_matrix).max()) == 42 - 6
+    assert body.frequencies_hz[6] > 1000
 
 
 @pytest.mark.parametrize(("number", "client"), [(0, "control"), (1, "rumoca"), (2, "mujoco")])
