@@ -20,6 +20,9 @@ from morembs.base.arguments import hints_of
 from morembs.base.key_tables import expected, holds_several, inner_table
 from morembs.base.options import in_toml
 from morembs.body import tables
+from morembs.body.body import BODY
+from morembs.body.recovery_shapes import RECOVERY
+from morembs.body.stored import INTERFACE
 from morembs.dynamics.gmp.stored import MEMBER
 from morembs.importers.native import MODEL
 from morembs.reducers import REDUCERS, Reducer
@@ -28,10 +31,10 @@ from morembs.storage.table import KINDS, Row, Table
 ROOT = Path(__file__).resolve().parents[1]
 # Name of a table on a page -> paths of its groups as they are shown, and their tables.
 SHOWN = {
-    "body file": [("/", tables.FILE), ("/interfaces/NAME/", tables.INTERFACE), ("/bodies/NAME/", tables.BODY)],
+    "body file": [("/", tables.FILE), ("/interfaces/NAME/", INTERFACE), ("/bodies/NAME/", BODY)],
     "certificate": [("", tables.CERTIFICATE)],
     "stiffening": [("", tables.STIFFENING)],
-    "recovery": [("", tables.RECOVERY)],
+    "recovery": [("", RECOVERY)],
     "switching": [("", tables.SWITCHING)],
     "parametric": [
         ("", tables.PARAMETRIC),

@@ -12,7 +12,7 @@ from functools import wraps
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, Self, TypeVar
 
 from morembs.base.progress import SILENT, listener, listening
 
@@ -101,6 +101,15 @@ def with_old_names(**names: str) -> Callable[[type[Class]], type[Class]]:
         return cls
 
     return decorate
+
+
+class FormerMethod:
+    """What a method gave in 0.1 and a property gives now: the call of before warns, and gives the same."""
+
+    def __call__(self) -> Self:
+        text = f"the {type(self).__name__} is there without a call now; brackets behind it go with 1.0"
+        warnings.warn(text, DeprecationWarning, 2)
+        return self
 
 
 def with_progress_argument(function: Callable[P, R]) -> Callable[P, R]:

@@ -14,7 +14,8 @@ import numpy as np
 from morembs.base.arguments import check_options
 from morembs.base.errors import InputError, OutputError
 from morembs.base.types import Floats
-from morembs.body.stored import StoredBodies, StoredBody
+from morembs.body.body import Body
+from morembs.body.stored import StoredBodies
 from morembs.exporters.read_back import ReadBack, frequencies_between
 from morembs.fem.fe_model import SCALAR
 from morembs.problem.damping import frequency_domain_only
@@ -53,7 +54,7 @@ class ExportContext:
     """One body on its way to the file ``path``; ``file`` is the body file it comes from, if it has one."""
 
     source: StoredBodies
-    body: StoredBody
+    body: Body
     path: Path
     file: Path | None = None
 
@@ -177,7 +178,7 @@ class Exporter(ABC):
         return None
 
     @final
-    def export(self, source: StoredBodies, body: StoredBody, path: str | Path, file: Path | None = None) -> Exported:
+    def export(self, source: StoredBodies, body: Body, path: str | Path, file: Path | None = None) -> Exported:
         """Write ``body`` of ``source`` to ``path``; ``file`` is where the body comes from, if it is a file.
 
         Raises:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from morembs.base.arguments import check_options
 from morembs.base.errors import InputError, SolverError
-from morembs.base.former_names import accept_progress, with_old_names, with_progress_argument
+from morembs.base.former_names import FormerMethod, accept_progress, with_old_names, with_progress_argument
 from morembs.base.summary import hertz, kinds_words, summarised
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz
@@ -93,7 +93,7 @@ class Basis:
 @with_old_names(left="W")
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ReducedModel:
+class ReducedModel(FormerMethod):
     """M q'' + D q' + K q = B f, interface displacements C q: the projection on ``V`` (Nc, n).
 
     Of a model with gyroscopic or circulatory matrices ``D`` is V'(D + G)V and ``K`` V'(K + N)V, with ``W`` the same

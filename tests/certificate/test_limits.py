@@ -113,7 +113,7 @@ def test_bodies_that_are_no_projections_and_bodies_of_files(tmp_path):
         )
         stored = read_body(tmp_path / "two.h5").bodies
         for body, certificate in zip(bodies, certificates, strict=True):
-            again = error_limits(certified_reference(problem, band), stored[body.name].reduced())
+            again = error_limits(certified_reference(problem, band), stored[body.name].reduced)
             for name, limit in certificate.limits.items():
                 assert again.limits[name].upper == pytest.approx(limit.upper, rel=1e-6)
         few = replace(bodies[0], B=bodies[0].B[:, :3], C=bodies[0].C[:3])

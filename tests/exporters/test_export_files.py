@@ -17,6 +17,7 @@ import scipy.sparse as sp
 
 from morembs.base.errors import InputError, OutputError
 from morembs.body import elastic_body, make_part
+from morembs.body.build import body_of
 from morembs.body.file import read_body, write_body
 from morembs.body.floating.frame import floating_frame
 from morembs.exporters import EXPORTERS, export_body
@@ -58,9 +59,7 @@ def files(tmp_path_factory):
             V=modal.V[:, :6],
             mode_kind=modal.mode_kind[:6],
         )
-        body = replace(
-            elastic_body(problem, modal, make_part(problem)), reduced=rigid, floating=None, frequencies_hz=np.zeros(6)
-        )
+        body = body_of(rigid, make_part(problem), np.zeros(6))
         paths["rigid"] = write_body(folder / "rigid.h5", [body])
     return paths
 

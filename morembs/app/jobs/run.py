@@ -40,7 +40,7 @@ from morembs.base.memory import PeakMemory, resident_bytes
 from morembs.base.progress import Progress, Stage, Stopwatch, listening
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
-from morembs.body import ElasticBody, make_part
+from morembs.body import Body, make_part
 from morembs.body.build import BodyOptions, build_body
 from morembs.body.delivery_check import delivered_warnings
 from morembs.body.file import write_body
@@ -80,7 +80,7 @@ class JobResult:
     nodes: int
     elements: int
     dofs: int
-    bodies: tuple[ElasticBody, ...]
+    bodies: tuple[Body, ...]
     factor: FactorStats
     choice: str
     stages: tuple[Stage, ...]
@@ -227,7 +227,7 @@ def _run(
     )
 
 
-def _write_state_space(job: Job, bodies: Sequence[ElasticBody]) -> None:
+def _write_state_space(job: Job, bodies: Sequence[Body]) -> None:
     """The file that [state_space] asks for."""
     asked = job.tables.state_space
     if asked is None or job.state_space is None:
@@ -267,7 +267,7 @@ def _unreduced(job: Job, problem: Problem, watch: Stopwatch) -> AbstractContextM
 
 def _reduce(
     job: Job, problem: Problem, parts: Unreduced | None, wanted: BodyOptions, spin: Spin | None, watch: Stopwatch
-) -> tuple[tuple[ElasticBody, ...], tuple[str, ...]]:
+) -> tuple[tuple[Body, ...], tuple[str, ...]]:
     """One body for each reduction, compared with free-free frequencies of the full model, and notes on that.
 
     The full model is ``problem``, or the unreduced parts where they are known.
@@ -320,7 +320,7 @@ def _delivered(
     spins: Sequence[ReducedSpin | None],
     wanted: BodyOptions,
     watch: Stopwatch,
-) -> tuple[ElasticBody, ...]:
+) -> tuple[Body, ...]:
     """The bodies with all that goes into their file."""
     part = make_part(problem, job.tables.output.nodes)
     with watch.stage("deliver"):
@@ -347,7 +347,7 @@ def _delivered(
         return tuple(bodies)
 
 
-def _shown(bodies: Sequence[ElasticBody]) -> ElasticBody:
+def _shown(bodies: Sequence[Body]) -> Body:
     """The body that is recommended, whose modes are drawn."""
     limits = {body.name: None if body.certificate is None else body.certificate.limit.upper for body in bodies}
     return next(body for body in bodies if body.name == recommended(limits))
@@ -358,7 +358,7 @@ def count_elements(mesh: Mesh | None) -> int:
     return sum(len(block.ids) for block in mesh.blocks) if mesh is not None else 0
 
 
-def _band(job: Job, body: ElasticBody) -> Floats:
+def _band(job: Job, body: Body) -> Floats:
     given = job.tables.response
     if given is not None:
         return np.geomspace(given.from_hz, given.to_hz, given.points)

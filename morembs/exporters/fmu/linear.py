@@ -124,7 +124,7 @@ def _held_columns(context: ExportContext, held: Sequence[str]) -> Ints:
 
 def _coordinates(context: ExportContext, fixed: Ints) -> _Coordinates:
     body = context.body
-    values, Y = body.reduced().modes()
+    values, Y = body.reduced.modes()
     rigid = body.rigid_count
     X = np.zeros((len(values), 0))
     notes: tuple[str, ...] = ()
