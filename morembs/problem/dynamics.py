@@ -14,15 +14,12 @@ from morembs.base.crew import Crew
 from morembs.base.memory import resident_bytes
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.problem.damping import Damping
+from morembs.problem.tolerances import TOL
 
 if TYPE_CHECKING:
     from morembs.problem.problem import Problem
 
 log = logging.getLogger(__name__)
-# Resident memory of a process that has read nothing yet: Python and the libraries.
-PROCESS_BYTES = 96_000_000
-# Blocks of loads that exist at once while they are solved for, beside those of the result.
-BLOCKS = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,4 +79,6 @@ def crew_of(problem: Problem, others: Any, *, tasks: int, columns: int, structur
 
 def worker_bytes(factor: int, size: int, columns: int, structure: str) -> int:
     """Memory of a process with a ``factor`` of so many bytes that solves for ``columns`` of length ``size``."""
-    return PROCESS_BYTES + factor + BLOCKS * (16 if structure.startswith("complex") else 8) * size * columns
+    return (
+        TOL.process_bytes + factor + TOL.solve_blocks * (16 if structure.startswith("complex") else 8) * size * columns
+    )

@@ -24,15 +24,9 @@ from morembs.linalg.columns import complement, map_columns
 from morembs.linalg.second_order_arnoldi import PASSES, SecondOrderArnoldi
 from morembs.linalg.sparse.solver import STRUCTURES
 from morembs.problem import Dynamics, Problem, crew_of
+from morembs.reducers.tolerances import TOL
 
 Solve = Callable[[Values], Values]
-# Backward error that a solution may have.
-BACKWARD_ERROR = 1e-8
-# An eigenvalue lambda of the body with |lambda - omega^2| below this part of omega^2 drowns all but its mode.
-ON_EIGENVALUE = 1e-6
-# A load that deforms the body by less than this part of itself is rigid.
-RIGID_LOAD = 1e-10
-MOVE, MOVES = 1.005, 3
 
 
 @dataclass(eq=False)
@@ -147,14 +141,14 @@ class ExpansionPoint:
                         f"at the real shift {self.asked.real:.6g} 1/s nothing can be solved; take a larger one, or "
                         f"0.0 among shifts_hz ({error})"
                     ) from error
-                if self.moves == MOVES:
+                if self.moves == TOL.shift_moves:
                     raise SolverError(
-                        f"shift {frequency(self.asked):.6g} Hz and {MOVES} places above it, up to "
+                        f"shift {frequency(self.asked):.6g} Hz and {TOL.shift_moves} places above it, up to "
                         f"{frequency(self.at):.6g} Hz, lie on eigenvalues or on rigid-body motion; take a shift a few "
                         f"percent away, or 0 ({error})"
                     ) from error
                 self.chains.clear()
-                self.at, self.moves = self.at * MOVE, self.moves + 1
+                self.at, self.moves = self.at * TOL.shift_move, self.moves + 1
         return [self.chains[key] for key in wanted]
 
     def lacks(self, wanted: Mapping[object, Wanted]) -> bool:
@@ -220,7 +214,7 @@ class ExpansionPoint:
         small = np.linalg.norm(d * (A - F), axis=0)
         size = np.linalg.norm(d * F, axis=0) + np.linalg.norm(X / np.where(d > 0, d, np.inf), axis=0)
         error = float((small / np.where(size > 0, size, 1.0)).max(initial=0.0))
-        if not error <= BACKWARD_ERROR:
+        if not error <= TOL.backward_error:
             raise SolverError(f"solved at {frequency(self.at):.6g} Hz to a backward error of {error:.1e} only")
 
     def _refuse_near_eigenvalue(self, chain: KrylovChain) -> None:
@@ -231,7 +225,7 @@ class ExpansionPoint:
             return
         Q = chain.blocks[0]
         distance = np.abs(sl.eigvalsh(Q.T @ (self.problem.K @ Q)) - w2).min()
-        if distance < ON_EIGENVALUE * w2:
+        if distance < TOL.on_eigenvalue * w2:
             raise SingularMatrixError(f"{frequency(self.at):.6g} Hz is an eigenfrequency")
 
 
