@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base import progress
 from morembs.base.errors import InputError
+from morembs.base.former_names import with_progress_argument
 from morembs.base.optional import optional
-from morembs.base.progress import SILENT, Progress
 from morembs.base.summary import error_words, summarised
 from morembs.base.types import Complexes, Floats
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.certificate.limits import ErrorLimits, body_response, checked_sharpness, error_limits, sampled
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.proof import proof_of
@@ -127,6 +129,7 @@ class Certificate(ErrorLimits):
         }
 
 
+@with_progress_argument
 def certify(
     problem: Problem,
     bodies: Sequence[ReducedModel],
@@ -137,7 +140,6 @@ def certify(
     sharpness: float = RESPONSES.sharpness,
     points: int = RESPONSES.band_points,
     bound: bool = True,
-    progress: Progress = SILENT,
 ) -> tuple[Certificate, ...]:
     """Certificate of each of ``bodies`` over ``band_hz`` (low, high), both ends included.
 
@@ -171,8 +173,8 @@ def certify(
     low, high = checked_band([float(f) for f in band_hz])
     if not problem.symmetric:
         hz = band_frequencies(problem, (low, high), points) if given is None else given
-        return _measured(problem, bodies, hz, (low, high), measure, damping_floor, progress)
-    reference = certified_reference(problem, (low, high), damping_floor=damping_floor, progress=progress)
+        return _measured(problem, bodies, hz, (low, high), measure, damping_floor)
+    reference = certified_reference(problem, (low, high), damping_floor=damping_floor)
     hz = band_frequencies(problem, (low, high), points, floor=reference.floor) if given is None else given
     H = reference.H(2 * np.pi * hz)
     certificates = []
@@ -230,7 +232,7 @@ def _certificate(
         mode_deviation=poles.deviation,
         mode_mac=poles.mac,
         residue_deviation=poles.residue,
-        verified_below_hz=float(np.sqrt(reference.cut) / (2 * np.pi)),
+        verified_below_hz=float(eigenvalue_in_hz(reference.cut)),
         notes=(*known.notes, *_on_damping(reference, reduced, poles), *_missing(poles)),
     )
 
@@ -242,13 +244,12 @@ def _measured(
     band_hz: tuple[float, float],
     measure: str,
     floor: float | None,
-    progress: Progress,
 ) -> tuple[Certificate, ...]:
     """Certificates of bodies of a model that is not symmetric: errors at ``hz`` (nf,), without a limit between them."""
     if floor:
         raise InputError("a damping floor was given for a model with a gyroscopic or circulatory matrix; leave it out")
     S, nothing = np.outer(problem.motion_scale, problem.motion_scale), np.empty(0)
-    H = direct_response(problem, 2 * np.pi * hz, progress) * S
+    H = direct_response(problem, 2 * np.pi * hz) * S
     statics, norm = problem.B.T @ elastic_statics(problem, problem.B) * S, np.linalg.norm(H, axis=(1, 2))
     certificates = []
     for body in bodies:
@@ -313,7 +314,7 @@ def _on_damping(reference: CertifiedReference, reduced: ReducedModel, poles: Pol
     omega = 2 * np.pi * poles.frequencies_hz
     moved = damping.ratio(omega) != damping.ratio(omega * (1 + np.nan_to_num(poles.deviation)))
     if moved.any():
-        listed = ", ".join(f"{f:,.6g}" for f in omega[moved][:5] / (2 * np.pi)) + (", ..." if moved.sum() > 5 else "")
+        listed = ", ".join(f"{f:,.6g}" for f in in_hz(omega[moved][:5])) + (", ..." if moved.sum() > 5 else "")
         sentences.append(
             f"the modal damping table jumps between the frequencies that {int(moved.sum())} modes have in the full "
             f"model and in this body, which gives them different ratios: {listed} Hz"

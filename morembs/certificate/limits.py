@@ -10,6 +10,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.summary import summarised, upwards
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.certificate.tolerances import TOL
 from morembs.reducers.base import ReducedModel
 from morembs.responses.cells import Cells
@@ -112,7 +113,7 @@ def error_limits(
         if (at := _undamped_pole(terms, low, high)) is not None
     }
     if sharp:
-        at_hz, n = min(sharp.values()) / (2 * np.pi), len(problem.coupling.columns)
+        at_hz, n = in_hz(min(sharp.values())), len(problem.coupling.columns)
         return ErrorLimits(
             limits={name: Limit(lower=0.0, upper=np.inf, at_hz=at_hz) for name in MEASURES},
             block_limit=np.full((n, n), np.inf),
@@ -125,7 +126,7 @@ def error_limits(
             ),
         )
     limits, blocks, cells = compare(standard, body, low, high, sharpness, most_cells=most_cells)
-    hz, upper = merge_cells(cells.edges / (2 * np.pi), cells.upper)
+    hz, upper = merge_cells(in_hz(cells.edges), cells.upper)
     # The ends as they were given.
     hz[0, 0], hz[-1, 1] = reference.band_hz
     notes: tuple[str, ...] = ()
@@ -166,11 +167,11 @@ def _causes(standard: Standard, body: Response, cells: Cells, loose: Sequence[st
         lost = float(parts[worst].max())
         at = omega[int(parts[worst].argmax())]
         amount = f"is {upwards(lost)} of the envelope" if np.isfinite(lost) else "exceeds the damping of a pole"
-        what = f"{UNKNOWN[worst]} {amount} at {at / (2 * np.pi):,.6g} Hz; {CURES[worst]}"
+        what = f"{UNKNOWN[worst]} {amount} at {in_hz(at):,.6g} Hz; {CURES[worst]}"
         if name == "pointwise" and lost < TOL.zero_response and size.min() < TOL.zero_response:
             at = omega[int(size.argmin())]
             what = (
-                f"H has a zero near {at / (2 * np.pi):,.6g} Hz, of {size.min():.1e} of its envelope, of which "
+                f"H has a zero near {in_hz(at):,.6g} Hz, of {size.min():.1e} of its envelope, of which "
                 f'{upwards(lost)} is not known; take measure = "envelope"'
             )
         elif name == "peak" and not cells.lower[3] > 0:

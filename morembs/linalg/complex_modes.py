@@ -14,10 +14,10 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.errors import InputError, SingularMatrixError, SolverError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Complexes, Floats
-from morembs.linalg.columns import complement, m_norms, orthonormal
+from morembs.linalg.columns import complement, m_norms, orthonormal, symmetric
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Factorization, LinearSolver
 
@@ -100,7 +100,6 @@ def complex_modes(
     count: int,
     solver: LinearSolver,
     start: Floats | None = None,
-    progress: Progress = SILENT,
 ) -> ComplexModes:
     """The ``count`` modes of lowest \\|s\\|, with K symmetric and regular.
 
@@ -131,7 +130,7 @@ def complex_modes(
             else ("the stiffness is indefinite, as it is above the first critical speed")
         )
         for _ in range(ATTEMPTS):
-            modes, V = _converged(pencil, V, count, progress)
+            modes, V = _converged(pencil, V, count)
             cut = "" if why else _cut(modes.frequencies, count)
             if isinstance(cut, str):
                 return _first(modes, count, 0.0, why or "the last modes are one cluster")
@@ -187,13 +186,13 @@ def _more(pencil: _Pencil, V: Floats, count: int) -> Floats:
     return complement(V, X, pencil.M)
 
 
-def _converged(pencil: _Pencil, V: Floats, count: int, progress: Progress) -> tuple[ComplexModes, Floats]:
+def _converged(pencil: _Pencil, V: Floats, count: int) -> tuple[ComplexModes, Floats]:
     """The lowest ``count`` modes and some beyond, those unconverged, and the space that they are from."""
     wanted, history = min(count + BEYOND, len(V)), list[float]()
     for step in range(STEPS):
         Kv, Mv, Cv = (_projected(V, A) for A in (pencil.K, pencil.M, pencil.C))
         # To the last bit, by which a body without damping is known.
-        Kv = 0.5 * (Kv + Kv.T)
+        Kv = symmetric(Kv)
         values, Y = small_complex_modes(Kv if pencil.N is None else Kv + _projected(V, pencil.N), Mv, Cv)
         # A pair of s and its conjugate has one mode, two real s have one each.
         s, X = values[:wanted], V @ Y[:, :wanted]
@@ -223,7 +222,7 @@ def _projected(V: Floats, A: sp.csr_array) -> Floats:
     P = V.T @ (A @ V)
     Q = V.T @ (A.T @ V)
     S, Z = 0.5 * (P + Q), 0.5 * (P - Q)
-    return np.asarray(0.5 * (S + S.T) + 0.5 * (Z - Z.T))
+    return np.asarray(symmetric(S) + 0.5 * (Z - Z.T))
 
 
 def _cut(w: Floats, count: int) -> float | str:

@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg as sl
 
+from morembs.base import progress
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.linalg.columns import map_columns, multiply, symmetric
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.parametric.bound import ParametricBound, ratio, ritz_pairs
@@ -82,8 +83,8 @@ class Worst:
 class GreedySearch:
     """The search for a basis of ``problem`` that keeps what is ``wanted``."""
 
-    def __init__(self, problem: AffineProblem, wanted: Wanted, progress: Progress = SILENT) -> None:
-        self.problem, self.wanted, self.progress = problem, wanted, progress
+    def __init__(self, problem: AffineProblem, wanted: Wanted) -> None:
+        self.problem, self.wanted = problem, wanted
         self.floor = floor_of(problem, wanted.band_hz, wanted.floor, problem.damping_at(problem.box.low))
         self.low, self.high = (2 * np.pi * f for f in wanted.band_hz)
         self.training = training_points(problem.box, wanted.training)
@@ -107,7 +108,7 @@ class GreedySearch:
         self.deflated = self.space.size
         self.space.add_rigid_at_others()
         self.kept = self.space.size
-        self.proofs = Proofs(self.space, self.progress)
+        self.proofs = Proofs(self.space)
         # Many cells help little where the norm is the matter.
         few = loose is None and self.problem.loose is not None
         self.cells = self.proofs.cells(TOL.max_cells) if few else self.proofs.cells()
@@ -141,7 +142,7 @@ class GreedySearch:
             worst = self._next()
             stalled = stalled + 1 if np.isfinite(last) and worst.value > TOL.least_progress * last else 0
             last = worst.value
-            self.progress.update(
+            progress.update(
                 f"bound {worst.value:.1e} with {self.space.size} columns from {len(self.points)} values of p"
             )
             enough = worst.value <= wanted.tolerance
@@ -237,7 +238,7 @@ class GreedySearch:
             k = int(np.argmax(relative))
             size = at.residual(omega).max() if np.isinf(relative[k]) else 0.0
             if relative[k] > largest.value or (relative[k] == largest.value and size > residual):
-                largest, residual = Worst(value=float(relative[k]), p=p, hz=float(omega[k] / (2 * np.pi))), size
+                largest, residual = Worst(value=float(relative[k]), p=p, hz=float(in_hz(omega[k]))), size
             if largest.value > enough:
                 break
         return largest
@@ -264,7 +265,7 @@ class GreedySearch:
             raise self._unreached(worst, high, model, bare)
         while worst.value <= wanted.tolerance and low < high:
             middle = (low + high) // 2
-            self.progress.update(f"{middle} of {whole} columns")
+            progress.update(f"{middle} of {whole} columns")
             if self.worst(*of(middle), points=self.training[order], enough=wanted.tolerance).value <= wanted.tolerance:
                 high = middle
             else:
@@ -336,7 +337,7 @@ class GreedySearch:
         if len(undamped):
             raise InputError(
                 f"at {self._words(p)} the body has no damping at {len(undamped)} resonances of the band, the first at "
-                f"{np.sqrt(undamped[0]) / (2 * np.pi):,.6g} Hz, where its response has no limit; expected some: give "
+                f"{eigenvalue_in_hz(undamped[0]):,.6g} Hz, where its response has no limit; expected some: give "
                 "[damping], a range of alpha or beta from above 0, or damping_floor = 0.01"
             )
 

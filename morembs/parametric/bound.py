@@ -60,6 +60,7 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.base.types import Floats
+from morembs.linalg.columns import symmetric
 from morembs.parametric.bound_at import BoundAt
 from morembs.parametric.law import LINEAR, SQUARE, Law
 from morembs.parametric.tolerances import TOL
@@ -266,7 +267,7 @@ def ritz_pairs(K: Floats, M: Floats, rigid: Floats) -> tuple[Floats, Floats, Flo
         values, Y = sl.eigh(K, M)
         return rigid, values, Y
     G = rigid.T @ M @ rigid
-    Z = sl.solve_triangular(sl.cholesky(0.5 * (G + G.T), lower=True), rigid.T, lower=True).T
+    Z = sl.solve_triangular(sl.cholesky(symmetric(G), lower=True), rigid.T, lower=True).T
     Q = sl.qr(M @ Z)[0][:, r:]
     values, Y = sl.eigh(Q.T @ K @ Q, Q.T @ M @ Q)
     return Z, values, np.asarray(Q @ Y)

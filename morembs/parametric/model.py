@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Complexes, Floats
-from morembs.linalg.columns import projected, without_rigid_motion
+from morembs.base.units import eigenvalue_in_hz, in_hz
+from morembs.linalg.columns import projected, symmetric, without_rigid_motion
 from morembs.linalg.eigen import graded_modes
 from morembs.parametric.law import Law
 from morembs.parametric.parameter import DAMPING, Box
@@ -57,7 +58,7 @@ class ParametricModel:
     @property
     def highest_hz(self) -> float:
         """Upper end of the band that the basis was made for, infinite where that is not known."""
-        return np.inf if self.bound is None else float(self.bound.highest / (2 * np.pi))
+        return np.inf if self.bound is None else float(in_hz(self.bound.highest))
 
     def matrices(self, p: Floats) -> tuple[Floats, Floats]:
         """K and M (..., n, n) at ``p`` (..., P)."""
@@ -79,7 +80,7 @@ class ParametricModel:
         K = without_rigid_motion(K, M, rigid)
         damping = self.box.damping(self.damping, p)
         G = rigid.T @ M @ rigid
-        Z = sl.solve_triangular(sl.cholesky(0.5 * (G + G.T), lower=True), rigid.T, lower=True).T
+        Z = sl.solve_triangular(sl.cholesky(symmetric(G), lower=True), rigid.T, lower=True).T
         values, Y = graded_modes(K, M)
         values[: rigid.shape[1]] = 0.0
         return ModelAt(
@@ -102,7 +103,7 @@ class ParametricModel:
             L = np.linalg.cholesky(M)
             A = np.linalg.solve(L, np.linalg.solve(L, K).transpose(0, 2, 1))
             values = np.linalg.eigvalsh(0.5 * (A + A.transpose(0, 2, 1)))[:, r : r + count]
-            result[first : first + TOL.table_rows] = np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)
+            result[first : first + TOL.table_rows] = eigenvalue_in_hz(values)
         return result
 
     def derivatives(self, p: Floats) -> tuple[Floats, Floats]:
@@ -134,7 +135,7 @@ class ModelAt:
     @property
     def frequencies_hz(self) -> Floats:
         """Elastic eigenfrequencies (n - r,)."""
-        return np.asarray(np.sqrt(np.maximum(self.values[self.rigid.shape[1] :], 0.0)) / (2 * np.pi))
+        return np.asarray(eigenvalue_in_hz(self.values[self.rigid.shape[1] :]))
 
     def response(self, frequencies_hz: Floats) -> Complexes:
         """Elastic part of H (nf, m, m) at frequencies in Hz, as ``full_response`` has that of the full model."""

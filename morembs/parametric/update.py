@@ -10,6 +10,7 @@ from scipy.optimize import least_squares, linear_sum_assignment
 
 from morembs.base.errors import InputError, SolverError, nearest
 from morembs.base.types import Floats, Ints
+from morembs.base.units import in_hz
 from morembs.parametric.model import ModelAt, ParametricModel
 from morembs.parametric.tolerances import TOL
 
@@ -237,7 +238,7 @@ class _Fit:
             untold.append({box.names[k]: float(relative[k]) for k in np.flatnonzero(np.abs(part) > TOL.named_part)})
         ends = np.minimum(p - box.low, box.high - p) < TOL.at_end * self.span
         frequencies = at.frequencies_hz[pairs]
-        band = np.inf if self.model.bound is None else self.model.bound.highest / (2 * np.pi)
+        band = np.inf if self.model.bound is None else in_hz(self.model.bound.highest)
         return Updated(
             names=box.names,
             p=p,

@@ -9,11 +9,6 @@ from dataclasses import dataclass
 class ProblemTolerances:
     """Quantities that decide, each with the line that derives or cites it."""
 
-    # Resident memory of a process that has read nothing yet: Python and the libraries, as measured.
-    process_bytes: int = 96_000_000
-    # Blocks of loads that exist at once while they are solved for, beside those of the result.
-    solve_blocks: int = 4
-
     # Relative difference of limits of modes that are one limit: 45 eps.
     same_limit: float = 1e-14
     # Shift in the Sturm count of motions without energy, over the round-off in that of rigid motion.

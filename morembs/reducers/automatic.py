@@ -19,9 +19,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
-from morembs.base.progress import Progress
 from morembs.base.types import Floats
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.problem import SOFTER, Problem
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.families import OfResponses
@@ -78,7 +79,7 @@ class AutoReducer(OfResponses):
     def certified_band(self) -> Sequence[float]:
         return self.band_hz
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+    def _basis(self, problem: Problem) -> Basis:
         floor = floor_of(problem, self.band_hz, self.damping_floor)
         omega = 2 * np.pi * band_frequencies(problem, self.band_hz, floor=floor)
         # A body that is held has no rigid motion to balance the inertia of its frame.
@@ -90,7 +91,6 @@ class AutoReducer(OfResponses):
                 tolerance=min(TOL.reference_part * self.tolerance, RESPONSES.reference_error),
                 damping_floor=floor,
                 inertia_loads=inertia,
-                progress=progress,
             )
             self._refuse_lost(certified)
         except SolverError as fault:
@@ -119,7 +119,7 @@ class AutoReducer(OfResponses):
             "choice": _words(best, orders, self.band_hz, self.tolerance),
         }
         if best == "krylov":
-            notes["frequencies_hz"] = [float(w / (2 * np.pi)) for w in search.chosen]
+            notes["frequencies_hz"] = [float(in_hz(w)) for w in search.chosen]
         basis = elastic_basis(problem, certified.model.vectors(C), KINDS[best], notes)
         limit = search.limit(C, np.diag(basis.K)[problem.rigid.shape[1] :])
         if limit.upper > self.tolerance:
@@ -133,7 +133,7 @@ class AutoReducer(OfResponses):
             InputError: an undamped resonance.
             SolverError: a reference without a limit, a tolerance below round-off, or a band far above all modes.
         """
-        highest_hz = float(np.sqrt(certified.values.max()) / (2 * np.pi))
+        highest_hz = float(eigenvalue_in_hz(certified.values.max()))
         far, endless = self.band_hz[1] > TOL.far_band * highest_hz, ~np.isfinite(certified.off)
         if endless.any() and certified.undamped:
             raise InputError(
@@ -141,7 +141,7 @@ class AutoReducer(OfResponses):
                 "damping_floor such as 0.01"
             )
         if endless.any() and not far:
-            at_hz = float(certified.edges[:-1][endless][0] / (2 * np.pi))
+            at_hz = float(in_hz(certified.edges[:-1][endless][0]))
             raise SolverError(
                 f"the error of the reference of the full model has no limit from {at_hz:,.6g} Hz on, where its "
                 "residual exceeds the damping of a resonance; give more damping, or a damping_floor such as 0.01"
@@ -156,11 +156,8 @@ class AutoReducer(OfResponses):
             )
         if self.tolerance < least:
             # Above it by what two digits may take off.
-            raising = (
-                f"raise the tolerance to {TOL.advised_margin * least:.1e} or more, or "
-                if least < TOL.max_advised_tolerance
-                else ""
-            )
+            advised = f"raise the tolerance to {TOL.advised_margin * least:.1e} or more, or "
+            raising = advised if least < TOL.max_advised_tolerance else ""
             raise SolverError(
                 f"round-off in the stiffness of this model alone may be {lost:.1e} of its response at {at_hz:,.6g} Hz, "
                 f"and {TOL.roundoff_share:g} times that has to be allowed; {raising}{SOFTER}"

@@ -10,19 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from morembs.base.errors import InputError, SolverError
-from morembs.base.progress import Progress
 from morembs.base.types import Floats, Values
+from morembs.base.units import in_hz
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
 from morembs.linalg.columns import multiply, project_out, projected
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.sparse.select import select_solver
-from morembs.problem import Damping, Problem
+from morembs.problem import Damping, Problem, System
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.families import OfResponses
@@ -122,8 +122,8 @@ class Balanced(OfResponses):
         # The iteration over all frequencies has a solver of its own where that of the job takes no complex matrices.
         return super().shifted(facts) if self.band_hz is not None else ()
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        gramian = self._gramian(problem, progress)
+    def _basis(self, problem: Problem) -> Basis:
+        gramian = self._gramian(problem)
         products = gramian.products
         order = self._order(products)
         cut = truncated(products, self.variant, order, self.balancing)
@@ -155,23 +155,21 @@ class Balanced(OfResponses):
         values = [singular_values(products, name) for name in names]
         return min(usable, max(int((s > float(self.tolerance or 0.0) * s[0]).sum()) for s in values))
 
-    def _gramian(self, problem: Problem, progress: Progress) -> _Gramian:
+    def _gramian(self, problem: Problem) -> _Gramian:
         if self.band_hz is not None:
-            return _over_band(problem, (self.band_hz[0], self.band_hz[1]), progress)
+            return _over_band(problem, (self.band_hz[0], self.band_hz[1]))
         if problem.damping.is_modal:
-            return self._with_modal_damping(problem, progress)
-        return self._over_all(problem, progress)
+            return self._with_modal_damping(problem)
+        return self._over_all(problem)
 
-    def _over_all(self, problem: Problem, progress: Progress) -> _Gramian:
-        with _pencil(problem) as (pencil, notes):
-            system = _system(problem, pencil)
+    def _over_all(self, problem: Problem) -> _Gramian:
+        with _damped_system(problem) as (system, notes):
             gramian = low_rank_gramian(
-                system,
+                _elastic(problem, system),
                 _loads(problem),
                 tolerance=self.adi_tolerance,
                 max_steps=self.adi_steps,
                 budget=problem.budget,
-                progress=progress,
             )
         M, K, budget, (alpha, beta) = problem.M, problem.K, problem.budget, _rayleigh(problem)
         Zp, Zv = gramian.Zp, gramian.Zv
@@ -190,14 +188,14 @@ class Balanced(OfResponses):
         products = Products.of(Mpp, Mpv, Mvv, Dpp, Dpv)
         return _Gramian(Zp=Zp, Zv=Zv, products=products, reference=None, notes=notes)
 
-    def _with_modal_damping(self, problem: Problem, progress: Progress) -> _Gramian:
+    def _with_modal_damping(self, problem: Problem) -> _Gramian:
         """Over all frequencies, in a reference model whose range doubles until the singular values stand."""
-        reference = reference_model(problem, np.zeros(1), tolerance=TOL.reference_error, progress=progress)
+        reference = reference_model(problem, np.zeros(1), tolerance=TOL.reference_error)
         wanted = self.order or 10
         top = 4 * float(np.sqrt(reference.values[0]))
         before: tuple[Floats, Floats] | None = None
         for _ in range(TOL.range_doublings):
-            reference = _up_to(problem, top, progress)
+            reference = _up_to(problem, top)
             Zp, Zv = lyapunov_factor(reference.values, reference.damping_of_modes(), reference.B * problem.motion_scale)
             products = _modal_products(reference, Zp, Zv)
             values = singular_values(products, "pv")[:wanted], singular_values(products, self.variant)[:wanted]
@@ -206,7 +204,7 @@ class Balanced(OfResponses):
                 if settled <= TOL.settled_gramian:
                     notes = {
                         "gramian": "modal damping: Lyapunov equation of a reference model of order "
-                        f"{len(reference.values)}, accurate up to {top / (2 * np.pi):.6g} Hz",
+                        f"{len(reference.values)}, accurate up to {in_hz(top):.6g} Hz",
                         "gramian_change": change,
                     }
                     return _Gramian(Zp=Zp, Zv=Zv, products=products, reference=reference, notes=notes)
@@ -242,23 +240,23 @@ def _why_no_gramian(damping: Damping, own: bool) -> str:
     return ""
 
 
-def _up_to(problem: Problem, top: float, progress: Progress) -> Reference:
+def _up_to(problem: Problem, top: float) -> Reference:
     """Reference from zero to ``top`` (rad/s)."""
     omega = np.linspace(0.0, top, TOL.reference_samples)
     try:
-        return reference_model(problem, omega, tolerance=TOL.reference_error, progress=progress)
+        return reference_model(problem, omega, tolerance=TOL.reference_error)
     except SolverError as error:
         raise SolverError(
             "with modal damping the Gramian over all frequencies needs a reference model up to "
-            f"{top / (2 * np.pi):.6g} Hz, which is out of reach ({error}); {INSTEAD}"
+            f"{in_hz(top):.6g} Hz, which is out of reach ({error}); {INSTEAD}"
         ) from error
 
 
-def _over_band(problem: Problem, band_hz: tuple[float, float], progress: Progress) -> _Gramian:
+def _over_band(problem: Problem, band_hz: tuple[float, float]) -> _Gramian:
     """The Gramian over a band, in the coordinates of the reference model."""
     low, high = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
     omega = np.linspace(low, high, TOL.reference_samples)
-    reference = reference_model(problem, omega, tolerance=TOL.reference_error, progress=progress)
+    reference = reference_model(problem, omega, tolerance=TOL.reference_error)
     loads = reference.B * problem.motion_scale
     decay = reference.damping_at_resonance()
     # Modes of a table may be damped in part.
@@ -290,30 +288,31 @@ def _rayleigh(problem: Problem) -> tuple[float, float]:
 
 
 @contextmanager
-def _pencil(problem: Problem) -> Iterator[tuple[DynamicStiffness, dict[str, object]]]:
-    """A(s) with the whole explicit damping, and what had to be changed for it.
+def _damped_system(problem: Problem) -> Iterator[tuple[System, dict[str, object]]]:
+    """The system that the iteration solves with, and what had to be changed for it.
 
-    The problem's own one serves unless Rayleigh damping comes on top of a damping matrix, or its solver takes no
-    complex matrices.
+    That of the problem serves unless Rayleigh damping comes on top of a damping matrix, which then holds both, or its
+    solver takes no complex matrices.
     """
-    alpha, beta = _rayleigh(problem)
-    own = problem.D is None or not (alpha or beta)
+    system, D, (alpha, beta) = problem.system, problem.D, _rayleigh(problem)
     notes: dict[str, object] = {}
     solver = problem.solver
     if "complex-symmetric" not in solver.structures:
         solver = select_solver(memory=solver.memory, scratch=solver.scratch)
         notes["shift_solver"] = f"{solver.name}, as {problem.solver.name} takes no complex matrices"
-    if own and solver is problem.solver:
-        yield problem.stiffness, notes
+    if D is not None and (alpha or beta):
+        D = D + alpha * problem.M + beta * problem.K
+        system = replace(system, velocity_matrix=D, damping=Damping())
+    elif solver is problem.solver:
+        yield system, notes
         return
-    D = problem.D if own or problem.D is None else problem.D + alpha * problem.M + beta * problem.K
-    with DynamicStiffness(problem.K, problem.M, D, solver=solver, budget=problem.budget) as pencil:
-        yield pencil, notes
+    with DynamicStiffness(problem.K, problem.M, D, solver=solver, budget=problem.budget) as stiffness:
+        yield replace(system, stiffness=stiffness), notes
 
 
-def _system(problem: Problem, pencil: DynamicStiffness) -> SecondOrder:
+def _elastic(problem: Problem, system: System) -> SecondOrder:
     """The elastic part as the iteration sees it: no solution has rigid motion in it."""
-    M, K, D, Z = problem.M, problem.K, problem.D, problem.rigid
+    M, K, D = problem.M, problem.K, problem.D
     alpha, beta = _rayleigh(problem)
     if problem.damps_rigid_motion:
         raise InputError(
@@ -326,15 +325,8 @@ def _system(problem: Problem, pencil: DynamicStiffness) -> SecondOrder:
         return np.asarray(Y if D is None else Y + D @ X)
 
     def solve(s: complex, F: Values) -> Values:
-        at, c = s, 1.0 + 0.0 * s
-        if D is None:
-            # (1 + s beta) (K + f M): real and positive definite for positive s, one pattern for all damping.
-            c = 1.0 + s * beta
-            at = np.sqrt((s * s + alpha * s) / c)
-        with pencil.factorize(at) as factor:
-            X: Values = factor.solve(F / c)
-        X -= Z @ (Z.T @ (M @ X))
-        return X
+        with system.inverse(s) as inverse:
+            return inverse(F)
 
     return SecondOrder(M=M, K=K, apply_D=apply_D, solve=solve, flexibility=problem.elastic.flexibility)
 

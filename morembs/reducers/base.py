@@ -5,17 +5,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, ClassVar, Self, final
+from typing import TYPE_CHECKING, Any, ClassVar, Self, final
 
 import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.base.errors import InputError, SolverError
-from morembs.base.former_names import with_old_names
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import accept_progress, with_old_names, with_progress_argument
 from morembs.base.summary import hertz, kinds_words, summarised
 from morembs.base.types import Floats
+from morembs.base.units import eigenvalue_in_hz
 from morembs.fem.fe_model import STRUCTURAL, WITHOUT_MASS
 from morembs.linalg.columns import (
     complement,
@@ -25,6 +25,7 @@ from morembs.linalg.columns import (
     multiply,
     multiply_into,
     projected,
+    symmetric,
     without_rigid_motion,
 )
 from morembs.linalg.complex_modes import small_complex_modes
@@ -139,7 +140,7 @@ class ReducedModel:
             "name": self.name,
             "order": self.order,
             "coordinates": kinds_words(self.mode_kind),
-            "elastic frequencies": None if values is None else hertz(np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)),
+            "elastic frequencies": None if values is None else hertz(eigenvalue_in_hz(values)),
             "inputs": self.B.shape[1],
         }
 
@@ -153,7 +154,7 @@ class ReducedModel:
         if self.symmetric:
             return graded_modes(self.K, self.M)
         if self.congruent:
-            values, Y = graded_modes(0.5 * (self.K + self.K.T), self.M)
+            values, Y = graded_modes(symmetric(self.K), self.M)
             # Flow may make elastic modes softer than rigid motion.
             rigid = np.sort(np.argsort(np.abs(values))[:r])
             order = np.concatenate([rigid, np.delete(np.arange(self.order), rigid)])
@@ -245,29 +246,27 @@ class Reducer(ABC):
         return self
 
     def switching(
-        self,
-        problem: Problem,
-        reduced: ReducedModel,
-        *,
-        operator: StressOperator | None = None,
-        progress: Progress = SILENT,
+        self, problem: Problem, reduced: ReducedModel, *, operator: StressOperator | None = None
     ) -> StaticModeTables | None:
         """Tables of static modes that complement ``reduced`` of this reducer; None for all but one method."""
         return None
 
-    def variation(
-        self, problem: Problem, reduced: ReducedModel, *, progress: Progress = SILENT
-    ) -> ParametricModel | None:
+    def variation(self, problem: Problem, reduced: ReducedModel) -> ParametricModel | None:
         """The reduced model of all values of parameters, of which ``reduced`` of this reducer is that of nominal ones;
         None for all but one method."""
         return None
 
     @abstractmethod
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+    def _basis(self, problem: Problem) -> Basis:
         """Columns of the reduction and their exact stiffness; ``why_not`` has nothing against ``problem``."""
 
+    def __init_subclass__(cls, **keys: Any) -> None:
+        super().__init_subclass__(**keys)
+        accept_progress(cls, _basis=2, switching=3, variation=3)
+
     @final
-    def reduce(self, problem: Problem, name: str | None = None, progress: Progress = SILENT) -> ReducedModel:
+    @with_progress_argument
+    def reduce(self, problem: Problem, name: str | None = None) -> ReducedModel:
         """Reduced model of ``problem``.
 
         Raises:
@@ -282,7 +281,7 @@ class Reducer(ABC):
         massless = massless_motions(problem)
         if massless and self.certified_band is not None:
             raise InputError(f'method "{self.method}" promises an error, and {massless_words(massless)}')
-        basis = self._basis(problem, progress)
+        basis = self._basis(problem)
         if set(basis.kinds) <= {"rigid"}:
             raise InputError(
                 f'method "{self.method}" with these options leaves no elastic coordinate, only {len(basis.kinds)} '
@@ -298,7 +297,7 @@ class Reducer(ABC):
         if basis.W is None:
             M = projected(V, problem.M, budget)
             _refuse_singular_mass(self.method, M, basis.kinds)
-            K = without_rigid_motion(0.5 * (basis.K + basis.K.T), M, basis.rigid)
+            K = without_rigid_motion(symmetric(basis.K), M, basis.rigid)
             B = outputs.T
         else:
             V_velocity = V if basis.V_velocity is None else basis.V_velocity
@@ -463,7 +462,7 @@ def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to:
         constraint = basis.V[:, : basis.kinds.count("constraint")]
         W -= constraint @ (problem.B.T @ W)
     stiffness = W.T @ (problem.K @ W)
-    W = fix_signs(W @ sl.eigh(0.5 * (stiffness + stiffness.T))[1])
+    W = fix_signs(W @ sl.eigh(symmetric(stiffness))[1])
     KW = problem.K @ W
     cross = basis.V.T @ KW
     return Basis(

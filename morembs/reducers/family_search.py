@@ -11,6 +11,7 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.quadrature import trapezoid
 from morembs.problem.damping import Damping
@@ -148,7 +149,7 @@ class FamilySearch:
             return False
         size = self.standard.layout.norms(self.standard.H.at(self.looked))[:, 0]
         e = self.standard.modes.moduli(self.looked)[0] @ self.standard.sizes[:, 0]
-        self.worst = Limit(lower=0.0, upper=np.inf, at_hz=float(self.looked[(size / e).argmin()]) / (2 * np.pi))
+        self.worst = Limit(lower=0.0, upper=np.inf, at_hz=in_hz(float(self.looked[(size / e).argmin()])))
         return True
 
     def limit(self, C: Floats, theta: Floats) -> Limit:
@@ -208,7 +209,7 @@ class FamilySearch:
         errors = np.asarray((self._norms(off) / self.sizes).max(axis=1))
         if errors.max() < self.worst.upper:
             j = int(errors.argmax())
-            self.worst = Limit(lower=errors[j], upper=errors[j], at_hz=self.looked[j] / (2 * np.pi))
+            self.worst = Limit(lower=errors[j], upper=errors[j], at_hz=in_hz(self.looked[j]))
         return errors
 
     def _norms(self, H: NDArray[np.complex128]) -> Floats:

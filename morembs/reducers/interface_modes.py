@@ -21,9 +21,9 @@ import scipy.sparse as sp
 
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Ints
-from morembs.linalg.columns import dot, fix_signs, multiply_into, project_out
+from morembs.base.units import eigenvalue_in_hz
+from morembs.linalg.columns import dot, fix_signs, multiply_into, project_out, symmetric
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
 from morembs.linalg.lanczos import BlockLanczos, largest
@@ -75,13 +75,11 @@ class FixedInterfaceBody(Closing):
             return self.constrained.flexibility(F)
         return self._whole(self.constrained.flexibility(F[self.rows]))
 
-    def modes(self, count: int | None, below: float | None, progress: Progress) -> Modes:
+    def modes(self, count: int | None, below: float | None) -> Modes:
         """Fixed-interface modes, proven complete by a Sturm count; (Nc, k) vectors."""
         if self.rows is None:
             return self.problem.fixed_modes(count=count, below=below)
-        modes = lowest_modes(
-            self.constrained, self.M, count=count, below=below, progress=progress, what="fixed-interface modes"
-        )
+        modes = lowest_modes(self.constrained, self.M, count=count, below=below, what="fixed-interface modes")
         if count is None and below is not None:
             count = int((modes.eigenvalues <= below * (1 + GAP)).sum())
         modes = modes.first(len(modes.eigenvalues) if count is None else count)
@@ -105,7 +103,6 @@ def interface_modes(
     *,
     count: int | None = None,
     below: float | None = None,
-    progress: Progress = SILENT,
     from_all: bool | None = None,
 ) -> InterfaceModes:
     """The lowest ``count`` elastic characteristic modes, or all up to ``below`` in (rad/s)2.
@@ -129,7 +126,7 @@ def interface_modes(
         from_all = problem.B.shape[1] <= TOL.dense_interface or (count is not None and TOL.dense_part * count > most)
     if from_all:
         return _all(problem, count, below)
-    return _lowest(problem, held, most, count, below, progress)
+    return _lowest(problem, held, most, count, below)
 
 
 def static_error(problem: Problem, held: FixedInterfaceBody, modes: InterfaceModes) -> float:
@@ -162,7 +159,7 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
     # Rigid-body motion is known and goes out before the eigenvalues are computed, which it would blur.
     scale = 1.0 / np.sqrt(np.diag(M))
     H = (problem.B.T @ problem.rigid) / scale[:, None]
-    Ms, Ks = (0.5 * (A + A.T) * np.outer(scale, scale) for A in (M, K))
+    Ms, Ks = (symmetric(A) * np.outer(scale, scale) for A in (M, K))
     Q = sl.qr(Ms @ H)[0][:, r:]
     values, Y = sl.eigh(Q.T @ Ks @ Q, Q.T @ Ms @ Q)
     kept = len(values) if count is None else count
@@ -174,12 +171,12 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
     return InterfaceModes(
         eigenvalues=values[:kept],
         vectors=fix_signs(V, problem.budget),
-        next_hz=float(np.sqrt(values[kept]) / (2 * np.pi)) if kept < len(values) else None,
+        next_hz=float(eigenvalue_in_hz(values[kept])) if kept < len(values) else None,
     )
 
 
 def _lowest(
-    problem: Problem, held: FixedInterfaceBody, most: int, count: int | None, below: float | None, progress: Progress
+    problem: Problem, held: FixedInterfaceBody, most: int, count: int | None, below: float | None
 ) -> InterfaceModes:
     flexibility = _flexibility(problem, held)
     rng = np.random.default_rng(3)
@@ -187,7 +184,7 @@ def _lowest(
     wanted = 4 * TOL.block_columns if count is None else count + 1
     lanczos = BlockLanczos(flexibility, problem.M, start, capacity=_capacity(wanted, most), budget=problem.budget)
     while True:
-        theta, V = largest(lanczos, wanted, progress=progress, what="characteristic modes")
+        theta, V = largest(lanczos, wanted, what="characteristic modes")
         values = 1.0 / theta
         if below is None or values[-1] > below * (1 + GAP):
             break
@@ -199,9 +196,7 @@ def _lowest(
     V = V[:, :kept]
     project_out(problem.rigid, V, problem.M)
     return InterfaceModes(
-        eigenvalues=values[:kept],
-        vectors=fix_signs(V, problem.budget),
-        next_hz=float(np.sqrt(values[kept]) / (2 * np.pi)),
+        eigenvalues=values[:kept], vectors=fix_signs(V, problem.budget), next_hz=float(eigenvalue_in_hz(values[kept]))
     )
 
 

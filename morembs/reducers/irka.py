@@ -18,8 +18,8 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base import progress
 from morembs.base.errors import InputError
-from morembs.base.progress import Progress
 from morembs.base.types import Complexes, Floats
 from morembs.linalg.columns import orthonormal
 from morembs.linalg.quadrature import trapezoid
@@ -83,10 +83,10 @@ class Irka(OfResponses):
             )
         return super().why_not(facts)
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+    def _basis(self, problem: Problem) -> Basis:
         low, high = (2 * np.pi * f for f in self.band_hz)
         reference = reference_model(
-            problem, np.linspace(low, high, TOL.reference_samples), tolerance=TOL.reference_error, progress=progress
+            problem, np.linspace(low, high, TOL.reference_samples), tolerance=TOL.reference_error
         )
         if self.order > len(reference.values):
             raise InputError(
@@ -94,7 +94,7 @@ class Irka(OfResponses):
                 f"to {TOL.reference_error:.0e} already: lower the order, or widen band_hz"
             )
         band = _Band(reference, low, high)
-        runs = [self._run(band, shifts, progress) for shifts in _starts(band, self.order, low, high)]
+        runs = [self._run(band, shifts) for shifts in _starts(band, self.order, low, high)]
         met = min(runs, key=lambda run: run.error)
         modes = _of_modes(band, met, self.order)
         progress.update(f"{self.method}: the strongest modes, H2 error {modes.error:.2e}, no shifts")
@@ -117,7 +117,7 @@ class Irka(OfResponses):
             notes["deflated"] = f"{self.order - best.C.shape[1]} of {self.order} columns depend on the others"
         return elastic_basis(problem, reference.vectors(best.C), "krylov", notes)
 
-    def _run(self, band: _Band, shifts: _Shifts, progress: Progress) -> _Run:
+    def _run(self, band: _Band, shifts: _Shifts) -> _Run:
         """The iteration from one start, and the best model on its way."""
         errors: list[float] = []
         best, kept, change = band.columns(shifts), shifts, np.inf

@@ -19,16 +19,17 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base import progress
 from morembs.base.errors import InputError, nearest
-from morembs.base.progress import Progress
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.linalg.columns import complement, dot, hstack, map_columns, multiply_into, projected
 from morembs.linalg.second_order_arnoldi import PASSES
 from morembs.problem import Problem
 from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.petrov_galerkin import two_sided_basis
-from morembs.reducers.shifts import Wanted, apply, expansion_point, frequency, grow_at_once
+from morembs.reducers.shifts import Wanted, expansion_point, grow_at_once
 from morembs.reducers.tolerances import TOL
 from morembs.responses.loads import elastic_part, inertia_loads, load_scale
 
@@ -125,7 +126,7 @@ class Krylov(Reducer):
     def shifted(self, facts: Facts) -> Sequence[Shifted]:
         return facts.at_shifts((s for s, _ in self._points()), facts.inputs, at_once=self.tangential is None)
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+    def _basis(self, problem: Problem) -> Basis:
         self._check(problem)
         notes: dict[str, object] = {}
         # Only where some directions are kept and others not does it matter how much a load counts.
@@ -137,7 +138,7 @@ class Krylov(Reducer):
                 raise InputError("inputs and outputs name the same interfaces; leave two_sided out")
         for space in spaces:
             space.reserve(self._columns(problem, space.F.shape[1]))
-        lost, moved = self._fill(problem, spaces, progress)
+        lost, moved = self._fill(problem, spaces)
         lost = [text for space in spaces for text in space.lost] + lost
         if lost:
             notes["deflated"] = lost
@@ -148,7 +149,7 @@ class Krylov(Reducer):
                 "the expansion is that of the model's own damping matrix, without the damping added to it"
             )
         if self.order is not None:
-            top = max([*self.shifts_hz, *(s / (2 * np.pi) for s in self.real_shifts)])
+            top = max([*self.shifts_hz, *(in_hz(s) for s in self.real_shifts)])
             for space in spaces:
                 notes[f"columns_of_{space.name}_before_the_cut"] = space.size
                 space.cut(self.order, 2 * np.pi * top)
@@ -185,7 +186,7 @@ class Krylov(Reducer):
             )
         return total
 
-    def _fill(self, problem: Problem, spaces: list[_LoadSpace], progress: Progress) -> tuple[list[str], list[str]]:
+    def _fill(self, problem: Problem, spaces: list[_LoadSpace]) -> tuple[list[str], list[str]]:
         """All blocks into the spaces of the loads; words on columns lost and shifts moved."""
         lost: list[str] = []
         moved: list[str] = []
@@ -200,10 +201,10 @@ class Krylov(Reducer):
                 }
                 for point, count in points
             ]
-            grow_at_once(problem, [point for point, _ in points], wanted_at, progress)
+            grow_at_once(problem, [point for point, _ in points], wanted_at)
         for s, count in self._points():
             shift = expansion_point(problem, s)
-            what = f"shift {frequency(s):.6g} Hz" if s.imag or not s else f"real shift {s.real:.6g} 1/s"
+            what = f"shift {in_hz(abs(s)):.6g} Hz" if s.imag or not s else f"real shift {s.real:.6g} 1/s"
             wanted: dict[object, Wanted] = {}
             growing = []
             for space in spaces:
@@ -221,7 +222,7 @@ class Krylov(Reducer):
                     if deflated:
                         lost.append(f"{what}, block {j + 1}: {deflated} columns of the {space.name}")
             if shift.moves:
-                moved.append(f"{what} lies on an eigenvalue; moved to {frequency(shift.at):.8g} Hz")
+                moved.append(f"{what} lies on an eigenvalue; moved to {in_hz(abs(shift.at)):.8g} Hz")
         return lost, moved
 
 
@@ -302,11 +303,11 @@ class _LoadSpace:
             return np.asarray(F)
         width = problem.budget.columns(len(V))
         blocks = [slice(at, min(at + width, self.size)) for at in range(0, self.size, width)]
-        A = np.hstack([dot(V, apply(problem, s, V[:, block]), problem.budget) for block in blocks])
+        A = np.hstack([dot(V, problem.system.apply(s, V[:, block]), problem.budget) for block in blocks])
         y = np.linalg.solve(A, V.T @ F)
         rest: NDArray[Any] = np.array(F, dtype=y.dtype)
         for block in blocks:
-            rest -= apply(problem, s, V[:, block]) @ y[block]
+            rest -= problem.system.apply(s, V[:, block]) @ y[block]
         return np.asarray(rest)
 
     def cut(self, order: int, top: float) -> None:

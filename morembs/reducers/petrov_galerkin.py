@@ -9,6 +9,7 @@ import scipy.linalg as sl
 
 from morembs.base.errors import SolverError
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.linalg.columns import hstack, multiply, projected
 from morembs.problem import Problem
 from morembs.reducers.base import Basis
@@ -77,6 +78,6 @@ def refuse_unstable(M: Floats, D: Floats, K: Floats, what: str, instead: str) ->
     if growth[worst] > TOL.unstable_growth:
         pole = poles[worst]
         raise SolverError(
-            f"{what} gives an unstable reduced model at order {n}: a motion of {abs(pole.imag) / (2 * np.pi):.6g} Hz "
+            f"{what} gives an unstable reduced model at order {n}: a motion of {in_hz(abs(pole.imag)):.6g} Hz "
             f"grows at {pole.real:.6g} per second; {instead}"
         )

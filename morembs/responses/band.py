@@ -8,6 +8,7 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.problem import Problem
 from morembs.responses.clusters import damping_of_clusters
 from morembs.responses.tolerances import TOL
@@ -44,10 +45,10 @@ def band_frequencies(
     damped = least > TOL.no_damping * (omega + own)
     width = np.maximum(width, TOL.least_flank * omega)
     for flank in TOL.flank_widths:
-        flanks = (omega + flank * width) / (2 * np.pi)
+        flanks = in_hz(omega + flank * width)
         grid.append(flanks[(flanks > low) & (flanks < high) & (damped | bool(flank))])
     hz = np.unique(np.concatenate(grid))
-    on = np.abs(hz[:, None] - omega[~damped] / (2 * np.pi)) <= TOL.on_resonance * hz[:, None]
+    on = np.abs(hz[:, None] - in_hz(omega[~damped])) <= TOL.on_resonance * hz[:, None]
     # At the top of an undamped resonance there is no response: its flank within the band takes its place.
     moved = np.where(hz * (1 + TOL.least_flank) <= high, 1 + TOL.least_flank, 1 - TOL.least_flank)
     return np.unique(np.where(on.any(axis=1), hz * moved, hz))

@@ -14,10 +14,12 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg as sl
 
+from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.summary import summarised, upwards
 from morembs.base.types import Complexes, Floats
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.linalg.columns import dot, subtract
 from morembs.linalg.congruence import scaled_row_sums
 from morembs.linalg.eigen import GAP
@@ -197,7 +199,7 @@ class CertifiedReference:
         omega = np.concatenate([[low, high], inside])
         off, e = self._lost(omega)
         part = off / e
-        return float(part.max()), float(omega[part.argmax()] / (2 * np.pi))
+        return float(part.max()), float(in_hz(omega[part.argmax()]))
 
     def _lost(self, omega: Floats) -> tuple[Floats, Floats]:
         """``uncertainty`` and envelope (nf,) at ``omega`` (nf,)."""
@@ -214,6 +216,7 @@ class CertifiedReference:
         return self.model.D is None and not (damping.is_viscous or damping.structural)
 
 
+@with_progress_argument
 def certified_reference(
     problem: Problem,
     band_hz: Sequence[float],
@@ -221,7 +224,6 @@ def certified_reference(
     tolerance: float = TOL.reference_error,
     damping_floor: float | None = None,
     inertia_loads: bool = False,
-    progress: Progress = SILENT,
 ) -> CertifiedReference:
     """Reference whose error is below ``tolerance`` times the envelope of the response on all of ``band_hz``, or as
     small as the space of the loads allows; kept for later calls.
@@ -247,7 +249,7 @@ def certified_reference(
     key = low, high, floor, inertia_loads or (low, high, floor, True) in references
     if key not in references or references[key][0] > tolerance:
         damping = replace(problem.damping, structural=problem.damping.structural + 2 * floor)
-        build = _Build(problem, (low, high), damping, floor, tolerance, key[-1], progress)
+        build = _Build(problem, (low, high), damping, floor, tolerance, key[-1])
         references[key] = tolerance, build.with_own_damping() if problem.D is not None else build.grown()
     return references[key][1]
 
@@ -263,10 +265,9 @@ class _Build:
         floor: float,
         tolerance: float,
         inertia: bool,
-        progress: Progress,
     ) -> None:
         self.problem, self.band_hz, self.damping, self.floor = problem, band_hz, damping, floor
-        self.tolerance, self.inertia, self.progress = tolerance, inertia, progress
+        self.tolerance, self.inertia = tolerance, inertia
         self.band = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
         self.modes = problem.elastic_modes(below=beyond(band_hz[1]))
         self.cut = beyond(band_hz[1]) * (1 + GAP)
@@ -277,9 +278,7 @@ class _Build:
         """The space of a damping matrix of the model's own, whose error is an estimate."""
         problem, omega = self.problem, np.linspace(*self.band, TOL.growth_samples)
         omega = np.unique(np.concatenate([omega, _inside(np.sqrt(self.modes.eigenvalues), self.band)]))
-        model = reference_model(
-            problem, omega, tolerance=TOL.damped_error, inertia_loads=self.inertia, progress=self.progress
-        )
+        model = reference_model(problem, omega, tolerance=TOL.damped_error, inertia_loads=self.inertia)
         return CertifiedReference(
             model=replace(model, damping=self.damping),
             band_hz=self.band_hz,
@@ -314,7 +313,7 @@ class _Build:
         enough = 0.1 * self.tolerance * (TOL.modal_growth_part if self.damping.is_modal else 1.0)
         while True:
             error = self._guess(growth)
-            self.progress.update(f"reference: order {growth.lanczos.size}, error {error:.1e}")
+            progress.update(f"reference: order {growth.lanczos.size}, error {error:.1e}")
             if error <= enough or not growth.lanczos.pending.shape[1]:
                 reference = self._reference(growth)
                 # A larger space has no part in what solutions are off by.
@@ -357,7 +356,7 @@ class _Build:
             k = int((values < self.cut).sum())
         if k != len(self.modes.eigenvalues):
             raise SolverError(
-                f"{len(self.modes.eigenvalues)} modes lie below {np.sqrt(self.cut) / (2 * np.pi):,.6g} Hz and the "
+                f"{len(self.modes.eigenvalues)} modes lie below {eigenvalue_in_hz(self.cut):,.6g} Hz and the "
                 f"reference has {k}; move the upper end of the band by a percent"
             )
         modes = space.modes(Y, values, k, self.band[1])

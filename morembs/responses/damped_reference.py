@@ -16,9 +16,10 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.errors import SolverError
-from morembs.base.progress import Progress
 from morembs.base.types import Complexes, Floats
+from morembs.base.units import in_hz
 from morembs.linalg.columns import complement, dot, hstack, multiply, orthonormal, projected, symmetric
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
@@ -46,9 +47,7 @@ class DampedSpace:
             space.expand(problem.elastic.flexibility)
         self.V = hstack(*space.blocks, budget=problem.budget)
 
-    def until(
-        self, omega: Floats, tolerance: float, progress: Progress
-    ) -> tuple[Floats, Floats, Floats, Floats, float]:
+    def until(self, omega: Floats, tolerance: float) -> tuple[Floats, Floats, Floats, Floats, float]:
         """(V (Nc, k), eigenvalues (k,), Y (k, k), D (k, k), error): grown until H is known to ``tolerance``.
 
         Raises:
@@ -74,7 +73,7 @@ class DampedSpace:
                     true = loads.T @ U
                     errors.append(float(np.abs(true - _response(w, values, D, F)).max() / np.abs(true).max()))
                     progress.update(
-                        f"frequency response: order {len(values)}, error {errors[-1]:.1e} at {w / (2 * np.pi):.4g} Hz"
+                        f"frequency response: order {len(values)}, error {errors[-1]:.1e} at {in_hz(w):.4g} Hz"
                     )
                     solved += [U.real, U.imag]
                 # Both judge one space: the next one, which has them in it, has to be good as well.

@@ -12,6 +12,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.base.errors import InputError
+from morembs.linalg.columns import symmetric
 from morembs.linalg.null_space import groups_of, null_space
 from morembs.problem import Problem
 from morembs.responses.loads import static_response
@@ -47,10 +48,10 @@ def _massless(problem: Problem) -> tuple[str, ...]:
     G = scale[:, None] * (X.T @ (problem.M @ X)) * scale
     d = np.sqrt(np.maximum(np.diag(A), 0.0))
     d = np.where(d > TOL.no_flexibility * d.max(initial=0.0), d, np.inf)
-    values, U = sl.eigh(0.5 * (A + A.T) / np.outer(d, d))
+    values, U = sl.eigh(symmetric(A) / np.outer(d, d))
     elastic = values > TOL.no_flexibility
     W = U[:, elastic] / np.sqrt(values[elastic]) / d[:, None]
-    share, Y = sl.eigh(W.T @ (0.5 * (G + G.T)) @ W)
+    share, Y = sl.eigh(W.T @ symmetric(G) @ W)
     # Each dof alone has at most as much mass per stiffness as the lowest mode.
     stiff = problem.K.diagonal()
     alone = np.divide(problem.M.diagonal(), stiff, out=np.zeros_like(stiff), where=stiff > 0)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.responses.cells import Bounds, Cells, first_edges, search
 from morembs.responses.layout import Layout
 from morembs.responses.rational import GRID, POINTS, Terms, cell_points, on_grid, squares
@@ -274,7 +275,7 @@ def compare(
         most=most_cells,
     )
     upper, lower = cells.upper.max(axis=0), cells.lower
-    hz = cells.at / (2 * np.pi)
+    hz = in_hz(cells.at)
     # The largest |H| is known from both sides; where its lower limit is 0, no error is known relative to it.
     in_peaks = np.inf if lower[3] == 0 else 1 / lower[3]
     with np.errstate(invalid="ignore"):

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from morembs.app.cli import app
 
 # Whoever makes a factor says so here.
-FACTORISING = "morembs.linalg.sparse.solver"
+FACTORISING = "morembs.linalg.sparse.factorization"
 OLD_RESULT = b"what was there before"
 
 

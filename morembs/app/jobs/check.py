@@ -24,9 +24,10 @@ from morembs.app.jobs.job import Job
 from morembs.app.jobs.model import matrices_of
 from morembs.app.jobs.preflight import model_warnings, preflight, require_room, shifted_of
 from morembs.app.jobs.run import count_elements
+from morembs.base import progress
 from morembs.base.budget import Budget
 from morembs.base.memory import available_bytes, resident_bytes
-from morembs.base.progress import SILENT, Progress
+from morembs.base.progress import Progress, listening
 from morembs.base.scratch import free_bytes
 from morembs.base.types import Floats, Ints
 from morembs.fem import Mesh, rigid_motion
@@ -47,7 +48,7 @@ MANY_PIECES = 300
 
 
 @keeping_ledger()
-def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
+def check_job(job: Job, progress: Progress | None = None) -> JobForecast:
     """Check everything that can be checked without a factorisation, and forecast the cost.
 
     Peak memory: the stiffness pattern and its triangle; the budget of the job is kept here too.
@@ -55,17 +56,22 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     Raises:
         MorembsError: what ``run_job`` would refuse too.
     """
+    with listening(progress):
+        return _check(job)
+
+
+def _check(job: Job) -> JobForecast:
     start = resident_bytes()
     prepare_output(job)
     solver, materials = solver_of(job), materials_of(job)
     damping_of(job)
     progress.stage("read")
     if job.tables.model.mesh is None:
-        return _check_file(job, solver, start, progress)
+        return _check_file(job, solver, start)
     mesh = mesh_of(job)
     progress.stage("check elements")
     require_room_of_mesh(job, mesh, materials, solver, start)
-    graph = check_mesh(mesh, materials, progress)
+    graph = check_mesh(mesh, materials)
     if job.tables.parameter:
         # Not at the top: most jobs have no parameters.
         from morembs.app.jobs.parameters import parameters_of
@@ -110,7 +116,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     )
 
 
-def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) -> JobForecast:
+def _check_file(job: Job, solver: LinearSolver, start: int) -> JobForecast:
     """Forecast for a model file, whose matrices are there."""
     with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget:
         model = matrices_of(job, budget)

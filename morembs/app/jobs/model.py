@@ -26,7 +26,7 @@ def model_of(
     job: Job, solver: LinearSolver, materials: Sequence[Material], budget: Budget, start: int, watch: Stopwatch
 ) -> tuple[FEModel, VariedModel | None]:
     """The model of the job, from its model file or assembled from its mesh, and what its parameters make of it."""
-    asked, progress = job.tables.model, watch.progress
+    asked = job.tables.model
     if asked.mesh is None:
         with watch.stage("read"):
             model = matrices_of(job, budget)
@@ -40,9 +40,9 @@ def model_of(
             # Not at the top: most jobs have no parameters.
             from morembs.app.jobs.parameters import varied_of
 
-            varied = varied_of(job, mesh, materials, budget, progress)
+            varied = varied_of(job, mesh, materials, budget)
             return varied.model(varied.box.nominal, budget), varied
-        model = assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget, progress=progress)
+        model = assemble(mesh, materials, mass_integration=asked.mass_integration, budget=budget)
         return model, None
 
 

@@ -28,7 +28,7 @@ from morembs.app.jobs.model import model_of
 from morembs.app.jobs.picture import BODY_COLORS, save
 from morembs.base.errors import InputError
 from morembs.base.memory import PeakMemory, resident_bytes
-from morembs.base.progress import SILENT, Progress, Stopwatch
+from morembs.base.progress import Progress, Stopwatch, listening
 from morembs.body.floating.preload import preloaded
 from morembs.body.floating.spin import Whirl, whirl_of
 from morembs.body.floating.spinning import Spin, spinning
@@ -68,32 +68,37 @@ class ModeTable:
     warnings: tuple[str, ...] = ()
 
 
-def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress = SILENT) -> ModeTable:
+def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress | None = None) -> ModeTable:
     """The ``count`` lowest modes of the full model of ``job``; complex ones at every speed of [spin].
 
     Raises:
         MorembsError: input that cannot be used, or a model that nothing holds where complex modes are wanted.
     """
     start, solver, materials = resident_bytes(), solver_of(job), materials_of(job)
-    with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget, PeakMemory() as memory:
-        model, _ = model_of(job, solver, materials, budget, start, Stopwatch(progress, memory))
+    with (
+        listening(progress),
+        limit_threads(job.tables.solver.threads),
+        budget_of(job, solver) as budget,
+        PeakMemory() as memory,
+    ):
+        model, _ = model_of(job, solver, materials, budget, start, Stopwatch(memory))
         interfaces, damping = interfaces_of(job, model), damping_of(job)
-        problem = Problem(model, interfaces, solver=solver, damping=damping, budget=budget, progress=progress)
+        problem = Problem(model, interfaces, solver=solver, damping=damping, budget=budget)
         load, rotation = preload_of(job), rotation_of(job)
         if load is not None:
             with problem:
-                model = preloaded(problem, load, progress).model
-            problem = Problem(model, interfaces, solver=solver, damping=damping, budget=budget, progress=progress)
+                model = preloaded(problem, load).model
+            problem = Problem(model, interfaces, solver=solver, damping=damping, budget=budget)
         with problem:
             if not complex_:
                 return _real(problem, count)
             if rotation is None:
-                modes = still_modes(problem, job.tables.modes.held, count, progress)
+                modes = still_modes(problem, job.tables.modes.held, count)
                 return ModeTable(rows=tuple(_rows(0.0, modes, None)), complete={0.0: _complete(modes)})
             if job.tables.modes.held:
                 raise InputError("[modes] held was given beside [spin], which has its own; leave it out")
-            spin = spinning(problem, rotation[0], progress)
-            full = modes_over_speed(problem, spin, rotation[1], count, progress)
+            spin = spinning(problem, rotation[0])
+            full = modes_over_speed(problem, spin, rotation[1], count)
             return _over_speed(problem, spin, full)
 
 

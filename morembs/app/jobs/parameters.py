@@ -14,7 +14,6 @@ from morembs.app.jobs.job import Job
 from morembs.app.jobs.schema import ParameterTable
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Ints
 from morembs.body.floating.preload import Preload, Preloaded
 from morembs.fem import DofMap, FEModel, Mesh, Nodes
@@ -35,9 +34,7 @@ TOLERANCE = 1e-3
 COLUMNS = ("id", "dx", "dy", "dz")
 
 
-def varied_of(
-    job: Job, mesh: Mesh, materials: Sequence[Material], budget: Budget = UNLIMITED, progress: Progress = SILENT
-) -> VariedModel:
+def varied_of(job: Job, mesh: Mesh, materials: Sequence[Material], budget: Budget = UNLIMITED) -> VariedModel:
     """The model of the job with its parameters.
 
     Raises:
@@ -52,7 +49,6 @@ def varied_of(
         tolerance=min(float(x) for x in tolerances if isinstance(x, int | float)),
         mass_integration=job.tables.model.mass_integration,
         budget=budget,
-        progress=progress,
     )
 
 

@@ -37,7 +37,7 @@ from morembs.app.jobs.preflight import BAND_POINTS, model_warnings, preflight
 from morembs.base.budget import Budget
 from morembs.base.errors import InputError, SolverError
 from morembs.base.memory import PeakMemory, resident_bytes
-from morembs.base.progress import SILENT, Progress, Stage, Stopwatch
+from morembs.base.progress import Progress, Stage, Stopwatch, listening
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.body import ElasticBody, make_part
@@ -111,7 +111,7 @@ def unheard(_: str) -> None:
 
 
 @keeping_ledger()
-def run_job(job: Job, progress: Progress = SILENT, warn: Callable[[str], None] = unheard) -> JobResult:
+def run_job(job: Job, progress: Progress | None = None, warn: Callable[[str], None] = unheard) -> JobResult:
     """Reduce the model of ``job`` and write its body file and picture.
 
     ``warn`` hears each warning about the model and the cost of its reductions before the long work begins.
@@ -122,8 +122,13 @@ def run_job(job: Job, progress: Progress = SILENT, warn: Callable[[str], None] =
     start = resident_bytes()
     prepare_output(job)
     solver, materials = solver_of(job), materials_of(job)
-    with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget, PeakMemory() as memory:
-        return _run(job, solver, materials, budget, start, Stopwatch(progress, memory), warn)
+    with (
+        listening(progress),
+        limit_threads(job.tables.solver.threads),
+        budget_of(job, solver) as budget,
+        PeakMemory() as memory,
+    ):
+        return _run(job, solver, materials, budget, start, Stopwatch(memory), warn)
 
 
 def _run(
@@ -135,7 +140,6 @@ def _run(
     watch: Stopwatch,
     warn: Callable[[str], None],
 ) -> JobResult:
-    progress = watch.progress
     with keeping_ledger() as ledger:
         model, varied = model_of(job, solver, materials, budget, start, watch)
         inputs = ledger.contents()
@@ -145,9 +149,7 @@ def _run(
     with watch.stage("couple"):
         interfaces = interfaces_of(job, model)
         workers = job.tables.solver.workers
-        problem = _coupled(
-            job, model, varied, interfaces, solver=solver, budget=budget, progress=progress, workers=workers
-        )
+        problem = _coupled(job, model, varied, interfaces, solver=solver, budget=budget, workers=workers)
         costs = preflight(job, Facts.of(problem), problem.rigid.shape[1])
         for warning in costs:
             warn(warning)
@@ -155,7 +157,7 @@ def _run(
     preload, preload_notes = preload_of(job), {}
     if preload is not None:
         with watch.stage("preload"), problem:
-            found = preloaded(problem, preload, progress)
+            found = preloaded(problem, preload)
             preload_notes = dict(found.notes)
             if varied is None:
                 model = found.model
@@ -165,15 +167,13 @@ def _run(
 
                 varied = stressed(varied, model, preload, found)
                 model = varied.model(varied.box.nominal, budget)
-            problem = _coupled(
-                job, model, varied, interfaces, solver=solver, budget=budget, progress=progress, workers=workers
-            )
+            problem = _coupled(job, model, varied, interfaces, solver=solver, budget=budget, workers=workers)
     with problem, _unreduced(job, problem, watch) as parts:
         rotation = rotation_of(job)
         spin = None
         if rotation is not None:
             with watch.stage("spin"):
-                spin = spinning(problem, rotation[0], progress)
+                spin = spinning(problem, rotation[0])
             for warning in spin.warnings:
                 warn(warning)
             warnings += spin.warnings
@@ -186,7 +186,7 @@ def _run(
         ):
             with watch.stage("response"):
                 against = problem if parts is None else parts.problem
-                response = frequency_response(against, bodies, _band(job, bodies[0]), progress)
+                response = frequency_response(against, bodies, _band(job, bodies[0]))
         shapes = mode_shapes(problem, _shown(bodies).reduced) if job.picture is not None else None
         factor = problem.statics.factor.stats
         analysis = problem.statics.factor.analysis
@@ -198,7 +198,6 @@ def _run(
             recipe=_recipe(job, model) | preload_notes,
             provenance=provenance,
             warnings=(*of_model, *(() if spin is None else spin.warnings), *delivered),
-            progress=progress,
         )
         _write_state_space(job, bodies)
         if varied is not None:
@@ -281,7 +280,7 @@ def _reduce(
     for name, reducer in reducers_of(job).items():
         with watch.stage(f"reduce {name}"):
             try:
-                reduced.append(reducer.reduce(problem, name=name, progress=watch.progress))
+                reduced.append(reducer.reduce(problem, name=name))
             except (InputError, SolverError) as error:
                 if type(error) not in (InputError, SolverError):
                     raise
@@ -290,7 +289,7 @@ def _reduce(
     if spin is not None and job.tables.spin is not None:
         _, speeds = rotation_of(job) or (None, [])
         with watch.stage("spin modes"):
-            full = modes_over_speed(problem, spin, speeds, job.tables.spin.modes, watch.progress)
+            full = modes_over_speed(problem, spin, speeds, job.tables.spin.modes)
             reduced, spins = map(list, zip(*(with_spin(problem, body, spin, full) for body in reduced), strict=True))
     certificates: Sequence[Certificate | None] = [None] * len(reduced)
     against = problem if parts is None else parts.problem
@@ -303,7 +302,7 @@ def _reduce(
             given = job.tables.certify
             options = {} if given is None else given.model_dump(exclude={"band_hz"})
             spanned = reduced if parts is None else [parts.expanded(body) for body in reduced]
-            certificates = certify(against, spanned, band, progress=watch.progress, **options)
+            certificates = certify(against, spanned, band, **options)
             if parts is not None:
                 certificates = [replace(each, notes=(parts.note, *each.notes)) for each in certificates]
     check, notes = job.tables.check, tuple[str, ...]()
@@ -323,15 +322,15 @@ def _delivered(
     watch: Stopwatch,
 ) -> tuple[ElasticBody, ...]:
     """The bodies with all that goes into their file."""
-    part, progress = make_part(problem, job.tables.output.nodes), watch.progress
+    part = make_part(problem, job.tables.output.nodes)
     with watch.stage("deliver"):
-        operator = wanted.stress.operator(problem, progress) if wanted.stress is not None else None
+        operator = wanted.stress.operator(problem) if wanted.stress is not None else None
         bodies = []
         for body, certificate, spin, reducer in zip(
             reduced, certificates, spins, reducers_of(job).values(), strict=True
         ):
-            switching = reducer.switching(problem, body, progress=progress)
-            variation = reducer.variation(problem, body, progress=progress)
+            switching = reducer.switching(problem, body)
+            variation = reducer.variation(problem, body)
             bodies.append(
                 build_body(
                     problem,
@@ -343,7 +342,6 @@ def _delivered(
                     switching=switching,
                     variation=variation,
                     spin=spin,
-                    progress=progress,
                 )
             )
         return tuple(bodies)
