@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.base import progress
+from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.former_names import with_progress_argument
+from morembs.base.limits import DampingFloor
 from morembs.base.optional import optional
 from morembs.base.summary import error_words, summarised
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
-from morembs.certificate.limits import ErrorLimits, body_response, checked_sharpness, error_limits, sampled
+from morembs.certificate.limits import ErrorLimits, body_response, error_limits, sampled
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.proof import proof_of
 from morembs.certificate.response import reduced_response
@@ -29,7 +31,7 @@ from morembs.responses.certified import CertifiedReference, certified_reference
 from morembs.responses.direct import direct_response, elastic_statics
 from morembs.responses.layout import Layout
 from morembs.responses.loads import static_response
-from morembs.responses.measures import Limit, checked_measure
+from morembs.responses.measures import Limit, Measure, Sharpness
 from morembs.responses.tolerances import TOL as RESPONSES
 from morembs.storage.lemma import Lemma, kind_of
 
@@ -130,14 +132,15 @@ class Certificate(ErrorLimits):
 
 
 @with_progress_argument
+@checked
 def certify(
     problem: Problem,
     bodies: Sequence[ReducedModel],
     band_hz: Sequence[float] | Floats,
     *,
-    measure: str = "envelope",
-    damping_floor: float | None = None,
-    sharpness: float = RESPONSES.sharpness,
+    measure: Measure = "envelope",
+    damping_floor: DampingFloor | None = None,
+    sharpness: Sharpness = RESPONSES.sharpness,
     points: int = RESPONSES.band_points,
     bound: bool = True,
 ) -> tuple[Certificate, ...]:
@@ -160,8 +163,6 @@ def certify(
     """
     if isinstance(bodies, ReducedModel):
         raise InputError("one reduced model was given; expected a list of them, such as [reduced]")
-    checked_measure(measure)
-    checked_sharpness(sharpness)
     given = None
     if len(band_hz) != 2:
         warnings.warn(

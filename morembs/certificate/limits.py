@@ -52,16 +52,6 @@ class ErrorLimits:
         return {"errors at most": upper, "notes": "; ".join(self.notes)}
 
 
-def checked_sharpness(sharpness: float) -> None:
-    """Refuse what is no factor.
-
-    Raises:
-        InputError: as said.
-    """
-    if not 1.01 <= sharpness <= 2:
-        raise InputError(f"sharpness = {sharpness:g} was given; expected a factor from 1.01 to 2")
-
-
 def body_response(reference: CertifiedReference, reduced: ReducedModel, layout: Layout) -> Response:
     """The transfer matrix of ``reduced``, scaled, with the damping floor of ``reference``."""
     scale = reference.problem.motion_scale

@@ -21,6 +21,7 @@ import numpy as np
 
 from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
+from morembs.base.limits import DampingFloor, RelativeError
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.problem import SOFTER, Problem
@@ -28,9 +29,9 @@ from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.families import OfResponses
 from morembs.reducers.family_search import FamilySearch
 from morembs.reducers.tolerances import TOL
-from morembs.responses.band import band_frequencies, checked_band
-from morembs.responses.certified import CertifiedReference, certified_reference, checked_floor, floor_of
-from morembs.responses.measures import checked_measure
+from morembs.responses.band import Band, band_frequencies
+from morembs.responses.certified import CertifiedReference, certified_reference, floor_of
+from morembs.responses.measures import Measure
 from morembs.responses.tolerances import TOL as RESPONSES
 
 KINDS = {"gramian": "gramian", "krylov": "krylov", "modal": "elastic"}
@@ -56,20 +57,12 @@ class AutoReducer(OfResponses):
 
     method: ClassVar[str] = "auto"
     of_reference: ClassVar[float] = 4.0
-    band_hz: list[float]
-    tolerance: float
+    band_hz: Band
+    tolerance: RelativeError
     static_exact: bool = False
     inertia_loads: bool = False
-    measure: str = "envelope"
-    damping_floor: float | None = None
-
-    def __post_init__(self) -> None:
-        checked_band(self.band_hz)
-        if not 0 < self.tolerance < 1:
-            raise InputError(f"tolerance = {self.tolerance} was given; expected a relative error between 0 and 1")
-        checked_measure(self.measure)
-        if self.damping_floor is not None:
-            checked_floor(self.damping_floor)
+    measure: Measure = "envelope"
+    damping_floor: DampingFloor | None = None
 
     @property
     def computes_modes(self) -> bool:
@@ -156,8 +149,11 @@ class AutoReducer(OfResponses):
             )
         if self.tolerance < least:
             # Above it by what two digits may take off.
-            advised = f"raise the tolerance to {TOL.advised_margin * least:.1e} or more, or "
-            raising = advised if least < TOL.max_advised_tolerance else ""
+            raising = (
+                f"raise the tolerance to {TOL.advised_margin * least:.1e} or more, or "
+                if least < TOL.max_advised_tolerance
+                else ""
+            )
             raise SolverError(
                 f"round-off in the stiffness of this model alone may be {lost:.1e} of its response at {at_hz:,.6g} Hz, "
                 f"and {TOL.roundoff_share:g} times that has to be allowed; {raising}{SOFTER}"

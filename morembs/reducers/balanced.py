@@ -11,11 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from morembs.base.errors import InputError, SolverError
+from morembs.base.limits import PositiveCount, RelativeError, one_of
 from morembs.base.types import Floats, Values
 from morembs.base.units import in_hz
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
@@ -39,7 +40,7 @@ from morembs.reducers.second_order_balancing import (
     usable_order,
 )
 from morembs.reducers.tolerances import TOL
-from morembs.responses.band import checked_band
+from morembs.responses.band import Band
 from morembs.responses.loads import elastic_part, unit_loads
 from morembs.responses.reference import Reference, reference_model
 
@@ -83,30 +84,18 @@ class Balanced(OfResponses):
     """
 
     method: ClassVar[str] = "balanced-truncation"
-    variant: str = "fv"
-    order: int | None = None
-    tolerance: float | None = None
-    band_hz: list[float] | None = None
-    balancing: str = "bfsr"
-    adi_tolerance: float = 1e-10
-    adi_steps: int = 300
+    variant: Annotated[str, one_of(*VARIANTS)] = "fv"
+    order: PositiveCount | None = None
+    tolerance: RelativeError | None = None
+    band_hz: Band | None = None
+    balancing: Annotated[str, one_of(*BALANCING)] = "bfsr"
+    adi_tolerance: RelativeError = 1e-10
+    adi_steps: PositiveCount = 300
 
     def __post_init__(self) -> None:
-        if self.variant not in VARIANTS:
-            raise InputError(f'variant = "{self.variant}" was given; expected one of {", ".join(VARIANTS)}')
-        if self.balancing not in BALANCING:
-            raise InputError(f'balancing = "{self.balancing}" was given; expected one of {", ".join(BALANCING)}')
+        super().__post_init__()
         if (self.order is None) == (self.tolerance is None):
             raise InputError(f'method "{self.method}" needs either order = COUNT or tolerance = PART (one of the two)')
-        if self.order is not None and self.order < 1:
-            raise InputError(f"order = {self.order} was given; expected a count, one or more")
-        for name, value in (("tolerance", self.tolerance), ("adi_tolerance", self.adi_tolerance)):
-            if value is not None and not 0 < value < 1:
-                raise InputError(f"{name} = {value} was given; expected a number between 0 and 1, such as 1e-8")
-        if self.adi_steps < 1:
-            raise InputError(f"adi_steps = {self.adi_steps} was given; expected one or more")
-        if self.band_hz is not None:
-            checked_band(self.band_hz)
 
     @property
     def two_sided(self) -> bool:

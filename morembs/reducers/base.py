@@ -11,8 +11,9 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.arguments import check_options
 from morembs.base.errors import InputError, SolverError
-from morembs.base.former_names import accept_progress, with_old_names, with_progress_argument
+from morembs.base.former_names import FormerMethod, accept_progress, with_old_names, with_progress_argument
 from morembs.base.summary import hertz, kinds_words, summarised
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz
@@ -33,7 +34,6 @@ from morembs.linalg.eigen import graded_modes
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.tolerances import TOL
-from morembs.responses.band import MOST_HZ as MOST_HZ
 from morembs.responses.massless import massless_motions, massless_words
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class Basis:
 @with_old_names(left="W")
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ReducedModel:
+class ReducedModel(FormerMethod):
     """M q'' + D q' + K q = B f, interface displacements C q: the projection on ``V`` (Nc, n).
 
     Of a model with gyroscopic or circulatory matrices ``D`` is V'(D + G)V and ``K`` V'(K + N)V, with ``W`` the same
@@ -181,11 +181,14 @@ class ReducedModel:
 class Reducer(ABC):
     """Options of a reduction method; its fields are the keys of ``[[reduce]]`` in a job file.
 
-    A method states itself what others need from it: what it cannot reduce (``why_not``), what it costs, and the
-    properties below.
+    Limits of options stand with their types (``morembs.base.limits``) and are checked here. A method states itself what
+    others need from it: what it cannot reduce (``why_not``), what it costs, and the properties below.
     """
 
     method: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
     @property
     def takes_unsymmetric(self) -> bool:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from morembs.base import progress
 from morembs.base.crew import Crew
 from morembs.base.errors import InputError
+from morembs.base.limits import PositiveCount, number, one_of
 from morembs.base.types import Floats
 from morembs.linalg.columns import hstack, m_norms, map_columns, orthonormal, project_out
 from morembs.linalg.gramians import StreamedSVD, WeightedSVD, snapshot_factor
@@ -36,7 +37,7 @@ from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.families import OfResponses
 from morembs.reducers.tolerances import TOL
-from morembs.responses.band import checked_band
+from morembs.responses.band import Band
 from morembs.responses.direct import state, states_crew, why_no_response
 from morembs.responses.loads import elastic_part, load_scale, unit_loads
 from morembs.responses.reference import Reference, reference_model
@@ -44,6 +45,7 @@ from morembs.responses.reference import Reference, reference_model
 WEIGHTS = ("position", "velocity")
 # Tolerances below this ask for singular values that are round-off.
 FINEST = 1e-10
+ResponsePart = Annotated[float, number(f"a part of the response from {FINEST:g} to below 1", ge=FINEST, lt=1)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,29 +72,19 @@ class Gramian(OfResponses):
     """
 
     method: ClassVar[str] = "gramian"
-    band_hz: list[float]
-    order: int | None = None
-    tolerance: float | None = None
-    weight: str = "position"
+    band_hz: Band
+    order: PositiveCount | None = None
+    tolerance: ResponsePart | None = None
+    weight: Annotated[str, one_of(*WEIGHTS)] = "position"
     direct: bool = False
-    points: int | None = None
+    points: PositiveCount | None = None
     static: bool = False
     inertia_loads: bool = False
 
     def __post_init__(self) -> None:
-        checked_band(self.band_hz)
+        super().__post_init__()
         if (self.order is None) == (self.tolerance is None):
             raise InputError('method "gramian" needs either order = COUNT or tolerance = PART (one of the two)')
-        if self.order is not None and self.order < 1:
-            raise InputError(f"order = {self.order} was given; expected the number of elastic directions, 1 or more")
-        if self.tolerance is not None and not FINEST <= self.tolerance < 1:
-            raise InputError(
-                f"tolerance = {self.tolerance} was given; expected a part of the response from {FINEST:g} to below 1"
-            )
-        if self.weight not in WEIGHTS:
-            raise InputError(f'weight = "{self.weight}" was given; expected one of {", ".join(WEIGHTS)}')
-        if self.points is not None and self.points < 1:
-            raise InputError(f"points = {self.points} was given; expected the number of Gauss points, 1 or more")
 
     def why_no_response(self, facts: Facts) -> str:
         if not self.direct:
@@ -219,8 +211,8 @@ class Gramian(OfResponses):
         size = (np.sum((X @ A * A.conj()).real) for A in (change, G))
         if np.sqrt(next(size) / next(size)) < TOL.static_response:
             raise InputError(
-                f"the response in the band {list(self.band_hz)} Hz is static to {TOL.static_response:g}: it holds "
-                'no dynamics; take method = "guyan", '
+                f"the response in the band {list(self.band_hz)} Hz is static to {TOL.static_response:g}: "
+                'it holds no dynamics; take method = "guyan", '
                 "or raise the upper end of the band towards the first frequency of the body"
             )
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from morembs.base import progress
 from morembs.base.errors import InputError
+from morembs.base.limits import PositiveCount, RelativeError
 from morembs.base.types import Complexes, Floats
 from morembs.linalg.columns import orthonormal
 from morembs.linalg.quadrature import trapezoid
@@ -29,7 +30,7 @@ from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.facts import Facts
 from morembs.reducers.families import OfResponses
 from morembs.reducers.tolerances import TOL
-from morembs.responses.band import checked_band
+from morembs.responses.band import Band
 from morembs.responses.reference import Reference, reference_model
 
 # Places about a resonance, in half power widths, where its peak is sampled.
@@ -60,20 +61,10 @@ class Irka(OfResponses):
     """
 
     method: ClassVar[str] = "irka"
-    order: int
-    band_hz: list[float]
-    max_steps: int = 50
-    tolerance: float = 1e-4
-
-    def __post_init__(self) -> None:
-        if self.order < 1:
-            raise InputError(f"order = {self.order} was given; expected a positive number of elastic coordinates")
-        checked_band(self.band_hz)
-        if self.max_steps < 1 or not 0 < self.tolerance < 1:
-            raise InputError(
-                f"max_steps = {self.max_steps}, tolerance = {self.tolerance} were given; expected at least one step "
-                "and a tolerance between 0 and 1"
-            )
+    order: PositiveCount
+    band_hz: Band
+    max_steps: PositiveCount = 50
+    tolerance: RelativeError = 1e-4
 
     def why_not(self, facts: Facts) -> str:
         if facts.damping.structural:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import scipy.linalg as sl
@@ -21,17 +21,20 @@ from numpy.typing import NDArray
 
 from morembs.base import progress
 from morembs.base.errors import InputError, nearest
+from morembs.base.limits import MOST_HZ, Hertz, PositiveCount, number
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
 from morembs.linalg.columns import complement, dot, hstack, map_columns, multiply_into, projected
 from morembs.linalg.second_order_arnoldi import PASSES
 from morembs.problem import Problem
-from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
+from morembs.reducers.base import Basis, Reducer, elastic_basis
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.petrov_galerkin import two_sided_basis
 from morembs.reducers.shifts import Wanted, expansion_point, grow_at_once
 from morembs.reducers.tolerances import TOL
 from morembs.responses.loads import elastic_part, inertia_loads, load_scale
+
+Rate = Annotated[float, number("a positive number in 1/s", gt=0, lt=MOST_HZ)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,38 +66,29 @@ class Krylov(Reducer):
     """
 
     method: ClassVar[str] = "krylov"
-    shifts_hz: list[float] = field(default_factory=lambda: [0.0])
-    real_shifts: list[float] = field(default_factory=list)
-    moments: int | list[int] = 1
-    order: int | None = None
-    tangential: int | None = None
+    shifts_hz: list[Hertz] = field(default_factory=lambda: [0.0])
+    real_shifts: list[Rate] = field(default_factory=list)
+    moments: PositiveCount | list[PositiveCount] = 1
+    order: PositiveCount | None = None
+    tangential: PositiveCount | None = None
     two_sided: bool = False
     inputs: list[str] | None = None
     outputs: list[str] | None = None
     inertia_loads: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         count = len(self.shifts_hz) + len(self.real_shifts)
         if not count:
             raise InputError("no shift was given; give at least one in shifts_hz (0.0 for statics) or real_shifts")
-        if not all(0 <= f < MOST_HZ for f in self.shifts_hz):
-            raise InputError(
-                f"shifts_hz = {self.shifts_hz} was given; expected frequencies in Hz from 0 to {MOST_HZ:g}"
-            )
-        if not all(0 < s < MOST_HZ for s in self.real_shifts):
-            raise InputError(f"real_shifts = {self.real_shifts} was given; expected positive numbers in 1/s")
         if len({*self.shifts_hz}) + len({*self.real_shifts}) < count:
             raise InputError("a shift was given twice; give it once and raise its moments")
         moments = [self.moments] * count if isinstance(self.moments, int) else self.moments
-        if len(moments) != count or min(moments) < 1:
+        if len(moments) != count:
             raise InputError(
                 f"moments = {self.moments} was given for {count} shifts; expected one positive number, or one for each "
                 "of shifts_hz and then of real_shifts"
             )
-        for name in ("order", "tangential"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise InputError(f"{name} = {value} was given; expected a positive number")
         if self.outputs is not None and not self.two_sided:
             raise InputError("outputs were given, which only two_sided = true uses; set it, or leave outputs out")
         if (

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 
-from morembs.base.errors import InputError
+from morembs.base.arguments import check_value
+from morembs.base.limits import MOST_HZ, Domain
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
 from morembs.problem import Problem
 from morembs.responses.clusters import damping_of_clusters
 from morembs.responses.tolerances import TOL
-
-# Upper ends of bands: powers of omega up to the eighth are numbers still.
-MOST_HZ = 1e12
 
 
 def band_frequencies(
@@ -54,17 +53,23 @@ def band_frequencies(
     return np.unique(np.where(on.any(axis=1), hz * moved, hz))
 
 
+def _is_band(band_hz: Sequence[float]) -> bool:
+    return len(band_hz) == 2 and 0 <= band_hz[0] < band_hz[1] < MOST_HZ and band_hz[1] >= TOL.least_upper_hz
+
+
+_BAND_WORDS = (
+    f"[LOW, HIGH] in Hz with 0 <= LOW < HIGH, such as [0, 500], and HIGH from {TOL.least_upper_hz:g} to {MOST_HZ:g}"
+)
+Band = Annotated[list[float], Domain(_BAND_WORDS, _is_band, {"minItems": 2, "maxItems": 2})]
+
+
 def checked_band(band_hz: Sequence[float]) -> tuple[float, float]:
     """The two ends of a band.
 
     Raises:
         InputError: not two ascending frequencies, or an upper one that no body has.
     """
-    if len(band_hz) != 2 or not 0 <= band_hz[0] < band_hz[1] < MOST_HZ or band_hz[1] < TOL.least_upper_hz:
-        raise InputError(
-            f"band_hz = {list(band_hz)} was given; expected [LOW, HIGH] in Hz with 0 <= LOW < HIGH, such as [0, 500], "
-            f"and HIGH from {TOL.least_upper_hz:g} to {MOST_HZ:g}"
-        )
+    check_value("band_hz", list(band_hz), Band)
     return float(band_hz[0]), float(band_hz[1])
 
 

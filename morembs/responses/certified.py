@@ -15,8 +15,10 @@ import numpy as np
 import scipy.linalg as sl
 
 from morembs.base import progress
+from morembs.base.arguments import check_value
 from morembs.base.errors import InputError, SolverError
 from morembs.base.former_names import with_progress_argument
+from morembs.base.limits import DampingFloor
 from morembs.base.summary import summarised, upwards
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
@@ -50,25 +52,13 @@ def floor_of(
         InputError: not a ratio.
     """
     if given is not None:
-        return checked_floor(given)
+        check_value("damping_floor", given, DampingFloor)
+        return float(given)
     damping, (low, high) = damping or problem.damping, (2 * np.pi * f for f in band_hz)
     if damping.is_rayleigh or damping.structural or problem.D is not None:
         return 0.0
     jumps = damping.jumps
     return 0.0 if damping.ratio(np.append(jumps[(jumps > low) & (jumps < high)], low)).all() else TOL.damping_floor
-
-
-def checked_floor(given: float) -> float:
-    """``given`` if it is a ratio of critical damping.
-
-    Raises:
-        InputError: it is not.
-    """
-    if not 0 <= given < 1:
-        raise InputError(
-            f"damping_floor = {given} was given; expected a part of critical damping from 0 to below 1, such as 0.01"
-        )
-    return float(given)
 
 
 @summarised

@@ -12,6 +12,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.base.errors import InputError
+from morembs.base.types import Floats
 from morembs.linalg.columns import symmetric
 from morembs.linalg.null_space import groups_of, null_space
 from morembs.problem import Problem
@@ -56,11 +57,24 @@ def _massless(problem: Problem) -> tuple[str, ...]:
     stiff = problem.K.diagonal()
     alone = np.divide(problem.M.diagonal(), stiff, out=np.zeros_like(stiff), where=stiff > 0)
     none = share <= TOL.no_mass * max(float(share.max(initial=0.0)), float(alone.max(initial=0.0)))
-    names, moved = _names(problem), np.abs(A @ W @ Y[:, none])
+    names, moved = _names(problem), np.abs(_reduced(A @ W @ Y[:, none]))
     return tuple(
         " with ".join(name for name, size in zip(names, column, strict=True) if size >= TOL.named_motion * column.max())
         for column in moved.T
     )
+
+
+def _reduced(X: Floats) -> Floats:
+    """Columns with the span of those of ``X`` (m, k), in reduced echelon form: each has an entry where no other has one.
+
+    Which vectors an eigensolver gives of a multiple eigenvalue is chance; these do not depend on it.
+    """
+    _, R, pivots = sl.qr(X.T, mode="economic", pivoting=True)
+    k = X.shape[1]
+    order = np.argsort(pivots[:k])
+    out = np.empty_like(X)
+    out[pivots] = np.linalg.solve(R[:, :k], R).T[:, order]
+    return out
 
 
 def refuse_massless(problem: Problem) -> None:

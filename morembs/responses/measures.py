@@ -13,11 +13,12 @@ The block of the motions i and loads j is measured by the envelope of its own, s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.base.errors import InputError
+from morembs.base.limits import number, one_of
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
 from morembs.responses.cells import Bounds, Cells, first_edges, search
@@ -27,6 +28,8 @@ from morembs.responses.rounding import Lost, Response, Rounding
 from morembs.responses.tolerances import TOL
 
 MEASURES = ("envelope", "peak", "pointwise")
+Measure = Annotated[str, one_of(*MEASURES)]
+Sharpness = Annotated[float, number("a factor from 1.01 to 2", ge=1.01, le=2)]
 TINY = np.finfo(float).tiny
 
 
@@ -42,16 +45,6 @@ class Limit:
     lower: float
     upper: float
     at_hz: float
-
-
-def checked_measure(measure: str) -> None:
-    """Refuse what is no measure.
-
-    Raises:
-        InputError: as said.
-    """
-    if measure not in MEASURES:
-        raise InputError(f'measure = {measure!r} was given; expected "envelope", "peak" or "pointwise"')
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

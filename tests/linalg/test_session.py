@@ -20,7 +20,7 @@ from morembs.linalg.sparse import tolerances
 from morembs.linalg.sparse.select import SOLVERS, select_solver
 from morembs.linalg.sparse.solver import STRUCTURES, Analysis, Factorization, FactorStats, Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.tolerances import SOLVING, SolverTolerances
+from morembs.linalg.sparse.tolerances import TOL, SolverTolerances
 from tests.linalg import test_solvers as contract
 from tests.support.matrices import backward_error, brick, random
 
@@ -129,7 +129,7 @@ def test_it_gives_back_what_it_holds_and_refuses_what_it_should(dense: type[Line
 
 
 def test_the_base_keeps_the_budget_and_solves_in_blocks(dense: type[LinearSolver]) -> None:
-    A, B = brick(4), random(192, 2 * SOLVING.block_columns + 5)
+    A, B = brick(4), random(192, 2 * TOL.block_columns + 5)
     with pytest.raises(BudgetError, match=r"0\.5 MB are left .* 0\.6 MB are needed by LAPACK.*mumps") as caught:
         dense(memory=500_000).factorize(A, "spd")
     widths: list[int] = []
@@ -145,7 +145,7 @@ def test_the_base_keeps_the_budget_and_solves_in_blocks(dense: type[LinearSolver
         widths.clear()
         assert backward_error(A, factor.solve(B), B) < 1e-14
         assert factor.stats.factor_entries == 192**2 and factor.stats.memory_bytes == 16 * 192**2
-        assert widths == [SOLVING.block_columns, SOLVING.block_columns, 5]
+        assert widths == [TOL.block_columns, TOL.block_columns, 5]
         assert factor.stats.columns == 2 + B.shape[1] and factor.stats.flops == analysis.forecast.flops
 
 
@@ -157,5 +157,5 @@ def test_every_tolerance_is_a_quantity_with_its_reason() -> None:
     for name, row in rows.items():
         reason = next(line for line in reversed(lines[:row]) if not FIELD.match(line))
         assert reason.startswith("    # "), name
-    assert SOLVING.refined_error < SOLVING.backward_error < SOLVING.asymmetry
-    assert SOLVING.iteration_roundoff < SOLVING.stalled_error < SOLVING.iteration_accuracy
+    assert TOL.refined_error < TOL.backward_error < TOL.asymmetry
+    assert TOL.iteration_roundoff < TOL.stalled_error < TOL.iteration_accuracy

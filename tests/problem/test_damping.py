@@ -96,7 +96,7 @@ def test_each_ratio_holds_from_its_frequency_to_the_next():
         ({"modal_table": [[0, 0.01], [100]]}, ["expected points"]),
         ({"modal_table": "adam"}, ["'adam'", "'adams'"]),
         ({"modal": 2.0}, ["modal = 2.0", "0.02 for 2 percent"]),
-        ({"modal": -0.1}, ["modal = -0.1", "zero or more"]),
+        ({"modal": -0.1}, ["modal = -0.1", "from 0 to 1"]),
         ({"structural": -0.1}, ["structural = -0.1", "zero or more"]),
         ({"modal": 0.1, "modal_table": "adams"}, ["not both"]),
         ({"alpha": 0.1, "modal_table": "adams"}, ["not both"]),

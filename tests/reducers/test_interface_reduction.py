@@ -246,7 +246,7 @@ def test_an_average_interface_inside_a_rigid_or_direct_one_is_refused():
     ("options", "words"),
     [
         ({"interface_modes": 3, "interface_up_to_hz": 10.0}, "choose one"),
-        ({"interface_modes": -1}, "expected a count"),
+        ({"interface_modes": -1}, "expected an integer, zero or more"),
         ({"interface_up_to_hz": 0.0}, "expected a positive frequency"),
         ({"interface_up_to_hz": float("nan")}, "expected a positive frequency"),
     ],

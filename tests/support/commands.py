@@ -25,6 +25,13 @@ def without_progress(errors: str) -> str:
     return "".join(line for line in errors.splitlines(keepends=True) if not line.startswith("["))
 
 
+def run(*arguments: object, code: int = 0) -> str:
+    """Standard output of a command that succeeds; standard error of one that ends with another ``code``."""
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert result.exit_code == code and isinstance(result.exception, SystemExit | None), (result.output, result.stderr)
+    return result.stderr if code else result.stdout
+
+
 def refused(job: Path, verbs: Sequence[str] = ("reduce", "check")) -> str:
     """The message of a job that must fail; checks all that holds for every failure."""
     message = ""

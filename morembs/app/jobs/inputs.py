@@ -40,7 +40,7 @@ MOST_INTERFACE_DOFS = 500
 def units_of(job: Job) -> Units:
     """The declared units."""
     given = job.tables.model.units
-    return parse_units(given if isinstance(given, str) else given.model_dump())
+    return parse_units(given if isinstance(given, str) else given.values())
 
 
 def materials_of(job: Job) -> list[Material]:
@@ -86,7 +86,7 @@ def interfaces_of(job: Job, model: FEModel) -> list[Interface]:
         # Without a matrix there are nodes: the schema sees to it.
         nodes = table.nodes or ""
         if nodes.startswith("coupling:"):
-            coupling = table.coupling if "coupling" in table.model_fields_set else None
+            coupling = table.coupling if "coupling" in table.given else None
             interfaces.append(
                 interface_of_coupling(
                     model, nodes, name=table.name, coupling=coupling, point=point, components=table.components
@@ -131,7 +131,7 @@ def body_options(job: Job) -> BodyOptions:
             "force": force,
             "moment": force * units.length,
         }
-        values = given.model_dump(exclude_none=True)
+        values = given.values(without_none=True)
         envelope = Envelope(**{name: value * scale[name] for name, value in values.items()})
     stiffened = tables.stiffening
     stress = tables.stress

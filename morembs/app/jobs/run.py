@@ -40,7 +40,7 @@ from morembs.base.memory import PeakMemory, resident_bytes
 from morembs.base.progress import Progress, Stage, Stopwatch, listening
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
-from morembs.body import ElasticBody, make_part
+from morembs.body import Body, make_part
 from morembs.body.build import BodyOptions, build_body
 from morembs.body.delivery_check import delivered_warnings
 from morembs.body.file import write_body
@@ -80,7 +80,7 @@ class JobResult:
     nodes: int
     elements: int
     dofs: int
-    bodies: tuple[ElasticBody, ...]
+    bodies: tuple[Body, ...]
     factor: FactorStats
     choice: str
     stages: tuple[Stage, ...]
@@ -227,7 +227,7 @@ def _run(
     )
 
 
-def _write_state_space(job: Job, bodies: Sequence[ElasticBody]) -> None:
+def _write_state_space(job: Job, bodies: Sequence[Body]) -> None:
     """The file that [state_space] asks for."""
     asked = job.tables.state_space
     if asked is None or job.state_space is None:
@@ -267,7 +267,7 @@ def _unreduced(job: Job, problem: Problem, watch: Stopwatch) -> AbstractContextM
 
 def _reduce(
     job: Job, problem: Problem, parts: Unreduced | None, wanted: BodyOptions, spin: Spin | None, watch: Stopwatch
-) -> tuple[tuple[ElasticBody, ...], tuple[str, ...]]:
+) -> tuple[tuple[Body, ...], tuple[str, ...]]:
     """One body for each reduction, compared with free-free frequencies of the full model, and notes on that.
 
     The full model is ``problem``, or the unreduced parts where they are known.
@@ -300,14 +300,14 @@ def _reduce(
 
         with watch.stage("certify"):
             given = job.tables.certify
-            options = {} if given is None else given.model_dump(exclude={"band_hz"})
+            options = {} if given is None else given.values(but={"band_hz"})
             spanned = reduced if parts is None else [parts.expanded(body) for body in reduced]
             certificates = certify(against, spanned, band, **options)
             if parts is not None:
                 certificates = [replace(each, notes=(parts.note, *each.notes)) for each in certificates]
     check, notes = job.tables.check, tuple[str, ...]()
     with watch.stage("compare") if check.full_modes else nullcontext():
-        notes = know_frequencies(against, check.full_modes, insist="full_modes" in check.model_fields_set)
+        notes = know_frequencies(against, check.full_modes, insist="full_modes" in check.given)
     bodies = _delivered(job, problem, reduced, certificates, spins, wanted, watch)
     return tuple(replace(body, full_frequencies_hz=against.known_frequencies_hz()) for body in bodies), notes
 
@@ -320,7 +320,7 @@ def _delivered(
     spins: Sequence[ReducedSpin | None],
     wanted: BodyOptions,
     watch: Stopwatch,
-) -> tuple[ElasticBody, ...]:
+) -> tuple[Body, ...]:
     """The bodies with all that goes into their file."""
     part = make_part(problem, job.tables.output.nodes)
     with watch.stage("deliver"):
@@ -347,7 +347,7 @@ def _delivered(
         return tuple(bodies)
 
 
-def _shown(bodies: Sequence[ElasticBody]) -> ElasticBody:
+def _shown(bodies: Sequence[Body]) -> Body:
     """The body that is recommended, whose modes are drawn."""
     limits = {body.name: None if body.certificate is None else body.certificate.limit.upper for body in bodies}
     return next(body for body in bodies if body.name == recommended(limits))
@@ -358,7 +358,7 @@ def count_elements(mesh: Mesh | None) -> int:
     return sum(len(block.ids) for block in mesh.blocks) if mesh is not None else 0
 
 
-def _band(job: Job, body: ElasticBody) -> Floats:
+def _band(job: Job, body: Body) -> Floats:
     given = job.tables.response
     if given is not None:
         return np.geomspace(given.from_hz, given.to_hz, given.points)
@@ -369,7 +369,7 @@ def _band(job: Job, body: ElasticBody) -> Floats:
 
 def _recipe(job: Job, model: FEModel) -> dict[str, object]:
     """What was asked for and of what: the same for the same input."""
-    asked = job.tables.model_dump(exclude_none=True, exclude={"output", "solver"})
+    asked = job.tables.values(without_none=True, but={"output", "solver"})
     return {**asked, "dofs": model.size, "source": model.source}
 
 

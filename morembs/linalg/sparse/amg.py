@@ -25,7 +25,7 @@ from morembs.linalg.sparse.ordering import node_graph
 from morembs.linalg.sparse.session import FactorSize, Session, SessionSolver
 from morembs.linalg.sparse.solver import MECHANISM, Forecast
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 log = logging.getLogger(__name__)
 Singles = NDArray[np.float32]
@@ -45,7 +45,7 @@ class _Level:
 
     def smooth(self, B: Singles, X: Singles | None) -> Singles:
         """``X`` (None: zero) after a Chebyshev polynomial in D^-1 A for A X = B (n, k)."""
-        upper, lower = self.top * SOLVING.spectrum_margin, self.top / SOLVING.smoothed_part
+        upper, lower = self.top * TOL.spectrum_margin, self.top / TOL.smoothed_part
         center, half = (upper + lower) / 2, (upper - lower) / 2
         first = center / half
         rho = 1 / first
@@ -53,7 +53,7 @@ class _Level:
         D = R * self.inverse
         D *= np.float32(1 / center)
         X = D.copy() if X is None else np.add(X, D, out=X)
-        for _ in range(SOLVING.smoother_degree - 1):
+        for _ in range(TOL.smoother_degree - 1):
             R -= self.A @ D
             before, rho = rho, 1 / (2 * first - rho)
             D *= np.float32(rho * before)
@@ -76,7 +76,7 @@ class Hierarchy:
         self.unit = float(A.diagonal().max())
         self.levels: list[_Level] = []
         coarsest = A
-        if A.shape[0] > SOLVING.coarsest_rows:
+        if A.shape[0] > TOL.coarsest_rows:
             coarsest = self._coarsen(A, near, starts)
         dense = coarsest.toarray() / self.unit
         size = np.sqrt(np.diag(dense).clip(0.0))
@@ -88,7 +88,7 @@ class Hierarchy:
             self._factor = np.linalg.cholesky(self._scale[:, None] * dense * self._scale)
         except np.linalg.LinAlgError:
             raise _singular() from None
-        if np.diag(self._factor).min() ** 2 < 1.0 / SOLVING.singular_condition:
+        if np.diag(self._factor).min() ** 2 < 1.0 / TOL.singular_condition:
             raise _singular()
         self.entries = dense.size // 2 + int(sum(level.A.nnz + level.P.nnz for level in self.levels))
         self.nbytes = int(self._factor.nbytes) + sum(level.nbytes for level in self.levels)
@@ -103,13 +103,13 @@ class Hierarchy:
                 blocks,
                 B=near,
                 symmetry="symmetric",
-                strength=("symmetric", {"theta": SOLVING.strong_coupling}),
-                smooth=("energy", {"maxiter": SOLVING.prolongation_steps, "degree": 1}),
+                strength=("symmetric", {"theta": TOL.strong_coupling}),
+                smooth=("energy", {"maxiter": TOL.prolongation_steps, "degree": 1}),
                 improve_candidates=None,
                 presmoother=None,
                 postsmoother=None,
-                max_levels=SOLVING.levels,
-                max_coarse=SOLVING.coarsest_rows // SOLVING.aggregate_motions,
+                max_levels=TOL.levels,
+                max_coarse=TOL.coarsest_rows // TOL.aggregate_motions,
             ).levels
         except (ValueError, RuntimeError, IndexError, ZeroDivisionError, MemoryError) as error:
             raise SolverError(f"PyAMG could not set up a multigrid hierarchy ({error}); {_CURE}") from error
@@ -118,7 +118,7 @@ class Hierarchy:
             P = sp.csr_array(level.P, dtype=np.float32)
             self.levels.append(_level(sp.csr_array(level.A) if number else A, P if number else P[place], self.unit))
             levels[number] = None
-        if levels[-1].A.shape[0] > SOLVING.failed_coarsest_rows:
+        if levels[-1].A.shape[0] > TOL.failed_coarsest_rows:
             raise SolverError(
                 f"multigrid could not coarsen below {levels[-1].A.shape[0]} rows: the unknowns hardly couple; {_CURE}"
             )
@@ -159,7 +159,7 @@ def _level(A: sp.csr_array, P: sp.csr_array, unit: float) -> _Level:
     single = sp.csr_array(((A.data / unit).astype(np.float32), A.indices, A.indptr), shape=A.shape)
     x = np.random.default_rng(17).standard_normal(A.shape[0]).astype(np.float32)
     top = 1.0
-    for _ in range(SOLVING.power_steps):
+    for _ in range(TOL.power_steps):
         x = inverse * (single @ (x / np.linalg.norm(x)))
         top = float(np.linalg.norm(x))
     return _Level(single, P, sp.csr_array(P.T), inverse[:, None], top)
@@ -172,7 +172,7 @@ def by_nodes(A: sp.csr_array, near: Floats | None, starts: Ints) -> tuple[sp.bsr
     rows of its own that touch nothing. Without a near-nullspace it is one constant for each unknown of a node.
     """
     n = A.shape[0]
-    width = SOLVING.node_rows if len(starts) <= n / 2 else 1
+    width = TOL.node_rows if len(starts) <= n / 2 else 1
     sizes = np.diff(np.append(starts, n))
     offset = np.arange(n) - np.repeat(starts, sizes)
     head = offset % width == 0
@@ -225,10 +225,10 @@ class AmgSession(Session):
     def _analyse(self, A: Lower) -> Forecast:
         peak, kept = (
             int(entry * self.nnz + row * self.n + other)
-            for entry, row, other in (SOLVING.multigrid_peak, SOLVING.multigrid_kept)
+            for entry, row, other in (TOL.multigrid_peak, TOL.multigrid_kept)
         )
-        entries = int(SOLVING.multigrid_entries * self.nnz)
-        return self.forecast(entries=entries, flops=SOLVING.multigrid_flops * self.nnz, memory=peak, kept=kept)
+        entries = int(TOL.multigrid_entries * self.nnz)
+        return self.forecast(entries=entries, flops=TOL.multigrid_flops * self.nnz, memory=peak, kept=kept)
 
     def _factorize(self, A: Lower) -> FactorSize:
         """Both triangles of ``A`` are held in double precision, which the forecast counts.
@@ -236,7 +236,7 @@ class AmgSession(Session):
         Raises SingularMatrixError (also where not positive definite) or SolverError (no hierarchy).
         """
         if self._starts is None:
-            self._starts = node_graph(A)[1] if A.n > SOLVING.coarsest_rows else np.arange(A.n)
+            self._starts = node_graph(A)[1] if A.n > TOL.coarsest_rows else np.arange(A.n)
         whole = A.full()
         # Symmetric, so its columns are its rows; PyAMG takes indices of 32 bits only.
         indices, indptr = (index.astype(np.int32, copy=False) for index in (whole.indices, whole.indptr))
@@ -246,10 +246,10 @@ class AmgSession(Session):
         kept = hierarchy.nbytes + (int(rows.data.nbytes) if hierarchy.levels else _bytes(rows))
         self._A, self._hierarchy = rows, hierarchy
         self._norm = float(abs(rows).sum(axis=1).max())
-        self.columns = SOLVING.block_columns
+        self.columns = TOL.block_columns
         if (budget := self.solver.memory) is not None:
-            room = (budget - kept) // (SOLVING.multigrid_solve_bytes * self.n)
-            self.columns = min(SOLVING.block_columns, max(1, room))
+            room = (budget - kept) // (TOL.multigrid_solve_bytes * self.n)
+            self.columns = min(TOL.block_columns, max(1, room))
         self.levels = [level.A.shape[0] for level in hierarchy.levels]
         log.debug("multigrid with levels of %s rows", self.levels)
         return FactorSize(entries=hierarchy.entries, memory=kept)
@@ -262,10 +262,10 @@ class AmgSession(Session):
         self.steps = solution.steps
         error = float(solution.residual.max(initial=0.0))
         log.debug("multigrid: %d steps to a backward error of %.1e", solution.steps, error)
-        if solution.stagnated or not error <= SOLVING.iteration_accuracy:
+        if solution.stagnated or not error <= TOL.iteration_accuracy:
             raise SolverError(
                 f"multigrid came to a backward error of only {error:.1e} in {solution.steps} steps (needed "
-                f"{SOLVING.iteration_accuracy:.0e}); it converges slowly for slender bodies, thin walls and stretched "
+                f"{TOL.iteration_accuracy:.0e}); it converges slowly for slender bodies, thin walls and stretched "
                 f"elements, and not at all for a body that is not held: {_CURE}"
             )
         return solution.X

@@ -23,7 +23,7 @@ from morembs.linalg.sparse.ordering import metis_ordering
 from morembs.linalg.sparse.session import FactorSize, Session, SessionSolver
 from morembs.linalg.sparse.solver import MECHANISM, Forecast
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 # The number of threads of the BLAS belongs to the whole process.
 _SIDE_BY_SIDE = threading.Lock()
@@ -52,7 +52,7 @@ class _CholmodSession(Session):
 
     def __init__(self, solver: SessionSolver, A: Lower, structure: str) -> None:
         super().__init__(solver, A, structure)
-        self.columns = SOLVING.supernodal_columns
+        self.columns = TOL.supernodal_columns
         self._factor = ctypes.c_void_p()
         self._blas = ThreadpoolController().select(user_api="blas")
         self._places = [_Place(self.library)]
@@ -133,7 +133,7 @@ class _CholmodSession(Session):
         The many small products of a solve gain little from threads of their own; parts share what they read.
         """
         threads = max((library.num_threads for library in self._blas.lib_controllers), default=1)
-        parts = min(threads, X.shape[1] // SOLVING.columns_per_thread)
+        parts = min(threads, X.shape[1] // TOL.columns_per_thread)
         if parts < 2:
             self._solve_part(self._places[0], X)
             return

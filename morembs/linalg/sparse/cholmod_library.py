@@ -28,7 +28,7 @@ from morembs.linalg.sparse.foreign import (
     without_comments,
 )
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 HINT = "sudo apt-get install libsuitesparse-dev"
 
@@ -207,7 +207,7 @@ def _open(path: str, header: Path) -> Library:
         raise UnusableError(f"its header {header} has version {version}, the library {loaded}")
     for name, result in _FUNCTIONS.items():
         functions[name].restype = result
-    holder = padded(structures["common"], SOLVING.padding_bytes)
+    holder = padded(structures["common"], TOL.padding_bytes)
     functions["start"](ctypes.byref(holder))
     written = {"nrelax": list(holder.data.nrelax), "itype": [holder.data.itype]}
     agrees = written == _DEFAULTS and not any(holder.padding)

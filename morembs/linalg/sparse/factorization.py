@@ -17,7 +17,7 @@ from morembs.base.types import Values
 from morembs.linalg.sparse.cost import FactorStats, Forecast
 from morembs.linalg.sparse.symmetric import General, Lower
 from morembs.linalg.sparse.threads import blas_threads
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 log = logging.getLogger(__name__)
 
@@ -270,7 +270,7 @@ def check_factor(factor: Factorization, A: Lower, what: str) -> None:
         raise SingularMatrixError(f"{what} has {int((size == 0).sum())} rows that are zero; remove these dofs")
     d = (1.0 / size)[:, None]
     norm = A.scaled_norm(d[:, 0])
-    on_disk, vectors = factor.stats.out_of_core, SOLVING.check_vectors_on_disk
+    on_disk, vectors = factor.stats.out_of_core, TOL.check_vectors_on_disk
     x = np.random.default_rng(7).standard_normal((A.n, vectors if on_disk else 1))
     x = (x / np.linalg.norm(x, axis=0)).astype(factor.dtype)
     steps = 1 if on_disk else 2
@@ -281,15 +281,13 @@ def check_factor(factor: Factorization, A: Lower, what: str) -> None:
         x = factor.solve(b / d, transposed=other) / d
         growth = float(np.linalg.norm(x, axis=0).max())
         seen = growth * np.sqrt(A.n / vectors) if on_disk else growth
-        if not np.isfinite(growth) or norm * seen > SOLVING.singular_condition:
-            raise SingularMatrixError(
-                f"{what} is singular (condition above {SOLVING.singular_condition:.0e}); {MECHANISM}"
-            )
+        if not np.isfinite(growth) or norm * seen > TOL.singular_condition:
+            raise SingularMatrixError(f"{what} is singular (condition above {TOL.singular_condition:.0e}); {MECHANISM}")
         used = A.transposed() if other else A
         residual = float(np.linalg.norm(d * (used @ (d * x)) - b, axis=0).max()) / (norm * growth + 1.0)
-        if residual > SOLVING.backward_error:
+        if residual > TOL.backward_error:
             raise SolverError(
                 f"{factor.stats.backend} solved with {what} to a backward error of only {residual:.1e} "
-                f"(needed {SOLVING.backward_error:.0e}); take another solver, or move the shift"
+                f"(needed {TOL.backward_error:.0e}); take another solver, or move the shift"
             )
         x /= growth

@@ -15,7 +15,7 @@ from typing import Generic, TypeVar
 
 from morembs.base.errors import SolverError
 from morembs.base.progress import SILENT, Progress
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 T = TypeVar("T")
 _NAME = "morembs-call"
@@ -65,7 +65,7 @@ class ForeignObject(ABC):
         worker = threading.Thread(target=job.run, daemon=True, name=_NAME)
         try:
             worker.start()
-            while not job.done.wait(SOLVING.news_seconds):
+            while not job.done.wait(TOL.news_seconds):
                 progress.update(f"{news} {time.perf_counter() - start:.0f} s".strip())
         except BaseException:
             self.abandoned = job.abandon() and worker.ident is not None

@@ -18,7 +18,7 @@ from morembs.linalg.sparse.conjugate_gradient import conjugate_gradients
 from morembs.linalg.sparse.mumps import Mumps
 from morembs.linalg.sparse.solver import Analysis, Factorization, FactorStats, Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 log = logging.getLogger(__name__)
 
@@ -92,7 +92,7 @@ class _MixedFactor(Factorization):
         return self._iterate(b) is not None
 
     def _solve(self, B: Values) -> Values:
-        step = SOLVING.block_columns
+        step = TOL.block_columns
         for first in range(0, B.shape[1], step):
             part = B[:, first : first + step]
             X = None if self._exact is not None else self._iterate(part)
@@ -115,7 +115,7 @@ class _MixedFactor(Factorization):
             self._precondition,
             B,
             norm=self._norm,
-            max_steps=SOLVING.iteration_steps_rough,
+            max_steps=TOL.iteration_steps_rough,
         )
         log.debug("%d steps to a backward error of %.1e", solution.steps, solution.residual.max(initial=0.0))
         return None if solution.stagnated else solution.X * size

@@ -35,7 +35,7 @@ from morembs.linalg.sparse.ordering import metis_ordering
 from morembs.linalg.sparse.session import FactorSize, Session, SessionSolver
 from morembs.linalg.sparse.solver import MECHANISM, STRUCTURES, Forecast
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 log = logging.getLogger(__name__)
 PRECISIONS = ("double", "single")
@@ -56,7 +56,7 @@ class MumpsSession(Session):
         self.columns = max(1, np.iinfo(np.int32).max // self.n)
         self.arithmetic = np.dtype(_dtype(solver.precision, structure))
         self._order = metis_ordering(A)
-        self._delayed = SOLVING.delayed_pivots_percent_spd if structure == "spd" else SOLVING.delayed_pivots_percent
+        self._delayed = TOL.delayed_pivots_percent_spd if structure == "spd" else TOL.delayed_pivots_percent
         self._folder: ScratchFolder | None = None
         self._instance: Instance | None = None
         self._negative: int | None = None
@@ -107,9 +107,9 @@ class MumpsSession(Session):
         self._begin(A)
         budget = self.solver.memory
         wanted = self._demand()
-        if budget is not None and wanted.memory > budget and self._delayed > SOLVING.delayed_pivots_percent_spd:
+        if budget is not None and wanted.memory > budget and self._delayed > TOL.delayed_pivots_percent_spd:
             # Less room to begin with, more if it turns out to be needed.
-            self._delayed = SOLVING.delayed_pivots_percent_spd
+            self._delayed = TOL.delayed_pivots_percent_spd
             self.instance.set(Control.DELAYED_PIVOTS_PERCENT, self._delayed)
             self._analyse_again()
             wanted = self._demand()
@@ -187,13 +187,13 @@ class MumpsSession(Session):
         instance.give_pattern(A)
         instance.give_values(A)
         delayed = self._delayed
-        for attempt in range(1, SOLVING.factorisation_attempts + 1):
+        for attempt in range(1, TOL.factorisation_attempts + 1):
             code = self.run(instance.run, Job.FACTORIZE)
             if code >= 0:
                 break
-            if code not in TOO_SMALL or attempt == SOLVING.factorisation_attempts:
+            if code not in TOO_SMALL or attempt == TOL.factorisation_attempts:
                 raise self._failure("the factorisation")
-            delayed = max(2 * delayed, SOLVING.delayed_pivots_percent)
+            delayed = max(2 * delayed, TOL.delayed_pivots_percent)
             log.info("%s: INFOG(1) = %d, again with %d %% more workspace", self.solver.name, code, delayed)
             instance.set(Control.DELAYED_PIVOTS_PERCENT, delayed)
         instance.take_matrix()
@@ -211,7 +211,7 @@ class MumpsSession(Session):
     def _solve(self, B: Values) -> Values:
         X = B.astype(self.arithmetic, copy=False)
         # On disk each block reads every factor again, so all go at once.
-        self.instance.set(Control.COLUMNS_AT_ONCE, SOLVING.block_columns if self._folder is None else B.shape[1])
+        self.instance.set(Control.COLUMNS_AT_ONCE, TOL.block_columns if self._folder is None else B.shape[1])
         if self.run(self.instance.solve, X) < 0:
             raise self._failure("the solution")
         return X

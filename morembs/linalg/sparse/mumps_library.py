@@ -28,7 +28,7 @@ from morembs.linalg.sparse.foreign import (
 )
 from morembs.linalg.sparse.mumps_codes import ARITHMETIC, Job, World
 from morembs.linalg.sparse.rebinding import rebind, scipy_blas
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 SYSTEM_HINT = "sudo apt-get install libmumps-seq-dev libmetis5 libopenblas0-pthread"
 EMBEDDED_HINT = "pip install casadi"
@@ -134,7 +134,7 @@ def _open(path: str, folder: Path, letter: str, low_rank: bool = False) -> Libra
         raise UnusableError(f"it cannot be loaded: {error}") from None
     function.restype = None
     # Keeps the padding alive as long as the structure.
-    holder = padded(layout, SOLVING.padding_bytes)
+    holder = padded(layout, TOL.padding_bytes)
     data = holder.data
     data.par, data.sym, data.comm_fortran = 1, 1, World.SEQUENTIAL
     library = Library(path, version, layout, function, low_rank)

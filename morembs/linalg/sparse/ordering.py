@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from morembs.base.types import Ints
 from morembs.linalg.sparse.foreign import find_library
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 log = logging.getLogger(__name__)
 
@@ -64,12 +64,12 @@ def metis_ordering(A: Lower) -> Ints | None:
 def _ordered(A: Lower) -> Ints | None:
     metis = metis_library()
     n = A.n
-    if metis is None or n < SOLVING.smallest_graph:
+    if metis is None or n < TOL.smallest_graph:
         return None
     library, integer = metis
     graph, starts = node_graph(A)
     vertices = graph.shape[0]
-    if vertices < SOLVING.smallest_graph or graph.nnz == 0 or graph.nnz > np.iinfo(integer).max:
+    if vertices < TOL.smallest_graph or graph.nnz == 0 or graph.nnz > np.iinfo(integer).max:
         return None
     sizes = np.diff(np.append(starts, n))
     arrays = [np.ascontiguousarray(array, dtype=integer) for array in (graph.indptr, graph.indices, sizes)]
@@ -108,9 +108,7 @@ def _new_pattern(A: Lower) -> NDArray[np.bool_]:
     first = np.ones(A.n, dtype=bool)
     key = np.random.default_rng(5).uniform(1.0, 2.0, A.n)
     row = _row_sums(A, key)
-    first[1:] = (counts[1:] != counts[:-1] - 1) | (
-        np.abs(row[1:] - key[1:] - row[:-1]) > SOLVING.same_key_sum * row[1:]
-    )
+    first[1:] = (counts[1:] != counts[:-1] - 1) | (np.abs(row[1:] - key[1:] - row[:-1]) > TOL.same_key_sum * row[1:])
     same = np.flatnonzero(~first)
     for columns in _pieces(same, counts):
         here, length = _places(A.indptr[columns], counts[columns])
@@ -133,7 +131,7 @@ def _row_sums(A: Lower, key: NDArray[np.float64]) -> NDArray[np.float64]:
 def _pieces(columns: Ints, counts: Ints) -> list[Ints]:
     """``columns`` cut into pieces of about ``graph_entries``: the temporaries are several times as large."""
     ends = np.cumsum(counts[columns])
-    limits = np.arange(SOLVING.graph_entries, ends[-1] if columns.size else 0, SOLVING.graph_entries)
+    limits = np.arange(TOL.graph_entries, ends[-1] if columns.size else 0, TOL.graph_entries)
     return [part for part in np.split(columns, np.searchsorted(ends, limits)) if part.size]
 
 

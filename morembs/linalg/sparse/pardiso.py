@@ -18,7 +18,7 @@ from morembs.linalg.sparse.pardiso_library import KIBIBYTE, KINDS, SINGULAR, WOR
 from morembs.linalg.sparse.session import FactorSize, Session, SessionSolver
 from morembs.linalg.sparse.solver import MECHANISM, Forecast
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 
 class _Handle:
@@ -46,7 +46,7 @@ class _Handle:
             Place.NOT_DEFAULT: 1,
             Place.ORDERING: 2,
             Place.GIVEN_ORDER: order is not None,
-            Place.ZERO_PIVOT: SOLVING.zero_pivot_digits,
+            Place.ZERO_PIVOT: TOL.zero_pivot_digits,
             Place.SCALING: matching,
             Place.MATCHING: matching,
             Place.ENTRIES: -1,
@@ -98,7 +98,7 @@ class _PardisoSession(Session):
 
     def __init__(self, solver: SessionSolver, A: Lower, structure: str) -> None:
         super().__init__(solver, A, structure)
-        self.columns = SOLVING.supernodal_columns
+        self.columns = TOL.supernodal_columns
         self._order = metis_ordering(A)
         self._handles: list[_Handle] = []
         # The matrix and its largest value, where solutions have to be refined.
@@ -158,7 +158,7 @@ class _PardisoSession(Session):
         handle.values, self._A = np.ascontiguousarray(A.data), None
         code = self.run(handle.run, Phase.FACTORIZE)
         handle.values = handle.values[:0]
-        if code == 0 and self.structure != "spd" and self._trial_error(A) > SOLVING.refined_error:
+        if code == 0 and self.structure != "spd" and self._trial_error(A) > TOL.refined_error:
             self._A = A
         return code
 
@@ -177,9 +177,9 @@ class _PardisoSession(Session):
     def _solve(self, B: Values) -> Values:
         """The solution, refined in steps of our own: those of PARDISO stopped at 5e-14 after three."""
         X = self._substitute(B)
-        for _ in range(SOLVING.refinement_steps if self._A is not None else 0):
+        for _ in range(TOL.refinement_steps if self._A is not None else 0):
             residual = np.asfortranarray(B - self._A @ X)
-            if self._backward_error(residual, X, B) <= SOLVING.refined_error:
+            if self._backward_error(residual, X, B) <= TOL.refined_error:
                 break
             X += self._substitute(residual)
         return X

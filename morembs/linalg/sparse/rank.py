@@ -23,7 +23,7 @@ import numpy as np
 from morembs.base.memory import peak_memory_bytes
 from morembs.linalg.sparse.mumps_codes import Job
 from morembs.linalg.sparse.mumps_library import Library, rank_library
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 # Arrays of the matrix and of right-hand sides, which rank 0 alone has.
 ARRAYS = {"irn": np.int32, "jcn": np.int32, "perm_in": np.int32, "a": None, "rhs": None}
@@ -61,13 +61,13 @@ class Mpi:
 
     def hear(self) -> str:
         """The next command of rank 0."""
-        flag, pause = ctypes.c_int(), SOLVING.shortest_poll_seconds
+        flag, pause = ctypes.c_int(), TOL.shortest_poll_seconds
         while True:
             self._library.MPI_Iprobe(0, 0, self._world, ctypes.byref(flag), None)
             if flag.value:
                 break
             time.sleep(pause)
-            pause = min(2 * pause, SOLVING.longest_poll_seconds)
+            pause = min(2 * pause, TOL.longest_poll_seconds)
         size = np.zeros(1, dtype=np.int64)
         self._library.MPI_Recv(ctypes.c_void_p(size.ctypes.data), 1, self._long, 0, 0, self._world, None)
         message = ctypes.create_string_buffer(int(size[0]))

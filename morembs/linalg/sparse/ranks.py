@@ -27,7 +27,7 @@ from morembs.base.errors import InputError, SolverError
 from morembs.base.scratch import ScratchFolder
 from morembs.linalg.sparse.mumps_library import rank_files
 from morembs.linalg.sparse.rank import SOCKET
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 log = logging.getLogger(__name__)
 _PROGRAM = "morembs.linalg.sparse.rank"
@@ -142,7 +142,7 @@ class Ranks:
         finally:
             os.close(opened)
         listener.listen()
-        listener.settimeout(SOLVING.news_seconds)
+        listener.settimeout(TOL.news_seconds)
         return listener
 
     def _accepted(self, listener: socket.socket) -> socket.socket:
@@ -185,7 +185,7 @@ class Ranks:
     def died(self) -> SolverError:
         """The error for ranks that are gone, once mpirun has said which."""
         with suppress(subprocess.TimeoutExpired):
-            self._mpirun.wait(SOLVING.leaving_seconds)
+            self._mpirun.wait(TOL.leaving_seconds)
         words = self._words()
         self.kill()
         rank = re.search(r"process rank (\d+) .*?on signal (\d+)", words, flags=re.DOTALL)
@@ -211,7 +211,7 @@ def _end(mpirun: subprocess.Popen[bytes], folder: ScratchFolder, owner: int) -> 
         with suppress(OSError):
             mpirun.terminate()
         try:
-            mpirun.wait(SOLVING.leaving_seconds)
+            mpirun.wait(TOL.leaving_seconds)
         except subprocess.TimeoutExpired:
             with suppress(OSError):
                 os.killpg(mpirun.pid, signal.SIGKILL)

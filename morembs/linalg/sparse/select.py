@@ -20,7 +20,7 @@ from morembs.linalg.sparse.pardiso import Pardiso
 from morembs.linalg.sparse.solver import STRUCTURES, Analysis, Forecast, LinearSolver
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 from morembs.linalg.sparse.umfpack import Umfpack
 
 log = logging.getLogger(__name__)
@@ -155,9 +155,9 @@ class AutoSolver(LinearSolver):
                 return True
             # Whoever makes the factor keeps up to a fifth more than MUMPS; a Sturm count needs about what a factor
             # on disk does, and the values of K - sigma M.
-            beside = SOLVING.count_margin * on_disk.memory + 8 * A.nnz
-            beside += SOLVING.columns_beside_factor * 8 * A.n + SOLVING.bytes_beside_factor
-            return max(in_core.memory, SOLVING.factor_margin * in_core.kept + beside) <= self.memory
+            beside = TOL.count_margin * on_disk.memory + 8 * A.nnz
+            beside += TOL.columns_beside_factor * 8 * A.n + TOL.bytes_beside_factor
+            return max(in_core.memory, TOL.factor_margin * in_core.kept + beside) <= self.memory
 
 
 def lacks(solver: type[LinearSolver], structure: str) -> str:

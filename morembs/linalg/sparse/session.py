@@ -23,7 +23,7 @@ from morembs.base.types import Values
 from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.solver import Analysis, Factorization, FactorStats, Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 T = TypeVar("T")
 
@@ -61,7 +61,7 @@ class Session(ForeignObject):
         self.library = solver.opened(structure)
         # Type of solutions, and columns that are solved at once (None: all).
         self.dtype = np.dtype(np.complex128 if structure.startswith("complex") else np.float64)
-        self.columns: int | None = SOLVING.block_columns
+        self.columns: int | None = TOL.block_columns
         self.solving: AbstractContextManager[Any] = nullcontext() if self.thread_safe else threading.RLock()
         self._news = ""
 

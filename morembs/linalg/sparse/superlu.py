@@ -15,7 +15,7 @@ from morembs.linalg.sparse.ordering import metis_ordering
 from morembs.linalg.sparse.session import FactorSize, Session, SessionSolver
 from morembs.linalg.sparse.solver import MECHANISM, STRUCTURES, Forecast
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 
 def _backward_error(lu: Any, A: sp.csc_array) -> float:
@@ -46,7 +46,7 @@ class _SuperLUSession(Session):
         return self.dtype.itemsize + np.dtype(np.int32).itemsize
 
     def _analyse(self, A: Lower) -> Forecast:
-        entries = int(SOLVING.superlu_fill * self.n ** (4 / 3))
+        entries = int(TOL.superlu_fill * self.n ** (4 / 3))
         size = entries * self._entry
         return self.forecast(entries=entries, flops=0.5 * entries**1.5, memory=size, kept=size)
 
@@ -56,7 +56,7 @@ class _SuperLUSession(Session):
         if self._order is not None:
             whole = sp.csc_array(whole[self._order][:, self._order])
         lu = self._decomposed(whole, pivots=False)
-        if not definite and _backward_error(lu, whole) > SOLVING.backward_error:
+        if not definite and _backward_error(lu, whole) > TOL.backward_error:
             # Pivots off the diagonal cost fill and the inertia, but save the solution.
             lu = self._decomposed(whole, pivots=True)
         self._lu, self._A = lu, None if definite else whole

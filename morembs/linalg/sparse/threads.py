@@ -11,7 +11,7 @@ from functools import lru_cache
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from morembs.base.errors import InputError
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 # Binary logarithm of the processor cycles that an idle thread of OpenBLAS keeps asking for work before it
 # sleeps; 26 by default, which is 20 ms or more.
@@ -65,10 +65,10 @@ def _measured(threads: int) -> Speed:
     # Not at the top: this module has to be imported before NumPy, see quiet_idle_threads.
     import numpy as np
 
-    order = SOLVING.speed_order
+    order = TOL.speed_order
     A = np.ones((order, order))
     product = np.empty_like(A)
-    a, b, c = (np.ones(SOLVING.speed_bytes // 24) for _ in range(3))
+    a, b, c = (np.ones(TOL.speed_bytes // 24) for _ in range(3))
 
     def triad() -> None:
         np.multiply(c, 3.0, out=a)
@@ -81,7 +81,7 @@ def _measured(threads: int) -> Speed:
 
 
 def shortest_time(
-    job: Callable[[], object], budget: float = SOLVING.speed_seconds, clock: Callable[[], float] = time.perf_counter
+    job: Callable[[], object], budget: float = TOL.speed_seconds, clock: Callable[[], float] = time.perf_counter
 ) -> float:
     """Shortest of the times in seconds that ``job`` takes, run until the ``budget`` is used up."""
     best, end = float("inf"), clock() + budget

@@ -38,8 +38,9 @@ class SolverTolerances:
     zero_pivot_digits: int = 20
     # PARDISO: steps of refinement. Beside an eigenvalue each gains a factor of twenty.
     refinement_steps: int = 5
-    # MUMPS: room for delayed pivots in per cent, the default of its manual; a definite matrix delays none.
+    # MUMPS: room for delayed pivots in per cent, the default of its manual.
     delayed_pivots_percent: int = 20
+    # The same for a definite matrix, which delays none.
     delayed_pivots_percent_spd: int = 5
     # MUMPS: numerical phases, with twice the room each time it was too small.
     factorisation_attempts: int = 4
@@ -57,13 +58,16 @@ class SolverTolerances:
     superlu_fill: float = 48.0
     # UMFPACK: bytes kept, and bytes at the peak, for each byte of the entries of L and U; measured on solid bodies.
     umfpack_kept: float = 1.04
+    # Bytes at the peak for each of them, measured likewise.
     umfpack_peak: float = 1.85
     # Automatic choice: the factor of the chosen solver against the forecast of MUMPS, and a Sturm count against a
     # factor on disk.
     factor_margin: float = 1.25
+    # The cost of a Sturm count against that of a factor on disk, likewise.
     count_margin: float = 1.1
     # Automatic choice: columns of length n beside a factor in memory while it solves, and bytes for library buffers.
     columns_beside_factor: int = 60
+    # Bytes of the buffers of a library beside its factor.
     bytes_beside_factor: int = 60_000_000
 
     # --- Conjugate gradients
@@ -81,8 +85,9 @@ class SolverTolerances:
     # Eigenvalue of a Gram matrix of normed columns below which a direction depends on others: its round-off is eps for
     # each column of a block, with a margin of eight.
     dependent_direction: float = 8 * block_columns * roundoff
-    # Steps before the iteration is given up; with a rough factor more of them cost more than a double factor.
+    # Steps before the iteration is given up.
     iteration_steps: int = 200
+    # The same with a rough factor, where more steps cost more than a double factor.
     iteration_steps_rough: int = 30
 
     # --- Multigrid: measured with ten-node tetrahedra, 6e3 to 1e5 rows
@@ -91,31 +96,40 @@ class SolverTolerances:
     strong_coupling: float = 0.06
     # Steps that minimise the energy of the prolongations (Olson, Schroder and Tuminaro 2011).
     prolongation_steps: int = 4
-    # Rows of the coarsest level, a dense matrix; a setup that stays above the next number has failed.
+    # Rows of the coarsest level, a dense matrix.
     coarsest_rows: int = 900
+    # Rows of a coarsest level that says that the setup has failed: four times what was aimed at.
     failed_coarsest_rows: int = 4 * coarsest_rows
+    # Levels: each has a tenth of the rows of the one before at most, so twelve are never reached.
     levels: int = 12
-    # Rows of a node, and motions of an aggregate: the rigid-body modes.
+    # Rows of a node: its translations.
     node_rows: int = 3
+    # Motions of an aggregate: the rigid-body modes.
     aggregate_motions: int = 6
-    # Degree of the Chebyshev smoother, and the part of the spectrum that it damps: from its top / 20 upwards.
+    # Degree of the Chebyshev smoother.
     smoother_degree: int = 3
+    # Part of the spectrum that the smoother damps: from its top / 20 upwards.
     smoothed_part: float = 20.0
-    # Steps of power iteration for the top of the spectrum, and the margin on what they find (Adams et al. 2003).
+    # Steps of power iteration for the top of the spectrum.
     power_steps: int = 15
+    # Margin on what the power iteration finds (Adams et al. 2003).
     spectrum_margin: float = 1.15
     # Bytes for each entry of the matrix, for each row, and beside: at the peak of the setup, and kept.
     multigrid_peak: tuple[float, float, float] = (48.0, 200.0, 5e6)
+    # The same bytes, kept after the setup.
     multigrid_kept: tuple[float, float, float] = (20.0, 300.0, 0.0)
-    # Entries of the hierarchy, and operations of the setup, for each entry of the matrix.
+    # Entries of the hierarchy for each entry of the matrix.
     multigrid_entries: float = 1.7
+    # Operations of the setup for each entry of the matrix.
     multigrid_flops: float = 300.0
     # Bytes for each row and column while a block is solved: five arrays of double precision, and their temporaries.
     multigrid_solve_bytes: int = 80
 
     # --- Pieces: temporaries stay small beside the matrix
     matrix_rows: int = 1 << 15
+    # Rows of a product with a block of columns at once.
     product_rows: int = 1 << 13
+    # Entries of a graph that are handled at once.
     graph_entries: int = 1 << 20
     # METIS is not meant for graphs of fewer vertices, and any order is good there.
     smallest_graph: int = 50
@@ -131,11 +145,14 @@ class SolverTolerances:
     leaving_seconds: float = 10.0
     # Ranks ask for commands so often, at first and later: MPI itself would wait with a whole processor.
     shortest_poll_seconds: float = 2e-4
+    # The longest pause of a rank between two looks for commands.
     longest_poll_seconds: float = 5e-3
     # Speed of the machine: order of the dense product, bytes of the long arrays (beyond every cache), time for each.
     speed_order: int = 1000
+    # Bytes of the long arrays whose speed is measured: beyond every cache.
     speed_bytes: int = 1 << 26
+    # Seconds that each of these measurements takes.
     speed_seconds: float = 0.2
 
 
-SOLVING = SolverTolerances()
+TOL = SolverTolerances()

@@ -24,7 +24,7 @@ from morembs.linalg.sparse.ordering import metis_ordering
 from morembs.linalg.sparse.session import FactorSize, Session, SessionSolver
 from morembs.linalg.sparse.solver import MECHANISM, Forecast
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.sparse.tolerances import SOLVING
+from morembs.linalg.sparse.tolerances import TOL
 
 HINT = "sudo apt-get install libsuitesparse-dev"
 
@@ -149,10 +149,10 @@ class _UmfpackSession(Session):
             peak = int(results[Info.PEAK_ESTIMATE] * results[Info.UNIT])
         else:
             entries, flops = 2 * fill.entries, 2.0 * fill.flops * (4 if self.complex else 1)
-            peak = int(SOLVING.umfpack_peak * size * entries)
+            peak = int(TOL.umfpack_peak * size * entries)
         # Of both triangles: row numbers, places in the lower triangle, values.
         matrix, values = 16 * self.nnz, size * self.nnz
-        kept = int(SOLVING.umfpack_kept * size * entries) + matrix + (0 if self.structure == "spd" else values)
+        kept = int(TOL.umfpack_kept * size * entries) + matrix + (0 if self.structure == "spd" else values)
         return self.forecast(entries=entries, flops=flops, memory=max(peak + matrix + values, kept), kept=kept)
 
     def _factorize(self, A: Lower) -> FactorSize:
@@ -177,7 +177,7 @@ class _UmfpackSession(Session):
         residual = B - self._whole @ X
         scale = abs(self._whole) @ np.abs(X) + np.abs(B)
         error = np.divide(np.abs(residual), scale, out=np.zeros(scale.shape), where=scale > 0).max(axis=0)
-        poor = np.flatnonzero(error > SOLVING.refined_error)
+        poor = np.flatnonzero(error > TOL.refined_error)
         if len(poor):
             X[:, poor] += self.substitute(np.asfortranarray(residual[:, poor]))
         return X
