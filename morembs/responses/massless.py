@@ -65,7 +65,7 @@ def _massless(problem: Problem) -> tuple[str, ...]:
 
 
 def _reduced(X: Floats) -> Floats:
-    """Columns with the span of those of ``X`` (m, k), in reduced echelon form: each has an entry where no other has one.
+    """Columns (m, k) with the span of those of ``X``, in echelon form: each has an entry where no other has one.
 
     Which vectors an eigensolver gives of a multiple eigenvalue is chance; these do not depend on it.
     """
