@@ -131,9 +131,12 @@ def tolerances() -> Iterator[str]:
     """A table for each room that has tolerances: the names, the values and the comments above the fields."""
     for file in sorted((ROOT / "morembs").rglob("tolerances.py")):
         module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
-        held = import_module(module).TOL
-        source = re.findall(r"((?: {4}# .*\n)+) {4}(\w+): ", file.read_text(encoding="utf-8"))
-        derived = {name: re.sub(r"\s*# ", " ", above).strip() for above, name in source}
+        held = next(one for one in vars(import_module(module)).values() if type(one).__name__.endswith("Tolerances"))
+        derived, above = {}, ""
+        # Fields of one group may share the comment above the first.
+        for words, name in re.findall(r"((?: {4}# .*\n)*) {4}(\w+): \w", file.read_text(encoding="utf-8")):
+            above = re.sub(r"\s*# (--- .*\n)?", " ", words).strip() or above
+            derived[name] = above
         yield from (f"\n## `{module}`\n", "| quantity | value | where it comes from |", "|---|---|---|")
         for field in fields(held):
             value = repr(getattr(held, field.name)).replace("_", "")

@@ -23,14 +23,8 @@ from morembs.linalg.eigen import graded_modes
 from morembs.parametric.law import Law
 from morembs.parametric.parameter import DAMPING, Box
 from morembs.parametric.terms import AffineProblem
+from morembs.parametric.tolerances import TOL
 from morembs.problem.damping import Damping
-
-# Relative difference of frequencies below which modes are one cluster.
-CLUSTER = 1e-6
-# Part of a rigid motion that a basis may miss.
-SPANNED = 1e-8
-# Values of a table that are computed at once.
-BATCH = 256
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,13 +97,13 @@ class ParametricModel:
         if not 0 < count <= self.order - r:
             raise InputError(f"{count} frequencies were asked for; expected 1 to {self.order - r}")
         result = np.empty((len(table), count))
-        for first in range(0, len(table), BATCH):
-            p = table[first : first + BATCH]
+        for first in range(0, len(table), TOL.table_rows):
+            p = table[first : first + TOL.table_rows]
             K, M = self.matrices(p)
             L = np.linalg.cholesky(M)
             A = np.linalg.solve(L, np.linalg.solve(L, K).transpose(0, 2, 1))
             values = np.linalg.eigvalsh(0.5 * (A + A.transpose(0, 2, 1)))[:, r : r + count]
-            result[first : first + BATCH] = eigenvalue_in_hz(values)
+            result[first : first + TOL.table_rows] = eigenvalue_in_hz(values)
         return result
 
     def derivatives(self, p: Floats) -> tuple[Floats, Floats]:
@@ -213,7 +207,7 @@ class ModelAt:
 
 def _clusters(values: Floats) -> list[NDArray[np.int64]]:
     """Places of eigenvalues that lie together, ascending."""
-    apart = np.flatnonzero(np.diff(values) > 2 * CLUSTER * values[1:])
+    apart = np.flatnonzero(np.diff(values) > 2 * TOL.mode_cluster_gap * values[1:])
     return np.split(np.arange(len(values)), apart + 1)
 
 
@@ -300,6 +294,6 @@ def _rigid(problem: AffineProblem, V: Floats) -> Floats:
     Q, T = np.linalg.qr(V)
     coordinates = sl.solve_triangular(T, Q.T @ (R / size))
     missed = float(np.linalg.norm(R / size - V @ coordinates, axis=0).max(initial=0.0))
-    if not missed <= SPANNED:
+    if not missed <= TOL.missed_rigid:
         raise SolverError(f"the basis misses {missed:.1e} of a rigid motion of some value; it has to span all of them")
     return np.asarray((coordinates * size).reshape(V.shape[1], 6, -1))

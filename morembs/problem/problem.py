@@ -32,18 +32,15 @@ from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_
 from morembs.problem.damping import Damping as Damping
 from morembs.problem.rigid_motions import need_factor, nodes_of_rows, rigid_motions, terms_in_rows
 from morembs.problem.system import System
+from morembs.problem.tolerances import TOL
 
 Shared = TypeVar("Shared")
 # Round-off adds up at random: part of its bound that is seen as a rule.
 AS_A_RULE = 0.1
 # Key of the constraint modes among the solutions that reducers share.
 CONSTRAINT = "constraint modes"
-# Limits of modes that differ by less than this part are one limit.
-SAME = 1e-14
 # Part of a static motion or of the stiffness of a mode that round-off may take.
 LOST = 1e-3
-# Shift in the Sturm count of motions without energy, as a multiple of the round-off in that of rigid motion.
-MECHANISM = 1e3
 SOFTER = (
     "make stiff links and penalty springs softer (a thousand times the stiffness of what they join is rigid enough) or "
     "replace them by rigid couplings, or leave a soft support to the simulation"
@@ -330,7 +327,7 @@ class Problem(Closing):
         enough = known is not None and (
             (count is not None and len(known.eigenvalues) >= count)
             # The limit of the last call comes back as it was given to the eigensolver, up to round-off.
-            or (below is not None and known.verified_below >= below * (1 + GAP) * (1 - SAME))
+            or (below is not None and known.verified_below >= below * (1 + GAP) * (1 - TOL.same_limit))
         )
         if known is not None and enough:
             return known
@@ -413,7 +410,7 @@ class Problem(Closing):
         else:
             mass = self.mass_properties[0]
             lost = float(weights.sum() / (mass if mass > 0 else self.M.diagonal().max(initial=0.0) or 1.0))
-        return MECHANISM * float(np.finfo(float).eps) * lost
+        return TOL.mechanism_shift * float(np.finfo(float).eps) * lost
 
     def _mechanism(self) -> str:
         """Message for a stiffness with more zero-energy motions than the rigid ones."""

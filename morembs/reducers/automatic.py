@@ -27,21 +27,14 @@ from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.problem import SOFTER, Problem
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.families import OfResponses
-from morembs.reducers.family_search import MANY, FamilySearch
+from morembs.reducers.family_search import FamilySearch
+from morembs.reducers.tolerances import TOL
 from morembs.responses.band import Band, band_frequencies
 from morembs.responses.certified import CertifiedReference, certified_reference, floor_of
 from morembs.responses.measures import Measure
 from morembs.responses.tolerances import TOL as RESPONSES
 
-# The reference is better than the tolerance by this factor.
-BETTER = 1e-3
 KINDS = {"gramian": "gramian", "krylov": "krylov", "modal": "elastic"}
-# A tolerance is not kept below this times the round-off of the model.
-LOST_PARTS = 3.0
-# A band that ends so many times above the highest mode of a model loses its digits by that.
-ABOVE = 2.0
-# No larger one is advised.
-RAISED = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +81,7 @@ class AutoReducer(OfResponses):
             certified = certified_reference(
                 problem,
                 self.band_hz,
-                tolerance=min(BETTER * self.tolerance, RESPONSES.reference_error),
+                tolerance=min(TOL.reference_part * self.tolerance, RESPONSES.reference_error),
                 damping_floor=floor,
                 inertia_loads=inertia,
             )
@@ -102,7 +95,7 @@ class AutoReducer(OfResponses):
         orders: dict[str, object] = {}
         for family in KINDS:
             progress.update(f"order of the {family} basis")
-            fewer = min((C.shape[1] for C in coefficients.values()), default=MANY)
+            fewer = min((C.shape[1] for C in coefficients.values()), default=TOL.no_order)
             C = search.smallest(family, fewer)
             orders[family] = "not reached" if search.reached[family] is None else search.reached[family]
             if C is not None:
@@ -134,7 +127,7 @@ class AutoReducer(OfResponses):
             SolverError: a reference without a limit, a tolerance below round-off, or a band far above all modes.
         """
         highest_hz = float(eigenvalue_in_hz(certified.values.max()))
-        far, endless = self.band_hz[1] > ABOVE * highest_hz, ~np.isfinite(certified.off)
+        far, endless = self.band_hz[1] > TOL.far_band * highest_hz, ~np.isfinite(certified.off)
         if endless.any() and certified.undamped:
             raise InputError(
                 "a transfer error of an undamped model has no bound at its resonances; give damping, or a "
@@ -147,7 +140,7 @@ class AutoReducer(OfResponses):
                 "residual exceeds the damping of a resonance; give more damping, or a damping_floor such as 0.01"
             )
         lost, at_hz = certified.lost()
-        least = LOST_PARTS * lost
+        least = TOL.roundoff_share * lost
         if far and not self.tolerance >= least:
             raise SolverError(
                 f"the band ends at {self.band_hz[1]:,.6g} Hz, and the highest mode of this model lies at "
@@ -156,10 +149,14 @@ class AutoReducer(OfResponses):
             )
         if self.tolerance < least:
             # Above it by what two digits may take off.
-            raising = f"raise the tolerance to {1.05 * least:.1e} or more, or " if least < RAISED else ""
+            raising = (
+                f"raise the tolerance to {TOL.advised_margin * least:.1e} or more, or "
+                if least < TOL.max_advised_tolerance
+                else ""
+            )
             raise SolverError(
                 f"round-off in the stiffness of this model alone may be {lost:.1e} of its response at {at_hz:,.6g} Hz, "
-                f"and {LOST_PARTS:g} times that has to be allowed; {raising}{SOFTER}"
+                f"and {TOL.roundoff_share:g} times that has to be allowed; {raising}{SOFTER}"
             )
 
 

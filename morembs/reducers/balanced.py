@@ -39,22 +39,13 @@ from morembs.reducers.second_order_balancing import (
     truncated,
     usable_order,
 )
+from morembs.reducers.tolerances import TOL
 from morembs.responses.band import Band
 from morembs.responses.loads import elastic_part, unit_loads
 from morembs.responses.reference import Reference, reference_model
 
 INSTEAD = "give band_hz = [lower, upper], or replace the modal damping by alpha and beta"
 BALANCING = ("bfsr", "sr")
-REFERENCE_ERROR = 1e-8
-# Frequencies at which the reference is held to that error.
-SAMPLES = 60
-# The reference has range enough where doubling it changes the singular values of the position Gramian by less than
-# this part of the largest; those of "fv" and "p" weigh high frequencies more, their change is in the notes.
-SETTLED, DOUBLINGS = 1e-6, 8
-# Undamped resonances are integrated beside the axis, at this part of the upper limit.
-BESIDE = 0.01
-# Test and trial spaces whose angle has a smaller cosine do not belong together.
-PERPENDICULAR = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,7 +116,7 @@ class Balanced(OfResponses):
         products = gramian.products
         order = self._order(products)
         cut = truncated(products, self.variant, order, self.balancing)
-        if cut.cosine < PERPENDICULAR:
+        if cut.cosine < TOL.least_cosine:
             raise SolverError(
                 f'variant = "{self.variant}" has a test space that is nearly perpendicular to the motion '
                 f"at order {order} (cosine {cut.cosine:.1e}): the order cuts between singular values that belong "
@@ -188,18 +179,18 @@ class Balanced(OfResponses):
 
     def _with_modal_damping(self, problem: Problem) -> _Gramian:
         """Over all frequencies, in a reference model whose range doubles until the singular values stand."""
-        reference = reference_model(problem, np.zeros(1), tolerance=REFERENCE_ERROR)
+        reference = reference_model(problem, np.zeros(1), tolerance=TOL.reference_error)
         wanted = self.order or 10
         top = 4 * float(np.sqrt(reference.values[0]))
         before: tuple[Floats, Floats] | None = None
-        for _ in range(DOUBLINGS):
+        for _ in range(TOL.range_doublings):
             reference = _up_to(problem, top)
             Zp, Zv = lyapunov_factor(reference.values, reference.damping_of_modes(), reference.B * problem.motion_scale)
             products = _modal_products(reference, Zp, Zv)
             values = singular_values(products, "pv")[:wanted], singular_values(products, self.variant)[:wanted]
             if before is not None and len(before[0]) == wanted:
                 settled, change = (float(np.abs(a - b).max() / a[0]) for a, b in zip(values, before, strict=True))
-                if settled <= SETTLED:
+                if settled <= TOL.settled_gramian:
                     notes = {
                         "gramian": "modal damping: Lyapunov equation of a reference model of order "
                         f"{len(reference.values)}, accurate up to {in_hz(top):.6g} Hz",
@@ -240,9 +231,9 @@ def _why_no_gramian(damping: Damping, own: bool) -> str:
 
 def _up_to(problem: Problem, top: float) -> Reference:
     """Reference from zero to ``top`` (rad/s)."""
-    omega = np.linspace(0.0, top, SAMPLES)
+    omega = np.linspace(0.0, top, TOL.reference_samples)
     try:
-        return reference_model(problem, omega, tolerance=REFERENCE_ERROR)
+        return reference_model(problem, omega, tolerance=TOL.reference_error)
     except SolverError as error:
         raise SolverError(
             "with modal damping the Gramian over all frequencies needs a reference model up to "
@@ -253,12 +244,12 @@ def _up_to(problem: Problem, top: float) -> Reference:
 def _over_band(problem: Problem, band_hz: tuple[float, float]) -> _Gramian:
     """The Gramian over a band, in the coordinates of the reference model."""
     low, high = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
-    omega = np.linspace(low, high, SAMPLES)
-    reference = reference_model(problem, omega, tolerance=REFERENCE_ERROR)
+    omega = np.linspace(low, high, TOL.reference_samples)
+    reference = reference_model(problem, omega, tolerance=TOL.reference_error)
     loads = reference.B * problem.motion_scale
     decay = reference.damping_at_resonance()
     # Modes of a table may be damped in part.
-    delta = 0.0 if (decay > 0).all() else BESIDE * high
+    delta = 0.0 if (decay > 0).all() else TOL.axis_offset * high
     Zp, Zv = band_factor(lambda s: reference.states(s, loads), reference.values, decay, (low, high), delta)
     notes: dict[str, object] = {
         "gramian": f"quadrature over {band_hz[0]:g} to {band_hz[1]:g} Hz of a reference model of order "

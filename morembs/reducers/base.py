@@ -33,6 +33,7 @@ from morembs.linalg.complex_modes import small_complex_modes
 from morembs.linalg.eigen import graded_modes
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
 from morembs.reducers.facts import Facts, Shifted
+from morembs.reducers.tolerances import TOL
 from morembs.responses.massless import massless_motions, massless_words
 
 if TYPE_CHECKING:
@@ -44,12 +45,6 @@ if TYPE_CHECKING:
     from morembs.reducers.switching_tables import StaticModeTables
 
 
-# Part by which a reduced stiffness may differ from that of the model, between coordinates of unit stiffness.
-STIFFNESS_ERROR = 1e-2
-# Part of the lowest elastic frequency down to which rigid motion is to be free of round-off.
-LOW = 0.03
-# Larger models are shown without their frequencies, which are computed for that.
-SHOWN_ORDER = 400
 # What a reduced coordinate is; the body file stores the index in this table.
 MODE_KINDS = (
     "rigid",
@@ -140,7 +135,7 @@ class ReducedModel(FormerMethod):
         return self.W is None or self.W is self.V
 
     def _facts(self) -> dict[str, object]:
-        values = self.modes()[0][self.rigid_count :] if self.order <= SHOWN_ORDER else None
+        values = self.modes()[0][self.rigid_count :] if self.order <= TOL.shown_order else None
         return {
             "name": self.name,
             "order": self.order,
@@ -388,7 +383,7 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
     coupled = basis.W is None and np.count_nonzero(K) > np.count_nonzero(np.diag(K))
     values, Y = graded_modes(K, M) if coupled else (np.abs(np.diag(K)), np.eye(n))
     # Round-off in K V y, at most: the norms of columns add up.
-    noise = (np.sqrt(problem.rounding(V)) @ np.abs(Y)) ** 2 / STIFFNESS_ERROR
+    noise = (np.sqrt(problem.rounding(V)) @ np.abs(Y)) ** 2 / TOL.stiffness_error
     lowest = values[r]
     scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.maximum(values, lowest), noise), np.finfo(float).tiny))
     # Signs that no structure of a basis has.
@@ -397,7 +392,7 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
     given = K @ x
     true = dot(W, problem.K @ Vx, problem.budget)[:, 0]
     off = float(np.linalg.norm(scale * (Y.T @ (true - given))))
-    if not off <= STIFFNESS_ERROR * max(np.linalg.norm(scale * (Y.T @ given)), np.sqrt(n)):
+    if not off <= TOL.stiffness_error * max(np.linalg.norm(scale * (Y.T @ given)), np.sqrt(n)):
         raise SolverError(
             f"method {method!r} gave a reduced stiffness that is not W' K V of its basis: {off / np.sqrt(n):.1e} of "
             "it is missing or too much; take another method, and report this with the model"
@@ -407,10 +402,14 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
     lost = AS_A_RULE * eps * np.einsum("ij,ij->j", np.abs(Y), np.abs(K) @ np.abs(Y))
     # Rigid motion has no stiffness: what is there is lost.
     lost[:r] = np.maximum(lost[:r], np.abs(values[:r]))
-    size = np.maximum(values, LOW**2 * lowest)
+    size = np.maximum(values, TOL.rigid_frequency**2 * lowest)
     if not (lost <= LOST * size).all():
         k = int(np.argmax(lost / size))
-        what = f"its mode {k - r + 1}" if k >= r else f"its rigid motion at {LOW:g} of its lowest frequency"
+        what = (
+            f"its mode {k - r + 1}"
+            if k >= r
+            else f"its rigid motion at {TOL.rigid_frequency:g} of its lowest frequency"
+        )
         raise SolverError(
             f"round-off in the reduced stiffness hides {what}: it amounts to {lost[k]:.1e} (rad/s)2 of {size[k]:.1e} "
             f"(allowed {LOST:.0e} of it); {SOFTER}"

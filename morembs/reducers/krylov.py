@@ -30,15 +30,11 @@ from morembs.problem import Problem
 from morembs.reducers.base import Basis, Reducer, elastic_basis
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.petrov_galerkin import two_sided_basis
-from morembs.reducers.shifts import RIGID_LOAD, Wanted, expansion_point, grow_at_once
+from morembs.reducers.shifts import Wanted, expansion_point, grow_at_once
+from morembs.reducers.tolerances import TOL
 from morembs.responses.loads import elastic_part, inertia_loads, load_scale
 
 Rate = Annotated[float, number("a positive number in 1/s", gt=0, lt=MOST_HZ)]
-MOST_COLUMNS = 500
-# Loads that the columns so far carry up to this part need no direction of their own.
-CARRIED = 1e-7
-# Cosine between spaces of inputs and outputs below which they cannot be paired.
-PAIRED = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,10 +172,11 @@ class Krylov(Reducer):
             count * width * (2 if own and s.imag else 1) * len(_sides(problem, s)) for s, count in self._points()
         )
         room = problem.K.shape[0] - problem.rigid.shape[1]
-        if total > min(MOST_COLUMNS, room):
+        if total > min(TOL.max_columns, room):
             raise InputError(
-                f"{loads} loads with these shifts and moments make {total} columns; at most {min(MOST_COLUMNS, room)} "
-                "make sense here: take fewer shifts or moments, or set tangential = COUNT (loads per shift)"
+                f"{loads} loads with these shifts and moments make {total} columns; at most "
+                f"{min(TOL.max_columns, room)} make sense here: take fewer shifts or moments, "
+                "or set tangential = COUNT (loads per shift)"
             )
         return total
 
@@ -247,7 +244,7 @@ class _LoadSpace:
         whole = np.linalg.norm(F, axis=0)
         if not problem.damps_rigid_motion:
             F = elastic_part(problem, F)
-        bends = np.linalg.norm(F, axis=0) > RIGID_LOAD * whole
+        bends = np.linalg.norm(F, axis=0) > TOL.rigid_load * whole
         self.lost = [] if bends.all() else [f"{(~bends).sum()} of the {name} do not deform the body"]
         F = F[:, bends]
         if inertia:
@@ -289,7 +286,7 @@ class _LoadSpace:
         rest = self._residual(s)
         values, U = sl.eigh((rest.conj().T @ (rest / weight)).real)
         largest = np.sqrt(np.einsum("ij,ij->j", self.F, self.F / weight).max())
-        good = np.sqrt(np.maximum(values, 0.0)) > CARRIED * largest
+        good = np.sqrt(np.maximum(values, 0.0)) > TOL.carried_load * largest
         directions = U[:, good][:, ::-1][:, :tangential]
         return (directions.tobytes(),), self.F @ directions
 
@@ -352,7 +349,7 @@ def _two_sided(problem: Problem, V: Floats, W: Floats, notes: dict[str, object])
         joined = hstack(small, more, budget=problem.budget)
         V, W = (joined, W) if small is V else (V, joined)
     U, cosines, T = np.linalg.svd(W.T @ (problem.M @ V))
-    if cosines[-1] < PAIRED:
+    if cosines[-1] < TOL.paired_cosine:
         raise InputError(
             "the spaces of inputs and outputs are nearly orthogonal and cannot be paired; leave two_sided out, or take "
             "other shifts"

@@ -13,9 +13,7 @@ from morembs.base.units import in_hz
 from morembs.linalg.columns import hstack, multiply, projected
 from morembs.problem import Problem
 from morembs.reducers.base import Basis
-
-# A pole this far to the right, as part of its size, is unstable.
-GROWING = 1e-8
+from morembs.reducers.tolerances import TOL
 
 
 def two_sided_basis(
@@ -77,7 +75,7 @@ def refuse_unstable(M: Floats, D: Floats, K: Floats, what: str, instead: str) ->
     poles = unit * sl.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-inverse[:, :n], -inverse[:, n:]]]))
     growth = poles.real / np.maximum(np.abs(poles), np.finfo(float).tiny)
     worst = int(np.argmax(growth))
-    if growth[worst] > GROWING:
+    if growth[worst] > TOL.unstable_growth:
         pole = poles[worst]
         raise SolverError(
             f"{what} gives an unstable reduced model at order {n}: a motion of {in_hz(abs(pole.imag)):.6g} Hz "

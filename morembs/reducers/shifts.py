@@ -25,12 +25,7 @@ from morembs.linalg.columns import complement, map_columns
 from morembs.linalg.second_order_arnoldi import PASSES, SecondOrderArnoldi
 from morembs.problem import Problem, System
 from morembs.problem.system import Solve
-
-# An eigenvalue lambda of the body with |lambda - omega^2| below this part of omega^2 drowns all but its mode.
-ON_EIGENVALUE = 1e-6
-# A load that deforms the body by less than this part of itself is rigid.
-RIGID_LOAD = 1e-10
-MOVE, MOVES = 1.005, 3
+from morembs.reducers.tolerances import TOL
 
 
 @dataclass(eq=False)
@@ -153,14 +148,14 @@ class ExpansionPoint:
                         f"at the real shift {self.asked.real:.6g} 1/s nothing can be solved; take a larger one, or "
                         f"0.0 among shifts_hz ({error})"
                     ) from error
-                if self.moves == MOVES:
+                if self.moves == TOL.shift_moves:
                     raise SolverError(
-                        f"shift {in_hz(abs(self.asked)):.6g} Hz and {MOVES} places above it, up to "
+                        f"shift {in_hz(abs(self.asked)):.6g} Hz and {TOL.shift_moves} places above it, up to "
                         f"{in_hz(abs(self.at)):.6g} Hz, lie on eigenvalues or on rigid-body motion; take a shift a few "
                         f"percent away, or 0 ({error})"
                     ) from error
                 self.chains.clear()
-                self.at, self.moves = self.at * MOVE, self.moves + 1
+                self.at, self.moves = self.at * TOL.shift_move, self.moves + 1
         return [self.chains[key] for key in wanted]
 
     def lacks(self, wanted: Mapping[object, Wanted]) -> bool:
@@ -212,7 +207,7 @@ class ExpansionPoint:
             return
         Q = chain.blocks[0]
         distance = np.abs(sl.eigvalsh(Q.T @ (self.system.K @ Q)) - w2).min()
-        if distance < ON_EIGENVALUE * w2:
+        if distance < TOL.on_eigenvalue * w2:
             raise SingularMatrixError(f"{in_hz(abs(self.at)):.6g} Hz is an eigenfrequency")
 
 

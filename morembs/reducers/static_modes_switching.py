@@ -35,11 +35,10 @@ from morembs.reducers.gramian import Gramian
 from morembs.reducers.krylov import Krylov
 from morembs.reducers.modal import Modal
 from morembs.reducers.switching_tables import KINDS, StaticModeTables
+from morembs.reducers.tolerances import TOL
 
 _BASES: tuple[type[Reducer], ...] = (Modal, CraigBampton, FreeInterface, Krylov, Gramian)
 BASES = {reducer.method: reducer for reducer in _BASES}
-# Static modes with less than this part of the largest static answer are round-off.
-EMPTY = 1e-12
 Directions = Annotated[
     list[int] | str,
     Domain(
@@ -47,8 +46,6 @@ Directions = Annotated[
         lambda chosen: chosen == NORMALS if isinstance(chosen, str) else len(chosen) > 0 and {*chosen} <= {*range(6)},
     ),
 ]
-# Columns solved for at a time.
-WIDEST = 128
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,7 +208,7 @@ def _tables(
     nodes, size = len(candidates.rows), len(V)
     R, Q = budget.empty((w + 1, c)), budget.empty((w + 1, c))
     coupling, gravity, whole = np.zeros((reduced.order, c)), np.zeros((c, 3)), np.zeros(c)
-    width = max(1, min(WIDEST, budget.columns(size, copies=8), c))
+    width = max(1, min(TOL.columns_at_once, budget.columns(size, copies=8), c))
     kept, before = budget.empty((size, w + width), order="F"), 0
     moving = M @ problem.coupling.R[:, :3]
     on_stress = _StressTable(candidates, w, budget) if stress is not None else None
@@ -237,7 +234,7 @@ def _tables(
     model = problem.model
     sizes = np.sqrt(np.maximum(np.diag(reduced.M), np.finfo(float).tiny))
     largest = [whole[candidates.turns == kind].max(initial=0.0) for kind in (False, True)]
-    alive = R[0] > EMPTY * np.where(candidates.turns, largest[1], largest[0])
+    alive = R[0] > TOL.empty_mode * np.where(candidates.turns, largest[1], largest[0])
     if not alive.any():
         raise InputError(
             "candidates: nothing is left of their static modes; the constant basis holds them all, or they do not move"

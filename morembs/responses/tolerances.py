@@ -11,7 +11,7 @@ import numpy as np
 class ResponseTolerances:
     """Quantities that decide, each with the line that derives or cites it."""
 
-    # Frequencies of a response: a band of one decade is drawn without visible corners.
+    # Frequencies of a response, unless a number is given.
     band_points: int = 200
     # Upper end of a band in Hz: the square of a lower one is lost beside eigenvalues of elastic modes.
     least_upper_hz: float = 1e-9
@@ -19,7 +19,7 @@ class ResponseTolerances:
     modes_beyond: float = 1.25
     # Distance of a sample from its resonance, as a part of it: half of a half-power width at 0.1 % damping.
     least_flank: float = 1e-3
-    # Distances of the samples of a resonance from it, in half-power widths: the peak and both half-power points.
+    # Distances of the samples of a resonance from it, in half-power widths: the peak and both flanks.
     flank_widths: tuple[float, ...] = (-1.0, 0.0, 1.0)
     # Relative distance from an undamped resonance that counts as none: the accuracy of computed frequencies.
     on_resonance: float = 1e-9
@@ -28,11 +28,11 @@ class ResponseTolerances:
 
     # Cells of a band before any is halved: limits hold with any number.
     first_cells: int = 32
-    # Cells of a band: limits hold with any number, and are sharp in practice before 30,000.
+    # Cells of a band: limits hold with any number, and sharper with more of them.
     max_cells: int = 30_000
     # Width of a cell over the upper end of the band: 45 eps, below which a midpoint is an end.
     least_cell_width: float = 1e-14
-    # Numbers that a search handles in all: about a minute.
+    # Numbers that a search handles in all: fewer cells where each takes more.
     max_cell_entries: int = 5_000_000_000
     # Cells that are allowed however many numbers each of them takes.
     least_max_cells: int = 300
@@ -41,7 +41,7 @@ class ResponseTolerances:
 
     # Error of the reference, as a part of the envelope of the response: far below any certificate.
     reference_error: float = 1e-9
-    # Ratio of critical damping that is given to the stiffness of models without any: usual for metal parts.
+    # Ratio of critical damping that is given to the stiffness of models without any: 1 %, a usual value of structures.
     damping_floor: float = 0.01
     # Part of the tolerance to which the reference grows with modal damping: jumps of tables take the rest.
     modal_growth_part: float = 1e-3
@@ -140,13 +140,13 @@ class ResponseTolerances:
     random_loads: int = 8
     # Part of v that one of the random loads finds: 2 / sqrt(2 pi) * 0.04 = 0.032.
     least_random_part: float = 0.04
-    # Residual over round-off of its evaluation that needs no refinement: a few sums of ten terms.
+    # Residual over the round-off of its evaluation that is not refined.
     residual_over_roundoff: float = 100.0
-    # Steps of refinement: each gains four digits, so more gain nothing.
+    # Steps of refinement: what they have not reached then is round-off.
     refinement_steps: int = 6
     # Blocks that exist at once while residuals are computed, those in extended precision twice.
     block_copies: int = 12
-    # Columns of a block of residuals: more are not faster.
+    # Columns of a block of residuals, at most.
     block_columns: int = 16
 
 
