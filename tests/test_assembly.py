@@ -282,7 +282,8 @@ def test_places_of_few_digits_of_parts_that_follow_another_together(piece: Store
     for pairs in ((("p0:R", "p1:L"), ("p1:L", "p2:L")), (("p2:L", "p1:L"), ("p2:L", "p0:R"))):
         model = assemble_bodies(parts, [Couple(between=pair) for pair in pairs])
         S, R = model.dependent.S, rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
-        assert np.abs(S @ R - R).max() < 1e-15 and lowest(model)[1].rigid.shape[1] == 6
+        # Sums of up to six products along a chain of three frames.
+        assert np.abs(S @ R - R).max() < 18 * np.finfo(float).eps and lowest(model)[1].rigid.shape[1] == 6
 
 
 def test_nodes_without_rotations_that_are_apart_are_told_and_hold_nothing(make_piece: Make) -> None:

@@ -135,7 +135,7 @@ def test_solver_example(tmp_path):
     """The example of docs/solvers.md: a count that the analytic eigenvalues 2 - 2 cos(k pi / 1001) confirm."""
     code = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "solvers.md").read_text(), re.DOTALL).group(1)
     code = code.replace("solver.negative_eigenvalues", "print(solver.negative_eigenvalues", 1).replace(
-        "eye_array(1000))    #", "eye_array(1000)))  #"
+        "eye_array(1000))  #", "eye_array(1000)))  #"
     )
     done = python(code, tmp_path)
     exact = 2 - 2 * np.cos(np.arange(1, 1001) * np.pi / 1001)

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints, Reals
 from morembs.fem import frozen
 from morembs.storage.table import Table, dataset, read_rows, table_of
+
+if TYPE_CHECKING:
+    import scipy.sparse as sp
 
 _JUMPS = "only where jumps are wanted"
 

@@ -116,7 +116,7 @@ def test_job(shape: str, tmp_path: Path) -> None:
     path = models.job(shape, 20_000, tmp_path, memory="4 GiB", scratch=tmp_path / 'a "b', modes=7)
     tables = load_job(path).tables
     assert (tables.solver.memory, tables.solver.scratch) == ("4 GiB", str(tmp_path / 'a "b'))
-    assert tables.reduce[0].modes == 7
+    assert tables.reduce[0].options()["modes"] == 7
 
 
 def test_sizes_that_do_not_exist() -> None:

@@ -19,12 +19,12 @@ sys.argv[0] = "morembs"
 try:
     __import__("morembs.app.cli").app.cli.main()
 finally:
-    print("\\n" + " ".join({".".join(name.split(".")[:2]) for name in sys.modules}), file=sys.stderr)
+    print("\\n" + " ".join({".".join(name.split(".")[:k]) for name in sys.modules for k in (2, 3)}), file=sys.stderr)
 """
 
 
 def loaded(*arguments: str) -> tuple[str, set[str]]:
-    """What a command prints, and the modules that it has loaded, to the second level."""
+    """What a command prints, and the modules that it has loaded, to the third level."""
     done = subprocess.run([sys.executable, "-c", LOADED, *arguments], capture_output=True, text=True, check=True)
     return done.stdout, set(done.stderr.splitlines()[-1].split())
 

@@ -87,8 +87,8 @@ def test_fast_modes_may_be_left_out_as_far_as_the_compliance_stays(rod, tmp_path
     for highest in (400.0, 10.0):
         with pytest.raises(InputError, match=r"the modes beyond carry .* % of the static compliance of '(left|right)'"):
             export_body(rod, "mujoco", path=tmp_path / "x.xml", options={"highest_hz": highest})
-    for key in ("share", "tolerance"):
-        with pytest.raises(InputError, match=f"{key} = 1.5 was given; expected a part between 0 and 1"):
+    for key, what in (("share", "part"), ("tolerance", "relative error")):
+        with pytest.raises(InputError, match=f"{key} = 1.5 was given; expected a {what} between 0 and 1"):
             export_body(rod, "mujoco", path=tmp_path / "x.xml", options={key: 1.5})
     with pytest.raises(InputError, match="takes more mass for the interfaces than moves with some mode"):
         export_body(rod, "mujoco", path=tmp_path / "x.xml", options={"share": 0.4})

@@ -420,5 +420,5 @@ def test_bad_input(exported, tmp_path):
     with pytest.raises(InputError, match="would write it as zero"):
         in_two_digits("Ct", np.array([1e-85, 1e-101]), "a SID file")
     assert in_two_digits("Ct", np.array([1.0, 1e-101]), "a SID file")[1] == 0
-    with pytest.raises(InputError, match="expected 'fembs' or 'mode-major'"):
+    with pytest.raises(InputError, match='expected "fembs" or "mode-major"'):
         export_body(exported, "sid", path=path, options={"dialect": "femb"})

@@ -105,7 +105,10 @@ def test_bad_chains_are_named():
         Chain(LINKS, np.ones((3, 1)))
     with pytest.raises(InputError, match="2 modes were given of which 1 are independent"):
         Chain(LINKS, np.ones((10, 2)))
-    for count, words in ((0, "0 elements"), (2.5, r"elements = 2\.5 was given; expected an integer")):
+    for count, words in (
+        (0, "elements = 0 was given; expected an integer"),
+        (2.5, r"elements = 2\.5 was given; expected an integer"),
+    ):
         with pytest.raises(InputError, match=words):
             Link(length=1.0, section=SECTION, elements=count)
     with pytest.raises(InputError, match=r"shape \(1,\) were given.*each of the 2 links"):

@@ -424,7 +424,7 @@ def test_a_table_of_a_job_is_in_hz_whatever_the_unit_of_time(tmp_path, units):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('modal = "adam"', ["[damping], modal", "'adam'", "did you mean 'adams'?"]),
+        ('modal = "adam"', ["[damping]: modal", "'adam'", "did you mean 'adams'?"]),
         ("modal = [[0, 0.1], [200, 0.1], [100, 0.2]]", ["100 Hz after 200 Hz", "ascending"]),
         ("modal = [[0, -0.1]]", ["ratio -0.1 at 0 Hz"]),
         ("modal = [[0, 5]]", ["ratio 5 at 0 Hz", "0.02 for 2 percent"]),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,7 +28,7 @@ class Place(Table):
     ) = None
     queue: Annotated[str, text("the name of a queue")] | None = None
     prologue: list[str] = described("lines of shell before a worker starts", [])
-    directives: list[str] = described('options of the queue such as "--account=fem"', field(default_factory=list))
+    directives: list[str] = described('options of the queue such as "--account=fem"', [])
     address: Annotated[str, text('the address of a scheduler such as "tcp://head:8786"', r"^[a-z]+://\S+$")] | None = (
         None
     )

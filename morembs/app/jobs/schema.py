@@ -209,8 +209,8 @@ class DampingTable(Table):
 
     rayleigh: RayleighTable | None = described("a table { alpha = ..., beta = ... }", None)
     modal: DampingRatio | str | list[list[Finite]] | None = described(
-        "a part of critical damping from 0 to 1, or a table [[0, ratio], [frequency_hz, ratio], ...], or "
-        'the name of one such as "adams"',
+        "a part of critical damping from 0 to 1, such as 0.02 for 2 percent, or a table [[0, ratio], "
+        '[frequency_hz, ratio], ...], or the name of one such as "adams"',
         None,
     )
     structural: NotNegative | None = described("a loss factor, zero or more, for the frequency domain only", None)
