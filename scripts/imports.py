@@ -37,6 +37,7 @@ OUTSIDE = {
     # Tables that users extend, a size of files that no test can write, and an eigensolver that misses a mode.
     "COUPLINGS",
     "FORMULATIONS",
+    "STAGES",
     "LARGE",
     "largest",
     "Shifted",
