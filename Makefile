@@ -26,6 +26,7 @@ lint: setup
 	@$(RUN)/ruff format --check --quiet .
 	@$(RUN)/lint-imports
 	@$(RUN)/python scripts/imports.py
+	@$(RUN)/python scripts/house.py
 	@$(RUN)/python scripts/schema.py --check
 	@$(RUN)/python benchmarks/figures.py --check
 	@$(RUN)/mypy

@@ -1,4 +1,5 @@
-"""Writes the tables of docs from those that writers, readers and checks of files and jobs go by, and from the reducers.
+"""Writes the tables of docs from those that writers, readers and checks of files and jobs go by, from the reducers and
+from the tolerances of the rooms.
 
 A table stands between the lines <!-- table: NAME --> and <!-- end -->; what is around it is written by hand. With
 --check nothing is written, and the exit code is 1 where a page is stale.
@@ -11,6 +12,7 @@ import re
 import sys
 from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields
+from importlib import import_module
 from pathlib import Path
 
 from pydantic.fields import FieldInfo
@@ -123,6 +125,19 @@ def left_out(key: FieldInfo) -> str:
     return "none" if value is None else f"`{in_toml(value)}`".replace("'", '"')
 
 
+def tolerances() -> Iterator[str]:
+    """A table for each room that has tolerances: the names, the values and the comments above the fields."""
+    for file in sorted((ROOT / "morembs").rglob("tolerances.py")):
+        module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
+        held = import_module(module).TOL
+        source = re.findall(r"((?: {4}# .*\n)+) {4}(\w+): ", file.read_text(encoding="utf-8"))
+        derived = {name: re.sub(r"\s*# ", " ", above).strip() for above, name in source}
+        yield from (f"\n## `{module}`\n", "| quantity | value | where it comes from |", "|---|---|---|")
+        for field in fields(held):
+            value = repr(getattr(held, field.name)).replace("_", "")
+            yield f"| `{field.name}` | {value} | {derived[field.name].replace('|', chr(92) + '|')} |"
+
+
 def renewed(text: str) -> str:
     """A page with its tables as they are now."""
 
@@ -131,6 +146,8 @@ def renewed(text: str) -> str:
             head, rows = ["| method | key | default | meaning |", "|---|---|---|---|"], list(keys())
         elif match[1] == "job keys":
             head, rows = ["| table | key | default | what to give |", "|---|---|---|---|"], list(job_keys())
+        elif match[1] == "tolerances":
+            head, rows = [], list(tolerances())
         else:
             head = ["| dataset | shape | type | unit | meaning |", "|---|---|---|---|---|"]
             rows = [line for at, part in SHOWN[match[1]] for line in lines(at, part)]

@@ -1,4 +1,5 @@
-"""Rooms and names of plug-ins as 0.1 had them: they go on working until 1.0, and a warning gives the new one."""
+"""Rooms, names of plug-ins and the argument ``progress`` as 0.1 had them: they go on working until 1.0, and a warning
+gives the new way."""
 
 from __future__ import annotations
 
@@ -10,9 +11,13 @@ from functools import wraps
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
+
+from morembs.base.progress import SILENT, listener, listening
 
 Class = TypeVar("Class")
+P = ParamSpec("P")
+R = TypeVar("R")
 
 # A room with all that is in it.
 ROOMS = {
@@ -95,6 +100,65 @@ def with_old_names(**names: str) -> Callable[[type[Class]], type[Class]]:
         return cls
 
     return decorate
+
+
+def with_progress_argument(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorates a function that once took its listener as ``progress``, by keyword or as its last positional argument.
+
+    It warns; the listener hears the call.
+    """
+    count = function.__code__.co_argcount
+
+    @wraps(function)
+    def accept(*values: Any, **keys: Any) -> Any:
+        if "progress" not in keys and len(values) != count + 1:
+            return function(*values, **keys)
+        warnings.warn(
+            f"progress of {function.__qualname__} goes with 1.0; call it inside "
+            "`with morembs.base.progress.listening(progress):`",
+            DeprecationWarning,
+            2,
+        )
+        listener = keys.pop("progress") if "progress" in keys else values[-1]
+        with listening(listener):
+            return function(*values[:count], **keys)
+
+    return accept
+
+
+def accept_progress(plugin: type, **counts: int) -> None:
+    """Have methods of ``plugin`` called with ``counts[name]`` positional arguments where they still take ``progress``
+    as well, and with ``progress`` where they no longer do."""
+    for name, count in counts.items():
+        method = vars(plugin).get(name)
+        if method is None:
+            continue
+        code = method.__code__
+        names = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+        # The one positional argument too many may have any name.
+        positional = code.co_argcount > count
+        wants = positional or "progress" in names
+        if wants:
+            warnings.warn(
+                f"{name} of {plugin.__name__} takes progress, which goes with 1.0; leave it out and tell news to "
+                "morembs.base.progress.update",
+                DeprecationWarning,
+                3,
+            )
+        setattr(plugin, name, _adapted(method, count, wants, positional))
+
+
+def _adapted(method: Callable[..., Any], count: int, wants: bool, positional: bool) -> Callable[..., Any]:
+    @wraps(method)
+    def call(*values: Any, **keys: Any) -> Any:
+        keys.pop("progress", None)
+        values = values[:count]
+        if not wants:
+            return method(*values, **keys)
+        hearer = listener() or SILENT
+        return method(*values, hearer, **keys) if positional else method(*values, progress=hearer, **keys)
+
+    return call
 
 
 def accept_former_rooms() -> None:

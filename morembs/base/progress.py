@@ -1,10 +1,15 @@
-"""Progress of long work: an injected object, so that libraries never print."""
+"""Progress of long work: a listener in the context of the calculation, so that libraries never print.
+
+``with listening(bar): ...`` has ``bar`` hear all calculations inside; they call ``progress.stage`` and
+``progress.update`` of this module.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -21,8 +26,43 @@ class Progress(Protocol):
         """News within the stage, such as converged modes so far."""
 
 
+_LISTENER: ContextVar[Progress | None] = ContextVar("listener", default=None)
+
+
+@contextmanager
+def listening(listener: Progress | None) -> Iterator[None]:
+    """Have ``listener`` hear the work inside the ``with``; None leaves the listener that is there.
+
+    Threads that are started inside hear nothing of it, unless they run in a copy of the context.
+    """
+    token = _LISTENER.set(listener if listener is not None else _LISTENER.get())
+    try:
+        yield
+    finally:
+        _LISTENER.reset(token)
+
+
+def listener() -> Progress | None:
+    """Who listens here; None where nobody does."""
+    return _LISTENER.get()
+
+
+def stage(name: str) -> None:
+    """Tell the listener that a new stage begins."""
+    hearer = _LISTENER.get()
+    if hearer is not None:
+        hearer.stage(name)
+
+
+def update(text: str) -> None:
+    """Tell the listener news within the stage."""
+    hearer = _LISTENER.get()
+    if hearer is not None:
+        hearer.update(text)
+
+
 class Silent:
-    """The default: nobody listens."""
+    """A listener that ignores all it hears."""
 
     def stage(self, name: str) -> None:
         """Ignore the stage."""
@@ -45,9 +85,8 @@ class Stage:
 
 @dataclass(eq=False)
 class Stopwatch:
-    """Measures stages and passes them on to a ``Progress``; ``peak_memory_bytes`` is that of all since the first."""
+    """Measures stages and announces them; ``peak_memory_bytes`` is that of all since the first."""
 
-    progress: Progress = SILENT
     memory: PeakMemory = field(default_factory=PeakMemory)
     stages: list[Stage] = field(default_factory=list)
     peak_memory_bytes: int = 0
@@ -55,7 +94,7 @@ class Stopwatch:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Measure what happens inside the ``with``."""
-        self.progress.stage(name)
+        stage(name)
         self._take()
         start = time.perf_counter()
         yield

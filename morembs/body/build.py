@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.body.body import ElasticBody, Part, elastic_body
 from morembs.body.floating.frame import FloatingFrame, floating_frame, why_not_floating
 from morembs.body.floating.ranking import ranked_terms
@@ -38,7 +38,7 @@ class StressOptions:
     jump: bool = True
     length: float = 1.0
 
-    def operator(self, problem: Problem, progress: Progress) -> StressOperator:
+    def operator(self, problem: Problem) -> StressOperator:
         """Stress at the chosen nodes; coordinates of a selection are in units of ``length`` m.
 
         Raises:
@@ -46,7 +46,7 @@ class StressOptions:
         """
         model, whole = problem.model, self.nodes in ("skin", "all")
         nodes = self.nodes if whole else select_nodes(model, self.nodes, length=self.length)
-        return stress_operator(model, nodes, elements=self.jump, budget=problem.budget, progress=progress)
+        return stress_operator(model, nodes, elements=self.jump, budget=problem.budget)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +66,7 @@ class BodyOptions:
     stress: StressOptions | None = field(default=None)
 
 
+@with_progress_argument
 def build_body(
     problem: Problem,
     reduced: ReducedModel,
@@ -77,7 +78,6 @@ def build_body(
     switching: StaticModeTables | None = None,
     variation: ParametricModel | None = None,
     spin: ReducedSpin | None = None,
-    progress: Progress = SILENT,
 ) -> ElasticBody:
     """The body of ``reduced`` with all that the ``options`` want; ``operator`` is that of the wanted stress,
     ``switching`` what its reducer made of candidate loads, ``variation`` its reduced model of all values of parameters.
@@ -90,7 +90,7 @@ def build_body(
     asked = options.kind != "mean-axes" or options.stiffening is not None or options.envelope is not None
     if reason and asked:
         raise InputError(f"[frame], [envelope] and [stiffening]: {reason}")
-    floating = None if reason else _frame(problem, reduced, options, progress)
+    floating = None if reason else _frame(problem, reduced, options)
     return replace(
         elastic_body(problem, reduced, part, certificate=certificate, floating=floating),
         floating=floating,
@@ -101,12 +101,7 @@ def build_body(
         recovery=None
         if options.stress is None or operator is None
         else stress_recovery(
-            problem,
-            reduced,
-            single=options.stress.single,
-            correction=options.stress.correction,
-            operator=operator,
-            progress=progress,
+            problem, reduced, single=options.stress.single, correction=options.stress.correction, operator=operator
         ),
     )
 
@@ -118,9 +113,9 @@ def _parametric(problem: Problem, reduced: ReducedModel, part: Part, variation: 
     return parametric_parts(problem, reduced, part.nodes.ids, variation)
 
 
-def _frame(problem: Problem, reduced: ReducedModel, options: BodyOptions, progress: Progress) -> FloatingFrame:
+def _frame(problem: Problem, reduced: ReducedModel, options: BodyOptions) -> FloatingFrame:
     origin = problem.mass_properties[1] if options.origin is None else options.origin
     frame = floating_frame(problem, reduced, kind=options.kind, interfaces=options.interfaces, origin=tuple(origin))
     if options.stiffening is None:
         return frame
-    return replace(frame, stiffening=geometric_stiffening(problem, reduced, frame, options.stiffening, progress))
+    return replace(frame, stiffening=geometric_stiffening(problem, reduced, frame, options.stiffening))

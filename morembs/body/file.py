@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from morembs.base import progress
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
 from morembs.body import tables, vtkhdf
 from morembs.body.delivery_check import refuse_unsound, stored_findings
@@ -51,6 +52,7 @@ def check_names(names: Sequence[str], what: str = "body") -> None:
             raise InputError(f"the {what} name {name!r} was given more than once; give each its own name")
 
 
+@with_progress_argument
 def write_body(
     path: str | Path,
     bodies: Sequence[ElasticBody],
@@ -58,7 +60,6 @@ def write_body(
     recipe: Mapping[str, object] | None = None,
     provenance: Mapping[str, object] | None = None,
     warnings: Sequence[str] = (),
-    progress: Progress = SILENT,
     block_bytes: int = BLOCK_BYTES,
 ) -> Path:
     """Write bodies of one part; an interrupted or failed run leaves the old file or none.
@@ -106,7 +107,7 @@ def write_body(
         vtkhdf.write_grid(out.file.create_group("VTKHDF"), out.file["nodes/coordinates"], part.cells)
         out.check()
         for body in bodies:
-            _write_one(out, body, progress, block_bytes)
+            _write_one(out, body, block_bytes)
         stamp = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "morembs_version": VERSION}
         given = {f"{key}_" if key == checksums.GROUP else key: value for key, value in (provenance or {}).items()}
         out.tree("provenance", {**stamp, **given})
@@ -141,7 +142,7 @@ def _shared(part: Part, bodies: Sequence[ElasticBody], recipe: Mapping[str, obje
     }
 
 
-def _write_one(out: Writer, body: ElasticBody, progress: Progress, block_bytes: int) -> None:
+def _write_one(out: Writer, body: ElasticBody, block_bytes: int) -> None:
     """One body, its basis block by block, and its shapes for ParaView."""
     from morembs.body.stress_shapes import recovery_parts
     from morembs.reducers.base import MODE_KINDS

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.base.progress import SILENT, Progress
+from morembs.base import progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints, Reals
 from morembs.body.tables import RECOVERY
@@ -106,6 +107,7 @@ class Recovery:
         return np.asarray(np.moveaxis(tensors.reshape(len(shapes) // 6, 6, -1), -1, 0), dtype=np.float64)
 
 
+@with_progress_argument
 def stress_recovery(
     problem: Problem,
     reduced: ReducedModel,
@@ -115,7 +117,6 @@ def stress_recovery(
     correction: bool = True,
     jump: bool = True,
     operator: StressOperator | None = None,
-    progress: Progress = SILENT,
 ) -> Recovery:
     """Stress recovery of ``reduced`` at ``nodes`` ("skin", "all" or rows), in ``single`` or double precision.
 
@@ -132,7 +133,7 @@ def stress_recovery(
     """
     model, budget = problem.model, problem.budget
     if operator is None:
-        operator = stress_operator(model, nodes, elements=jump, budget=budget, progress=progress)
+        operator = stress_operator(model, nodes, elements=jump, budget=budget)
     dtype = np.float32 if single else np.float64
     rigid = np.array([kind == "rigid" for kind in reduced.mode_kind], dtype=bool)
 

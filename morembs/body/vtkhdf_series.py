@@ -15,8 +15,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base import progress
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats
 from morembs.body.stress_shapes import Recovery, read_recovery
 from morembs.body.vtkhdf import write_head
@@ -115,7 +115,6 @@ def write_series(
     times: Floats,
     fields: Mapping[str, int],
     steps: Iterable[Mapping[str, Any]],
-    progress: Progress = SILENT,
     *,
     notes: Callable[[], Sequence[str]] = tuple,
 ) -> Path:

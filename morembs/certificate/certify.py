@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base import progress
 from morembs.base.errors import InputError
+from morembs.base.former_names import with_progress_argument
 from morembs.base.optional import optional
-from morembs.base.progress import SILENT, Progress
 from morembs.base.summary import error_words, summarised
 from morembs.base.types import Complexes, Floats
 from morembs.certificate.limits import ErrorLimits, body_response, checked_sharpness, error_limits, sampled
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.proof import proof_of
 from morembs.certificate.response import reduced_response
+from morembs.certificate.tolerances import TOL
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 from morembs.responses.band import POINTS, band_frequencies, checked_band
@@ -29,10 +31,6 @@ from morembs.responses.loads import static_response
 from morembs.responses.measures import SHARPNESS, Limit, checked_measure
 from morembs.storage.lemma import Lemma, kind_of
 
-# A mode whose MAC is below this is missing.
-MISSING = 0.5
-# Part of the upper frequency below which rigid-body motion leaves too few digits to hold an interface afterwards.
-HELD = 0.02
 OLD_KINDS = {"proven": "bound", "estimate": "estimate", "sampled": "none"}
 
 
@@ -50,7 +48,7 @@ class Certificate(ErrorLimits):
     is how far the full response is not known, round-off in K included.
     ``block_error`` (ni, ni) largest relative error of each block there, ``held_error`` (ni, nf) the relative error of
     what is left when interface i is held still, from the whole transfer matrix with its rigid-body part; not a number
-    below ``HELD`` of the upper frequency. ``static_error`` that at 0 Hz.
+    below ``TOL.least_held`` of the upper frequency. ``static_error`` that at 0 Hz.
 
     ``mode_frequencies_hz`` (k,) of the full model, which lie within ``mode_enclosure_hz`` (k, 2), as far as that meets
     the band, whose lower end may lie above modes too;
@@ -129,6 +127,7 @@ class Certificate(ErrorLimits):
         }
 
 
+@with_progress_argument
 def certify(
     problem: Problem,
     bodies: Sequence[ReducedModel],
@@ -139,7 +138,6 @@ def certify(
     sharpness: float = SHARPNESS,
     points: int = POINTS,
     bound: bool = True,
-    progress: Progress = SILENT,
 ) -> tuple[Certificate, ...]:
     """Certificate of each of ``bodies`` over ``band_hz`` (low, high), both ends included.
 
@@ -173,8 +171,8 @@ def certify(
     low, high = checked_band([float(f) for f in band_hz])
     if not problem.symmetric:
         hz = band_frequencies(problem, (low, high), points) if given is None else given
-        return _measured(problem, bodies, hz, (low, high), measure, damping_floor, progress)
-    reference = certified_reference(problem, (low, high), damping_floor=damping_floor, progress=progress)
+        return _measured(problem, bodies, hz, (low, high), measure, damping_floor)
+    reference = certified_reference(problem, (low, high), damping_floor=damping_floor)
     hz = band_frequencies(problem, (low, high), points, floor=reference.floor) if given is None else given
     H = reference.H(2 * np.pi * hz)
     certificates = []
@@ -244,13 +242,12 @@ def _measured(
     band_hz: tuple[float, float],
     measure: str,
     floor: float | None,
-    progress: Progress,
 ) -> tuple[Certificate, ...]:
     """Certificates of bodies of a model that is not symmetric: errors at ``hz`` (nf,), without a limit between them."""
     if floor:
         raise InputError("a damping floor was given for a model with a gyroscopic or circulatory matrix; leave it out")
     S, nothing = np.outer(problem.motion_scale, problem.motion_scale), np.empty(0)
-    H = direct_response(problem, 2 * np.pi * hz, progress) * S
+    H = direct_response(problem, 2 * np.pi * hz) * S
     statics, norm = problem.B.T @ elastic_statics(problem, problem.B) * S, np.linalg.norm(H, axis=(1, 2))
     certificates = []
     for body in bodies:
@@ -301,7 +298,7 @@ def _static_error(problem: Problem, reduced: ReducedModel) -> float:
 
 def _missing(poles: Poles) -> list[str]:
     """Modes that loads excite and the body does not have, in words."""
-    lost = poles.frequencies_hz[poles.excited & (poles.mac < MISSING)]
+    lost = poles.frequencies_hz[poles.excited & (poles.mac < TOL.least_mac)]
     if not len(lost):
         return []
     listed = ", ".join(f"{f:,.6g}" for f in lost[:5]) + (", ..." if len(lost) > 5 else "")
@@ -342,7 +339,7 @@ def _held_errors(problem: Problem, H_r: Complexes, H: Complexes, omega: Floats) 
     """(ni, nf) relative error of H_bb - H_ba H_aa^-1 H_ab, the response of the other motions with those of a held."""
     columns = list(problem.coupling.columns.values())
     errors = np.full((len(columns), len(omega)), np.nan)
-    high = omega > max(HELD * omega[-1], 0.0)
+    high = omega > max(TOL.least_held * omega[-1], 0.0)
     ZB = (problem.B.T @ problem.rigid) * problem.motion_scale[:, None]
     rigid = -(ZB @ ZB.T) / omega[high, None, None] ** 2
     for i, own in enumerate(columns):

@@ -10,6 +10,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.summary import summarised, upwards
 from morembs.base.types import Floats
+from morembs.certificate.tolerances import TOL
 from morembs.reducers.base import ReducedModel
 from morembs.responses.cells import MOST, Cells
 from morembs.responses.certified import CertifiedReference
@@ -19,14 +20,6 @@ from morembs.responses.pencils import response_of
 from morembs.responses.rational import Terms
 from morembs.responses.rounding import Response
 
-# Neighbouring cells whose limits differ by less than this are stored as one, at most so many of them.
-ALIKE, STORED = 0.05, 5000
-# Steps of limits beyond this factor say nothing any more.
-COARSEST = 1e6
-# Points of a cell at which the cause of its limit is looked for.
-LOOKED_AT = 9
-# Part of its envelope below which H is as good as zero beside a limit of the others.
-ZERO_BESIDE = 1e-2
 UNKNOWN = ("the residual of the reference", "round-off of the full model", "round-off of the body")
 CURES = (
     "give damping, or a damping_floor such as 0.01",
@@ -150,7 +143,7 @@ def _causes(standard: Standard, body: Response, cells: Cells, loose: Sequence[st
     because: dict[str, list[str]] = {}
     for name in loose:
         low, high = cells.edges[int(cells.upper[:, MEASURES.index(name)].argmax())]
-        omega = np.linspace(low, high, LOOKED_AT)
+        omega = np.linspace(low, high, TOL.cause_samples)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             inverse = standard.modes.moduli(omega)[0]
             e = inverse @ standard.sizes[:, 0]
@@ -169,7 +162,7 @@ def _causes(standard: Standard, body: Response, cells: Cells, loose: Sequence[st
         at = omega[int(parts[worst].argmax())]
         amount = f"is {upwards(lost)} of the envelope" if np.isfinite(lost) else "exceeds the damping of a pole"
         what = f"{UNKNOWN[worst]} {amount} at {at / (2 * np.pi):,.6g} Hz; {CURES[worst]}"
-        if name == "pointwise" and lost < ZERO_BESIDE and size.min() < ZERO_BESIDE:
+        if name == "pointwise" and lost < TOL.zero_response and size.min() < TOL.zero_response:
             at = omega[int(size.argmin())]
             what = (
                 f"H has a zero near {at / (2 * np.pi):,.6g} Hz, of {size.min():.1e} of its envelope, of which "
@@ -189,17 +182,17 @@ def _undamped_pole(terms: Terms, low: float, high: float) -> float | None:
 
 
 def merge_cells(cells: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Neighbouring cells (nc, 2) with limits (nc, 3) in the same steps of ``ALIKE`` as one, with the larger limits."""
-    alike = ALIKE
+    """Neighbouring cells (nc, 2) with limits (nc, 3) in the same ``cell_merge_ratio`` as one, the larger limits."""
+    alike = TOL.cell_merge_ratio
     with np.errstate(divide="ignore"):
         size = np.log(upper)
     while True:
         steps = np.floor(size / np.log1p(alike))
         first = np.flatnonzero(np.append(True, (steps[1:] != steps[:-1]).any(axis=1)))
-        if alike > COARSEST:
+        if alike > TOL.max_merge_ratio:
             # Infinite limits beside finite ones are alike in no steps: neighbours are one whatever they are.
-            first = np.arange(0, len(cells), -(-len(cells) // STORED))
-        if len(first) <= STORED:
+            first = np.arange(0, len(cells), -(-len(cells) // TOL.max_stored_cells))
+        if len(first) <= TOL.max_stored_cells:
             ends = cells[np.append(first[1:], len(cells)) - 1, 1]
             return np.stack([cells[first, 0], ends], axis=1), np.maximum.reduceat(upper, first)
         alike *= 2

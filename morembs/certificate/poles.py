@@ -10,15 +10,11 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from morembs.base.types import Floats, Ints
+from morembs.certificate.tolerances import TOL
 from morembs.linalg.columns import dot, map_columns
 from morembs.reducers.base import ReducedModel
 from morembs.responses.certified import CertifiedReference
 from morembs.responses.pencils import modes_of
-
-# Modes this close to each other are compared as one subspace.
-CLUSTER = 1e-3
-# A mode whose share in the static energy of unit loads is below this is not excited by any.
-EXCITED = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,8 +73,8 @@ def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
     X, L = (modes[:, rigid:] for modes in modes_of(reduced.M, reduced.K, rigid, reduced.symmetric)[1:])
     scale = problem.motion_scale
     outputs, inputs = ((reduced.C * scale[:, None]) @ X).T, L.T @ (reduced.B * scale)
-    excited = energy[:inside] > EXCITED * energy.sum()
-    starts = np.flatnonzero(np.diff(omega, prepend=-np.inf) > CLUSTER * omega)
+    excited = energy[:inside] > TOL.unexcited_energy * energy.sum()
+    starts = np.flatnonzero(np.diff(omega, prepend=-np.inf) > TOL.mode_cluster_gap * omega)
     for first, last in pairwise([*starts, inside]):
         held = partner[first:last]
         held = held[held >= 0]

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from morembs.base.errors import InputError
+from morembs.base.former_names import with_progress_argument
 from morembs.base.optional import optional
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Complexes, Floats
 from morembs.fem.interface import Interface
 from morembs.problem import Problem
@@ -46,9 +46,8 @@ def reduced_response(reduced: ReducedModel, omega: Floats) -> Complexes:
     return np.array(H, dtype=complex).reshape(len(omega), *C.shape[:1], *B.shape[1:])
 
 
-def full_response(
-    problem: Problem, omega: Floats, *, tolerance: float = 1e-8, progress: Progress = SILENT
-) -> Complexes:
+@with_progress_argument
+def full_response(problem: Problem, omega: Floats, *, tolerance: float = 1e-8) -> Complexes:
     """Elastic part of H (nf, m, m) of the full coupled model at ``omega`` (nf,) in rad/s.
 
     Forces and moments are scaled to equal static energy; the estimated error of every entry is below
@@ -65,8 +64,8 @@ def full_response(
     True
     """
     if not problem.symmetric:
-        return direct_response(problem, omega, progress)
-    return reference_model(problem, omega, tolerance=tolerance, progress=progress).response(omega)
+        return direct_response(problem, omega)
+    return reference_model(problem, omega, tolerance=tolerance).response(omega)
 
 
 def to_xarray(H: Complexes, frequencies_hz: Floats, interfaces: Sequence[Interface]) -> Any:

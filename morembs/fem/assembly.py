@@ -15,9 +15,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base import progress
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError, nearest
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats, Ints
 from morembs.fem.elements import TYPES, ElementType
 from morembs.fem.fe_model import DofMap, ElementBlock, FEModel, Mesh
@@ -32,7 +33,7 @@ PIECE = 1 << 17
 MASS_INTEGRATION = ("element", "exact", "reduced")
 
 
-def check_mesh(mesh: Mesh, materials: Sequence[Material], progress: Progress = SILENT) -> sp.csr_array:
+def check_mesh(mesh: Mesh, materials: Sequence[Material]) -> sp.csr_array:
     """Refuse what ``assemble`` refuses, without integrating; returns the node graph (n, n).
 
     Raises:
@@ -59,6 +60,7 @@ def stiffness_pattern(graph: sp.csr_array, budget: Budget = UNLIMITED) -> sp.csr
     return K
 
 
+@with_progress_argument
 def assemble(
     mesh: Mesh,
     materials: Sequence[Material],
@@ -66,7 +68,6 @@ def assemble(
     mass_integration: str = "element",
     seams: bool = False,
     budget: Budget = UNLIMITED,
-    progress: Progress = SILENT,
 ) -> FEModel:
     """FE model of ``mesh`` (coordinates in m) with one material per element.
 
@@ -97,15 +98,7 @@ def assemble(
     graph = node_graph(mesh)
     k_data, m_data = budget.empty(9 * graph.nnz), np.zeros(graph.nnz)
     integrate(
-        mesh,
-        materials,
-        owner,
-        graph,
-        stiffness=k_data,
-        mass=m_data,
-        mass_integration=mass_integration,
-        budget=budget,
-        progress=progress,
+        mesh, materials, owner, graph, stiffness=k_data, mass=m_data, mass_integration=mass_integration, budget=budget
     )
     if not all(np.isfinite(array.sum()) for array in (k_data, m_data)):
         raise InputError("stiffness or mass is not finite; check the coordinates, the material and the units")
@@ -136,7 +129,6 @@ def integrate(
     chosen: Mapping[int, NDArray[np.bool_]] | None = None,
     weights: Callable[[ElementBlock, Ints], Floats] | None = None,
     budget: Budget = UNLIMITED,
-    progress: Progress = SILENT,
 ) -> None:
     """Add elements to the data of K (9 nnz) and of the scalar mass (nnz) on the ``graph`` of ``node_graph``.
 

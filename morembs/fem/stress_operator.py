@@ -17,9 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats, Ints, Reals
 from morembs.fem import assembly as fem
 from morembs.fem.elements import TYPES, ElementType
@@ -88,13 +89,13 @@ class SingleElements:
     operator: StressOperator
 
 
+@with_progress_argument
 def stress_operator(
     model: FEModel,
     nodes: str | Ints = "skin",
     *,
     elements: bool = False,
     budget: Budget = UNLIMITED,
-    progress: Progress = SILENT,
     collected: int = COLLECTED,
 ) -> StressOperator:
     """Operator at ``nodes``: "skin", "all" or rows of ``model.nodes``; ``elements`` adds that of single elements.
@@ -122,7 +123,7 @@ def stress_operator(
     C = C * np.array([1, 1, 1, 2, 2, 2])
     node, material = points // len(alike), points % len(alike)
     constants = np.stack([material.stiffness for material in model.materials])
-    of = _Points(mesh, owner, points, constants, progress, collected)
+    of = _Points(mesh, owner, points, constants, collected)
     n, alone, changed = len(mesh.nodes), None, any(formulation_of(block).change for block in mesh.blocks)
     if elements:
         G, point, element = of.single(_gradients, 3, n)
@@ -221,7 +222,6 @@ class _Points:
     owner: Mapping[int, Ints]
     numbers: Ints
     constants: Floats
-    progress: Progress
     collected: int
 
     def pairs(self, values_of: _Values) -> Iterator[_Pairs]:
@@ -248,7 +248,7 @@ class _Points:
                 columns[element],
                 np.einsum("aq,eqrc->earc", fitted, at_points, optimize=True)[element, a],
             )
-            self.progress.update(f"stress operator: {block.type} {rows[-1] + 1} of {len(block.ids)}")
+            progress.update(f"stress operator: {block.type} {rows[-1] + 1} of {len(block.ids)}")
 
     def averaged(self, values_of: _Values, rows: int, columns: int) -> sp.csr_array:
         """Matrix (rows np, columns), averaged with the volumes of the elements."""

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from morembs.base import progress
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Ints
 from morembs.fem import FEModel, Mesh
 from morembs.fem.constraints import RigidElement
@@ -26,6 +27,7 @@ from morembs.storage.writer import writing
 _BLOCK = 1 << 24
 
 
+@with_progress_argument
 def write_model(
     path: str | Path,
     model: FEModel,
@@ -34,7 +36,6 @@ def write_model(
     importer: str = "",
     units: str = "",
     findings: Sequence[str] = (),
-    progress: Progress = SILENT,
 ) -> Path:
     """Write a model (SI); an interrupted or failed run leaves the old file or none.
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Ints
 from morembs.base.units import Units
 from morembs.fem import FEModel, Mesh, Nodes
@@ -34,12 +33,7 @@ from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, wit
 
 
 def model_of(
-    imported: Imported,
-    units: Units | None = None,
-    *,
-    mass_integration: str = "element",
-    budget: Budget = UNLIMITED,
-    progress: Progress = SILENT,
+    imported: Imported, units: Units | None = None, *, mass_integration: str = "element", budget: Budget = UNLIMITED
 ) -> FEModel:
     """Model in SI units of what a file holds in ``units`` (None: SI).
 
@@ -60,7 +54,7 @@ def model_of(
     if imported.K is not None:
         base = _from_matrices(imported, units)
     else:
-        base = _from_mesh(imported, touched, units, mass_integration, budget, progress)
+        base = _from_mesh(imported, touched, units, mass_integration, budget)
     model = base.model
     _refuse_missing_nodes(touched, len(base.row), imported.source)
     placed = imported.on_rows(base.row)
@@ -193,9 +187,7 @@ def _from_matrices(imported: Imported, units: Units) -> _Base:
     return _Base(model=model, row=np.arange(len(nodes)), notes=notes)
 
 
-def _from_mesh(
-    imported: Imported, touched: Ints, units: Units, mass_integration: str, budget: Budget, progress: Progress
-) -> _Base:
+def _from_mesh(imported: Imported, touched: Ints, units: Units, mass_integration: str, budget: Budget) -> _Base:
     """The assembled mesh, nodes of elements first, then those ``touched`` by rigid and average elements and masses."""
     mesh = imported.mesh
     if mesh is None:
@@ -236,7 +228,6 @@ def _from_mesh(
         mass_integration=mass_integration,
         seams=imported.seams,
         budget=budget,
-        progress=progress,
     )
     for name in ("K", "M"):
         refuse_entries(imported.source, name, getattr(model, name))

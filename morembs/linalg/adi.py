@@ -24,9 +24,9 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import SolverError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Values
 from morembs.linalg.columns import multiply_into, orthonormal
 
@@ -77,7 +77,6 @@ def low_rank_gramian(
     tolerance: float = 1e-10,
     max_steps: int = 300,
     budget: Budget = UNLIMITED,
-    progress: Progress = SILENT,
     rows: int = ROWS,
 ) -> LowRankGramian:
     """Controllability Gramian of ``system`` under the loads ``F`` (N, m).
@@ -160,8 +159,15 @@ class _Iteration:
         parts = [self.static / scale, self.f / scale, *self.recent]
         parts.append(system.flexibility(system.M @ parts[0]))
         Q = orthonormal(np.hstack(parts), system.M)
-        K, D = Q.T @ (system.K @ Q), Q.T @ system.apply_D(Q)
-        K, D = 0.5 * (K + K.T), 0.5 * (D + D.T)
+        K = _stiffness(system, Q)
+        values, Y = sl.eigh(K)
+        elastic = values > len(K) * np.finfo(float).eps * values[-1]
+        if not elastic.all():
+            # Columns that fill a small model: the last of them is rigid motion, made of round-off.
+            Q = Q @ Y[:, elastic]
+            K = _stiffness(system, Q)
+        D = Q.T @ system.apply_D(Q)
+        D = 0.5 * (D + D.T)
         k = len(K)
         A = np.block([[np.zeros((k, k)), np.eye(k)], [-K, -D]])
         poles, X = sl.eig(A)
@@ -191,6 +197,12 @@ class _Iteration:
                 "the Gramian over a frequency band"
             )
         return chosen
+
+
+def _stiffness(system: SecondOrder, Q: Floats) -> Floats:
+    """Q' K Q (k, k)."""
+    K = Q.T @ (system.K @ Q)
+    return 0.5 * (K + K.T)
 
 
 class _Factor:

@@ -14,8 +14,8 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.errors import InputError, SingularMatrixError, SolverError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Complexes, Floats
 from morembs.linalg.columns import complement, m_norms, orthonormal
 from morembs.linalg.sparse.select import select_solver
@@ -100,7 +100,6 @@ def complex_modes(
     count: int,
     solver: LinearSolver,
     start: Floats | None = None,
-    progress: Progress = SILENT,
 ) -> ComplexModes:
     """The ``count`` modes of lowest \\|s\\|, with K symmetric and regular.
 
@@ -131,7 +130,7 @@ def complex_modes(
             else ("the stiffness is indefinite, as it is above the first critical speed")
         )
         for _ in range(ATTEMPTS):
-            modes, V = _converged(pencil, V, count, progress)
+            modes, V = _converged(pencil, V, count)
             cut = "" if why else _cut(modes.frequencies, count)
             if isinstance(cut, str):
                 return _first(modes, count, 0.0, why or "the last modes are one cluster")
@@ -187,7 +186,7 @@ def _more(pencil: _Pencil, V: Floats, count: int) -> Floats:
     return complement(V, X, pencil.M)
 
 
-def _converged(pencil: _Pencil, V: Floats, count: int, progress: Progress) -> tuple[ComplexModes, Floats]:
+def _converged(pencil: _Pencil, V: Floats, count: int) -> tuple[ComplexModes, Floats]:
     """The lowest ``count`` modes and some beyond, those unconverged, and the space that they are from."""
     wanted, history = min(count + BEYOND, len(V)), list[float]()
     for step in range(STEPS):

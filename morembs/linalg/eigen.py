@@ -11,7 +11,6 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.base.errors import InputError, SolverError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats
 from morembs.linalg.columns import dense, fix_signs, m_norms
 from morembs.linalg.lanczos import BlockLanczos, largest
@@ -69,7 +68,6 @@ def lowest_modes(
     *,
     count: int | None = None,
     below: float | None = None,
-    progress: Progress = SILENT,
     what: str = "modes",
     by_lapack: bool | None = None,
     per_slice: int = SLICE,
@@ -108,12 +106,12 @@ def lowest_modes(
     if below is not None and count > SLICES * per_slice:
         if shifted is not None:
             shifted.close()
-        first = _sparse(body, M, per_slice, None, progress, what)
+        first = _sparse(body, M, per_slice, None, what)
         values, vectors = sliced_modes(
-            body, M, first.eigenvalues, first.vectors, count=count, below=below, progress=progress, per_slice=per_slice
+            body, M, first.eigenvalues, first.vectors, count=count, below=below, per_slice=per_slice
         )
         return Modes(eigenvalues=values, vectors=fix_signs(vectors, body.statics.budget), verified_below=below)
-    return _sparse(body, M, count, below, progress, what, shifted)
+    return _sparse(body, M, count, below, what, shifted)
 
 
 def _up_to(body: ConstrainedStatics, M: sp.csr_array, below: float) -> tuple[int, Shifted | None]:
@@ -199,7 +197,6 @@ def _sparse(
     M: sp.csr_array,
     count: int,
     below: float | None,
-    progress: Progress,
     what: str,
     shifted: Shifted | None = None,
 ) -> Modes:
@@ -211,7 +208,7 @@ def _sparse(
     lanczos = BlockLanczos(body.flexibility, M, start, capacity=capacity, budget=body.statics.budget)
     del start
     if keeps_two_factors(body) and (count > FEW or shifted is not None):
-        cut = first_look(lanczos, count, progress=progress, what=what)
+        cut = first_look(lanczos, count, what=what)
         try:
             if shifted is None and cut is not None:
                 shifted = shifted_factor(body, M, cut)
@@ -219,26 +216,20 @@ def _sparse(
             log.info("no second shift: %s", error)
         if shifted is not None and cut is not None:
             with shifted:
-                values, vectors = modes_below(lanczos, shifted, progress=progress, what=what)
+                values, vectors = modes_below(lanczos, shifted, what=what)
             vectors = fix_signs(vectors[:, :count], body.statics.budget)
             held = max(shifted.sigma, below or 0.0) if len(values) == count else float(values[count])
             return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=held)
-    return _counted(body, M, lanczos, count, below, progress, what)
+    return _counted(body, M, lanczos, count, below, what)
 
 
 def _counted(
-    body: ConstrainedStatics,
-    M: sp.csr_array,
-    lanczos: BlockLanczos,
-    count: int,
-    below: float | None,
-    progress: Progress,
-    what: str,
+    body: ConstrainedStatics, M: sp.csr_array, lanczos: BlockLanczos, count: int, below: float | None, what: str
 ) -> Modes:
     """Modes by block Lanczos at shift zero, counted afterwards."""
     wanted = min(count if below is not None else count + 2, M.shape[0] - body.count)
     for _ in range(ATTEMPTS):
-        theta, Y = largest(lanczos, wanted, progress=progress, what=what)
+        theta, Y = largest(lanczos, wanted, what=what)
         values = 1.0 / theta
         if len(values) < count:
             raise InputError(_too_many(what, count, len(values)))

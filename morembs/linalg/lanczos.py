@@ -14,9 +14,9 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import SolverError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats
 from morembs.linalg.columns import complement, m_norms, multiply, multiply_into, orthonormal_pair, symmetric, take_out
 
@@ -168,9 +168,7 @@ class BlockLanczos:
         return multiply(self.V[:, : self.size], Y, self.budget)
 
 
-def largest(
-    lanczos: BlockLanczos, count: int, *, progress: Progress = SILENT, what: str = "modes"
-) -> tuple[Floats, Floats]:
+def largest(lanczos: BlockLanczos, count: int, *, what: str = "modes") -> tuple[Floats, Floats]:
     """The ``count`` largest eigenvalues theta and their vectors, M-orthonormal, to ``TOLERANCE``.
 
     They are fewer where no more motions have mass.

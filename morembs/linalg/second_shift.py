@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.errors import SingularMatrixError, SolverError
 from morembs.base.memory import installed_bytes
-from morembs.base.progress import Progress
 from morembs.base.types import Floats
 from morembs.linalg.lanczos import TOLERANCE, BlockLanczos
 from morembs.linalg.slicing import Shifted
@@ -50,7 +50,7 @@ def shifted_factor(body: ConstrainedStatics, M: sp.csr_array, sigma: float) -> S
     raise SolverError(f"many eigenfrequencies cluster at {_hz(sigma)}")
 
 
-def first_look(lanczos: BlockLanczos, count: int, *, progress: Progress, what: str) -> float | None:
+def first_look(lanczos: BlockLanczos, count: int, *, what: str) -> float | None:
     """Grow the space until a gap behind mode ``count`` is known roughly: a shift in it, None where the space ends."""
     while lanczos.pending.shape[1] and not lanczos.full():
         lanczos.expand()
@@ -66,7 +66,7 @@ def first_look(lanczos: BlockLanczos, count: int, *, progress: Progress, what: s
     return None
 
 
-def modes_below(lanczos: BlockLanczos, shifted: Shifted, *, progress: Progress, what: str) -> tuple[Floats, Floats]:
+def modes_below(lanczos: BlockLanczos, shifted: Shifted, *, what: str) -> tuple[Floats, Floats]:
     """All modes below the shift: eigenvalues ascending (m,), vectors (N, m); the space goes on at that shift.
 
     Raises:

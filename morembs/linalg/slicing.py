@@ -14,9 +14,9 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.closing import Closing
 from morembs.base.errors import SingularMatrixError, SolverError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Ints
 from morembs.linalg.columns import dense, dot, map_columns, project_out
 from morembs.linalg.dynamic_stiffness import constrained
@@ -82,7 +82,6 @@ def sliced_modes(
     *,
     count: int,
     below: float,
-    progress: Progress = SILENT,
     per_slice: int = SLICE,
 ) -> tuple[Floats, Floats]:
     """All ``count`` modes with eigenvalues up to ``below`` (rad/s)2: values ascending (count,), vectors (N, count).
@@ -107,7 +106,7 @@ def sliced_modes(
             missing = shifted.below - int((lam < shifted.sigma).sum())
             near = np.sort(np.argsort(np.abs(lam - shifted.sigma))[: 3 * per_slice])
             limit = min(below, 2 * shifted.sigma - recent[-1])
-            new, V = _slice(shifted, locked[:, :size], near, missing, limit, 2 * per_slice, progress)
+            new, V = _slice(shifted, locked[:, :size], near, missing, limit, 2 * per_slice)
         if int((new < shifted.sigma).sum()) != missing or size + len(new) > count:
             raise SolverError(
                 f"{missing} more modes lie below {_hz(shifted.sigma)}, the eigensolver found "
@@ -128,7 +127,7 @@ def sliced_modes(
 
 
 def _slice(
-    shifted: Shifted, known: Floats, near: Ints, missing: int, limit: float, capacity: int, progress: Progress
+    shifted: Shifted, known: Floats, near: Ints, missing: int, limit: float, capacity: int
 ) -> tuple[Floats, Floats]:
     """Converged modes up to ``limit``, at least the ``missing`` ones below the shift, without the ``known`` ones.
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg as sl
 
+from morembs.base import progress
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats
 from morembs.linalg.columns import map_columns, multiply, symmetric
 from morembs.linalg.lanczos import BlockLanczos
@@ -103,8 +103,8 @@ class Worst:
 class GreedySearch:
     """The search for a basis of ``problem`` that keeps what is ``wanted``."""
 
-    def __init__(self, problem: AffineProblem, wanted: Wanted, progress: Progress = SILENT) -> None:
-        self.problem, self.wanted, self.progress = problem, wanted, progress
+    def __init__(self, problem: AffineProblem, wanted: Wanted) -> None:
+        self.problem, self.wanted = problem, wanted
         self.floor = floor_of(problem, wanted.band_hz, wanted.floor, problem.damping_at(problem.box.low))
         self.low, self.high = (2 * np.pi * f for f in wanted.band_hz)
         self.training = training_points(problem.box, wanted.training)
@@ -128,7 +128,7 @@ class GreedySearch:
         self.deflated = self.space.size
         self.space.add_rigid_at_others()
         self.kept = self.space.size
-        self.proofs = Proofs(self.space, self.progress)
+        self.proofs = Proofs(self.space)
         # Many cells help little where the norm is the matter.
         few = loose is None and self.problem.loose is not None
         self.cells = self.proofs.cells(MOST) if few else self.proofs.cells()
@@ -160,7 +160,7 @@ class GreedySearch:
             worst = self._next()
             stalled = stalled + 1 if np.isfinite(last) and worst.value > SLOW * last else 0
             last = worst.value
-            self.progress.update(
+            progress.update(
                 f"bound {worst.value:.1e} with {self.space.size} columns from {len(self.points)} values of p"
             )
             enough = worst.value <= wanted.tolerance
@@ -283,7 +283,7 @@ class GreedySearch:
             raise self._unreached(worst, high, model, bare)
         while worst.value <= wanted.tolerance and low < high:
             middle = (low + high) // 2
-            self.progress.update(f"{middle} of {whole} columns")
+            progress.update(f"{middle} of {whole} columns")
             if self.worst(*of(middle), points=self.training[order], enough=wanted.tolerance).value <= wanted.tolerance:
                 high = middle
             else:

@@ -24,9 +24,9 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 from numpy.typing import NDArray
 
+from morembs.base import progress
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError, SingularMatrixError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Ints
 from morembs.linalg.columns import map_columns, symmetric
 from morembs.linalg.dynamic_stiffness import constrained
@@ -69,8 +69,8 @@ class Cell:
 class Proofs:
     """Lower bounds on cells of the box of ``space``; ``count`` factorisations so far."""
 
-    def __init__(self, space: GlobalSpace, progress: Progress = SILENT) -> None:
-        self.space, self.problem, self.progress = space, space.problem, progress
+    def __init__(self, space: GlobalSpace) -> None:
+        self.space, self.problem = space, space.problem
         points = space.problem.law_K.points
         self.curved = np.array([j for j, at in enumerate(points) if len(at)], dtype=np.int64)
         self.count = 0
@@ -113,7 +113,7 @@ class Proofs:
         problem, space = self.problem, self.space
         theta = self.controls(problem.law_K, problem.box.nominal, low, high)
         matrices = [space.stiffness_sum(row) for row in theta]
-        self.progress.update(f"stiffness beside the nominal one on {self._words(low, high)}")
+        progress.update(f"stiffness beside the nominal one on {self._words(low, high)}")
         # The first and the last coefficient of a polynomial are its values at the ends.
         ends = [A for A, corner in zip(matrices, self._corners(len(theta)), strict=True) if corner]
         promised = min(least_ratio(A, space) for A in ends)
@@ -185,7 +185,7 @@ class Proofs:
         promised, whole = float(values.min()), float(values[self._corners(len(values))].min())
         if W is None or not promised > 0:
             return UNPROVEN * max(promised, 0.0), whole, False
-        self.progress.update(f"modes beside those that are known on {self._words(cell.low, cell.high)}")
+        progress.update(f"modes beside those that are known on {self._words(cell.low, cell.high)}")
         held = next((part for part in TRIED if self._holds(rows, part * promised, W, sigma)), 0.0)
         return held * promised, whole, held > 0
 

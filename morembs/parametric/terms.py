@@ -168,11 +168,7 @@ class AffineProblem(Problem):
         if not (self.morphs and "spring" in self.box.kinds) or self.rigid.shape[1]:
             return None
         free = Problem(
-            self._bare.model(self.box.nominal, self.budget),
-            self.interfaces,
-            solver=self.solver,
-            budget=self.budget,
-            progress=self.progress,
+            self._bare.model(self.box.nominal, self.budget), self.interfaces, solver=self.solver, budget=self.budget
         )
         if free.rigid.shape[1] == 6:
             return free
@@ -195,14 +191,7 @@ class AffineProblem(Problem):
     def at(self, p: Floats, *, assembled: bool = False) -> Problem:
         """The problem at ``p`` (P,), K and M being sums of the terms, or ``assembled`` by direct integration."""
         model = (self.varied.assembled if assembled else self.varied.model)(p, self.budget)
-        return Problem(
-            model,
-            self.interfaces_at(p),
-            solver=self.solver,
-            damping=self.damping_at(p),
-            budget=self.budget,
-            progress=self.progress,
-        )
+        return Problem(model, self.interfaces_at(p), solver=self.solver, damping=self.damping_at(p), budget=self.budget)
 
     def interfaces_at(self, p: Floats) -> tuple[Interface, ...]:
         """The interfaces at ``p`` (P,), which a morph moves along."""

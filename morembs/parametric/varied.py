@@ -15,7 +15,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.base.budget import UNLIMITED, Budget
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel, Mesh
 from morembs.fem.assembly import (
@@ -184,7 +183,6 @@ def varied_model(
     mass_integration: str = "element",
     seams: bool = False,
     budget: Budget = UNLIMITED,
-    progress: Progress = SILENT,
 ) -> VariedModel:
     """Affine terms of ``mesh`` with ``materials``, those of parameters replaced.
 
@@ -202,7 +200,7 @@ def varied_model(
     morph = Morph.of(mesh, parameters)
     morph.check(lambda block: (_stiffness_rule(block), _mass_rule(block, mass_integration)))
     points, eps = morph.points_for(SHARE * tolerance, (FINE if len(morph.which) == 1 else SHARE) * tolerance)
-    make = _Maker(morph, graph, regions, mass_integration, budget, progress)
+    make = _Maker(morph, graph, regions, mass_integration, budget)
     return VariedModel(
         parameters=tuple(parameters),
         box=box,
@@ -233,16 +231,10 @@ class _Maker:
     """Integrates the terms of groups of elements that the same parameters change."""
 
     def __init__(
-        self,
-        morph: Morph,
-        graph: sp.csr_array,
-        regions: Sequence[Material],
-        mass_integration: str,
-        budget: Budget,
-        progress: Progress,
+        self, morph: Morph, graph: sp.csr_array, regions: Sequence[Material], mass_integration: str, budget: Budget
     ) -> None:
         self.morph, self.graph, self.regions, self.mass_integration = morph, graph, regions, mass_integration
-        self.budget, self.progress = budget, progress
+        self.budget = budget
         self.owner = material_of_elements(morph.mesh, regions)
 
     def terms(self, of_region: Ints, points: int, *, stiffness: bool) -> Terms:
@@ -292,7 +284,6 @@ class _Maker:
             chosen=chosen,
             weights=weights,
             budget=self.budget,
-            progress=self.progress,
         )
         return data
 

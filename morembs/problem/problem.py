@@ -12,7 +12,8 @@ import scipy.sparse as sp
 from morembs.base.budget import Budget
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError, MorembsError, SingularMatrixError, SolverError
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
+from morembs.base.progress import listener, listening
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.fem import FEModel
@@ -66,6 +67,7 @@ class Problem(Closing):
     ((48, 48), (48, 6))
     """
 
+    @with_progress_argument
     def __init__(
         self,
         model: FEModel,
@@ -74,7 +76,6 @@ class Problem(Closing):
         solver: LinearSolver | None = None,
         damping: Damping | None = None,
         budget: Budget | None = None,
-        progress: Progress = SILENT,
         workers: int = 1,
     ) -> None:
         self.model = model
@@ -87,7 +88,8 @@ class Problem(Closing):
                 "structural damping in addition to a damping matrix of the model is not supported; leave one out, or "
                 "replace the structural damping by rayleigh damping added to the matrix"
             )
-        self.progress, self.workers = progress, workers
+        # Modes that are computed where nobody listens are heard by whoever listens now.
+        self.listener, self.workers = listener(), workers
         self.coupling: Coupling = couple(model, self.interfaces)
         T = self.coupling.T
         square = T.shape[0] == T.shape[1]
@@ -316,7 +318,8 @@ class Problem(Closing):
         )
         if known is not None and enough:
             return known
-        modes = lowest_modes(body, self.M, count=count, below=below, progress=self.progress, what=what)
+        with listening(listener() or self.listener):
+            modes = lowest_modes(body, self.M, count=count, below=below, what=what)
         off = AS_A_RULE * self.uncertainty(modes)
         lost = np.flatnonzero(off > LOST * modes.eigenvalues)
         if len(lost):

@@ -29,6 +29,8 @@ FEW_TERMS = 100
 DEPENDENT = 1e-12
 # Part of the largest motion of a group below which it does not move.
 STILL = 1e-9
+# Part of the radius of gyration below which places of nodes say nothing of the size of a model.
+COMPACT = 1e-3
 
 
 def need_factor(model: FEModel, K: sp.csr_array) -> bool:
@@ -91,6 +93,10 @@ def _independent_motions(R: Floats, M: sp.csr_array) -> tuple[Floats, Floats]:
     moves = R[:, :3].any(axis=1)
     # Rotations per radius, so that all motions move nodes as far.
     radius = float(np.sqrt((R[moves, 3:] ** 2).sum(axis=1).mean())) if moves.any() else 0.0
+    inertia = np.abs(np.diag(R.T @ (M @ R)))
+    gyration = float(np.sqrt(inertia[3:].sum() / inertia[:3].sum())) if inertia[:3].any() else 0.0
+    # Where all nodes follow one frame, its place alone is left of theirs, perhaps the origin.
+    radius = radius if radius > COMPACT * gyration else gyration
     R = R / np.repeat([1.0, radius or 1.0], 3)
     G = R.T @ (M @ R)
     # Eigenvectors of the inertia are independent motions also where some vanish (all nodes on a line).

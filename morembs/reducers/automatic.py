@@ -19,8 +19,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
-from morembs.base.progress import Progress
 from morembs.base.types import Floats
 from morembs.problem import SOFTER, Problem
 from morembs.reducers.base import Basis, elastic_basis
@@ -84,7 +84,7 @@ class AutoReducer(OfResponses):
     def certified_band(self) -> Sequence[float]:
         return self.band_hz
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+    def _basis(self, problem: Problem) -> Basis:
         floor = floor_of(problem, self.band_hz, self.damping_floor)
         omega = 2 * np.pi * band_frequencies(problem, self.band_hz, floor=floor)
         # A body that is held has no rigid motion to balance the inertia of its frame.
@@ -96,7 +96,6 @@ class AutoReducer(OfResponses):
                 tolerance=min(BETTER * self.tolerance, TOLERANCE),
                 damping_floor=floor,
                 inertia_loads=inertia,
-                progress=progress,
             )
             self._refuse_lost(certified)
         except SolverError as fault:

@@ -16,7 +16,6 @@ from typing import ClassVar
 import numpy as np
 
 from morembs.base.errors import InputError, SolverError
-from morembs.base.progress import Progress
 from morembs.base.types import Floats, Values
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
 from morembs.linalg.columns import multiply, project_out, projected
@@ -131,8 +130,8 @@ class Balanced(OfResponses):
         # The iteration over all frequencies has a solver of its own where that of the job takes no complex matrices.
         return super().shifted(facts) if self.band_hz is not None else ()
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        gramian = self._gramian(problem, progress)
+    def _basis(self, problem: Problem) -> Basis:
+        gramian = self._gramian(problem)
         products = gramian.products
         order = self._order(products)
         cut = truncated(products, self.variant, order, self.balancing)
@@ -164,23 +163,18 @@ class Balanced(OfResponses):
         values = [singular_values(products, name) for name in names]
         return min(usable, max(int((s > float(self.tolerance or 0.0) * s[0]).sum()) for s in values))
 
-    def _gramian(self, problem: Problem, progress: Progress) -> _Gramian:
+    def _gramian(self, problem: Problem) -> _Gramian:
         if self.band_hz is not None:
-            return _over_band(problem, (self.band_hz[0], self.band_hz[1]), progress)
+            return _over_band(problem, (self.band_hz[0], self.band_hz[1]))
         if problem.damping.is_modal:
-            return self._with_modal_damping(problem, progress)
-        return self._over_all(problem, progress)
+            return self._with_modal_damping(problem)
+        return self._over_all(problem)
 
-    def _over_all(self, problem: Problem, progress: Progress) -> _Gramian:
+    def _over_all(self, problem: Problem) -> _Gramian:
         with _pencil(problem) as (pencil, notes):
             system = _system(problem, pencil)
             gramian = low_rank_gramian(
-                system,
-                _loads(problem),
-                tolerance=self.adi_tolerance,
-                max_steps=self.adi_steps,
-                budget=problem.budget,
-                progress=progress,
+                system, _loads(problem), tolerance=self.adi_tolerance, max_steps=self.adi_steps, budget=problem.budget
             )
         M, K, budget, (alpha, beta) = problem.M, problem.K, problem.budget, _rayleigh(problem)
         Zp, Zv = gramian.Zp, gramian.Zv
@@ -199,14 +193,14 @@ class Balanced(OfResponses):
         products = Products.of(Mpp, Mpv, Mvv, Dpp, Dpv)
         return _Gramian(Zp=Zp, Zv=Zv, products=products, reference=None, notes=notes)
 
-    def _with_modal_damping(self, problem: Problem, progress: Progress) -> _Gramian:
+    def _with_modal_damping(self, problem: Problem) -> _Gramian:
         """Over all frequencies, in a reference model whose range doubles until the singular values stand."""
-        reference = reference_model(problem, np.zeros(1), tolerance=REFERENCE_ERROR, progress=progress)
+        reference = reference_model(problem, np.zeros(1), tolerance=REFERENCE_ERROR)
         wanted = self.order or 10
         top = 4 * float(np.sqrt(reference.values[0]))
         before: tuple[Floats, Floats] | None = None
         for _ in range(DOUBLINGS):
-            reference = _up_to(problem, top, progress)
+            reference = _up_to(problem, top)
             Zp, Zv = lyapunov_factor(reference.values, reference.damping_of_modes(), reference.B * problem.motion_scale)
             products = _modal_products(reference, Zp, Zv)
             values = singular_values(products, "pv")[:wanted], singular_values(products, self.variant)[:wanted]
@@ -251,11 +245,11 @@ def _why_no_gramian(damping: Damping, own: bool) -> str:
     return ""
 
 
-def _up_to(problem: Problem, top: float, progress: Progress) -> Reference:
+def _up_to(problem: Problem, top: float) -> Reference:
     """Reference from zero to ``top`` (rad/s)."""
     omega = np.linspace(0.0, top, SAMPLES)
     try:
-        return reference_model(problem, omega, tolerance=REFERENCE_ERROR, progress=progress)
+        return reference_model(problem, omega, tolerance=REFERENCE_ERROR)
     except SolverError as error:
         raise SolverError(
             "with modal damping the Gramian over all frequencies needs a reference model up to "
@@ -263,11 +257,11 @@ def _up_to(problem: Problem, top: float, progress: Progress) -> Reference:
         ) from error
 
 
-def _over_band(problem: Problem, band_hz: tuple[float, float], progress: Progress) -> _Gramian:
+def _over_band(problem: Problem, band_hz: tuple[float, float]) -> _Gramian:
     """The Gramian over a band, in the coordinates of the reference model."""
     low, high = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
     omega = np.linspace(low, high, SAMPLES)
-    reference = reference_model(problem, omega, tolerance=REFERENCE_ERROR, progress=progress)
+    reference = reference_model(problem, omega, tolerance=REFERENCE_ERROR)
     loads = reference.B * problem.motion_scale
     decay = reference.damping_at_resonance()
     # Modes of a table may be damped in part.

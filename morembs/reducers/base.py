@@ -5,15 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, ClassVar, Self, final
+from typing import TYPE_CHECKING, Any, ClassVar, Self, final
 
 import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.base.errors import InputError, SolverError
-from morembs.base.former_names import with_old_names
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import accept_progress, with_old_names, with_progress_argument
 from morembs.base.summary import hertz, kinds_words, summarised
 from morembs.base.types import Floats
 from morembs.fem.fe_model import STRUCTURAL, WITHOUT_MASS
@@ -250,29 +249,27 @@ class Reducer(ABC):
         return self
 
     def switching(
-        self,
-        problem: Problem,
-        reduced: ReducedModel,
-        *,
-        operator: StressOperator | None = None,
-        progress: Progress = SILENT,
+        self, problem: Problem, reduced: ReducedModel, *, operator: StressOperator | None = None
     ) -> StaticModeTables | None:
         """Tables of static modes that complement ``reduced`` of this reducer; None for all but one method."""
         return None
 
-    def variation(
-        self, problem: Problem, reduced: ReducedModel, *, progress: Progress = SILENT
-    ) -> ParametricModel | None:
+    def variation(self, problem: Problem, reduced: ReducedModel) -> ParametricModel | None:
         """The reduced model of all values of parameters, of which ``reduced`` of this reducer is that of nominal ones;
         None for all but one method."""
         return None
 
     @abstractmethod
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+    def _basis(self, problem: Problem) -> Basis:
         """Columns of the reduction and their exact stiffness; ``why_not`` has nothing against ``problem``."""
 
+    def __init_subclass__(cls, **keys: Any) -> None:
+        super().__init_subclass__(**keys)
+        accept_progress(cls, _basis=2, switching=3, variation=3)
+
     @final
-    def reduce(self, problem: Problem, name: str | None = None, progress: Progress = SILENT) -> ReducedModel:
+    @with_progress_argument
+    def reduce(self, problem: Problem, name: str | None = None) -> ReducedModel:
         """Reduced model of ``problem``.
 
         Raises:
@@ -287,7 +284,7 @@ class Reducer(ABC):
         massless = massless_motions(problem)
         if massless and self.certified_band is not None:
             raise InputError(f'method "{self.method}" promises an error, and {massless_words(massless)}')
-        basis = self._basis(problem, progress)
+        basis = self._basis(problem)
         if set(basis.kinds) <= {"rigid"}:
             raise InputError(
                 f'method "{self.method}" with these options leaves no elastic coordinate, only {len(basis.kinds)} '

@@ -20,7 +20,6 @@ import numpy as np
 import scipy.linalg as sl
 
 from morembs.base.errors import InputError
-from morembs.base.progress import Progress
 from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 from morembs.reducers.base import MOST_HZ, Basis, add_residual_modes
@@ -87,9 +86,9 @@ class CraigBampton(OfModes):
             return self._why_not_inertia(facts.inputs, "interface dof")
         return reason
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+    def _basis(self, problem: Problem) -> Basis:
         if self.reduces_interfaces:
-            return self._on_few(problem, progress)
+            return self._on_few(problem)
         below, inputs = self.below, problem.B.shape[1]
         count = self._beside_inertia(inputs, "interface dof")
         fixed = problem.fixed_modes(count=count, below=below)
@@ -111,16 +110,14 @@ class CraigBampton(OfModes):
         deformation = problem.internal.deformation(problem.M @ constraint, problem.M)
         return add_residual_modes(problem, basis, deformation, fixed.vectors)
 
-    def _on_few(self, problem: Problem, progress: Progress) -> Basis:
+    def _on_few(self, problem: Problem) -> Basis:
         """Rigid-body, characteristic and fixed-interface modes: all K-orthogonal."""
         r = problem.rigid.shape[1]
         with FixedInterfaceBody(problem) as held:
-            few = interface_modes(
-                problem, held, count=self.interface_modes, below=squared(self.interface_up_to_hz), progress=progress
-            )
+            few = interface_modes(problem, held, count=self.interface_modes, below=squared(self.interface_up_to_hz))
             k = r + len(few.eigenvalues)
             count = self._beside_inertia(k, "rigid-body and characteristic mode")
-            fixed = held.modes(count, self.below, progress)
+            fixed = held.modes(count, self.below)
             m = len(fixed.eigenvalues)
             notes: dict[str, object] = {"interface_motions": problem.B.shape[1], "characteristic_modes": k - r}
             if few.next_hz is not None:

@@ -12,7 +12,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from morembs.base.progress import Progress
 from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, add_residual_modes
@@ -33,7 +32,7 @@ class FreeInterface(OfModes):
 
     method: ClassVar[str] = "free-interface"
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+    def _basis(self, problem: Problem) -> Basis:
         free = problem.elastic_modes(count=self.modes, below=self.below)
         rigid, Phi = problem.rigid, free.vectors
         Psi = problem.elastic.flexibility(problem.B.toarray())

@@ -24,9 +24,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base import progress
 from morembs.base.crew import Crew
 from morembs.base.errors import InputError
-from morembs.base.progress import Progress
 from morembs.base.types import Floats
 from morembs.linalg.columns import hstack, m_norms, map_columns, orthonormal, project_out
 from morembs.linalg.gramians import StreamedSVD, WeightedSVD, snapshot_factor
@@ -118,27 +118,21 @@ class Gramian(OfResponses):
         # Damped, or beside the imaginary axis.
         return [Shifted(structure="complex-symmetric", count=count, columns=facts.inputs, at_once=count)]
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+    def _basis(self, problem: Problem) -> Basis:
         low, high = (2 * np.pi * f for f in self.band_hz)
         mu = (0.5 * (low + high)) ** 2
         notes: dict[str, object] = {}
         make = self._direct if self.direct else self._modal
-        X = make(problem, low, high, mu, notes, progress)
+        X = make(problem, low, high, mu, notes)
         wanted = X.shape[1]
         basis = elastic_basis(problem, X, "gramian", notes)
         lost = wanted + problem.rigid.shape[1] - basis.V.shape[1]
         return replace(basis, notes={**notes, "dependent_directions_dropped": lost}) if lost else basis
 
-    def _modal(
-        self, problem: Problem, low: float, high: float, mu: float, notes: dict[str, object], progress: Progress
-    ) -> Floats:
+    def _modal(self, problem: Problem, low: float, high: float, mu: float, notes: dict[str, object]) -> Floats:
         """Basis (Nc, n) from snapshots in the modal coordinates of the reference model, where X is diagonal."""
         reference = reference_model(
-            problem,
-            np.linspace(low, high, GRID),
-            tolerance=ACCURACY,
-            inertia_loads=self.inertia_loads,
-            progress=progress,
+            problem, np.linspace(low, high, GRID), tolerance=ACCURACY, inertia_loads=self.inertia_loads
         )
         values = reference.values
         F = reference.F * load_scale(problem.motion_scale, reference.F, reference.F / values[:, None])
@@ -160,9 +154,7 @@ class Gramian(OfResponses):
         # M is the identity here: orthonormal coordinates are M-orthonormal columns.
         return reference.vectors(np.linalg.qr(np.hstack([first, V]))[0])
 
-    def _direct(
-        self, problem: Problem, low: float, high: float, mu: float, notes: dict[str, object], progress: Progress
-    ) -> Floats:
+    def _direct(self, problem: Problem, low: float, high: float, mu: float, notes: dict[str, object]) -> Floats:
         """Basis (Nc, n) from solutions of the full equations. Peak memory: 2 p points columns of length Nc."""
         M, budget = problem.M, problem.budget
         damping = problem.damping

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from morembs.base.progress import Progress
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, Reducer
 
@@ -20,7 +19,7 @@ class Guyan(Reducer):
 
     method: ClassVar[str] = "guyan"
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+    def _basis(self, problem: Problem) -> Basis:
         V, K = problem.internal.impose()
         return Basis(
             V=V, kinds=("constraint",) * V.shape[1], K=K, rigid=problem.B.T @ problem.rigid, holds_interfaces=True

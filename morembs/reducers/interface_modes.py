@@ -21,7 +21,6 @@ import scipy.sparse as sp
 
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Ints
 from morembs.linalg.columns import dot, fix_signs, multiply_into, project_out
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
@@ -83,13 +82,11 @@ class FixedInterfaceBody(Closing):
             return self.constrained.flexibility(F)
         return self._whole(self.constrained.flexibility(F[self.rows]))
 
-    def modes(self, count: int | None, below: float | None, progress: Progress) -> Modes:
+    def modes(self, count: int | None, below: float | None) -> Modes:
         """Fixed-interface modes, proven complete by a Sturm count; (Nc, k) vectors."""
         if self.rows is None:
             return self.problem.fixed_modes(count=count, below=below)
-        modes = lowest_modes(
-            self.constrained, self.M, count=count, below=below, progress=progress, what="fixed-interface modes"
-        )
+        modes = lowest_modes(self.constrained, self.M, count=count, below=below, what="fixed-interface modes")
         if count is None and below is not None:
             count = int((modes.eigenvalues <= below * (1 + GAP)).sum())
         modes = modes.first(len(modes.eigenvalues) if count is None else count)
@@ -113,7 +110,6 @@ def interface_modes(
     *,
     count: int | None = None,
     below: float | None = None,
-    progress: Progress = SILENT,
     from_all: bool | None = None,
 ) -> InterfaceModes:
     """The lowest ``count`` elastic characteristic modes, or all up to ``below`` in (rad/s)2.
@@ -137,7 +133,7 @@ def interface_modes(
         from_all = problem.B.shape[1] <= DENSE or (count is not None and PART * count > most)
     if from_all:
         return _all(problem, count, below)
-    return _lowest(problem, held, most, count, below, progress)
+    return _lowest(problem, held, most, count, below)
 
 
 def static_error(problem: Problem, held: FixedInterfaceBody, modes: InterfaceModes) -> float:
@@ -187,7 +183,7 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
 
 
 def _lowest(
-    problem: Problem, held: FixedInterfaceBody, most: int, count: int | None, below: float | None, progress: Progress
+    problem: Problem, held: FixedInterfaceBody, most: int, count: int | None, below: float | None
 ) -> InterfaceModes:
     flexibility = _flexibility(problem, held)
     rng = np.random.default_rng(3)
@@ -195,7 +191,7 @@ def _lowest(
     wanted = 4 * BLOCK if count is None else count + 1
     lanczos = BlockLanczos(flexibility, problem.M, start, capacity=_capacity(wanted, most), budget=problem.budget)
     while True:
-        theta, V = largest(lanczos, wanted, progress=progress, what="characteristic modes")
+        theta, V = largest(lanczos, wanted, what="characteristic modes")
         values = 1.0 / theta
         if below is None or values[-1] > below * (1 + GAP):
             break

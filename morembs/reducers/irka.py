@@ -18,8 +18,8 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base import progress
 from morembs.base.errors import InputError
-from morembs.base.progress import Progress
 from morembs.base.types import Complexes, Floats
 from morembs.linalg.columns import orthonormal
 from morembs.linalg.quadrature import trapezoid
@@ -90,16 +90,16 @@ class Irka(OfResponses):
             )
         return super().why_not(facts)
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+    def _basis(self, problem: Problem) -> Basis:
         low, high = (2 * np.pi * f for f in self.band_hz)
-        reference = reference_model(problem, np.linspace(low, high, CHECKED), tolerance=TOLERANCE, progress=progress)
+        reference = reference_model(problem, np.linspace(low, high, CHECKED), tolerance=TOLERANCE)
         if self.order > len(reference.values):
             raise InputError(
                 f"order = {self.order} was given; {len(reference.values)} coordinates give the responses in this band "
                 f"to {TOLERANCE:.0e} already: lower the order, or widen band_hz"
             )
         band = _Band(reference, low, high)
-        runs = [self._run(band, shifts, progress) for shifts in _starts(band, self.order, low, high)]
+        runs = [self._run(band, shifts) for shifts in _starts(band, self.order, low, high)]
         met = min(runs, key=lambda run: run.error)
         modes = _of_modes(band, met, self.order)
         progress.update(f"{self.method}: the strongest modes, H2 error {modes.error:.2e}, no shifts")
@@ -122,7 +122,7 @@ class Irka(OfResponses):
             notes["deflated"] = f"{self.order - best.C.shape[1]} of {self.order} columns depend on the others"
         return elastic_basis(problem, reference.vectors(best.C), "krylov", notes)
 
-    def _run(self, band: _Band, shifts: _Shifts, progress: Progress) -> _Run:
+    def _run(self, band: _Band, shifts: _Shifts) -> _Run:
         """The iteration from one start, and the best model on its way."""
         errors: list[float] = []
         best, kept, change = band.columns(shifts), shifts, np.inf

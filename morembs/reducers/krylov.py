@@ -19,8 +19,8 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base import progress
 from morembs.base.errors import InputError, nearest
-from morembs.base.progress import Progress
 from morembs.base.types import Floats
 from morembs.linalg.columns import complement, dot, hstack, map_columns, multiply_into, projected
 from morembs.linalg.second_order_arnoldi import PASSES
@@ -130,7 +130,7 @@ class Krylov(Reducer):
     def shifted(self, facts: Facts) -> Sequence[Shifted]:
         return facts.at_shifts((s for s, _ in self._points()), facts.inputs, at_once=self.tangential is None)
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+    def _basis(self, problem: Problem) -> Basis:
         self._check(problem)
         notes: dict[str, object] = {}
         # Only where some directions are kept and others not does it matter how much a load counts.
@@ -142,7 +142,7 @@ class Krylov(Reducer):
                 raise InputError("inputs and outputs name the same interfaces; leave two_sided out")
         for space in spaces:
             space.reserve(self._columns(problem, space.F.shape[1]))
-        lost, moved = self._fill(problem, spaces, progress)
+        lost, moved = self._fill(problem, spaces)
         lost = [text for space in spaces for text in space.lost] + lost
         if lost:
             notes["deflated"] = lost
@@ -189,7 +189,7 @@ class Krylov(Reducer):
             )
         return total
 
-    def _fill(self, problem: Problem, spaces: list[_LoadSpace], progress: Progress) -> tuple[list[str], list[str]]:
+    def _fill(self, problem: Problem, spaces: list[_LoadSpace]) -> tuple[list[str], list[str]]:
         """All blocks into the spaces of the loads; words on columns lost and shifts moved."""
         lost: list[str] = []
         moved: list[str] = []
@@ -204,7 +204,7 @@ class Krylov(Reducer):
                 }
                 for point, count in points
             ]
-            grow_at_once(problem, [point for point, _ in points], wanted_at, progress)
+            grow_at_once(problem, [point for point, _ in points], wanted_at)
         for s, count in self._points():
             shift = expansion_point(problem, s)
             what = f"shift {frequency(s):.6g} Hz" if s.imag or not s else f"real shift {s.real:.6g} 1/s"

@@ -8,7 +8,6 @@ from typing import ClassVar
 import numpy as np
 
 from morembs.base.errors import InputError, nearest
-from morembs.base.progress import Progress
 from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 from morembs.reducers.base import Basis
@@ -52,7 +51,7 @@ class Modal(OfModes):
             return 'interfaces = "fixed" needs interfaces; add at least one [[interface]], or leave it out'
         return super().why_not(facts)
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
+    def _basis(self, problem: Problem) -> Basis:
         if self.interfaces == "fixed":
             modes = problem.fixed_modes(count=self.modes, below=self.below)
             rigid, kind = problem.rigid[:, :0], "fixed-interface"

@@ -9,7 +9,6 @@ from typing import ClassVar
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
 from morembs.parametric.basis import GreedySearch, ParametricBasis, Wanted
 from morembs.parametric.model import ParametricModel
 from morembs.parametric.terms import AffineProblem
@@ -62,7 +61,7 @@ class ParametricReducer(Reducer):
     def certified_band(self) -> Sequence[float]:
         return self.band_hz
 
-    def search(self, problem: Problem, progress: Progress = SILENT) -> ParametricBasis:
+    def search(self, problem: Problem) -> ParametricBasis:
         """The basis with its model and bound, computed once for ``problem``.
 
         Raises:
@@ -81,16 +80,14 @@ class ParametricReducer(Reducer):
             floor=self.damping_floor,
             accept_bound=self.accept_bound,
         )
-        return problem.shared((self.method, wanted), lambda: GreedySearch(problem, wanted, progress).run())
+        return problem.shared((self.method, wanted), lambda: GreedySearch(problem, wanted).run())
 
-    def variation(
-        self, problem: Problem, reduced: ReducedModel, *, progress: Progress = SILENT
-    ) -> ParametricModel | None:
-        basis = self.search(problem, progress)
+    def variation(self, problem: Problem, reduced: ReducedModel) -> ParametricModel | None:
+        basis = self.search(problem)
         return replace(basis.model, box_bound=basis.box_bound, floor=basis.floor)
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        basis = self.search(problem, progress)
+    def _basis(self, problem: Problem) -> Basis:
+        basis = self.search(problem)
         rigid, n = problem.rigid.shape[1], basis.V.shape[1]
         K = basis.model.matrices(basis.model.box.nominal)[0]
         notes = {

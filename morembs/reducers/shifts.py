@@ -17,8 +17,8 @@ from functools import partial
 import numpy as np
 import scipy.linalg as sl
 
+from morembs.base import progress
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
-from morembs.base.progress import Progress
 from morembs.base.types import Floats, Values
 from morembs.linalg.columns import complement, map_columns
 from morembs.linalg.second_order_arnoldi import PASSES, SecondOrderArnoldi
@@ -249,9 +249,7 @@ class Grown:
     chains: list[tuple[list[Floats], list[int], bool]]
 
 
-def grow_at_once(
-    problem: Problem, points: Sequence[ExpansionPoint], wanted: Sequence[Mapping[object, Wanted]], progress: Progress
-) -> None:
+def grow_at_once(problem: Problem, points: Sequence[ExpansionPoint], wanted: Sequence[Mapping[object, Wanted]]) -> None:
     """Grow several expansion points on the workers of ``problem``, one factorisation each; one worker grows none.
 
     Loads (Nc, p) of one key are the same at all points. Points at zero are left out, as the problem has their factor.

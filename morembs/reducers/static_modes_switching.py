@@ -16,9 +16,9 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.budget import Budget
 from morembs.base.errors import InputError, nearest
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats
 from morembs.fem import FEModel
 from morembs.fem.interface import Interface
@@ -153,16 +153,11 @@ class StaticModesSwitching(Reducer):
     def in_units(self, length: float) -> Self:
         return replace(self, length=length) if self.length is None else self
 
-    def _basis(self, problem: Problem, progress: Progress) -> Basis:
-        return self.base_reducer()._basis(problem, progress)
+    def _basis(self, problem: Problem) -> Basis:
+        return self.base_reducer()._basis(problem)
 
     def switching(
-        self,
-        problem: Problem,
-        reduced: ReducedModel,
-        *,
-        operator: StressOperator | None = None,
-        progress: Progress = SILENT,
+        self, problem: Problem, reduced: ReducedModel, *, operator: StressOperator | None = None
     ) -> StaticModeTables:
         """Tables of all candidates that complement ``reduced``, the result of this reducer.
 
@@ -176,7 +171,7 @@ class StaticModesSwitching(Reducer):
         candidates = self.chosen(problem.model, problem.interfaces)
         modes = _constant_flexibility(problem, reduced)
         stress = candidates.stress_rows(problem, operator) if self.stress or operator is not None else None
-        return _tables(problem, candidates, reduced, modes, stress, progress)
+        return _tables(problem, candidates, reduced, modes, stress)
 
 
 def _constant_flexibility(problem: Problem, reduced: ReducedModel) -> Callable[[Floats], tuple[Floats, Floats]]:
@@ -210,7 +205,6 @@ def _tables(
     reduced: ReducedModel,
     static: Callable[[Floats], tuple[Floats, Floats]],
     stress: Callable[[Floats], Floats] | None,
-    progress: Progress,
 ) -> StaticModeTables:
     """All tables, a block of candidates at a time; only the band's columns before the block stay."""
     budget = problem.budget

@@ -14,8 +14,9 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg as sl
 
+from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.summary import summarised, upwards
 from morembs.base.types import Complexes, Floats
 from morembs.linalg.columns import dot, subtract
@@ -226,6 +227,7 @@ class CertifiedReference:
         return self.model.D is None and not (damping.is_viscous or damping.structural)
 
 
+@with_progress_argument
 def certified_reference(
     problem: Problem,
     band_hz: Sequence[float],
@@ -233,7 +235,6 @@ def certified_reference(
     tolerance: float = TOLERANCE,
     damping_floor: float | None = None,
     inertia_loads: bool = False,
-    progress: Progress = SILENT,
 ) -> CertifiedReference:
     """Reference whose error is below ``tolerance`` times the envelope of the response on all of ``band_hz``, or as
     small as the space of the loads allows; kept for later calls.
@@ -259,7 +260,7 @@ def certified_reference(
     key = low, high, floor, inertia_loads or (low, high, floor, True) in references
     if key not in references or references[key][0] > tolerance:
         damping = replace(problem.damping, structural=problem.damping.structural + 2 * floor)
-        build = _Build(problem, (low, high), damping, floor, tolerance, key[-1], progress)
+        build = _Build(problem, (low, high), damping, floor, tolerance, key[-1])
         references[key] = tolerance, build.with_own_damping() if problem.D is not None else build.grown()
     return references[key][1]
 
@@ -275,10 +276,9 @@ class _Build:
         floor: float,
         tolerance: float,
         inertia: bool,
-        progress: Progress,
     ) -> None:
         self.problem, self.band_hz, self.damping, self.floor = problem, band_hz, damping, floor
-        self.tolerance, self.inertia, self.progress = tolerance, inertia, progress
+        self.tolerance, self.inertia = tolerance, inertia
         self.band = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
         self.modes = problem.elastic_modes(below=beyond(band_hz[1]))
         self.cut = beyond(band_hz[1]) * (1 + GAP)
@@ -289,7 +289,7 @@ class _Build:
         """The space of a damping matrix of the model's own, whose error is an estimate."""
         problem, omega = self.problem, np.linspace(*self.band, LOOKED_AT)
         omega = np.unique(np.concatenate([omega, _inside(np.sqrt(self.modes.eigenvalues), self.band)]))
-        model = reference_model(problem, omega, tolerance=DAMPED, inertia_loads=self.inertia, progress=self.progress)
+        model = reference_model(problem, omega, tolerance=DAMPED, inertia_loads=self.inertia)
         return CertifiedReference(
             model=replace(model, damping=self.damping),
             band_hz=self.band_hz,
@@ -324,7 +324,7 @@ class _Build:
         enough = 0.1 * self.tolerance * (MODAL if self.damping.is_modal else 1.0)
         while True:
             error = self._guess(growth)
-            self.progress.update(f"reference: order {growth.lanczos.size}, error {error:.1e}")
+            progress.update(f"reference: order {growth.lanczos.size}, error {error:.1e}")
             if error <= enough or not growth.lanczos.pending.shape[1]:
                 reference = self._reference(growth)
                 # A larger space has no part in what solutions are off by.

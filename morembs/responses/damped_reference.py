@@ -16,8 +16,8 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.errors import SolverError
-from morembs.base.progress import Progress
 from morembs.base.types import Complexes, Floats
 from morembs.linalg.columns import complement, dot, hstack, multiply, orthonormal, projected, symmetric
 from morembs.linalg.eigen import graded_modes
@@ -59,9 +59,7 @@ class DampedSpace:
             space.expand(problem.elastic.flexibility)
         self.V = hstack(*space.blocks, budget=problem.budget)
 
-    def until(
-        self, omega: Floats, tolerance: float, progress: Progress
-    ) -> tuple[Floats, Floats, Floats, Floats, float]:
+    def until(self, omega: Floats, tolerance: float) -> tuple[Floats, Floats, Floats, Floats, float]:
         """(V (Nc, k), eigenvalues (k,), Y (k, k), D (k, k), error): grown until H is known to ``tolerance``.
 
         Raises:

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from morembs.base import progress
 from morembs.base.crew import Crew
 from morembs.base.errors import InputError, SingularMatrixError
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Complexes, Floats, Values
 from morembs.linalg.columns import map_columns
 from morembs.linalg.sparse.solver import STRUCTURES
@@ -125,7 +126,8 @@ def elastic_statics(problem: Problem, F: Values, *, transposed: bool = False) ->
     return map_columns(partial(factor.solve, transposed=transposed), F, problem.budget)
 
 
-def direct_response(problem: Problem, omega: Floats, progress: Progress = SILENT) -> Complexes:
+@with_progress_argument
+def direct_response(problem: Problem, omega: Floats) -> Complexes:
     """Elastic part of H (nf, m, m) at ``omega`` (nf,) in rad/s, one factorisation for each frequency, on the workers of
     the problem.
 

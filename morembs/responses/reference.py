@@ -23,8 +23,8 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Complexes, Floats
 from morembs.linalg.columns import dot, hstack, multiply, orthonormal_pair, projected, take_out
 from morembs.linalg.eigen import graded_modes
@@ -119,7 +119,6 @@ def reference_model(
     tolerance: float = 1e-8,
     inertia_loads: bool = False,
     damping: Damping | None = None,
-    progress: Progress = SILENT,
 ) -> Reference:
     """Reference whose error is below ``tolerance`` times the largest entry of H at all ``omega`` (nf,) in rad/s.
 
@@ -140,8 +139,8 @@ def reference_model(
     refuse_skew_parts(problem)
     omega = np.asarray(omega, dtype=float)
     if problem.D is not None:
-        return _damped(problem, problem.D, omega, tolerance, inertia_loads, progress)
-    return reference_space(problem, inertia_loads).until(omega, tolerance, progress, damping or problem.damping)
+        return _damped(problem, problem.D, omega, tolerance, inertia_loads)
+    return reference_space(problem, inertia_loads).until(omega, tolerance, damping or problem.damping)
 
 
 def reference_space(problem: Problem, inertia: bool = False) -> ReferenceSpace:
@@ -154,16 +153,14 @@ def reference_space(problem: Problem, inertia: bool = False) -> ReferenceSpace:
     return problem.shared(("reference", inertia), lambda: ReferenceSpace(problem, inertia))
 
 
-def _damped(
-    problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, inertia: bool, progress: Progress
-) -> Reference:
+def _damped(problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, inertia: bool) -> Reference:
     """Reference of a model with a damping matrix of its own."""
     reason = why_no_response(problem.damping, True, problem.K.shape[0])
     if reason:
         raise InputError(reason)
     F = unit_loads(problem, inertia)
     space = problem.shared(("damped reference", inertia), lambda: DampedSpace(problem, D, F, omega))
-    V, values, Y, seen, error = space.until(omega, tolerance, progress)
+    V, values, Y, seen, error = space.until(omega, tolerance)
     # Only models that are taken whole come here with Rayleigh damping beside their matrix.
     seen = seen + np.diag(problem.damping.of_modes(values))
     return Reference(
@@ -235,7 +232,7 @@ class ReferenceSpace:
         self.residuals = np.append(self.residuals, residuals + lost)
         return X
 
-    def until(self, omega: Floats, tolerance: float, progress: Progress, damping: Damping) -> Reference:
+    def until(self, omega: Floats, tolerance: float, damping: Damping) -> Reference:
         """The space, grown until the error with ``damping`` is below ``tolerance`` at ``omega``.
 
         Raises:

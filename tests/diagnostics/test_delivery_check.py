@@ -296,3 +296,14 @@ def test_two_sided_bodies_need_not_be_symmetric(tmp_path):
     write_body(tmp_path / "body.h5", [body], recipe={})
     seen = CliRunner().invoke(app, ["info", str(tmp_path / "body.h5")])
     assert seen.exit_code == 0, seen.stderr
+
+
+def test_round_off_of_dashpots_between_nodes_that_move_as_one_is_no_negative_damping():
+    """It has either sign; against critical damping it is nothing, while a millionth of that is reported."""
+    body = body_of(damping=None)
+    r = body.reduced
+    noise = np.random.default_rng(3).standard_normal(r.M.shape) * 1e-13
+    assert np.linalg.eigvalsh(noise + noise.T).min() < 0
+    assert not grave(check_delivery(with_matrices(body, D=noise + noise.T))) & {"indefinite", "negative-damping"}
+    w = np.sqrt(np.abs(r.K).max())
+    assert "indefinite" in grave(check_delivery(with_matrices(body, D=1e-6 * w * (noise + noise.T) / 1e-13)))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from morembs.base.errors import InputError, OutputError
+from morembs.base.progress import listening
 from morembs.dynamics.gmp import AngleRange, ReducedMember, Solver, manifold, solid_member
 from morembs.dynamics.gmp.symmetry import symmetries
 from morembs.dynamics.nonlinear import PlanarBeam, Section
@@ -255,7 +256,9 @@ def test_symmetric_equilibria_of_a_solid_are_those_that_are_solved():
 
 def test_processes_give_the_same_bits_and_progress_is_heard():
     heard = Heard()
-    serial, parallel = tabulated(), tabulated(workers=2, progress=heard)
+    serial = tabulated()
+    with listening(heard):
+        parallel = tabulated(workers=2)
     assert same_bits(serial, parallel) and serial.report.solved == parallel.report.solved
     assert heard.stages == ["static equilibria"] and f"equilibria: {parallel.report.solved}" in heard.news
     assert any("points per angle: error" in text for text in heard.news)
@@ -285,7 +288,12 @@ class Fatal:
 
 def test_a_run_that_was_killed_goes_on_and_gives_the_same(tmp_path):
     path = tmp_path / "rod.h5"
-    ended = apart(lambda: tabulated(tolerance=1e-5, checkpoint=path, progress=Fatal()), tmp_path)
+
+    def end() -> None:
+        with listening(Fatal()):
+            tabulated(tolerance=1e-5, checkpoint=path)
+
+    ended = apart(end, tmp_path)
     assert ended.code == -signal.SIGKILL, ended.errors
     with h5py.File(path) as file:
         kept = len(file["keys"])

@@ -109,3 +109,31 @@ def test_what_is_left_is_said_where_steps_run_out_or_damping_is_missing():
         low_rank_gramian(system(M, 1e-3 * M, K), F, max_steps=3)
     with pytest.raises(SolverError, match="no mode that the loads excite is damped"):
         low_rank_gramian(system(M, 0.0 * M, K), F)
+
+
+@pytest.mark.parametrize("seed", [0, 34])
+def test_solutions_fill_a_small_model_that_moves_rigidly(seed):
+    """The space of the shifts has as many columns as the model; the last is rigid motion, made of round-off."""
+    rng = np.random.default_rng(seed)
+    n = 6
+    k = 10.0 ** rng.uniform(0, 12, n - 1)
+    K = np.diag(np.r_[k, 0] + np.r_[0, k]) - np.diag(k, 1) - np.diag(k, -1)
+    M = np.diag(rng.uniform(0.5, 2.0, n))
+    D = 0.3 * M + 1e-5 * K
+    rigid = np.ones((n, 1)) / np.sqrt(M.sum())
+    P = np.eye(n) - rigid @ (M @ rigid).T
+    X = sl.null_space((M @ rigid).T)
+    free = SecondOrder(
+        M=sp.csr_array(M),
+        K=sp.csr_array(K),
+        apply_D=lambda X: D @ X,
+        solve=lambda s, F: P @ np.linalg.solve(s * s * M + s * D + K, F),
+        flexibility=lambda F: X @ np.linalg.solve(X.T @ K @ X, X.T @ F),
+    )
+    F = P.T @ np.eye(n, 2)
+    gramian = low_rank_gramian(free, F, tolerance=1e-12)
+    reduced = dense_gramians(*(X.T @ A @ X for A in (M, D, K)), X.T @ F)[0]
+    lift = np.kron(np.eye(2), X)
+    Z = np.vstack([gramian.Zp, gramian.Zv])
+    # The dense reference loses what is eps of the stiffest spring.
+    assert gramian.residual <= 1e-12 and difference(Z @ Z.T, lift @ reduced @ lift.T) < np.finfo(float).eps * 1e12

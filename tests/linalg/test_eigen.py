@@ -6,6 +6,7 @@ import scipy.linalg as sl
 
 from morembs.base.budget import Budget
 from morembs.base.errors import SolverError
+from morembs.base.progress import listening
 from morembs.fem.interface import make_interface
 from morembs.linalg import eigen
 from morembs.linalg.columns import orthonormal
@@ -124,9 +125,9 @@ def test_modes_of_the_held_body_at_two_shifts_are_those_of_lapack(square_bar, co
 def test_a_quarter_of_all_modes_ends_when_all_are_found():
     """Rigid motions enter the space by round-off; what they do there is no mode that has to converge."""
     model = steel(box("hex8", (7, 7, 7), (0.1, 0.11, 0.123)))
-    with Problem(model) as problem:
+    with Problem(model) as problem, listening(Heard(most=60)):
         exact = lowest_modes(problem.elastic, problem.M, count=400, by_lapack=True).eigenvalues
-        modes = lowest_modes(problem.elastic, problem.M, count=400, by_lapack=False, progress=Heard(most=60))
+        modes = lowest_modes(problem.elastic, problem.M, count=400, by_lapack=False)
     assert modes.eigenvalues == pytest.approx(exact, rel=1e-9)
 
 
@@ -175,7 +176,9 @@ def test_modes_of_a_band_are_computed_once(square_bar, kind):
     """Equal and lower limits are served from the modes that are known, with no step of the eigensolver."""
     model, heard = square_bar, Heard()
     interface = make_interface(model, name="left", nodes=where(model, 0, 0.0))
-    with Problem(model, [interface], progress=heard) as problem:
+    with listening(heard):
+        problem = Problem(model, [interface])
+    with problem:
         modes = getattr(problem, kind)
         below = 3 * float(modes(count=6).eigenvalues[-1])
         first, known = modes(below=below), len(heard.news)

@@ -9,6 +9,7 @@ import scipy.sparse as sp
 
 from morembs.base.budget import Budget
 from morembs.base.errors import InputError, SolverError
+from morembs.base.progress import listening
 from morembs.fem import DofMap, FEModel, Nodes
 from morembs.fem.assembly import assemble
 from morembs.fem.interface import make_interface
@@ -105,7 +106,8 @@ def test_wide_bands_are_sliced() -> None:
         k = _gap(exact, 100)
         below = 0.5 * (exact[k - 1] + exact[k])
         heard = Heard()
-        modes = lowest_modes(problem.internal, problem.M, below=below, by_lapack=False, per_slice=24, progress=heard)
+        with listening(heard):
+            modes = lowest_modes(problem.internal, problem.M, below=below, by_lapack=False, per_slice=24)
         assert any(text.startswith("slice at") for text in heard.news)
         np.testing.assert_allclose(modes.eigenvalues, exact[:k], rtol=1e-8)
 
@@ -127,14 +129,9 @@ def test_slices_cross_a_wide_gap() -> None:
     low, high = 1e6 * (1 + 1e-3 * np.arange(130)), 1e12 * (1 + 1e-3 * np.arange(320))
     model = oscillators(np.concatenate([low, high]), np.ones(450))
     exact = np.linalg.eigvalsh(model.K.toarray())
-    with Problem(model) as problem:
+    with Problem(model) as problem, listening(Heard(most=2000)):
         modes = lowest_modes(
-            problem.elastic,
-            problem.M,
-            below=0.5 * (exact[259] + exact[260]),
-            by_lapack=False,
-            per_slice=24,
-            progress=Heard(most=2000),
+            problem.elastic, problem.M, below=0.5 * (exact[259] + exact[260]), by_lapack=False, per_slice=24
         )
     np.testing.assert_allclose(modes.eigenvalues, exact[:260], rtol=1e-8)
 

@@ -313,3 +313,25 @@ def test_coordinates_without_places_are_held_to_no_ground(free: int, tmp_path: P
     done = CliRunner().invoke(app, ["reduce", str(tmp_path / "job.toml")])
     assert done.exit_code == 0 and "held to the ground" not in done.output
     assert read_body(tmp_path / "body.h5").bodies["m"].floating is None
+
+
+def sprung_tetrahedron() -> FEModel:
+    """Four masses about the origin on rods between them, the first on springs to the ground along x, y and z."""
+    xyz = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+    K, M = springs(xyz, [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
+    ground = np.zeros(12)
+    ground[:3] = 1e6, 2e6, 3e6
+    return model_on(K + np.diag(ground), M, xyz, range(3))
+
+
+def test_a_model_that_one_frame_at_the_origin_moves_has_the_motions_of_its_matrix() -> None:
+    """The places that are left say nothing of its size: rotations were scaled by round-off of the frame's place."""
+    model = sprung_tetrahedron()
+    frame = make_interface(model, name="all", nodes=np.arange(4), point=(1e-17, 0.0, 0.0), components=(2,))
+    with Problem(model, [frame]) as problem:
+        K, M, Z = problem.K.toarray(), problem.M.toarray(), problem.rigid
+        values = sl.eigvalsh(K, M)
+        assert Z.shape[1] == (values < 1e-9 * values[-1]).sum() == 3
+        assert np.abs(K @ Z).max() < 1e-12 * np.abs(K).max()
+        elastic = Krylov(shifts_hz=[0.0]).reduce(problem)
+        assert elastic.order == 4

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from morembs.base.errors import SolverError
-from morembs.base.progress import SILENT
 from morembs.fem.interface import make_interface
 from morembs.parametric.parameter import Parameter
 from morembs.parametric.terms import AffineProblem
@@ -161,8 +160,8 @@ class TenTimes(Modal):
     method: ClassVar[str] = "ten-times"
     first: int = 0
 
-    def _basis(self, problem: Problem, progress: Any = SILENT) -> Any:
-        basis = super()._basis(problem, progress)
+    def _basis(self, problem: Problem) -> Any:
+        basis = super()._basis(problem)
         scale = np.ones(len(basis.K))
         scale[self.first :] = 10.0
         return replace(basis, K=scale[:, None] * basis.K)

@@ -167,7 +167,7 @@ def test_a_direct_face_beside_an_average_and_a_rigid_one():
         exact = characteristic(problem)
         modes = interface_modes(problem, inside, count=6, from_all=False)
         assert modes.eigenvalues == pytest.approx(exact[:6], rel=1e-8)
-        fixed = inside.modes(5, None, problem.progress)
+        fixed = inside.modes(5, None)
         assert fixed.eigenvalues == pytest.approx(problem.fixed_modes(count=5).eigenvalues, rel=1e-8)
         assert np.abs(problem.B.T @ fixed.vectors).max() < 1e-9 * np.abs(fixed.vectors).max()
 

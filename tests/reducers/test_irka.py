@@ -9,6 +9,7 @@ import scipy.linalg as sl
 
 from benchmarks.certificates import truss
 from morembs.base.errors import InputError
+from morembs.base.progress import listening
 from morembs.certificate.response import full_response, reduced_response
 from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
@@ -106,8 +107,8 @@ def test_undamped_models_are_moved_off_the_axis_and_told():
 def test_the_best_model_is_kept_when_the_shifts_do_not_rest():
     model, interfaces = tip((1, 2, 5))
     heard = Heard()
-    with Problem(model, interfaces, damping=Damping(modal=0.03)) as problem:
-        r = Irka(order=5, band_hz=BAND, max_steps=7, tolerance=1e-14).reduce(problem, progress=heard)
+    with Problem(model, interfaces, damping=Damping(modal=0.03)) as problem, listening(heard):
+        r = Irka(order=5, band_hz=BAND, max_steps=7, tolerance=1e-14).reduce(problem)
     assert not r.recipe["converged"] and r.recipe["steps"] == 7
     assert "best model met was kept" in r.recipe["not_converged"]
     # Eight models from each of two starts, and that of the strongest modes; errors are told with three digits.

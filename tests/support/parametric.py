@@ -8,7 +8,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from morembs.base.progress import SILENT
 from morembs.base.units import parse_units
 from morembs.body import make_part
 from morembs.body.build import BodyOptions, build_body
@@ -80,12 +79,12 @@ class SomeBasis(Reducer):
     method: ClassVar[str] = "some-basis"
     modes: int = 4
 
-    def _basis(self, problem, progress):
+    def _basis(self, problem):
         V = some_basis(problem, self.modes, corners=2)
         K = V.T @ (problem.K @ V)
         return Basis(V=V, kinds=("rigid",) * 6 + ("krylov",) * (V.shape[1] - 6), K=K, rigid=np.eye(V.shape[1], 6))
 
-    def variation(self, problem, reduced, *, progress=SILENT):
+    def variation(self, problem, reduced):
         return parametric_model(problem, reduced.V)
 
 

@@ -170,10 +170,8 @@ def recover(
     with messages():
         if at is not None and not no_stress:
             raise InputError("--at was given; shapes of stress belong to nominal values, so give --no-stress too")
-        with progress_line() as progress, _evaluated(file, body, at) as source:
-            done = recover_series(
-                source, trajectory, out, body=body, stress=not no_stress, scale=scale, every=every, progress=progress
-            )
+        with progress_line(), _evaluated(file, body, at) as source:
+            done = recover_series(source, trajectory, out, body=body, stress=not no_stress, scale=scale, every=every)
         with printing([str(done.path)]):
             _print_recovered(done, as_json)
 

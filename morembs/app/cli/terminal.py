@@ -19,7 +19,7 @@ from morembs.app.cli.messages import Failure, failure, print_json, printing, tel
 from morembs.base import stopping
 from morembs.base.errors import InputError
 from morembs.base.memory import release
-from morembs.base.progress import SILENT, Progress
+from morembs.base.progress import SILENT, Progress, listening
 
 if TYPE_CHECKING:
     from morembs.app.jobs.order import Order
@@ -157,7 +157,9 @@ def progress_line(quiet: bool = False) -> Iterator[Progress]:
     else:
         shown = LineProgress(tell).shown()
     with shown as progress:
-        yield Heeding(progress)
+        heeding = Heeding(progress)
+        with listening(heeding):
+            yield heeding
 
 
 @contextmanager

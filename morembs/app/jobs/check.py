@@ -26,9 +26,10 @@ from morembs.app.jobs.stages.forecast import (
 from morembs.app.jobs.stages.model import ReadModel, materials_of, mesh_of
 from morembs.app.jobs.stages.preflight import model_warnings, preflight, shifted_of
 from morembs.app.jobs.stages.stage import asked, computes_modes
+from morembs.base import progress
 from morembs.base.budget import Budget
 from morembs.base.memory import available_bytes, resident_bytes
-from morembs.base.progress import SILENT, Progress
+from morembs.base.progress import Progress, listening
 from morembs.base.scratch import free_bytes
 from morembs.base.types import Floats, Ints
 from morembs.fem import Mesh, rigid_motion
@@ -49,7 +50,7 @@ MANY_PIECES = 300
 
 
 @keeping_ledger()
-def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
+def check_job(job: Job, progress: Progress | None = None) -> JobForecast:
     """Check everything that can be checked without a factorisation, and forecast the cost.
 
     Peak memory: the stiffness pattern and its triangle; the budget of the job is kept here too.
@@ -57,18 +58,23 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     Raises:
         MorembsError: what ``run_job`` would refuse too.
     """
+    with listening(progress):
+        return _check(job)
+
+
+def _check(job: Job) -> JobForecast:
     start = resident_bytes()
     prepare_output(job)
     solver, materials = solver_of(job), materials_of(job)
     damping_of(job)
     progress.stage("read")
     if job.tables.model.mesh is None:
-        return _check_file(job, solver, start, progress)
+        return _check_file(job, solver, start)
     mesh = mesh_of(job)
     progress.stage("check elements")
     modes = computes_modes(job)
     require_room_of_mesh(job, mesh, materials, solver, start, modes)
-    graph = check_mesh(mesh, materials, progress)
+    graph = check_mesh(mesh, materials)
     for stage in asked(job):
         stage.check_mesh(job, mesh)
     progress.stage("check interfaces")
@@ -110,7 +116,7 @@ def check_job(job: Job, progress: Progress = SILENT) -> JobForecast:
     )
 
 
-def _check_file(job: Job, solver: LinearSolver, start: int, progress: Progress) -> JobForecast:
+def _check_file(job: Job, solver: LinearSolver, start: int) -> JobForecast:
     """Forecast for a model file, whose matrices are there."""
     with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget:
         reader = next(stage for stage in asked(job) if isinstance(stage, ReadModel))

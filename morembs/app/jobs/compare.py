@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from morembs.base.progress import SILENT, Progress
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.body import ElasticBody
@@ -65,13 +64,11 @@ def recommended(limits: Mapping[str, float | None]) -> str:
     return min(known, key=lambda name: known[name]) if known else next(iter(limits))
 
 
-def frequency_response(
-    problem: Problem, bodies: Sequence[ElasticBody], frequencies_hz: Floats, progress: Progress = SILENT
-) -> FrequencyResponse:
+def frequency_response(problem: Problem, bodies: Sequence[ElasticBody], frequencies_hz: Floats) -> FrequencyResponse:
     """Full against reduced response at ``frequencies_hz`` (nf,)."""
     omega = 2 * np.pi * frequencies_hz
     size = np.outer(problem.motion_scale, problem.motion_scale)
-    full = full_response(problem, omega, progress=progress) * size
+    full = full_response(problem, omega) * size
     norm = np.linalg.norm(full, axis=(1, 2))
     reduced, error = {}, {}
     for body in bodies:

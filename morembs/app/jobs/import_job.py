@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
-from morembs.base.progress import SILENT, Progress
+from morembs.base.progress import Progress, listening
 from morembs.base.units import Units
 from morembs.body.diagnostics import repaired
 from morembs.body.diagnostics.findings import Diagnosis
@@ -95,7 +96,7 @@ class ImportResult:
 
 @keeping_ledger()
 def run_import(
-    job: ImportJob, *, check: bool = False, strict: bool = False, dry: bool = False, progress: Progress = SILENT
+    job: ImportJob, *, check: bool = False, strict: bool = False, dry: bool = False, progress: Progress | None = None
 ) -> ImportResult:
     """Read, convert, examine where asked for, and write.
 
@@ -108,6 +109,11 @@ def run_import(
         InputError: files that cannot be used or do not fit together, or errors found with ``strict``.
         OutputError: the model cannot be written; an old file is kept.
     """
+    with listening(progress):
+        return _import(job, check=check, strict=strict, dry=dry)
+
+
+def _import(job: ImportJob, *, check: bool, strict: bool, dry: bool) -> ImportResult:
     if not dry:
         check_writable(job.out)
     progress.stage("read")
@@ -117,7 +123,7 @@ def run_import(
         imported = replace(imported, K=K, M=M, D=D, notes=(*imported.notes, *(finding.sentence for finding in done)))
     units = Units() if format == "native" else job.units
     progress.stage("convert")
-    model = model_of(imported, units, mass_integration=job.mass_integration, progress=progress)
+    model = model_of(imported, units, mass_integration=job.mass_integration)
     models = parts_of(model) if job.split else [model]
     name, dot, rest = job.out.name.partition(".")
     numbered = [job.out.with_name(f"{name}-{i}{dot}{rest}") for i in range(1, len(models) + 1)]
@@ -133,7 +139,7 @@ def run_import(
             _refuse_other_geometry(part, diagnosis)
         diagnoses = list(examined)
     results = [
-        _finished(job, path, part, format, units, diagnosis, dry=dry, progress=progress)
+        _finished(job, path, part, format, units, diagnosis, dry=dry)
         for path, part, diagnosis in zip(paths, models, diagnoses, strict=True)
     ]
     return replace(results[0], others=tuple(results[1:]))
@@ -154,22 +160,12 @@ def _refuse_other_geometry(model: FEModel, diagnosis: Diagnosis) -> None:
 
 
 def _finished(
-    job: ImportJob,
-    path: Path,
-    model: FEModel,
-    format: str,
-    units: Units,
-    diagnosis: Diagnosis | None,
-    *,
-    dry: bool,
-    progress: Progress,
+    job: ImportJob, path: Path, model: FEModel, format: str, units: Units, diagnosis: Diagnosis | None, *, dry: bool
 ) -> ImportResult:
     """The model in its file, with what its examination found."""
     findings = () if diagnosis is None else tuple(map(str, diagnosis.findings))
     if not dry:
-        write_model(
-            path, model, files=job.sources, importer=format, units=units.name, findings=findings, progress=progress
-        )
+        write_model(path, model, files=job.sources, importer=format, units=units.name, findings=findings)
     real = not any(np.iscomplexobj(A.data) for A in (model.K, model.M))
     seen = None
     if real and np.ptp(model.nodes.xyz, axis=0).any():

@@ -24,7 +24,7 @@ from morembs.app.jobs.stages.spin import rotation_of
 from morembs.app.jobs.stages.stage import MODEL, Work, asked, computes_modes, run_stages
 from morembs.base.errors import InputError
 from morembs.base.memory import PeakMemory, resident_bytes
-from morembs.base.progress import SILENT, Progress, Stopwatch
+from morembs.base.progress import Progress, Stopwatch, listening
 from morembs.body.floating.preload import preloaded
 from morembs.body.floating.spin import Whirl, whirl_of
 from morembs.body.floating.spinning import Spin, spinning
@@ -64,7 +64,7 @@ class ModeTable:
     warnings: tuple[str, ...] = ()
 
 
-def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress = SILENT) -> ModeTable:
+def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress | None = None) -> ModeTable:
     """The ``count`` lowest modes of the full model of ``job``; complex ones at every speed of [spin].
 
     Raises:
@@ -72,34 +72,39 @@ def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress = SILE
     """
     start, solver = resident_bytes(), solver_of(job)
     materials_of(job)  # faults of materials are told before the mesh is read
-    with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget, PeakMemory() as memory:
+    with (
+        listening(progress),
+        limit_threads(job.tables.solver.threads),
+        budget_of(job, solver) as budget,
+        PeakMemory() as memory,
+    ):
         work = Work(
             job=job,
             solver=solver,
             budget=budget,
             start=start,
-            watch=Stopwatch(progress, memory),
+            watch=Stopwatch(memory),
             counts_modes=computes_modes(job),
         )
         run_stages(work, asked(job), until=MODEL)
         model = work[MODEL]
         interfaces, damping = interfaces_of(job, model), damping_of(job)
-        problem = Problem(model, interfaces, solver=solver, damping=damping, budget=budget, progress=progress)
+        problem = Problem(model, interfaces, solver=solver, damping=damping, budget=budget)
         rotation = rotation_of(job) if job.tables.spin is not None else None
         if job.tables.preload is not None:
             with problem:
-                model = preloaded(problem, preload_of(job), progress).model
-            problem = Problem(model, interfaces, solver=solver, damping=damping, budget=budget, progress=progress)
+                model = preloaded(problem, preload_of(job)).model
+            problem = Problem(model, interfaces, solver=solver, damping=damping, budget=budget)
         with problem:
             if not complex_:
                 return _real(problem, count)
             if rotation is None:
-                modes = still_modes(problem, job.tables.modes.held, count, progress)
+                modes = still_modes(problem, job.tables.modes.held, count)
                 return ModeTable(rows=tuple(_rows(0.0, modes, None)), complete={0.0: _complete(modes)})
             if job.tables.modes.held:
                 raise InputError("[modes] held was given beside [spin], which has its own; leave it out")
-            spin = spinning(problem, rotation[0], progress)
-            full = modes_over_speed(problem, spin, rotation[1], count, progress)
+            spin = spinning(problem, rotation[0])
+            full = modes_over_speed(problem, spin, rotation[1], count)
             return _over_speed(problem, spin, full)
 
 

@@ -17,7 +17,7 @@ from morembs.app.jobs.stages.response import RESPONSE
 from morembs.app.jobs.stages.stage import MODEL, Work, asked, computes_modes, run_stages, unheard
 from morembs.app.jobs.stages.write import INPUTS
 from morembs.base.memory import PeakMemory, resident_bytes
-from morembs.base.progress import SILENT, Progress, Stage, Stopwatch
+from morembs.base.progress import Progress, Stage, Stopwatch, listening
 from morembs.base.summary import summarised
 from morembs.body import ElasticBody
 from morembs.body.shapes import Shapes
@@ -69,7 +69,7 @@ class JobResult:
 
 
 @keeping_ledger()
-def run_job(job: Job, progress: Progress = SILENT, warn: Callable[[str], None] = unheard) -> JobResult:
+def run_job(job: Job, progress: Progress | None = None, warn: Callable[[str], None] = unheard) -> JobResult:
     """Reduce the model of ``job`` and write its body file and picture.
 
     ``warn`` hears each warning about the model and the cost of its reductions before the long work begins.
@@ -81,13 +81,18 @@ def run_job(job: Job, progress: Progress = SILENT, warn: Callable[[str], None] =
     prepare_output(job)
     solver = solver_of(job)
     materials_of(job)  # faults of materials are told before the mesh is read
-    with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget, PeakMemory() as memory:
+    with (
+        listening(progress),
+        limit_threads(job.tables.solver.threads),
+        budget_of(job, solver) as budget,
+        PeakMemory() as memory,
+    ):
         work = Work(
             job=job,
             solver=solver,
             budget=budget,
             start=start,
-            watch=Stopwatch(progress, memory),
+            watch=Stopwatch(memory),
             counts_modes=computes_modes(job),
             warn=warn,
         )

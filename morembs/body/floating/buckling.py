@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from morembs.base.progress import Progress
+from morembs.base import progress
 from morembs.base.types import Floats
 from morembs.body.floating.static_state import NOISE
 from morembs.problem import Problem
@@ -15,7 +15,7 @@ from morembs.problem import Problem
 STEPS, TOLERANCE, FAR = 120, 1e-4, 20.0
 
 
-def critical_factor(problem: Problem, geometric: Callable[[Floats], Floats], progress: Progress) -> float | None:
+def critical_factor(problem: Problem, geometric: Callable[[Floats], Floats]) -> float | None:
     """Smallest p > 0 with a singular K + p G on the elastic motions; None above ``FAR``.
 
     Lanczos on -K^+ G in the inner product of K, with full reorthogonalisation.

@@ -18,10 +18,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.arguments import LARGEST, in_range, refuse_out_of_range
 from morembs.base.budget import Budget
 from morembs.base.errors import InputError, nearest
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats, Ints
 from morembs.body.floating.buckling import FAR, critical_factor
 from morembs.body.floating.static_state import NOISE, coupling_stiffness, static_state
@@ -119,7 +120,8 @@ class Preloaded:
     notes: Mapping[str, object]
 
 
-def preloaded(problem: Problem, preload: Preload, progress: Progress = SILENT) -> Preloaded:
+@with_progress_argument
+def preloaded(problem: Problem, preload: Preload) -> Preloaded:
     """The model of ``problem`` under ``preload``; make a new ``Problem`` of it with the same interfaces.
 
     Peak memory: K' where the budget wants it, a scalar matrix of 1/9 of it, and up to ``buckling.STEPS`` columns.
@@ -132,12 +134,11 @@ def preloaded(problem: Problem, preload: Preload, progress: Progress = SILENT) -
     preload.check(problem.interfaces)
     progress.update("preload: static solution")
     u, turning, notes = _solution(problem, preload)
-    return _stiffened(problem, u, turning, preload.follows or preload.held, notes, progress)
+    return _stiffened(problem, u, turning, preload.follows or preload.held, notes)
 
 
-def prestressed(
-    problem: Problem, displacements: Floats, follows: tuple[str, ...] = (), progress: Progress = SILENT
-) -> Preloaded:
+@with_progress_argument
+def prestressed(problem: Problem, displacements: Floats, follows: tuple[str, ...] = ()) -> Preloaded:
     """As ``preloaded``, for the stress of known ``displacements`` (N,) in m, from whatever static solution.
 
     The couplings of interfaces add nothing, as the forces in them are not known.
@@ -149,7 +150,7 @@ def prestressed(
     u = np.asarray(displacements, dtype=float)
     if u.shape != (problem.model.size,) or not np.isfinite(u).all():
         raise InputError(f"displacements of shape {u.shape} were given; expected {problem.model.size} finite numbers")
-    return _stiffened(problem, u, {}, follows, {}, progress)
+    return _stiffened(problem, u, {}, follows, {})
 
 
 def _refuse(problem: Problem) -> None:
@@ -188,12 +189,7 @@ def _solution(problem: Problem, preload: Preload) -> tuple[Floats, Mapping[str, 
 
 
 def _stiffened(
-    problem: Problem,
-    u: Floats,
-    turning: Mapping[str, Floats],
-    follows: tuple[str, ...],
-    notes: dict[str, object],
-    progress: Progress,
+    problem: Problem, u: Floats, turning: Mapping[str, Floats], follows: tuple[str, ...], notes: dict[str, object]
 ) -> Preloaded:
     model, T = problem.model, problem.coupling.T
     if model.mesh is None:
@@ -212,7 +208,7 @@ def _stiffened(
         X = T @ x
         return np.asarray(T.T @ ((kg @ X.reshape(-1, 3)).ravel() + extra @ X))
 
-    factor = critical_factor(problem, geometric, progress)
+    factor = critical_factor(problem, geometric)
     if factor is not None and factor <= 1.0:
         raise InputError(
             f"preload: the body buckles at {factor:.4g} times this load, so that its stiffness is not positive any "

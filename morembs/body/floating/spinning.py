@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.arguments import LARGEST, in_range
 from morembs.base.errors import InputError, nearest
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
 from morembs.body.floating.static_state import coupling_stiffness, static_state
 from morembs.body.floating.stiffening_terms import why_no_stiffening
@@ -94,7 +95,8 @@ def why_no_spin(model: FEModel) -> str:
     return ""
 
 
-def spinning(problem: Problem, rotation: Rotation, progress: Progress = SILENT) -> Spin:
+@with_progress_argument
+def spinning(problem: Problem, rotation: Rotation) -> Spin:
     """Coriolis matrix, spin softening and centrifugal stiffness of the body of ``problem``.
 
     Peak memory: three matrices as large as M and one as large as K.
@@ -122,7 +124,7 @@ def spinning(problem: Problem, rotation: Rotation, progress: Progress = SILENT) 
     progress.update("spin: static solution")
     none = np.zeros(problem.coupling.frames.shape[1])
     state = static_state(problem, turning @ (turning @ x), none, rotation.held, "the held interfaces of [spin]")
-    Kg, warnings = _stress_stiffness(problem, rotation, np.asarray(T @ state.u), state.turning, progress)
+    Kg, warnings = _stress_stiffness(problem, rotation, np.asarray(T @ state.u), state.turning)
     square = T.shape[0] == T.shape[1]
     C, S, Kg = (
         A if square else congruence(T, A, problem.budget, skew=skew) for A, skew in ((C, True), (S, False), (Kg, False))
@@ -147,7 +149,7 @@ def _turning(model: FEModel, a: Floats) -> sp.csr_array:
 
 
 def _stress_stiffness(
-    problem: Problem, rotation: Rotation, u: Floats, turning: Mapping[str, Floats], progress: Progress
+    problem: Problem, rotation: Rotation, u: Floats, turning: Mapping[str, Floats]
 ) -> tuple[sp.csr_array, tuple[str, ...]]:
     """Kg (N, N) of the static displacements ``u`` (N,), and what there is to warn of."""
     model = problem.model

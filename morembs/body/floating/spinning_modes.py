@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.errors import InputError, nearest
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
 from morembs.body.floating.spin import ReducedSpin, whirl_modes
 from morembs.body.floating.spinning import Spin
@@ -21,8 +22,9 @@ from morembs.problem import Damping, Problem
 from morembs.reducers.base import ReducedModel
 
 
+@with_progress_argument
 def spinning_modes(
-    problem: Problem, spin: Spin, speed: float, count: int, *, start: Floats | None = None, progress: Progress = SILENT
+    problem: Problem, spin: Spin, speed: float, count: int, *, start: Floats | None = None
 ) -> ComplexModes:
     """The lowest complex modes of the full model at ``speed`` rad/s, vectors (Nc, count) in coupled dofs.
 
@@ -37,25 +39,19 @@ def spinning_modes(
     """
     C = 2 * speed * spin.C if speed else None
     K = sp.csr_array(problem.K + speed**2 * (spin.Kg - spin.S))
-    return _held_modes(problem, spin.rotation.held, K, C, count, start, progress)
+    return _held_modes(problem, spin.rotation.held, K, C, count, start)
 
 
-def still_modes(problem: Problem, held: Sequence[str], count: int, progress: Progress = SILENT) -> ComplexModes:
+def still_modes(problem: Problem, held: Sequence[str], count: int) -> ComplexModes:
     """The lowest complex modes of the full model with its damping, interfaces ``held`` at rest."""
     for name in held:
         if name not in problem.coupling.columns:
             raise InputError(f"[modes]: held names the interface {name!r}; {nearest(name, problem.coupling.columns)}")
-    return _held_modes(problem, held, problem.K, None, count, None, progress)
+    return _held_modes(problem, held, problem.K, None, count, None)
 
 
 def _held_modes(
-    problem: Problem,
-    held: Sequence[str],
-    K: sp.csr_array,
-    G: sp.csr_array | None,
-    count: int,
-    start: Floats | None,
-    progress: Progress,
+    problem: Problem, held: Sequence[str], K: sp.csr_array, G: sp.csr_array | None, count: int, start: Floats | None
 ) -> ComplexModes:
     rows = unit_rows(held_columns(problem, held)) if held else np.empty(0, dtype=np.int64)
     if rows is None:
@@ -78,15 +74,7 @@ def _held_modes(
     K, M = (sp.csr_array(A[rest][:, rest]) for A in (K, problem.M))
     G, D, N = (None if A is None else sp.csr_array(A[rest][:, rest]) for A in (G, D, problem.N))
     modes = complex_modes(
-        K,
-        M,
-        G=G,
-        D=D,
-        N=N,
-        count=count,
-        solver=problem.solver,
-        start=None if start is None else start[rest],
-        progress=progress,
+        K, M, G=G, D=D, N=N, count=count, solver=problem.solver, start=None if start is None else start[rest]
     )
     vectors = np.zeros((len(free), count), dtype=complex)
     vectors[rest] = modes.vectors
@@ -111,15 +99,13 @@ def refuse_damping(damping: Damping, rigid: int) -> None:
         )
 
 
-def modes_over_speed(
-    problem: Problem, spin: Spin, speeds: Sequence[float], count: int, progress: Progress = SILENT
-) -> dict[float, ComplexModes]:
+def modes_over_speed(problem: Problem, spin: Spin, speeds: Sequence[float], count: int) -> dict[float, ComplexModes]:
     """``spinning_modes`` at each of the ``speeds`` in rad/s, ascending, each begun with those before."""
     full: dict[float, ComplexModes] = {}
     near: Floats | None = None
     for speed in sorted({float(speed) for speed in speeds}):
         progress.update(f"complex modes at {speed:g} rad/s")
-        full[speed] = spinning_modes(problem, spin, speed, count, start=near, progress=progress)
+        full[speed] = spinning_modes(problem, spin, speed, count, start=near)
         near = _parts([full[speed]])
     return full
 

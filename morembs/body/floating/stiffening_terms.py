@@ -14,8 +14,9 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
 from morembs.body.floating.frame import FloatingFrame, frame_rows, why_not_floating
 from morembs.body.floating.integrals import PAIRS
@@ -47,12 +48,9 @@ def why_no_stiffening(model: FEModel) -> str:
     return ""
 
 
+@with_progress_argument
 def geometric_stiffening(
-    problem: Problem,
-    reduced: ReducedModel,
-    frame: FloatingFrame,
-    envelope: Envelope | None = None,
-    progress: Progress = SILENT,
+    problem: Problem, reduced: ReducedModel, frame: FloatingFrame, envelope: Envelope | None = None
 ) -> Stiffening:
     """Geometric stiffening terms of the body in ``frame``.
 

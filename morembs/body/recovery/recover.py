@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from morembs.base import progress
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.body.file import read_body
 from morembs.body.recovery.expansion import Expander, Expansion, expand, is_reduced, reduced_coordinates
 from morembs.body.recovery.shown import LargestDisplacement, ShownStress, notes_on_correction, notes_on_frame
@@ -44,6 +45,7 @@ class Recovered:
     notes: tuple[str, ...] = ()
 
 
+@with_progress_argument
 @keeping_ledger()
 def recover(
     body_file: str | Path,
@@ -54,7 +56,6 @@ def recover(
     stress: bool = True,
     scale: float = 1.0,
     every: int = 1,
-    progress: Progress = SILENT,
 ) -> Recovered:
     """Write a trajectory at the nodes of a body as a VTKHDF time series for ParaView.
 
@@ -98,7 +99,7 @@ def recover(
         lacking = notes_on_correction(chosen, recovery, trajectory, stress)
         return (*notes_on_frame(chosen, trajectory), *far.notes(), *lacking, *about)
 
-    write_series(target, grid, trajectory.times, wanted, steps, progress, notes=notes)
+    write_series(target, grid, trajectory.times, wanted, steps, notes=notes)
     return Recovered(
         path=target,
         body=chosen.name,

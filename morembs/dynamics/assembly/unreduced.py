@@ -18,6 +18,7 @@ import scipy.sparse as sp
 
 from morembs.base.closing import Closing
 from morembs.base.errors import BudgetError, InputError, enough_megabytes
+from morembs.base.progress import listening
 from morembs.base.types import Floats, Ints
 from morembs.body.stored import StoredBody
 from morembs.dynamics.assembly.belonging import basis_of, eliminations, refuse_other_matrices
@@ -76,15 +77,15 @@ class Unreduced(Closing):
             raise InputError(f"the unreduced parts have a damping matrix; {reason}")
         firsts = [0, *accumulate(len(part.placed.xyz) for part in self._parts)]
         own = np.concatenate([first + np.arange(len(body.xyz)) for first, body in zip(firsts, placed, strict=False)])
-        self.problem = Problem(
-            whole,
-            [replace(interface, nodes=own[interface.nodes]) for interface in given.interfaces],
-            solver=given.solver,
-            damping=given.damping,
-            budget=given.budget,
-            progress=given.progress,
-            workers=given.workers,
-        )
+        with listening(given.listener):
+            self.problem = Problem(
+                whole,
+                [replace(interface, nodes=own[interface.nodes]) for interface in given.interfaces],
+                solver=given.solver,
+                damping=given.damping,
+                budget=given.budget,
+                workers=given.workers,
+            )
 
     @property
     def note(self) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base.arguments import checked
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.data import Formulation, Parameterised
 from morembs.dynamics.gmp.plan import TOLERANCE, AngleRange, Plan, Report
@@ -33,7 +33,6 @@ class ReducedMember:
             "linear" (floating frame with component modes).
         reach: largest angle (rad) of an end to the chord, the range of the tables; or an ``AngleRange``.
         points_per_angle, tolerance, workers, checkpoint, symmetric: see ``Plan``.
-        progress: hears of equilibria as they are found.
 
     ``report`` tells what the offline stage did; None for a member from a file.
 
@@ -44,6 +43,7 @@ class ReducedMember:
 
     report: Report | None = None
 
+    @with_progress_argument
     def __init__(
         self,
         component: NonlinearComponent,
@@ -56,7 +56,6 @@ class ReducedMember:
         workers: int = 1,
         checkpoint: str | Path | None = None,
         symmetric: bool = True,
-        progress: Progress = SILENT,
     ) -> None:
         plan = Plan(
             reach=reach,
@@ -66,7 +65,7 @@ class ReducedMember:
             checkpoint=checkpoint,
             symmetric=symmetric,
         )
-        data, self.report = shapes(component, formulation=formulation, modes=modes, plan=plan, progress=progress)
+        data, self.report = shapes(component, formulation=formulation, modes=modes, plan=plan)
         self._take(data)
 
     @classmethod

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from morembs.base import progress
 from morembs.base.crew import Crew
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.checkpoint import Checkpoint
 from morembs.dynamics.gmp.envelope import target
@@ -45,7 +45,7 @@ class Tabulated:
         return values.reshape(self.count, self.count, *values.shape[1:])
 
 
-def tabulated(work: TabulatedMember, plan: Plan, progress: Progress = SILENT) -> Tabulated:
+def tabulated(work: TabulatedMember, plan: Plan) -> Tabulated:
     """Equilibria and samples of a member as ``plan`` says.
 
     Raises:
@@ -61,20 +61,14 @@ def tabulated(work: TabulatedMember, plan: Plan, progress: Progress = SILENT) ->
         store = Checkpoint(plan.checkpoint, signature=_signature(work), options=_options(plan, group))
     with Crew(work, plan.workers, threads=1) as crew:
         try:
-            return _ranged(work, crew, group, plan, store, progress, begin)
+            return _ranged(work, crew, group, plan, store, begin)
         finally:
             if store is not None:
                 store.save()
 
 
 def _ranged(
-    work: TabulatedMember,
-    crew: Crew,
-    group: tuple[Symmetry, ...],
-    plan: Plan,
-    store: Checkpoint | None,
-    progress: Progress,
-    begin: float,
+    work: TabulatedMember, crew: Crew, group: tuple[Symmetry, ...], plan: Plan, store: Checkpoint | None, begin: float
 ) -> Tabulated:
     """Over smaller and smaller ranges, where the range follows from an envelope."""
     notes: tuple[str, ...] = ()
@@ -89,7 +83,7 @@ def _ranged(
         if store is not None:
             store.begin(reach, notes)
         try:
-            sampling = Sampling(work, crew, group, reach, store, progress)
+            sampling = Sampling(work, crew, group, reach, store)
             count, errors = _filled(sampling, plan)
             break
         except NotFollowedError as stuck:
@@ -132,7 +126,7 @@ def _filled(sampling: Sampling, plan: Plan) -> tuple[int, dict[str, float]]:
         sampling.ensure(between(count))
         errors = sampling.errors(count)
         worst = max(errors, key=lambda name: errors[name])
-        sampling.progress.update(f"{count} points per angle: error {errors[worst]:.2g} ({worst})")
+        progress.update(f"{count} points per angle: error {errors[worst]:.2g} ({worst})")
         if errors[worst] <= plan.tolerance:
             return count, errors
     raise InputError(

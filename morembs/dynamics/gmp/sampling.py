@@ -12,8 +12,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from morembs.base import progress
 from morembs.base.crew import Crew
-from morembs.base.progress import Progress
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.chebyshev import ChebyshevTable
 from morembs.dynamics.gmp.checkpoint import Checkpoint
@@ -89,16 +89,10 @@ class Sampling:
     """Equilibria of one range, found so far."""
 
     def __init__(
-        self,
-        work: TabulatedMember,
-        crew: Crew,
-        group: Sequence[Symmetry],
-        reach: float,
-        store: Checkpoint | None,
-        progress: Progress,
+        self, work: TabulatedMember, crew: Crew, group: Sequence[Symmetry], reach: float, store: Checkpoint | None
     ) -> None:
         self.work, self.crew, self.group, self.reach = work, crew, group, reach
-        self.store, self.progress = store, progress
+        self.store = store
         self.equilibria: dict[Key, Equilibrium] = {}
         self.samples: dict[Key, Any] = {}
         self.solved = self.restored = 0
@@ -141,7 +135,7 @@ class Sampling:
                     break
                 continue
             new[open_[number]], self.solved = solution, self.solved + 1
-            self.progress.update(f"equilibria: {self.solved + self.restored}")
+            progress.update(f"equilibria: {self.solved + self.restored}")
             if self.store is not None:
                 self.store.add(_numbers(open_[number]), **vars(solution))
         if failures:

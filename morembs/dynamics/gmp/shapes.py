@@ -24,7 +24,6 @@ from typing import Any, get_args
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.chebyshev import ChebyshevTable, points
 from morembs.dynamics.gmp.data import Formulation, Parameterised
@@ -62,7 +61,7 @@ class Sample:
 
 
 def shapes(
-    component: NonlinearComponent, *, formulation: Formulation, modes: int, plan: Plan, progress: Progress = SILENT
+    component: NonlinearComponent, *, formulation: Formulation, modes: int, plan: Plan
 ) -> tuple[Parameterised, Report]:
     """The offline stage.
 
@@ -83,9 +82,7 @@ def shapes(
     available = _with_extra(component, modes, kept, mean)
     law = _Law(component, solver, available, modes, mean)
     if formulation in ("membrane", "tangent"):
-        tables = tabulated(
-            BeamWork(component, law.membrane if formulation == "membrane" else law.tangent), plan, progress
-        )
+        tables = tabulated(BeamWork(component, law.membrane if formulation == "membrane" else law.tangent), plan)
         manifold, samples, report = Manifold.of(tables), tables.samples, tables.report
         reach, count, energy, errors = tables.reach, tables.count, manifold.energy, np.array(manifold.errors())
         if plan.points_per_angle is not None:

@@ -18,7 +18,7 @@ from numpy.polynomial.chebyshev import chebvander
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
+from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.chebyshev import ChebyshevTable, points
 from morembs.dynamics.gmp.data import Parameterised
@@ -58,6 +58,7 @@ class _Sample:
     H: Floats
 
 
+@with_progress_argument
 @checked
 def solid_member(
     solid: NonlinearSolid,
@@ -70,7 +71,6 @@ def solid_member(
     checkpoint: str | Path | None = None,
     symmetric: bool = True,
     solver: LinearSolver | None = None,
-    progress: Progress = SILENT,
 ) -> ReducedMember:
     """A member of 6 + ``modes`` coordinates that moves in the plane of x and y.
 
@@ -80,7 +80,6 @@ def solid_member(
         modes: number of bending modes, zero or more.
         reach: largest angle (rad) of an end to the chord, the range of the tables; or an ``AngleRange``.
         points_per_angle, tolerance, workers, checkpoint, symmetric: see ``Plan``.
-        progress: hears of equilibria as they are found.
 
     Memory: per worker the tangent and its factor; in all, 18 numbers per node and equilibrium.
 
@@ -100,7 +99,7 @@ def solid_member(
     kept = plane_bending_modes(solid, modes + _EXTRA, solver)
     with SolidEquilibria(solid, solver) as equilibria:
         law = _Law(solid, equilibria, kept, modes, stretch(solid, equilibria.length, solver))
-        tables = tabulated(SolidWork(equilibria, law), plan, progress)
+        tables = tabulated(SolidWork(equilibria, law), plan)
         H0 = law.straight_diagonal()
         length = equilibria.length
     data = _parameterised(solid, tables, kept, length=length, count=modes, H0=H0)

@@ -69,18 +69,18 @@ class Deliver(JobStage):
         return ()
 
     def run(self, work: Work) -> None:
-        job, problem, parts, progress = work.job, work[PROBLEM], work.get(PARTS), work.watch.progress
+        job, problem, parts = work.job, work[PROBLEM], work.get(PARTS)
         wanted, reduced = body_options(job), work[REDUCED]
         none = [None] * len(reduced)
         certificates, spins = work.get(CERTIFICATES) or none, work.get(SPINS) or none
         part, bodies = make_part(problem, job.tables.output.nodes), []
         with work.watch.stage("deliver"):
-            operator = wanted.stress.operator(problem, progress) if wanted.stress is not None else None
+            operator = wanted.stress.operator(problem) if wanted.stress is not None else None
             for body, certificate, spin, reducer in zip(
                 reduced, certificates, spins, reducers_of(job).values(), strict=True
             ):
-                switching = reducer.switching(problem, body, progress=progress)
-                variation = reducer.variation(problem, body, progress=progress)
+                switching = reducer.switching(problem, body)
+                variation = reducer.variation(problem, body)
                 bodies.append(
                     build_body(
                         problem,
@@ -92,7 +92,6 @@ class Deliver(JobStage):
                         switching=switching,
                         variation=variation,
                         spin=spin,
-                        progress=progress,
                     )
                 )
         known = (problem if parts is None else parts.problem).known_frequencies_hz()

@@ -65,7 +65,7 @@ class Certify(JobStage):
         with work.watch.stage("certify"):
             against = problem if parts is None else parts.problem
             spanned = reduced if parts is None else [parts.expanded(body) for body in reduced]
-            certificates = certify(against, spanned, band, progress=work.watch.progress, **options)
+            certificates = certify(against, spanned, band, **options)
         notes = () if parts is None else (parts.note,)
         work.give(CERTIFICATES, [replace(each, notes=(*notes, *each.notes)) for each in certificates])
 

@@ -48,7 +48,6 @@ def coupled(work: Work, model: FEModel, varied: VariedModel | None) -> Problem:
         "damping": damping_of(job),
         "solver": work.solver,
         "budget": work.budget,
-        "progress": work.watch.progress,
         "workers": job.tables.solver.workers,
     }
     if varied is None:

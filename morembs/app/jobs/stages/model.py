@@ -55,11 +55,9 @@ class Assemble(JobStage):
         return job.tables.model.mesh is not None and not job.tables.parameter
 
     def run(self, work: Work) -> None:
-        rule, progress = work.job.tables.model.mass_integration, work.watch.progress
+        rule = work.job.tables.model.mass_integration
         with work.watch.stage("assemble"):
-            model = assemble(
-                work[MESH], materials_of(work.job), mass_integration=rule, budget=work.budget, progress=progress
-            )
+            model = assemble(work[MESH], materials_of(work.job), mass_integration=rule, budget=work.budget)
         work.give(MODEL, model)
 
 

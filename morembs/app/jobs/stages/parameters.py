@@ -17,7 +17,6 @@ from morembs.app.jobs.stages.stage import MODEL, JobStage, Work
 from morembs.app.jobs.stages.write import WRITTEN
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Floats, Ints
 from morembs.body.floating.preload import Preload, Preloaded
 from morembs.fem import DofMap, FEModel, Mesh, Nodes
@@ -58,7 +57,7 @@ class Parameters(JobStage):
 
     def run(self, work: Work) -> None:
         with work.watch.stage("assemble"):
-            varied = varied_of(work.job, work[MESH], materials_of(work.job), work.budget, work.watch.progress)
+            varied = varied_of(work.job, work[MESH], materials_of(work.job), work.budget)
             work.give(MODEL, varied.model(varied.box.nominal, work.budget))
         work.give(VARIED, varied)
 
@@ -76,9 +75,7 @@ class ParameterSteps(JobStage):
         clear_steps(work[WRITTEN])
 
 
-def varied_of(
-    job: Job, mesh: Mesh, materials: Sequence[Material], budget: Budget = UNLIMITED, progress: Progress = SILENT
-) -> VariedModel:
+def varied_of(job: Job, mesh: Mesh, materials: Sequence[Material], budget: Budget = UNLIMITED) -> VariedModel:
     """The model of the job with its parameters.
 
     Raises:
@@ -93,7 +90,6 @@ def varied_of(
         tolerance=min(float(x) for x in tolerances if isinstance(x, int | float)),
         mass_integration=job.tables.model.mass_integration,
         budget=budget,
-        progress=progress,
     )
 
 

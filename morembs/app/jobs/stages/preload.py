@@ -35,7 +35,7 @@ class PreloadStress(JobStage):
     def run(self, work: Work) -> None:
         preload, varied = preload_of(work.job), work.get(VARIED)
         with work.watch.stage("preload"), work[PROBLEM] as problem:
-            found = preloaded(problem, preload, work.watch.progress)
+            found = preloaded(problem, preload)
             model = found.model
             if varied is not None:
                 # Not at the top: most jobs have no parameters.

@@ -67,7 +67,7 @@ class Reduction(JobStage):
         for name, reducer in reducers_of(work.job).items():
             with work.watch.stage(f"reduce {name}"):
                 try:
-                    reduced.append(reducer.reduce(problem, name=name, progress=work.watch.progress))
+                    reduced.append(reducer.reduce(problem, name=name))
                 except (InputError, SolverError) as error:
                     if type(error) not in (InputError, SolverError):
                         raise

@@ -54,7 +54,7 @@ class Response(JobStage):
         if job.tables.response is not None or (response is None and drawn):
             with work.watch.stage("response"):
                 against = problem if parts is None else parts.problem
-                response = frequency_response(against, bodies, _band(job, bodies[0]), work.watch.progress)
+                response = frequency_response(against, bodies, _band(job, bodies[0]))
         if response is not None:
             work.give(RESPONSE, response)
 

@@ -43,7 +43,7 @@ class SpinMatrices(JobStage):
 
     def run(self, work: Work) -> None:
         with work.watch.stage("spin"):
-            spin = spinning(work[PROBLEM], rotation_of(work.job)[0], work.watch.progress)
+            spin = spinning(work[PROBLEM], rotation_of(work.job)[0])
         work.tell(*spin.warnings)
         work.give(SPIN, spin)
 
@@ -64,7 +64,7 @@ class SpinModes(JobStage):
             return
         _, speeds = rotation_of(work.job)
         with work.watch.stage("spin modes"):
-            full = modes_over_speed(work[PROBLEM], work[SPIN], speeds, given.modes, work.watch.progress)
+            full = modes_over_speed(work[PROBLEM], work[SPIN], speeds, given.modes)
             reduced, spins = zip(
                 *(with_spin(work[PROBLEM], body, work[SPIN], full) for body in work[REDUCED]), strict=True
             )

@@ -42,7 +42,6 @@ class WriteBody(JobStage):
                 },
                 provenance=_provenance(work),
                 warnings=tuple(work.stored),
-                progress=watch.progress,
             )
         work.give(WRITTEN, job.output)
 
