@@ -154,7 +154,7 @@ def compare(
         with problem.at(p, assembled=True) as there:
             there.damping = damping
             B = there.B.toarray()
-            full = np.stack([B.T @ elastic_states(there, 2j * np.pi * f, B) for f in hz]) * S
+            full = np.stack([B.T @ elastic_states(there.system, 2j * np.pi * f, B) for f in hz]) * S
         error = np.linalg.norm(H * S - full, axis=(1, 2))
         rows.append(np.stack([error, bound, np.linalg.norm(full, axis=(1, 2))]))
         finite.append(np.isfinite(bound).all())

@@ -2,7 +2,7 @@
 from .app.batches.run import batch
 from .base.errors import InputError, MorembsError
 from .base.units import parse_units
-from .body import ElasticBody, elastic_body, make_part
+from .body import Body, ElasticBody, elastic_body, make_part
 from .body.diagnostics import examined
 from .body.file import read_body, write_body
 from .body.floating.frame import FloatingFrame, floating_frame
@@ -60,6 +60,7 @@ __all__ = [
     "AutoReducer",
     "Automatic",
     "Balanced",
+    "Body",
     "Certificate",
     "CertifiedReference",
     "Couple",

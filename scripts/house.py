@@ -36,14 +36,14 @@ UNITS = {60, 90, 100, 180, 360, 3600, 10**3, 10**6, 10**9}
 # The greatest count that is allowed, and the one that is aimed at.
 LIMITS = {
     "rooms": (16, 16),
-    "context parameters": (173, 0),
-    "module constants": (909, 0),
-    "names of several constants": (139, 0),
+    "context parameters": (70, 0),
+    "module constants": (607, 0),
+    "names of several constants": (88, 0),
     "tolerances without a line": (0, 0),
-    "literals": (403, 0),
+    "literals": (395, 0),
     "formatter switched off": (20, 20),
     "aliases defined twice": (0, 0),
-    "types of a body": (3, 1),
+    "types of a body": (2, 1),
 }
 
 
@@ -54,6 +54,7 @@ class Module:
     path: Path
     text: str
     tree: ast.Module
+    lines: list[str]
 
     @property
     def room(self) -> str:
@@ -66,7 +67,7 @@ class Module:
 
     def commented(self, line: int) -> bool:
         """Whether a comment stands in this line or above it (lines count from 1)."""
-        lines = self.text.splitlines()
+        lines = self.lines
         return "  # " in lines[line - 1] or (line > 1 and lines[line - 2].lstrip().startswith("# "))
 
 
@@ -75,7 +76,7 @@ def read() -> list[Module]:
     found = []
     for path in sorted(PACKAGE.rglob("*.py")):
         text = path.read_text(encoding="utf-8")
-        found.append(Module(path, text, ast.parse(text)))
+        found.append(Module(path, text, ast.parse(text), text.splitlines()))
     return found
 
 
@@ -175,7 +176,7 @@ def literals(modules: list[Module]) -> Iterator[str]:
 def formatter_off(modules: list[Module]) -> Iterator[str]:
     """Lines that the formatter leaves alone."""
     for module in modules:
-        for at, line in enumerate(module.text.splitlines(), start=1):
+        for at, line in enumerate(module.lines, start=1):
             if re.search(r"# fmt: (skip|off)", line):
                 yield f"{module.path.relative_to(ROOT)}:{at}"
 

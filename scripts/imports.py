@@ -36,6 +36,7 @@ OUTSIDE = {
     "shortest_time",
     # Tables that users extend, a size of files that no test can write, and an eigensolver that misses a mode.
     "COUPLINGS",
+    "SOLVERS",
     "FORMULATIONS",
     "STAGES",
     "LARGE",

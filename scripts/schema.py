@@ -15,12 +15,14 @@ from dataclasses import MISSING, Field, fields
 from importlib import import_module
 from pathlib import Path
 
-from pydantic.fields import FieldInfo
-
-from morembs.app.jobs.job import inner_table
 from morembs.app.jobs.schema import JobTables
+from morembs.base.arguments import hints_of
+from morembs.base.key_tables import expected, holds_several, inner_table
 from morembs.base.options import in_toml
 from morembs.body import tables
+from morembs.body.body import BODY
+from morembs.body.recovery_shapes import RECOVERY
+from morembs.body.stored import INTERFACE
 from morembs.dynamics.gmp.stored import MEMBER
 from morembs.importers.native import MODEL
 from morembs.reducers import REDUCERS, Reducer
@@ -29,10 +31,10 @@ from morembs.storage.table import KINDS, Row, Table
 ROOT = Path(__file__).resolve().parents[1]
 # Name of a table on a page -> paths of its groups as they are shown, and their tables.
 SHOWN = {
-    "body file": [("/", tables.FILE), ("/interfaces/NAME/", tables.INTERFACE), ("/bodies/NAME/", tables.BODY)],
+    "body file": [("/", tables.FILE), ("/interfaces/NAME/", INTERFACE), ("/bodies/NAME/", BODY)],
     "certificate": [("", tables.CERTIFICATE)],
     "stiffening": [("", tables.STIFFENING)],
-    "recovery": [("", tables.RECOVERY)],
+    "recovery": [("", RECOVERY)],
     "switching": [("", tables.SWITCHING)],
     "parametric": [
         ("", tables.PARAMETRIC),
@@ -108,20 +110,20 @@ def default(field: Field[object]) -> str:
 
 def job_keys() -> Iterator[str]:
     """A row for each key of a job that is the same for all methods."""
-    for table, held in JobTables.model_fields.items():
-        kind = inner_table(held.annotation)
+    for table, hint in hints_of(JobTables).items():
+        kind = inner_table(hint)
         if kind is None:
             raise TypeError(f"{table} of a job holds no table")
-        name = f"[[{table}]]" if "list" in str(held.annotation) else f"[{table}]"
-        for key, information in kind.model_fields.items():
-            yield f"| `{name}` | `{key}` | {left_out(information)} | {information.description} |"
+        name = f"[[{table}]]" if holds_several(hint) else f"[{table}]"
+        for key in fields(kind):
+            yield f"| `{name}` | `{key.name}` | {left_out(key)} | {expected(key, hints_of(kind)[key.name])} |"
 
 
-def left_out(key: FieldInfo) -> str:
+def left_out(key: Field[object]) -> str:
     """What a key of a job has where it is left out."""
-    if key.is_required():
+    value = key.default if key.default_factory is MISSING else key.default_factory()
+    if value is MISSING:
         return "must be given"
-    value = key.get_default(call_default_factory=True)
     return "none" if value is None else f"`{in_toml(value)}`".replace("'", '"')
 
 
@@ -129,9 +131,12 @@ def tolerances() -> Iterator[str]:
     """A table for each room that has tolerances: the names, the values and the comments above the fields."""
     for file in sorted((ROOT / "morembs").rglob("tolerances.py")):
         module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
-        held = import_module(module).TOL
-        source = re.findall(r"((?: {4}# .*\n)+) {4}(\w+): ", file.read_text(encoding="utf-8"))
-        derived = {name: re.sub(r"\s*# ", " ", above).strip() for above, name in source}
+        held = next(one for one in vars(import_module(module)).values() if type(one).__name__.endswith("Tolerances"))
+        derived, above = {}, ""
+        # Fields of one group may share the comment above the first.
+        for words, name in re.findall(r"((?: {4}# .*\n)*) {4}(\w+): \w", file.read_text(encoding="utf-8")):
+            above = re.sub(r"\s*# (--- .*\n)?", " ", words).strip() or above
+            derived[name] = above
         yield from (f"\n## `{module}`\n", "| quantity | value | where it comes from |", "|---|---|---|")
         for field in fields(held):
             value = repr(getattr(held, field.name)).replace("_", "")

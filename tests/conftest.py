@@ -5,9 +5,12 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
+import typer.main
+import typer.testing
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
@@ -17,6 +20,8 @@ for name in ("PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED"):
 # Open MPI refuses root, as which a container runs its tests, and more processes than there are processors.
 for name in ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_MCA_rmaps_base_oversubscribe"):
     os.environ[name] = "1"
+# typer builds its tree of commands anew at each call, which takes ten times as long as a command that is refused.
+typer.testing._get_command = cache(typer.main.get_command)  # noqa: SLF001
 
 
 def pytest_collection_finish() -> None:

@@ -61,13 +61,13 @@ certificate""",
         """
 body = mo.elastic_body(problem, reduced, mo.make_part(problem), certificate=certificate)
 body""",
-        ("ElasticBody: name craig-bampton; order 20; elastic frequencies", "at most", "Hz"),
+        ("Body: name craig-bampton; order 20; elastic frequencies", "at most", "Hz"),
     ),
     (
         """
 stored = mo.read_body(mo.write_body("beam.h5", [body]))
 stored.bodies["craig-bampton"]""",
-        ("StoredBody: name craig-bampton; order 20; elastic frequencies", "at most", "Hz"),
+        ("Body: name craig-bampton; order 20; elastic frequencies", "at most", "Hz"),
     ),
 )
 

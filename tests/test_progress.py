@@ -18,7 +18,7 @@ from tests.support.progress import Heard
 
 
 def bar(**keys: Any) -> Problem:
-    model = steel(box("hex8", (12, 2, 2), (0.4, 0.04, 0.05)))
+    model = steel(box("hex8", (24, 4, 4), (0.4, 0.04, 0.05)))
     ends = [make_interface(model, name=name, nodes=where(model, 0, x)) for name, x in (("left", 0.0), ("right", 0.4))]
     return Problem(model, ends, **keys)
 
@@ -46,7 +46,7 @@ def test_a_problem_is_heard_by_who_listens_now_or_who_listened_when_it_was_made(
         known = len(made.news)
         assert known
         with listening(now):
-            problem.elastic_modes(count=8)
+            problem.elastic_modes(count=20)
         assert now.news and len(made.news) == known
 
 
@@ -85,7 +85,7 @@ def test_the_former_argument_warns_and_is_heard() -> None:
         with pytest.warns(DeprecationWarning, match="progress of Reducer.reduce"):
             reduced = Modal(modes=3).reduce(problem, "modal", asked[1])
         assert reduced.name == "modal" and asked[1].news and not asked[0].news
-        problem.elastic_modes(count=8)
+        problem.elastic_modes(count=20)
         assert asked[0].news
         with pytest.warns(DeprecationWarning, match="progress of full_response"):
             full_response(problem, omega, progress=asked[2])

@@ -39,5 +39,5 @@ def package() -> None:
         if not found.name.endswith("__main__"):
             with contextlib.suppress(ImportError):
                 importlib.import_module(found.name)
-    for name in ("encodings.latin_1", "encodings.ascii", "psutil", "pydantic.deprecated.class_validators"):
+    for name in ("encodings.latin_1", "encodings.ascii", "psutil"):
         importlib.import_module(name)

@@ -33,7 +33,7 @@ from morembs.fem.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import AutoReducer, CraigBampton, Modal
 from morembs.reducers.base import ReducedModel
-from morembs.responses.certified import FLOOR
+from morembs.responses.tolerances import TOL as RESPONSES
 
 Long = NDArray[np.longdouble]
 EPS = float(np.finfo(float).eps)
@@ -311,7 +311,7 @@ def check(case: Case, rng: np.random.Generator, *, automatic: bool) -> Verdict:
     near = np.abs(every[:, None] - omega**2)
     slack = FINE + ROUNDING * (rounding[:, None] / near).max(axis=0)
     # No program can promise a response to less than the rounding of K makes of it.
-    lost = rounding[case.free :] / (2 * FLOOR * values)
+    lost = rounding[case.free :] / (2 * RESPONSES.damping_floor * values)
     tolerance = min(max(TOLERANCE, ABOVE * float(lost[np.sqrt(values) < 1.1 * omega[-1]].max())), WRONG)
     worst = 0.0
     try:

@@ -1,4 +1,8 @@
-"""Arguments of public types and functions, checked against their type hints before anything is done with them."""
+"""Arguments of public types and functions, checked against their type hints before anything is done with them.
+
+A hint is a type, or a type with its limits (``morembs.base.limits``). This is the only check of types: arguments,
+options and keys of job files go through it, and messages about them say in the same words what was expected.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +13,18 @@ import operator
 import sys
 import types
 from collections import abc
-from collections.abc import Callable, Iterable
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import fields, is_dataclass
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from morembs.base.errors import InputError
+from morembs.base.errors import InputError, shown
+from morembs.base.limits import Domain, alternatives
 
 Target = TypeVar("Target", bound=Callable[..., Any])
 ARRAY_LIKE = frozenset(get_args(ArrayLike))
-# How much of a value a message quotes.
-LONGEST = 60
 # Size of a load, a speed or a place in SI units, of which products of four, times a stiffness, are finite numbers.
 LARGEST = 1e60
 
@@ -42,28 +46,27 @@ def refuse_out_of_range(what: str, values: Iterable[float]) -> None:
 
 
 def checked(target: Target) -> Target:
-    """Decorator: a class or function that refuses arguments whose types are not those of its hints.
+    """Decorator: a class or function that refuses arguments that are not as its hints say.
 
-    Numbers must not be NaN, arrays must hold numbers; values and shapes are left to the one who is called. Hints
-    that say nothing about values, such as those of sparse matrices, take anything.
+    Numbers must not be NaN, arrays must hold numbers; shapes are left to the one who is called. Hints that say nothing
+    about values, such as those of sparse matrices, take anything.
 
     Raises:
-        InputError: (when called) an argument of another type.
+        InputError: (when called) an argument of another type, or beyond its limits.
     """
     call: Callable[..., Any] = target.__init__ if isinstance(target, type) else target  # type: ignore[misc]
     signature = inspect.signature(call)
 
     @functools.wraps(call)
     def checking(*args: Any, **kwargs: Any) -> Any:
-        hints, given = _hints(call), {}
+        hints, given = hints_of(target), {}
         # Python says in its own words what is missing.
         with contextlib.suppress(TypeError):
             given = signature.bind(*args, **kwargs).arguments
         for name, value in given.items():
             # A default is right whatever its hint.
-            hint = Any if value is signature.parameters[name].default else hints.get(name, Any)
-            if not fits(value, hint):
-                raise InputError(f"{target.__name__}: {name} = {_short(value)} was given; expected {words(hint)}")
+            if value is not signature.parameters[name].default:
+                check_value(f"{target.__name__}: {name}", value, hints.get(name, Any))
         return call(*args, **kwargs)
 
     if isinstance(target, type):
@@ -72,28 +75,72 @@ def checked(target: Target) -> Target:
     return checking  # type: ignore[return-value]
 
 
+def check_options(options: Any) -> None:
+    """Refuse a dataclass ``options`` with a field that is not as its hint says.
+
+    Raises:
+        InputError: there is one.
+    """
+    hints = hints_of(type(options))
+    for entry in fields(options):
+        value = getattr(options, entry.name)
+        if value is not entry.default:
+            check_value(entry.name, value, hints.get(entry.name, Any))
+
+
+def check_value(name: str, value: object, hint: Any) -> None:
+    """Refuse a ``value`` called ``name`` that is not as ``hint`` says.
+
+    Raises:
+        InputError: as said.
+    """
+    if not fits(value, hint):
+        raise InputError(f"{name} = {shown(value)} was given; expected {words(hint)}")
+
+
+def hints_of(target: Any) -> dict[str, Any]:
+    """Name of each field or parameter -> its hint with limits; those that only type checkers can know are left out."""
+    return _hints_of(target)
+
+
 @functools.cache
-def _hints(call: Callable[..., Any]) -> dict[str, Any]:
-    several = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+def _hints_of(target: Any) -> dict[str, Any]:
     known: dict[str, Any] = {}
-    for name, parameter in inspect.signature(call).parameters.items():
-        if parameter.kind not in several and parameter.annotation is not parameter.empty:
-            one = types.SimpleNamespace(__annotations__={name: parameter.annotation})
-            # Types that only type checkers import say nothing here.
-            with contextlib.suppress(NameError):
-                known |= get_type_hints(one, vars(sys.modules[call.__module__]))
+    for name, annotation, module in _annotations(target):
+        one = types.SimpleNamespace(__annotations__={name: annotation})
+        # Types that only type checkers import say nothing here.
+        with contextlib.suppress(NameError):
+            known |= get_type_hints(one, vars(sys.modules[module]), include_extras=True)
     return known
+
+
+def _annotations(target: Any) -> Iterator[tuple[str, Any, str]]:
+    """Name, annotation and module of each; fields of a dataclass are those of the classes that it derives from too."""
+    call: Callable[..., Any] = target.__init__ if isinstance(target, type) else target  # type: ignore[misc]
+    parameters = inspect.signature(call).parameters
+    if isinstance(target, type) and is_dataclass(target):
+        for holder in reversed(target.__mro__):
+            for name, annotation in inspect.get_annotations(holder).items():
+                if name in parameters:
+                    yield name, annotation, holder.__module__
+        return
+    several = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    for name, parameter in parameters.items():
+        if parameter.kind not in several and parameter.annotation is not parameter.empty:
+            yield name, parameter.annotation, call.__module__
 
 
 def fits(value: Any, hint: Any) -> bool:
     """Whether ``value`` is of the type ``hint``, numbers of NumPy and arrays in place of sequences included."""
     kind, parts = get_origin(hint), get_args(hint)
+    if kind is Annotated:
+        return fits(value, parts[0]) and all(part.passes(value) for part in parts[1:] if isinstance(part, Domain))
     if kind in (Union, types.UnionType):
         return any(fits(value, part) for part in _alternatives(parts))
     if np.ndarray in (hint, kind):
         return _is_array(value, parts)
     if kind is Literal:
-        return isinstance(value, str) and value in parts
+        return any(type(value) is type(part) and value == part for part in parts)
     if isinstance(kind, type) and issubclass(kind, abc.Callable):  # type: ignore[arg-type]
         return callable(value)
     if isinstance(kind, type) and issubclass(kind, abc.Mapping):
@@ -103,8 +150,8 @@ def fits(value: Any, hint: Any) -> bool:
     if kind is tuple and parts[-1] is not Ellipsis:
         return _is_sequence(value) and len(value) == len(parts) and all(map(fits, value, parts))
     if isinstance(kind, type) and issubclass(kind, abc.Iterable):
-        # A text is a sequence of texts.
-        return isinstance(value, str) if isinstance(value, str) and parts[0] is str else _all_fit(value, parts[0])
+        # A text is a sequence of texts, and no list.
+        return kind is not list if isinstance(value, str) and parts[0] is str else _all_fit(value, parts[0])
     return _is_one(value, hint)
 
 
@@ -176,12 +223,16 @@ def _all_fit(value: Any, part: Any) -> bool:
 def words(hint: Any) -> str:
     """What a message says is expected."""
     kind, parts = get_origin(hint), get_args(hint)
+    if kind is Annotated:
+        limits = [part.words for part in parts[1:] if isinstance(part, Domain)]
+        return limits[-1] if limits else words(parts[0])
     if kind in (Union, types.UnionType):
-        return " or ".join(dict.fromkeys(words(part) for part in _alternatives(parts)))
+        # None is what is left out.
+        return " or ".join(dict.fromkeys(words(part) for part in _alternatives(parts) if part is not type(None)))
     if np.ndarray in (hint, kind):
         return "an array of numbers"
     if kind is Literal:
-        return " or ".join(map(repr, parts))
+        return alternatives(parts)
     if isinstance(kind, type) and issubclass(kind, abc.Callable):  # type: ignore[arg-type]
         return "a function"
     if isinstance(kind, type) and issubclass(kind, abc.Mapping):
@@ -190,10 +241,5 @@ def words(hint: Any) -> str:
         return f"{len(parts)} values, each {words(parts[0])}"
     if isinstance(kind, type) and issubclass(kind, abc.Iterable):
         return f"a sequence (each {words(parts[0])})"
-    simple = {float: "a number", int: "an integer", str: "a text", bool: "True or False", type(None): "None"}
+    simple = {float: "a number", int: "an integer", str: "a text", bool: "true or false", type(None): "None"}
     return simple.get(hint, getattr(hint, "__name__", str(hint)))
-
-
-def _short(value: Any) -> str:
-    text = " ".join(repr(value).split())
-    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."

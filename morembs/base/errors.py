@@ -5,6 +5,9 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+# Characters of a value that a message quotes.
+_MOST_QUOTED = 60
+
 
 class MorembsError(Exception):
     """Base of all errors raised on purpose: the message says what was given, expected, and what to do.
@@ -63,6 +66,12 @@ class OverwriteError(MorembsError):
 
     No reader takes it for damage of that file, as it is no ``OSError`` and no ``ValueError``.
     """
+
+
+def shown(value: object) -> str:
+    """A value as a message quotes it."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= _MOST_QUOTED else text[: _MOST_QUOTED - 3] + "..."
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

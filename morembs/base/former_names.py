@@ -4,6 +4,7 @@ gives the new way."""
 from __future__ import annotations
 
 import importlib
+import inspect
 import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -11,7 +12,7 @@ from functools import wraps
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, Self, TypeVar
 
 from morembs.base.progress import SILENT, listener, listening
 
@@ -102,12 +103,22 @@ def with_old_names(**names: str) -> Callable[[type[Class]], type[Class]]:
     return decorate
 
 
+class FormerMethod:
+    """What a method gave in 0.1 and a property gives now: the call of before warns, and gives the same."""
+
+    def __call__(self) -> Self:
+        text = f"the {type(self).__name__} is there without a call now; brackets behind it go with 1.0"
+        warnings.warn(text, DeprecationWarning, 2)
+        return self
+
+
 def with_progress_argument(function: Callable[P, R]) -> Callable[P, R]:
     """Decorates a function that once took its listener as ``progress``, by keyword or as its last positional argument.
 
     It warns; the listener hears the call.
     """
-    count = function.__code__.co_argcount
+    parameters = inspect.signature(function).parameters.values()
+    count = sum(each.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD for each in parameters)
 
     @wraps(function)
     def accept(*values: Any, **keys: Any) -> Any:
@@ -143,7 +154,7 @@ def accept_progress(plugin: type, **counts: int) -> None:
                 f"{name} of {plugin.__name__} takes progress, which goes with 1.0; leave it out and tell news to "
                 "morembs.base.progress.update",
                 DeprecationWarning,
-                3,
+                4,
             )
         setattr(plugin, name, _adapted(method, count, wants, positional))
 

@@ -7,12 +7,11 @@ and required options are checked in one place, so that all of them are refused w
 from __future__ import annotations
 
 import inspect
-import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, get_type_hints
+from typing import Any
 
-from morembs.base.errors import InputError, nearest
+from morembs.base.errors import InputError, nearest, shown
 
 
 class Text(str):
@@ -42,7 +41,7 @@ def known(schema: Callable[..., object]) -> dict[str, bool]:
     return {option.name: option.default is option.empty for option in parameters if option.kind is option.KEYWORD_ONLY}
 
 
-def checked(
+def read_options(
     schema: Callable[..., object],
     given: Mapping[str, object],
     owner: str,
@@ -66,15 +65,16 @@ def checked(
     Raises:
         InputError: an option that there is not, one of a wrong type, or one that is missing.
     """
+    # Not at the top: commands without options do without NumPy.
+    from morembs.base.arguments import hints_of
+
     names = {name: must for name, must in known(schema).items() if name not in set(hidden)}
-    hints: dict[str, Any] | None = None
     values: dict[str, Any] = {}
     for key, value in given.items():
         if key not in names:
             advice = nearest(key, [*names, *besides]) if names else f"it has no {word}s"
             raise InputError(f"{where}{owner} has no {word} {key!r}; {advice}")
-        hints = get_type_hints(schema) if hints is None else hints
-        values[key] = _typed(hints[key], key, value, where or f"{owner}: ")
+        values[key] = _typed(hints_of(schema).get(key, Any), key, value, where or f"{owner}: ")
     missing = [name for name, must in names.items() if must and name not in values]
     if missing:
         raise InputError(f"{where}{owner} needs the {word} {', '.join(missing)}{cure.format(key=missing[0])}")
@@ -83,20 +83,13 @@ def checked(
 
 def _typed(hint: Any, key: str, value: object, where: str) -> Any:
     """``value`` if it is one of the type ``hint``; of a ``Text`` the first reading that is."""
-    # Not at the top: commands without options do without it.
-    from pydantic import TypeAdapter, ValidationError
+    from morembs.base.arguments import fits, words
 
-    adapter = TypeAdapter(hint)
     for reading in readings(value) if isinstance(value, Text) else [value]:
-        try:
-            adapter.validate_python(reading, strict=True)
-        except ValidationError as error:
-            fault = error
-        else:
+        if fits(reading, hint):
             return reading
-    expected = " or ".join(dict.fromkeys(_expected(detail["msg"]) for detail in fault.errors()))
-    shown = f"{key}={value}" if isinstance(value, Text) else f"{key} = {in_toml(value)}"
-    raise InputError(f"{where}{shown} was given; expected {expected}")
+    given = f"{key}={value}" if isinstance(value, Text) else f"{key} = {in_toml(value)}"
+    raise InputError(f"{where}{given} was given; expected {words(hint)}")
 
 
 def readings(text: Text) -> list[object]:
@@ -110,12 +103,6 @@ def readings(text: Text) -> list[object]:
     return [*values, str(text), [part for part in text.split(",") if part], *values[-1:]]
 
 
-def _expected(message: str) -> str:
-    words = re.sub(r"^Input should be (a valid |an instance of )?", "", message)
-    return words.replace("integer", "an integer").replace("boolean", "true or false")
-
-
 def in_toml(value: object) -> str:
     """A value as it stands in a file, cut to a readable length."""
-    text = {True: "true", False: "false"}[value] if isinstance(value, bool) else repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    return str(value).lower() if isinstance(value, bool) else shown(value)

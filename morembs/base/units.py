@@ -1,12 +1,17 @@
-"""Units of the input; everything inside morembs is SI (m, kg, s, N, Pa)."""
+"""Units of the input; everything inside morembs is SI (m, kg, s, N, Pa), and frequencies are told in Hz."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
 
 from morembs.base.errors import InputError, nearest
+from morembs.base.types import Floats
 
+Rate = TypeVar("Rate", float, Floats)
 LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": 0.45359237, "slug": 14.593902937206364, "slinch": 175.12683524647636}
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
@@ -64,3 +69,13 @@ def parse_units(given: str | Mapping[str, str]) -> Units:
             raise InputError(f"units gives {key} = {unit!r}; {nearest(unit, table)}")
         factors[key] = table[unit]
     return Units(**factors, name="-".join(given[key] for key in tables))
+
+
+def in_hz(omega: Rate) -> Rate:
+    """Frequencies in Hz of ``omega`` in rad/s, of any shape."""
+    return omega / (2 * np.pi)
+
+
+def eigenvalue_in_hz(value: Any) -> Any:
+    """Frequencies in Hz of eigenvalues in (rad/s)2, of any shape; zero of those below zero, which are round-off."""
+    return in_hz(np.sqrt(np.maximum(value, 0.0)))

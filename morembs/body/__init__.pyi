@@ -1,4 +1,6 @@
-from .body import NODE_CHOICES, ElasticBody, Part, elastic_body, make_part
+from .body import Body, ElasticBody
+from .build import elastic_body
+from .part import NODE_CHOICES, Part, make_part
 from .vtkhdf import VTK_VERTEX, Cells
 
-__all__ = ["NODE_CHOICES", "VTK_VERTEX", "Cells", "ElasticBody", "Part", "elastic_body", "make_part"]
+__all__ = ["NODE_CHOICES", "VTK_VERTEX", "Body", "Cells", "ElasticBody", "Part", "elastic_body", "make_part"]

@@ -1,272 +1,354 @@
-"""Reduced model -> elastic body: what a multibody simulator or a person needs of it. SI units."""
+"""The elastic body, made of a reduced model or read from a file: what a simulator or a person needs of it. SI units."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-import scipy.sparse as sp
 
 from morembs.base.errors import InputError
-from morembs.base.summary import hertz, kinds_words, summarised
+from morembs.base.summary import error_words, hertz, kinds_words, summarised
 from morembs.base.types import Floats, Ints
-from morembs.body.floating.frame import FloatingFrame, floating_frame, why_not_floating
+from morembs.body import tables
+from morembs.body.floating.frame import FloatingFrame
 from morembs.body.floating.ranking import RankedTerm
 from morembs.body.floating.spin import ReducedSpin
-from morembs.body.stress_shapes import Recovery
+from morembs.body.recovery_shapes import RECOVERY, Recovery, recovery_parts
 from morembs.body.view import Viewed, refuse_no_modes
-from morembs.body.vtkhdf import VTK_VERTEX, Cells
-from morembs.body.vtkhdf_series import Grid, View
-from morembs.fem import FEModel, Nodes
-from morembs.fem.elements import FACES, TYPES
-from morembs.fem.interface import Interface
-from morembs.fem.surface import outer_faces
-from morembs.problem import Problem
-from morembs.reducers.base import ReducedModel
-from morembs.reducers.pymor import to_pymor
-from morembs.reducers.switching_tables import StaticModeTables
+from morembs.fem.fe_model import STRUCTURAL
+from morembs.storage.table import Later, Row, Table, dataset, table_of
 
 if TYPE_CHECKING:
     from morembs.body.parametric_parts import ParametricParts
-    from morembs.certificate.certify import Certificate
+    from morembs.body.vtkhdf_series import Grid, View
+    from morembs.reducers.base import ReducedModel
+    from morembs.reducers.switching_tables import StaticModeTables
 
-NODE_CHOICES = ("all", "skin", "interfaces")
+# Part of the largest entry by which round-off may make the matrices of a file differ from their transposes.
+SYMMETRIC = 1e-9
+# Why a body has no value for a field that is read later.
+MISSING = {
+    "switching": 'has no static modes of candidate loads; reduce with method = "static-modes-switching"',
+    "parameters": 'has no parameters; make it with method = "parametric"',
+    "recovery": "has no stress recovery; write the file with [stress], or ask for no stress",
+}
 
 
-@summarised
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Part:
-    """What all reductions of one model share.
+def _codes(body: Body) -> list[int]:
+    # Not at the top: files are shown without what reduces.
+    from morembs.reducers.base import MODE_KINDS
 
-    ``mass`` kg; ``center_of_mass`` (3,) m; ``inertia`` (3, 3) kg m2 about the centre of mass along the
-    model's axes. ``nodes`` are the chosen nodes, ``cells`` the mesh between them, ``transformation``
-    (3 n, Nc) gives their displacements (x, y, z of the first node, of the second, ...) from the coupled
-    dofs. ``interfaces`` keep rows of the full model; ``node_ids`` its labels of all nodes, ``warnings`` what it
-    differs in from its source.
-    """
+    return [MODE_KINDS.index(kind) for kind in body.mode_kind]
 
-    mass: float
-    center_of_mass: Floats
-    inertia: Floats
-    nodes: Nodes
-    cells: tuple[Cells, ...]
-    transformation: sp.csr_array
-    interfaces: tuple[Interface, ...]
-    columns: Mapping[str, slice]
-    node_ids: Ints
-    source: str = ""
-    warnings: tuple[str, ...] = ()
 
-    def _facts(self) -> dict[str, object]:
-        return {
-            "mass": f"{self.mass:.4g} kg",
-            "centre of mass": self.center_of_mass,
-            "nodes": len(self.nodes),
-            "interfaces": [each.name for each in self.interfaces],
-            "source": self.source,
-        }
+def _spin(body: Body) -> ReducedSpin | None:
+    """In a file the elongation is that of the nodes."""
+    if body.spin is None or body.part is None:
+        return body.spin
+    return replace(body.spin, elongation=body.part.transformation @ body.spin.elongation)
 
-    def grid(self) -> Grid:
-        """The cells as VTK keeps them."""
-        sizes = [np.full(len(cells.connectivity), cells.connectivity.shape[1]) for cells in self.cells]
-        types = [np.full(len(cells.connectivity), cells.vtk, dtype=np.uint8) for cells in self.cells]
-        links = [cells.connectivity.ravel() for cells in self.cells]
-        return Grid(
-            points=self.nodes.xyz,
-            connectivity=np.concatenate([np.zeros(0, dtype=np.int64), *links]),
-            offsets=np.cumsum(np.concatenate([[0], *sizes]), dtype=np.int64),
-            types=np.concatenate([np.zeros(0, dtype=np.uint8), *types]),
-        )
+
+def _recovery(body: Body) -> Mapping[str, Any] | None:
+    return recovery_parts(body.recovery(), body.part and body.part.transformation) if body.recovery else None
+
+
+class Source(Protocol):
+    """The file that a body was read from."""
+
+    def modes(self, body: str, count: int) -> Floats:
+        """Shapes (k, n, 3) of the first elastic modes."""
+        ...
+
+    def outline(self) -> tuple[Grid, Ints, dict[str, Floats]]:
+        """Its cells, labels of their nodes, and points of the interfaces."""
+        ...
+
+    def parametric(self, body: Body) -> Any:
+        """The body at other values of its parameters."""
+        ...
 
 
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ElasticBody(Viewed):
-    """One reduced model as a body.
+class Body(Viewed):
+    """One elastic body: made of a ``model`` of a ``part``, or read from its ``file``.
 
-    ``frequencies_hz`` (n,) eigenfrequencies of the reduced pencil in ascending order, rigid ones zero;
-    ``full_frequencies_hz`` those of the full coupled model where they were computed, rigid ones zero;
-    ``certificate`` says how wrong the body is, if that was asked for; ``floating`` is what a simulator with large
-    rotations needs, None for a body that is held or not symmetric; ``ranking`` says which of its terms matter,
-    ``recovery`` gives stresses, where these were asked for; ``switching`` holds the static modes of candidate loads,
-    ``parametric`` what gives the body at other values of parameters, ``spin`` the matrices of a frame that turns with
-    the body.
+    Matrices (n, n), ``input_matrix`` (n, m), ``output_matrix`` (m, n), which is its transpose unless the body is not
+    symmetric; ``frequencies_hz`` (n,) eigenfrequencies of the reduced pencil in ascending order and
+    ``full_frequencies_hz`` those of the full coupled model where they were computed, rigid ones zero; ``certificate``
+    says how wrong the body is, if that was asked for: a ``Certificate``, or names to values where it was read;
+    ``floating`` is what a simulator with large rotations needs, None for a body that is held or not symmetric;
+    ``ranking`` says which of its terms matter, ``spin`` has the matrices of a frame that turns with the body.
+
+    Large parts are read from a file when they are asked for: ``basis(columns)`` gives displacements (3 N, k) of the
+    nodes for some coordinates, ``recovery()`` stresses, ``switching()`` static modes of candidate loads,
+    ``parameters()`` the matrices at other values of parameters. The last three are false where there are none.
 
     >>> body.reduced.order, body.floating.kind
     (18, 'mean-axes')
     >>> body
-    ElasticBody: name craig-bampton; order 18; elastic frequencies ...
+    Body: name craig-bampton; order 18; elastic frequencies ...
     """
 
-    part: Part
-    reduced: ReducedModel
-    frequencies_hz: Floats
-    full_frequencies_hz: Floats | None = None
-    certificate: Certificate | None = None
-    floating: FloatingFrame | None = None
-    ranking: tuple[RankedTerm, ...] = ()
-    recovery: Recovery | None = None
-    switching: StaticModeTables | None = None
-    parametric: ParametricParts | None = None
-    spin: ReducedSpin | None = None
-    recipe: Mapping[str, object] = field(default_factory=dict)
+    name: str
+    mass_matrix: Floats = dataset("real", "n n", "reduced matrix, symmetric", doc="M, symmetric")
+    stiffness_matrix: Floats = dataset("real", "n n", "reduced matrix, symmetric", doc="K, symmetric")
+    damping_matrix: Floats = dataset(
+        "real",
+        "n n",
+        "reduced matrix, symmetric",
+        doc="D, symmetric but for G, its skew part; structural damping is not in it but in the recipe",
+    )
+    input_matrix: Floats = dataset("real", "n m", "forces on the coordinates; the transpose gives the motions", doc="B")
+    frequencies_hz: Floats = dataset(
+        "any",
+        "n",
+        "eigenfrequencies, undamped, ascending",
+        "Hz",
+        doc="undamped eigenfrequencies of K, M, ascending; rigid ones 0",
+    )
+    full_frequencies_hz: Floats | None = dataset(
+        "any",
+        "any",
+        "those of the full model as far as computed",
+        "Hz",
+        default=None,
+        doc="those of the full coupled model as far as computed",
+        when="absent if none were",
+    )
+    damping_ratios: Floats | None = dataset(
+        "real",
+        "n",
+        "ratio of critical damping of each mode, rigid ones zero; structural damping is not in it",
+        default=None,
+        when="absent in two-sided bodies, and in files before 0.2",
+    )
+    mode_kind: tuple[str, ...] = dataset("code", "n", "kind of each coordinate, code of /mode_kinds", write=_codes)
+    rigid_count: int = dataset(
+        "whole", "", "number of rigid-body motions", doc="number of rigid-body motions the coordinates span"
+    )
+    recipe: Mapping[str, Any] = dataset(
+        "json", "", "options of the reduction, as JSON", doc="options of the reduction, as JSON with sorted keys"
+    )
+    output_matrix: Floats = dataset(
+        "real",
+        "m n",
+        "interface degrees of freedom; not the transpose of input_matrix",
+        doc="C",
+        when="only where it is not B', and then the format version is 2",
+        write=lambda body: None if body.reduced.symmetric else body.output_matrix,
+    )
+    certificate: Any = dataset(
+        tables.CERTIFICATE,
+        default=None,
+        read=False,
+        doc="how wrong the body is, if that was asked for: see below",
+        when="if",
+    )
+    floating: FloatingFrame | None = dataset(
+        tables.FRAME, name="floating_frame", default=None, when="free bodies with symmetric matrices"
+    )
+    ranking: tuple[RankedTerm, ...] = dataset(
+        tables.RANKING, default=(), when="where the job has an envelope", write=lambda body: body.ranking or None
+    )
+    spin: ReducedSpin | None = dataset(tables.SPIN, default=None, when="where the job has [spin]", write=_spin)
+    switching: Later[StaticModeTables] = dataset(
+        tables.SWITCHING,
+        default=None,
+        later=True,
+        doc="static modes of candidate loads, if the method was `static-modes-switching`: see "
+        "[switching](switching.md#in-the-body-file)",
+        when="if",
+    )
+    parameters: Later[ParametricParts] = dataset(
+        tables.PARAMETRIC,
+        name="parametric",
+        default=None,
+        later=True,
+        doc="the body at other values of its parameters, if the method was `parametric`: see [parametric "
+        "bodies](parametric.md)",
+        when="if",
+    )
+    recovery: Later[Recovery] = dataset(
+        RECOVERY,
+        default=None,
+        later=True,
+        doc="stress shapes, if they were asked for: see below",
+        when="if",
+        write=_recovery,
+    )
+    basis: Callable[..., Floats] = dataset(
+        "later",
+        "3N n",
+        "row 3 i + c: displacement of node i along axis c per unit of each coordinate",
+        doc="Phi: displacements of the nodes, see below",
+        columns=True,
+        later=True,
+    )
+    part: Any = None
+    model: ReducedModel | None = None
+    file: Source | None = None
+
+    def __post_init__(self) -> None:
+        for name, why_not in MISSING.items():
+            value = vars(self)[name]
+            if not isinstance(value, Later):
+                there = Later.of(value) if value is not None else Later(why_not=f"body {self.name!r} {why_not}")
+                object.__setattr__(self, name, there)
+
+    def _facts(self) -> dict[str, object]:
+        return {
+            "name": self.name,
+            "order": len(self.stiffness_matrix),
+            "elastic frequencies": hertz(self.frequencies_hz[self.rigid_count :]),
+            "error": self._error(),
+            "coordinates": kinds_words(self.mode_kind),
+            "mass": None if self.part is None else f"{self.part.mass:.4g} kg",
+            "frame": None if self.floating is None else self.floating.kind,
+        }
+
+    def _error(self) -> str:
+        known = self.certificate
+        if not isinstance(known, Mapping):
+            return "not certified" if known is None else known.words
+        if "limits" not in known:  # of version 0.1
+            return f"{float(np.max(known['error'])):.1e} at samples"
+        kinds = {"bound": "proven", "estimate": "estimate", "none": "sampled"}
+        measure, kind = (str(known[key]) for key in ("measure", "bound_kind"))
+        return error_words(measure, known["limits"][measure][1], known["error"], known["band_hz"], kinds[kind])
 
     @property
-    def name(self) -> str:
-        """Name of the reduction."""
-        return self.reduced.name
+    def has_recovery(self) -> bool:
+        """Whether there are stress shapes."""
+        return bool(self.recovery)
+
+    @property
+    def has_switching(self) -> bool:
+        """Whether there are static modes of candidate loads."""
+        return bool(self.switching)
+
+    @property
+    def has_parameters(self) -> bool:
+        """Whether the body can be evaluated at other values."""
+        return bool(self.parameters)
 
     @property
     def matrices(self) -> tuple[Floats, Floats, Floats]:
         """M, K, D (n, n), at rest where the body may spin."""
-        return self.reduced.M, self.reduced.K, self.reduced.D
+        return self.mass_matrix, self.stiffness_matrix, self.damping_matrix
 
-    def _facts(self) -> dict[str, object]:
-        certificate, floating = self.certificate, self.floating
-        return {
-            "name": self.name,
-            "order": self.reduced.order,
-            "elastic frequencies": hertz(self.frequencies_hz[self.reduced.rigid_count :]),
-            "error": "not certified" if certificate is None else certificate.words,
-            "coordinates": kinds_words(self.reduced.mode_kind),
-            "mass": f"{self.part.mass:.4g} kg",
-            "frame": None if floating is None else floating.kind,
-        }
+    @property
+    def symmetric(self) -> bool:
+        """Whether all matrices are symmetric: one-sided, without gyroscopic and circulatory terms."""
+        both = self.stiffness_matrix, self.damping_matrix
+        return self._one_sided and all(
+            np.abs(A - A.T).max(initial=0.0) <= SYMMETRIC * np.abs(A).max(initial=0.0) for A in both
+        )
 
-    def basis(self, columns: slice = slice(None)) -> Floats:
-        """Displacements (3 n, k) of the chosen nodes for some coordinates; allocates only these."""
-        return np.asarray(self.part.transformation @ self.reduced.V[:, columns])
+    @property
+    def _one_sided(self) -> bool:
+        return bool(np.array_equal(self.output_matrix, self.input_matrix.T))
+
+    @cached_property
+    def reduced(self) -> ReducedModel:
+        """The reduced model; that of a body from a file has no basis, and can be certified again."""
+        from morembs.reducers.base import ReducedModel
+
+        if self.model is not None:
+            return self.model
+        V, W = (np.zeros((0, len(self.stiffness_matrix))) for _ in range(2))
+        return ReducedModel(
+            name=self.name,
+            M=self.mass_matrix,
+            K=self.stiffness_matrix,
+            D=self.damping_matrix,
+            B=self.input_matrix,
+            C=self.output_matrix,
+            V=V,
+            W=None if self.symmetric else V if self._one_sided else W,
+            mode_kind=self.mode_kind,
+            rigid_count=self.rigid_count,
+            recipe=self.recipe,
+            structural=float(self.recipe.get(STRUCTURAL, 0.0)),
+        )
+
+    @property
+    def parametric(self) -> Any:
+        """The body at other values of its parameters, a ``ParametricBody``.
+
+        Raises:
+            InputError: it has no parameters, was not read from a file, or the file is gone or damaged.
+        """
+        return self._source.parametric(self) if self.parameters else self.parameters()
 
     def modes(self, count: int) -> Floats:
-        """Shapes (k, n, 3) of the first elastic modes at the chosen nodes, at most ``count``, of unit modal mass."""
+        """Shapes (k, n, 3) of the first elastic modes at the chosen nodes, at most ``count``, of unit modal mass.
+
+        Those of a body from a file are the ones that it keeps for ParaView, of single precision.
+
+        Raises:
+            InputError: no positive count was asked for, or the file is gone or damaged.
+        """
         refuse_no_modes(count)
-        first = self.reduced.rigid_count
-        Y = self.reduced.modes()[1][:, first : first + count]
-        shapes = self.part.transformation @ (self.reduced.V @ Y)
+        if self.part is None or self.model is None:
+            return self._source.modes(self.name, count)
+        first = self.rigid_count
+        Y = self.model.modes()[1][:, first : first + count]
+        shapes = self.part.transformation @ (self.model.V @ Y)
         return np.asarray(shapes).T.reshape(Y.shape[1], -1, 3)
 
     def view(self, modes: int) -> View:
-        """The first elastic ``modes`` on the cells of the part, for ``plot`` and ``to_pyvista``.
+        """The first elastic ``modes``, or as many as there are, for ``plot`` and ``to_pyvista``.
 
         Raises:
-            InputError: no positive count was asked for, or the body keeps no nodes.
+            InputError: no positive count was asked for, the body keeps no nodes, or its file is gone or damaged.
         """
-        part, first = self.part, self.reduced.rigid_count
-        if not part.cells:
+        # Not at the top: most who read a file do not look at shapes.
+        from morembs.body.vtkhdf_series import View
+
+        refuse_no_modes(modes)
+        if self.part is not None and not self.part.cells:
             raise InputError(f'{self.name} keeps no nodes; keep nodes = "all", "skin" or "interfaces"')
+        grid, node_ids, interfaces = (self._source if self.part is None else self.part).outline()
         motion = self.modes(modes)
         return View(
             body=self.name,
-            grid=part.grid(),
-            node_ids=part.nodes.ids,
+            grid=grid,
+            node_ids=node_ids,
             motion=motion,
-            frequencies_hz=self.frequencies_hz[first : first + len(motion)],
-            interfaces={interface.name: interface.point for interface in part.interfaces},
+            frequencies_hz=self.frequencies_hz[self.rigid_count :][: len(motion)],
+            interfaces=interfaces,
         )
+
+    @property
+    def _source(self) -> Source:
+        """Where the body was read.
+
+        Raises:
+            InputError: it was not.
+        """
+        if self.file is None:
+            raise InputError(f"body {self.name!r} is in no file yet; write it, and take that of read_body")
+        return self.file
 
     def to_pymor(self) -> Any:
         """The reduced model as a ``pymor.models.iosys.SecondOrderModel``; see ``morembs.to_pymor``."""
+        from morembs.reducers.pymor import to_pymor
+
         return to_pymor(self.reduced)
 
 
-def input_columns(
-    interfaces: Sequence[Interface], columns: Mapping[str, slice], node_ids: Ints
-) -> tuple[Ints, Ints, Ints]:
-    """Of each column of an input matrix (m,) the position of its interface, its motion 0..5 (6: of a generalised force)
-    and the label of its node (-1: a frame, or none), from the ``columns`` of each interface and all labels."""
-    count = sum(some.stop - some.start for some in columns.values())
-    index, component, node = (np.full(count, -1, dtype=np.int64) for _ in range(3))
-    for number, interface in enumerate(interfaces):
-        some, (exposed, rows) = columns[interface.name], interface.kind.columns(interface)
-        index[some], component[some] = number, exposed
-        node[some] = np.where(rows < 0, -1, node_ids[rows])
-    return index, component, node
+# The name until 1.0 of a body that was just made.
+ElasticBody = Body
+BODY = table_of(Body, build=dict)
 
 
-def make_part(problem: Problem, nodes: str = "all") -> Part:
-    """What all bodies of ``problem`` share, displacements kept at ``nodes``: all, skin or interfaces.
-
-    Raises:
-        InputError: unknown choice, or skin of a model without elements.
-
-    >>> make_part(problem, "skin")
-    Part: mass 7.85 kg; centre of mass [0.2, 0.025, 0.025]; nodes 20; interfaces LEFT, RIGHT; source bar
-    """
-    model = problem.model
-    rows, cells = _chosen(model, problem.interfaces, nodes)
-    dofs = model.dofs.of_nodes(rows).ravel()
-    held = sp.csr_array(problem.coupling.T)
-    picked = held[np.maximum(dofs, 0)]
-    if (dofs < 0).any():
-        # A node without some displacement (a matrix model) stays still along it.
-        picked = sp.csr_array(sp.diags_array((dofs >= 0).astype(float)) @ picked)
-    mass, center, inertia = problem.mass_properties
-    chosen = Nodes(ids=model.nodes.ids[rows], xyz=model.nodes.xyz[rows])
-    return Part(
-        mass=mass,
-        center_of_mass=center,
-        inertia=inertia,
-        nodes=chosen,
-        cells=cells,
-        transformation=picked,
-        interfaces=problem.interfaces,
-        columns=problem.coupling.columns,
-        node_ids=model.nodes.ids,
-        source=model.source,
-        warnings=model.warnings,
-    )
+def _unsymmetric(row: Row) -> Row:
+    return replace(row, about=row.about.replace("symmetric", "not symmetric", 1).partition("; the transpose")[0])
 
 
-def _chosen(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tuple[Ints, tuple[Cells, ...]]:
-    """Rows of the chosen nodes and the cells between them, renumbered."""
-    if nodes not in NODE_CHOICES:
-        raise InputError(f"nodes = {nodes!r} was given; expected one of {', '.join(NODE_CHOICES)}")
-    touched = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(i.nodes for i in interfaces)]))
-    if nodes == "interfaces" or model.mesh is None:
-        if nodes == "skin":
-            raise InputError('nodes = "skin" needs elements; this model has matrices only, take "all" or "interfaces"')
-        rows = touched if nodes == "interfaces" else np.arange(len(model.nodes))
-        points = Cells(vtk=VTK_VERTEX, connectivity=np.arange(len(rows))[:, None])
-        return rows, (points,) if len(rows) else ()
-    if nodes == "skin":
-        faces = {kind: f for kind, f in outer_faces(model.mesh).items() if len(f)}
-        rows = np.unique(np.concatenate([touched, *(f.ravel() for f in faces.values())]))
-        typed = [(FACES[kind].vtk, f) for kind, f in faces.items()]
-    else:
-        rows = np.arange(len(model.nodes))
-        typed = [(TYPES[block.type].vtk, block.nodes) for block in model.mesh.blocks]
-    local = np.full(len(model.nodes), -1, dtype=np.int64)
-    local[rows] = np.arange(len(rows))
-    return rows, tuple(Cells(vtk=vtk, connectivity=local[c]) for vtk, c in typed)
-
-
-def elastic_body(
-    problem: Problem,
-    reduced: ReducedModel,
-    part: Part,
-    certificate: Certificate | None = None,
-    floating: FloatingFrame | None = None,
-) -> ElasticBody:
-    """Body of a reduced model: its frequencies and what it shares with others of the same part.
-
-    ``floating`` by default has mean axes.
-
-    >>> elastic_body(problem, reduced, make_part(problem)).frequencies_hz.shape
-    (18,)
-    """
-    if floating is None and not why_not_floating(problem, reduced):
-        floating = floating_frame(problem, reduced)
-    eigenvalues, _ = reduced.modes()
-    omega = np.sqrt(np.maximum(eigenvalues, 0.0))
-    omega[: reduced.rigid_count] = 0.0
-    return ElasticBody(
-        part=part,
-        reduced=reduced,
-        frequencies_hz=omega / (2 * np.pi),
-        certificate=certificate,
-        floating=floating,
-        full_frequencies_hz=problem.known_frequencies_hz(),
-        recipe=reduced.recipe,
-    )
+# What is said of matrices that are not symmetric.
+UNSYMMETRIC = Table(tuple(map(_unsymmetric, BODY)))

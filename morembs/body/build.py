@@ -1,19 +1,24 @@
-"""What a body carries beyond its reduced matrices: frame, stiffening, ranking of its terms, stress."""
+"""Reduced model -> elastic body, with what else was asked for: frame, stiffening, ranking of its terms, stress."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
 
 from morembs.base.errors import InputError
 from morembs.base.former_names import with_progress_argument
-from morembs.body.body import ElasticBody, Part, elastic_body
+from morembs.base.types import Floats
+from morembs.body.body import Body
 from morembs.body.floating.frame import FloatingFrame, floating_frame, why_not_floating
 from morembs.body.floating.ranking import ranked_terms
 from morembs.body.floating.spin import ReducedSpin
 from morembs.body.floating.stiffening import Envelope
 from morembs.body.floating.stiffening_terms import geometric_stiffening
+from morembs.body.part import Part
 from morembs.body.stress_shapes import stress_recovery
 from morembs.fem.selection import select_nodes
 from morembs.fem.stress_operator import StressOperator, stress_operator
@@ -25,6 +30,66 @@ if TYPE_CHECKING:
     from morembs.body.parametric_parts import ParametricParts
     from morembs.certificate.certify import Certificate
     from morembs.parametric.model import ParametricModel
+
+
+@dataclass(frozen=True)
+class _Basis:
+    """Displacements of nodes for coordinates of a reduced model."""
+
+    transformation: sp.csr_array
+    V: Floats
+
+    def __call__(self, columns: slice = slice(None)) -> Floats:
+        """(3 n, k) for some coordinates; allocates only these."""
+        return np.asarray(self.transformation @ self.V[:, columns])
+
+
+def elastic_body(
+    problem: Problem,
+    reduced: ReducedModel,
+    part: Part,
+    certificate: Certificate | None = None,
+    floating: FloatingFrame | None = None,
+) -> Body:
+    """Body of a reduced model: its frequencies and what it shares with others of the same part.
+
+    ``floating`` by default has mean axes.
+
+    >>> elastic_body(problem, reduced, make_part(problem)).frequencies_hz.shape
+    (18,)
+    """
+    if floating is None and not why_not_floating(problem, reduced):
+        floating = floating_frame(problem, reduced)
+    known = problem.known_frequencies_hz()
+    return body_of(reduced, part, certificate=certificate, floating=floating, full_frequencies_hz=known)
+
+
+def body_of(reduced: ReducedModel, part: Part, frequencies_hz: Floats | None = None, **more: Any) -> Body:
+    """The body of a reduced model alone, with its frequencies where they are not known; ``more`` are further fields."""
+    if frequencies_hz is None:
+        values, Y = reduced.modes()
+        omega = np.sqrt(np.maximum(values, 0.0))
+        omega[: reduced.rigid_count] = 0.0
+        frequencies_hz = omega / (2 * np.pi)
+        if reduced.congruent:
+            # Modes have unit modal mass; those without frequency have no ratio.
+            damping = np.einsum("in,in->n", Y, reduced.D @ Y)
+            more["damping_ratios"] = np.divide(damping, 2 * omega, out=np.zeros_like(omega), where=omega > 0)
+    return Body(
+        name=reduced.name,
+        mass_matrix=reduced.M,
+        stiffness_matrix=reduced.K,
+        damping_matrix=reduced.D,
+        input_matrix=reduced.B,
+        output_matrix=reduced.C,
+        frequencies_hz=frequencies_hz,
+        mode_kind=reduced.mode_kind,
+        rigid_count=reduced.rigid_count,
+        recipe=reduced.recipe,
+        part=part,
+        model=reduced,
+        **{"basis": _Basis(part.transformation, reduced.V), **more},
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +143,7 @@ def build_body(
     switching: StaticModeTables | None = None,
     variation: ParametricModel | None = None,
     spin: ReducedSpin | None = None,
-) -> ElasticBody:
+) -> Body:
     """The body of ``reduced`` with all that the ``options`` want; ``operator`` is that of the wanted stress,
     ``switching`` what its reducer made of candidate loads, ``variation`` its reduced model of all values of parameters.
     A body with ``spin`` has no floating frame, in which a simulator would count what spin does again.
@@ -91,18 +156,19 @@ def build_body(
     if reason and asked:
         raise InputError(f"[frame], [envelope] and [stiffening]: {reason}")
     floating = None if reason else _frame(problem, reduced, options)
+    later: dict[str, Any] = {"switching": switching}
+    if variation is not None:
+        later["parameters"] = _parametric(problem, reduced, part, variation)
+    if options.stress is not None and operator is not None:
+        later["recovery"] = stress_recovery(
+            problem, reduced, single=options.stress.single, correction=options.stress.correction, operator=operator
+        )
     return replace(
         elastic_body(problem, reduced, part, certificate=certificate, floating=floating),
         floating=floating,
-        switching=switching,
         spin=spin,
-        parametric=None if variation is None else _parametric(problem, reduced, part, variation),
         ranking=() if floating is None or options.envelope is None else ranked_terms(floating, options.envelope),
-        recovery=None
-        if options.stress is None or operator is None
-        else stress_recovery(
-            problem, reduced, single=options.stress.single, correction=options.stress.correction, operator=operator
-        ),
+        **later,
     )
 
 

@@ -10,16 +10,17 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
+from morembs.body.body import Body
 from morembs.body.curve_check import Curve
 from morembs.body.diagnostics.findings import MOTIONS
 from morembs.body.floating.frame import FloatingFrame
-from morembs.body.stored import StoredBodies, StoredBody
+from morembs.body.stored import StoredBodies
 from morembs.body.tables import SKEW_PARTS
 from morembs.fem import rigid_motion
 from morembs.fem.fe_model import SCALAR, STRUCTURAL, WITHOUT_MASS
 
 if TYPE_CHECKING:
-    from morembs.body import ElasticBody, Part
+    from morembs.body.part import Part
     from morembs.reducers.base import ReducedModel
 
 
@@ -51,30 +52,30 @@ class Delivered:
     without_mass: str = ""
 
 
-def delivered(body: ReducedModel | ElasticBody | StoredBody, part: Part | StoredBodies | None) -> Delivered:
+def delivered(body: ReducedModel | Body, part: Part | StoredBodies | None) -> Delivered:
     """What is checked of ``body``.
 
     Raises:
         InputError: a stored body without its file, or a reduced model without its part.
     """
-    if isinstance(body, StoredBody):
+    if isinstance(body, Body):
+        if body.part is not None:
+            return _of_body(body, body.part)
         if not isinstance(part, StoredBodies):
             raise InputError(
                 "a stored body was given without its file; expected check_delivery(body, bodies of the file)"
             )
         return _of_stored(body, part)
-    from morembs.body import ElasticBody, Part
+    # Not at the top: files are examined without what reduces.
+    from morembs.body.build import body_of
+    from morembs.body.part import Part
 
-    if isinstance(body, ElasticBody):
-        return _of_body(body, body.part)
     if not isinstance(part, Part):
         raise InputError("a reduced model was given without its part; expected check_delivery(reduced, make_part(...))")
-    omega = np.sqrt(np.maximum(body.modes()[0], 0.0))
-    omega[: body.rigid_count] = 0.0
-    return _of_body(ElasticBody(part=part, reduced=body, frequencies_hz=omega / (2 * np.pi)), part)
+    return _of_body(body_of(body, part), part)
 
 
-def _of_body(body: ElasticBody, part: Part) -> Delivered:
+def _of_body(body: Body, part: Part) -> Delivered:
     r = body.reduced
     certificate = body.certificate
     frame, motion = np.full((r.B.shape[1], 6), np.nan), np.full(r.B.shape[1], SCALAR)
@@ -128,7 +129,7 @@ def _of_body(body: ElasticBody, part: Part) -> Delivered:
     )
 
 
-def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
+def _of_stored(body: Body, file: StoredBodies) -> Delivered:
     place = {int(label): row for row, label in enumerate(file.node_ids.tolist())}
     kept, known = list(file.interfaces.items()), body.certificate
     points, names = [], []
@@ -179,7 +180,7 @@ def _of_stored(body: StoredBody, file: StoredBodies) -> Delivered:
     )
 
 
-def _meant_symmetric(body: StoredBody, file: StoredBodies) -> bool:
+def _meant_symmetric(body: Body, file: StoredBodies) -> bool:
     """Whether matrices have to be symmetric: skew parts are in files of version 3 only, elsewhere they are damage."""
     return bool(np.array_equal(body.input_matrix.T, body.output_matrix)) and (
         file.format_version < SKEW_PARTS or body.symmetric

@@ -19,10 +19,10 @@ from morembs.body.delivered import Delivered, delivered
 from morembs.body.diagnostics.findings import Diagnosis, Finding, sentences
 from morembs.body.frame_check import frame_findings
 from morembs.body.rigid_check import ROUND_OFF, eigh, rigid_findings, scale
-from morembs.body.stored import StoredBodies, StoredBody
+from morembs.body.stored import StoredBodies
 
 if TYPE_CHECKING:
-    from morembs.body import ElasticBody, Part
+    from morembs.body import Body, Part
     from morembs.reducers.base import ReducedModel
 
 # Difference of two entries against the diagonal; negative part of an eigenvalue of the scaled matrix.
@@ -33,7 +33,7 @@ FREQUENCY = 1e-6
 EFFECTIVE = 0.8
 
 
-def check_delivery(body: ReducedModel | ElasticBody | StoredBody, part: Part | StoredBodies | None = None) -> Diagnosis:
+def check_delivery(body: ReducedModel | Body, part: Part | StoredBodies | None = None) -> Diagnosis:
     """Findings about a reduced model (with its ``part``), a body, or one read from a file (with the whole of the file).
 
     Facts: "mass", "center_of_mass", "inertia" (of the reduced M), "rigid_energy_J" (way -> (6,), half the stiffness of
@@ -258,7 +258,7 @@ def _damping(given: Delivered, values: Floats, Y: Floats, findings: list[Finding
         findings.append(Finding(code="grounded-damping", severity="warning", sentence=sentence, cure=cure))
 
 
-def delivered_warnings(bodies: Sequence[ElasticBody]) -> tuple[str, ...]:
+def delivered_warnings(bodies: Sequence[Body]) -> tuple[str, ...]:
     """Warnings about reduced bodies, those of each named after it.
 
     Raises:

@@ -9,7 +9,8 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.body.parametric import ParametricBody
-from morembs.parametric.update import SIGMA, Measured
+from morembs.parametric.tolerances import TOL as PARAMETRIC
+from morembs.parametric.update import Measured
 from morembs.storage.csv_table import read_table
 
 
@@ -23,7 +24,7 @@ def read_measured(path: Path, parametric: ParametricBody, shapes: Path | None = 
     modes, frequencies = columns["mode"], columns["frequency_hz"]
     if (modes != np.round(modes)).any():
         raise InputError(f"the table {path} has modes {modes.tolist()}; expected integers from 1")
-    sigma = columns.get("sigma_hz", SIGMA * frequencies)
+    sigma = columns.get("sigma_hz", PARAMETRIC.measured_deviation * frequencies)
     motions, basis = _shapes(shapes, modes, parametric) if shapes is not None else (None, None)
     return Measured(
         modes=modes.astype(np.int64), frequencies_hz=frequencies, sigma_hz=sigma, shapes=motions, basis=basis

@@ -12,8 +12,9 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Complexes, Floats
+from morembs.body.body import MISSING, Body
 from morembs.body.parametric_parts import ParametricParts
-from morembs.body.stored import ByName, StoredBodies, StoredBody
+from morembs.body.stored import ByName, StoredBodies
 from morembs.parametric.model import ModelAt, Sensitivity
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ class ParametricBody:
     >>> at.frequencies_hz[:2]
     """
 
-    def __init__(self, path: Path, source: StoredBodies, body: StoredBody, parts: ParametricParts) -> None:
+    def __init__(self, path: Path, source: StoredBodies, body: Body, parts: ParametricParts) -> None:
         self.path, self.source, self.stored, self.parts = path, source, body, parts
         self.model = replace(parts.model, B=body.input_matrix)
         nominal = self.model.at(self.model.box.nominal)
@@ -185,6 +186,7 @@ class BodyAt:
             places = {name: replace(i, point=terms.point(name, self.model)) for name, i in interfaces.items()}
             interfaces = ByName("interface", places)
         rigid = np.zeros(self.model.rigid.shape[1])
+        nominal: dict[str, Any] = dict.fromkeys(MISSING)
         here = replace(
             body,
             mass_matrix=self.M,
@@ -192,12 +194,11 @@ class BodyAt:
             damping_matrix=self.D,
             frequencies_hz=np.concatenate([rigid, self.frequencies_hz]),
             full_frequencies_hz=None,
+            damping_ratios=None,
             certificate=None,
             floating=floating,
             ranking=(),
-            has_recovery=False,
-            has_switching=False,
-            has_parameters=False,
+            **nominal,
             recipe={**body.recipe, "at": self.values},
         )
         return replace(
@@ -221,7 +222,7 @@ class BodyAt:
         return terms.derivatives(self.model, **_frame_of(known))
 
     @property
-    def body(self) -> StoredBody:
+    def body(self) -> Body:
         """The body of these values."""
         return self.bodies.bodies[self.parent.stored.name]
 
@@ -240,6 +241,6 @@ class BodyAt:
             OutputError: the file cannot be written.
         """
         # Not at the top: what evaluates does not write as a rule.
-        from morembs.body.restored import write_stored
+        from morembs.body.write import write_stored
 
         return write_stored(path, self.bodies, self.body, self.parent.path)

@@ -1,38 +1,34 @@
-"""What a body file holds, as frozen types, taken from the open HDF5 file."""
+"""What a body file holds: some of it at once, the rest when it is asked for."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
 from morembs.base.errors import InputError, nearest
-from morembs.base.summary import error_words, hertz, kinds_words, summarised
+from morembs.base.former_names import renamed
+from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
-from morembs.body.floating.frame import FloatingFrame
-from morembs.body.floating.ranking import RankedTerm
-from morembs.body.floating.spin import ReducedSpin
-from morembs.body.tables import BODY, FILE, INTERFACE
-from morembs.body.view import Viewed, refuse_no_modes
-from morembs.fem.fe_model import STRUCTURAL
+from morembs.body.body import BODY, Body
+from morembs.body.tables import FILE, FORMAT, FORMAT_VERSION
+from morembs.fem.interface import Interface
 from morembs.storage.checksums import GROUP, Checksums
+from morembs.storage.hdf5 import reading_format
 from morembs.storage.lemma import read_lemmas
-from morembs.storage.table import read_rows
+from morembs.storage.table import Later, Row, Table, read_rows, table_of
 from morembs.storage.table_check import refuse_not_finite
 
 if TYPE_CHECKING:
-    from morembs.body.vtkhdf_series import View
-    from morembs.fem.interface import CouplingKind
-    from morembs.reducers.base import ReducedModel
-    from morembs.reducers.switching_tables import StaticModeTables
+    from morembs.body.vtkhdf_series import Grid
 
 T = TypeVar("T")
-# Part of the largest entry by which round-off may make the matrices of a file differ from their transposes.
-SYMMETRIC = 1e-9
 
 
 class ByName(dict[str, T], Generic[T]):
@@ -46,165 +42,7 @@ class ByName(dict[str, T], Generic[T]):
         raise InputError(f"the file has no {self.what} {name!r}; {nearest(str(name), self)}")
 
 
-@summarised
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StoredInterface:
-    """Interface: ``point`` (3,) m, ``axes`` (3, 3) as rows, ``node_ids`` (ns,) labels, ``weights`` (ns,); names of
-    generalised ``forces``."""
-
-    coupling: str
-    components: tuple[int, ...]
-    point: Floats
-    axes: Floats
-    node_ids: Ints
-    weights: Floats
-    forces: tuple[str, ...] = ()
-
-    @property
-    def kind(self) -> CouplingKind:
-        """What the coupling does."""
-        # Not at the top: files are shown without what couples and solves.
-        from morembs.fem.interface import COUPLINGS
-
-        return COUPLINGS[self.coupling]
-
-
-@summarised
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StoredBody(Viewed):
-    """One body of a file, SI units: matrices (n, n), ``input_matrix`` (n, m), ``output_matrix`` (m, n), which is its
-    transpose unless the body is not symmetric, ``frequencies_hz`` (n,); ``certificate`` maps names to values;
-    ``floating`` is what a simulator with large rotations needs, None for a body that is held or not symmetric,
-    ``ranking`` says which of its terms matter; ``spin`` has the matrices of a frame that turns;
-    ``has_recovery`` says whether the file has stress shapes,
-    ``has_switching`` whether it has static modes of candidate loads.
-    """
-
-    name: str
-    mass_matrix: Floats
-    stiffness_matrix: Floats
-    damping_matrix: Floats
-    input_matrix: Floats
-    output_matrix: Floats
-    frequencies_hz: Floats
-    mode_kind: tuple[str, ...]
-    rigid_count: int
-    recipe: dict[str, Any]
-    certificate: dict[str, Any] | None
-    read_basis: Callable[[str, slice], Floats]
-    read_switching: Callable[[str], StaticModeTables]
-    read_view: Callable[[StoredBody, int], View]
-    read_parametric: Callable[[str], Any]
-    full_frequencies_hz: Floats | None = None
-    floating: FloatingFrame | None = None
-    ranking: tuple[RankedTerm, ...] = ()
-    spin: ReducedSpin | None = None
-    has_recovery: bool = False
-    has_switching: bool = False
-    has_parameters: bool = False
-
-    def _facts(self) -> dict[str, object]:
-        return {
-            "name": self.name,
-            "order": len(self.stiffness_matrix),
-            "elastic frequencies": hertz(self.frequencies_hz[self.rigid_count :]),
-            "error": self._error(),
-            "coordinates": kinds_words(self.mode_kind),
-            "frame": None if self.floating is None else self.floating.kind,
-        }
-
-    def _error(self) -> str:
-        known = self.certificate
-        if known is None:
-            return "not certified"
-        if "limits" not in known:  # of version 0.1
-            return f"{float(np.max(known['error'])):.1e} at samples"
-        kinds = {"bound": "proven", "estimate": "estimate", "none": "sampled"}
-        measure, kind = (str(known[key]) for key in ("measure", "bound_kind"))
-        return error_words(measure, known["limits"][measure][1], known["error"], known["band_hz"], kinds[kind])
-
-    @property
-    def symmetric(self) -> bool:
-        """Whether all matrices are symmetric: one-sided, without gyroscopic and circulatory terms."""
-        both = self.stiffness_matrix, self.damping_matrix
-        return self._one_sided and all(
-            np.abs(A - A.T).max(initial=0.0) <= SYMMETRIC * np.abs(A).max(initial=0.0) for A in both
-        )
-
-    @property
-    def _one_sided(self) -> bool:
-        return bool(np.array_equal(self.output_matrix, self.input_matrix.T))
-
-    @property
-    def matrices(self) -> tuple[Floats, Floats, Floats]:
-        """M, K, D (n, n), at rest where the body may spin."""
-        return self.mass_matrix, self.stiffness_matrix, self.damping_matrix
-
-    def basis(self, columns: slice = slice(None)) -> Floats:
-        """Displacements (3 n_nodes, k) of the nodes for some coordinates, read from the file at each call.
-
-        Raises:
-            InputError: the file is gone or damaged.
-        """
-        return self.read_basis(self.name, columns)
-
-    def view(self, modes: int) -> View:
-        """The first elastic ``modes`` that the file keeps, for ``plot`` and ``to_pyvista``.
-
-        Raises:
-            InputError: no positive count was asked for, the body keeps no nodes, or the file is gone or damaged.
-        """
-        refuse_no_modes(modes)
-        return self.read_view(self, modes)
-
-    def reduced(self) -> ReducedModel:
-        """The matrices as a reduced model without a basis, to be certified again."""
-        from morembs.reducers.base import ReducedModel
-
-        n = len(self.stiffness_matrix)
-        V = np.zeros((0, n))
-        return ReducedModel(
-            name=self.name,
-            M=self.mass_matrix,
-            K=self.stiffness_matrix,
-            D=self.damping_matrix,
-            B=self.input_matrix,
-            C=self.output_matrix,
-            V=V,
-            W=None if self.symmetric else V if self._one_sided else np.zeros((0, n)),
-            mode_kind=self.mode_kind,
-            rigid_count=self.rigid_count,
-            recipe=self.recipe,
-            structural=float(self.recipe.get(STRUCTURAL, 0.0)),
-        )
-
-    def switching(self) -> StaticModeTables:
-        """Static modes of candidate loads, read from the file at each call.
-
-        Raises:
-            InputError: the body has none, or the file is gone or damaged.
-        """
-        if not self.has_switching:
-            raise InputError(
-                f"body {self.name!r} has no static modes of candidate loads; reduce with "
-                'method = "static-modes-switching"'
-            )
-        switching = self.read_switching(self.name)
-        for name, values in vars(switching).items():
-            if isinstance(values, np.ndarray):
-                refuse_not_finite(f"body {self.name!r}", f"switching/{name}", values)
-        return switching
-
-    @property
-    def parametric(self) -> Any:
-        """The body at other values of its parameters, a ``ParametricBody``, read from the file at each call.
-
-        Raises:
-            InputError: it has no parameters, or the file is gone or damaged.
-        """
-        if not self.has_parameters:
-            raise InputError(f'body {self.name!r} has no parameters; make it with method = "parametric"')
-        return self.read_parametric(self.name)
+INTERFACE = table_of(Interface, build=dict)
 
 
 @summarised
@@ -225,11 +63,11 @@ class StoredBodies:
     inertia: Floats
     node_ids: Ints
     coordinates: Floats
-    interfaces: dict[str, StoredInterface]
+    interfaces: dict[str, Interface]
     input_interface: Ints
     input_component: Ints
     input_node_id: Ints
-    bodies: dict[str, StoredBody]
+    bodies: dict[str, Body]
     recipe: dict[str, Any]
     provenance: dict[str, Any]
     warnings: tuple[str, ...] = ()
@@ -245,7 +83,7 @@ class StoredBodies:
         }
 
 
-def choose_body(bodies: StoredBodies, name: str | None, place: Path | str = "the file") -> StoredBody:
+def choose_body(bodies: StoredBodies, name: str | None, place: Path | str = "the file") -> Body:
     """The body ``name``, or the only one.
 
     Raises:
@@ -260,18 +98,93 @@ def choose_body(bodies: StoredBodies, name: str | None, place: Path | str = "the
     return known[name or next(iter(known))]
 
 
-def stored_bodies(file: Any, **readers: Callable[..., Any]) -> StoredBodies:
-    """Everything in an open body file, which ``check_file`` has seen, but what the ``readers`` of a body read later."""
-    values = read_rows(file, FILE)
-    names, interfaces, kinds = (values.pop(name) for name in ("body_names", "interface_names", "mode_kinds"))
-    bodies = {name: _body(name, file[f"bodies/{name}"], kinds, readers) for name in names}
-    shown = {name: StoredInterface(**read_rows(file[f"interfaces/{name}"], INTERFACE)) for name in interfaces}
-    return StoredBodies(
-        interfaces=ByName("interface", shown),
-        bodies=ByName("body", bodies),
-        provenance={name: item for name, item in _tree(file.get("provenance", {})).items() if name != GROUP},
-        **values,
-    )
+class BodyFile:
+    """A body file that is opened when something is read of it.
+
+    ``content`` is what was read at once; ``evaluated`` gives a body at other values of its parameters.
+    """
+
+    content: StoredBodies
+
+    def __init__(self, path: Path, evaluated: Callable[[BodyFile, Body], Any]) -> None:
+        self.path, self.evaluated = path, evaluated
+
+    def opened(self) -> AbstractContextManager[Any]:
+        """The open file."""
+        return reading_format(self.path, "a body file", FORMAT, FORMAT_VERSION)
+
+    def load(self, file: Any) -> StoredBodies:
+        """Everything in the open file, which ``check_file`` has seen, but what bodies read later."""
+        values = read_rows(file, FILE)
+        names, interfaces, kinds = (values.pop(name) for name in ("body_names", "interface_names", "mode_kinds"))
+        shown = {name: _interface(name, file[f"interfaces/{name}"], values["node_ids"]) for name in interfaces}
+        self.content = StoredBodies(
+            interfaces=ByName("interface", shown),
+            bodies=ByName("body", {name: self._body(name, file[f"bodies/{name}"], kinds) for name in names}),
+            provenance={name: item for name, item in _tree(file.get("provenance", {})).items() if name != GROUP},
+            **values,
+        )
+        return self.content
+
+    def _body(self, name: str, group: Any, kinds: Sequence[str]) -> Body:
+        values = read_rows(group, BODY, later=partial(self._later, name))
+        values.setdefault("output_matrix", values["input_matrix"].T)
+        values["mode_kind"] = tuple(kinds[code] for code in values["mode_kind"])
+        certificate = _tree(group["certificate"], np.asarray) if "certificate" in group else None
+        if certificate is not None and "proof" in certificate:
+            certificate["proof"] = [asdict(lemma) for lemma in read_lemmas(json.loads(certificate["proof"]))]
+        return Body(name=name, certificate=certificate, file=self, **values)
+
+    def _later(self, body: str, row: Row) -> Callable[..., Any]:
+        """What reads a dataset of a body, or a group of them, at each call."""
+        if isinstance(row.kind, Table):
+            return Later(partial(self._group, f"bodies/{body}/{row.place}", row.kind))
+        return partial(self._columns, f"bodies/{body}/{row.place}")
+
+    def _columns(self, name: str, columns: slice = slice(None)) -> Floats:
+        with self.opened() as file:
+            return basis_columns(file[name], columns)
+
+    def _group(self, name: str, table: Table) -> Any:
+        with self.opened() as file:
+            Checksums(self.path, file).verify(lambda item: item.startswith(f"{name}/"))
+            value = read_rows(file[name], table, f"the {name.rpartition('/')[2]} data lack")
+        for part, values in vars(value).items():
+            if isinstance(values, np.ndarray) and values.dtype.kind == "f":
+                refuse_not_finite(self.path, f"{name}/{part}", values)
+        return value
+
+    def modes(self, body: str, count: int) -> Floats:
+        """Shapes (k, n, 3) of the first elastic modes of a body that the file keeps."""
+        from morembs.body.vtkhdf_series import stored_modes
+
+        return stored_modes(self.path, body, count)
+
+    def parametric(self, body: Body) -> Any:
+        """The ``ParametricBody`` of a body with parameters."""
+        return self.evaluated(self, body)
+
+    def outline(self) -> tuple[Grid, Ints, dict[str, Floats]]:
+        """As ``Part.outline``, of the cells that the file keeps.
+
+        Raises:
+            InputError: it keeps none, or is gone or damaged.
+        """
+        # Not at the top: most who read a file do not look at shapes.
+        from morembs.body.vtkhdf_series import read_grid
+
+        points = {name: interface.point for name, interface in self.content.interfaces.items()}
+        return read_grid(self.path), self.content.node_ids, points
+
+
+def _interface(name: str, group: Any, kept: Ints) -> Interface:
+    """An interface of a file with nodes of the labels ``kept``."""
+    values, order = read_rows(group, INTERFACE), np.argsort(kept, kind="stable")
+    rows = np.full(len(values["node_ids"]), -1)
+    if len(kept):
+        places = order[np.minimum(np.searchsorted(kept, values["node_ids"], sorter=order), len(kept) - 1)]
+        rows = np.where(kept[places] == values["node_ids"], places, -1)
+    return Interface(name=name, nodes=rows, **values)
 
 
 def _tree(group: Any, array: Callable[[Any], Any] = np.ndarray.tolist) -> dict[str, Any]:
@@ -304,19 +217,4 @@ def basis_columns(data: Any, columns: slice) -> Floats:
     return block
 
 
-def _body(name: str, group: Any, kinds: Sequence[str], readers: Mapping[str, Any]) -> StoredBody:
-    values = read_rows(group, BODY)
-    values.setdefault("output_matrix", values["input_matrix"].T)
-    values["mode_kind"] = tuple(kinds[code] for code in values["mode_kind"])
-    certificate = _tree(group["certificate"], np.asarray) if "certificate" in group else None
-    if certificate is not None and "proof" in certificate:
-        certificate["proof"] = [asdict(lemma) for lemma in read_lemmas(json.loads(certificate["proof"]))]
-    return StoredBody(
-        name=name,
-        has_recovery="recovery" in group,
-        has_switching="switching" in group,
-        has_parameters="parametric" in group,
-        certificate=certificate,
-        **values,
-        **readers,
-    )
+__getattr__ = renamed(__name__, {"StoredBody": "Body", "StoredInterface": "Interface"})

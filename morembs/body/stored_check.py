@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
+from morembs.body.body import BODY
 from morembs.body.floating.frame import FRAMES
-from morembs.body.tables import BODY, FILE, INTERFACE
+from morembs.body.stored import INTERFACE
+from morembs.body.tables import FILE
 from morembs.fem.elements import FACES, TYPES
 from morembs.fem.fe_model import SCALAR
 from morembs.fem.interface import COUPLINGS

@@ -6,7 +6,7 @@ Sizes: n coordinates of a body, ne elastic ones, m inputs, N nodes, s nodes of a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -84,7 +84,6 @@ BLOCK_BYTES = 16 * 2**20
 CERTIFICATE_VERSION = 2
 _OLD = "files of earlier versions lack it"
 _MAYBE = "may be absent"
-_JUMPS = "only where jumps are wanted"
 
 # A row a dataset.
 # fmt: off
@@ -210,26 +209,6 @@ RANKING = Table((
         "equation, an upper estimate"),
 ), build=_ranking, parts=_ranking_parts)
 
-RECOVERY = Table((
-    Row("points", "whole", "np", "labels of the nodes; a node where materials meet comes once for each"),
-    Row("coordinates", "later", "np 3", "positions of the points", "m"),
-    Row("material", "whole", "np", "index of the material of each point"),
-    Row("deformation", "real", "n n", "takes the rigid motion out of reduced coordinates, before stress is applied"),
-    Row("stress", "later", "6np n",
-        "row 6 i + c: component c (xx, yy, zz, xy, yz, zx) of point i per unit of each coordinate", "Pa", columns=True),
-    Row("correction", "later", "6np m", "mode acceleration: what stress lacks, per unit of each interface load; rows "
-        "as stress", "Pa", columns=True, when="where there are loads and it is wanted"),
-    Row("displacement", "later", "3N m", "mode acceleration: what basis lacks, per unit of each interface load; rows "
-        "as basis", "m", columns=True, when="with `correction`; files from before it have stresses corrected only"),
-    Row("jump_point", "whole", "nj", "where among the points a stress of a single element is, ascending", when=_JUMPS),
-    Row("jump_element", "whole", "nj", "and the number of that element, through all blocks of the mesh", when=_JUMPS),
-    Row("jump", "later", "6nj n", "as stress, of a single element less the average at the point; row 6 i + c of "
-        "jump_point[i]", "Pa", columns=True, when=_JUMPS),
-    Row("jump_correction", "later", "6nj m", "what jump lacks, per unit of each interface load; rows as jump", "Pa",
-        columns=True, when=_JUMPS),
-    Row("markers/*", "real", "6 m", "displacement and small rotation of the interface in displacement"),
-))
-
 SWITCHING = Table((
     Row("kind", "text", "", "path: loads slide from node to node; surface: any of them may be loaded"),
     Row("node_ids", "whole", "nc", "labels of the candidate nodes, in the order of the path"),
@@ -338,59 +317,6 @@ SPIN = Table((
     Row("speeds", "real", "speeds", "with modes compared to those of the full model", "rad/s", doc="speeds at which "
         "modes were compared with those of the full model; the recipe has the deviations"),
 ), build=ReducedSpin)
-
-BODY = Table((
-    Row("mass_matrix", "real", "n n", "reduced matrix, symmetric", doc="M, symmetric"),
-    Row("stiffness_matrix", "real", "n n", "reduced matrix, symmetric", doc="K, symmetric"),
-    Row("damping_matrix", "real", "n n", "reduced matrix, symmetric",
-        doc="D, symmetric but for G, its skew part; structural damping is not in it but in the recipe"),
-    Row("input_matrix", "real", "n m", "forces on the coordinates; the transpose gives the motions", doc="B"),
-    Row("frequencies_hz", "any", "n", "eigenfrequencies, undamped, ascending", "Hz",
-        doc="undamped eigenfrequencies of K, M, ascending; rigid ones 0"),
-    Row("full_frequencies_hz", "any", "any", "those of the full model as far as computed", "Hz",
-        doc="those of the full coupled model as far as computed", when="absent if none were"),
-    Row("mode_kind", "code", "n", "kind of each coordinate, code of /mode_kinds"),
-    Row("rigid_count", "whole", "", "number of rigid-body motions",
-        doc="number of rigid-body motions the coordinates span"),
-    Row("recipe", "json", "", "options of the reduction, as JSON",
-        doc="options of the reduction, as JSON with sorted keys"),
-    Row("output_matrix", "real", "m n", "interface degrees of freedom; not the transpose of input_matrix", doc="C",
-        when="only where it is not B', and then the format version is 2"),
-    Row("certificate", CERTIFICATE, when="if", read=False,
-        doc="how wrong the body is, if that was asked for: see below"),
-    Row("floating_frame", FRAME, when="free bodies with symmetric matrices", field="floating"),
-    Row("ranking", RANKING, when="where the job has an envelope"),
-    Row("spin", SPIN, when="where the job has [spin]"),
-    Row("switching", SWITCHING, when="if", read=False, doc="static modes of candidate loads, if the method was "
-        "`static-modes-switching`: see [switching](switching.md#in-the-body-file)"),
-    Row("parametric", PARAMETRIC, when="if", read=False, doc="the body at other values of its parameters, if the "
-        "method was `parametric`: see [parametric bodies](parametric.md)"),
-    Row("recovery", RECOVERY, doc="stress shapes, if they were asked for: see below", when="if", read=False),
-    Row("basis", "later", "3N n", "row 3 i + c: displacement of node i along axis c per unit of each coordinate",
-        doc="Phi: displacements of the nodes, see below", columns=True, read=False),
-))
-# What is said of matrices that are not symmetric.
-UNSYMMETRIC = Table(tuple(
-    replace(row, about=row.about.replace("matrix, symmetric", "matrix, not symmetric").partition("; the transpose")[0])
-    for row in BODY
-))
-
-INTERFACE = Table((
-    Row("coupling", "text", doc="`rigid`, `average`, `direct`, `matrix`, or a kind that [another "
-        "package](extending.md) defines"),
-    Row("components", "few", "any", "exposed degrees of freedom 0..5",
-        doc="exposed degrees of freedom: 0, 1, 2 along x, y, z; 3, 4, 5 about them; "
-        "6 for each of `forces`"),
-    Row("forces", "text", "forces", "columns of the input matrix B, rows of the output matrix C of the model",
-        doc="`B:NAME`, a column of the input matrix of the model, or `C:NAME`, a row of its output matrix",
-        when="with coupling `matrix`"),
-    Row("point", "real", "3", "origin of the frame", "m"),
-    Row("axes", "real", "3 3", "axes of the frame as rows", doc="axes of the frame as rows, in the coordinates of the "
-        "model"),
-    Row("node_ids", "whole", "s", "labels of the nodes", doc="labels of the nodes that follow the frame"),
-    Row("weights", "real", "s", "share of each node (area in m2, or 1)", doc="share of each node: area in m² of the "
-        "whole faces between the nodes, 0 for nodes on none; 1 for all if there are no whole faces"),
-))
 
 FILE = Table((
     Row("format", "text", doc="`morembs-body`", read=False),

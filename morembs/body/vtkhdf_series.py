@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from morembs.base import progress
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.body.stress_shapes import Recovery, read_recovery
+from morembs.body.recovery_shapes import Recovery, read_recovery
 from morembs.body.vtkhdf import write_head
 from morembs.storage.checksums import Checksums
 from morembs.storage.hdf5 import reading

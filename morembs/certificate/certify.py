@@ -11,24 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.base import progress
+from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.former_names import with_progress_argument
+from morembs.base.limits import DampingFloor
 from morembs.base.optional import optional
 from morembs.base.summary import error_words, summarised
 from morembs.base.types import Complexes, Floats
-from morembs.certificate.limits import ErrorLimits, body_response, checked_sharpness, error_limits, sampled
+from morembs.base.units import eigenvalue_in_hz, in_hz
+from morembs.certificate.limits import ErrorLimits, body_response, error_limits, sampled
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.proof import proof_of
 from morembs.certificate.response import reduced_response
 from morembs.certificate.tolerances import TOL
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
-from morembs.responses.band import POINTS, band_frequencies, checked_band
+from morembs.responses.band import band_frequencies, checked_band
 from morembs.responses.certified import CertifiedReference, certified_reference
 from morembs.responses.direct import direct_response, elastic_statics
 from morembs.responses.layout import Layout
 from morembs.responses.loads import static_response
-from morembs.responses.measures import SHARPNESS, Limit, checked_measure
+from morembs.responses.measures import Limit, Measure, Sharpness
+from morembs.responses.tolerances import TOL as RESPONSES
 from morembs.storage.lemma import Lemma, kind_of
 
 OLD_KINDS = {"proven": "bound", "estimate": "estimate", "sampled": "none"}
@@ -128,15 +132,16 @@ class Certificate(ErrorLimits):
 
 
 @with_progress_argument
+@checked
 def certify(
     problem: Problem,
     bodies: Sequence[ReducedModel],
     band_hz: Sequence[float] | Floats,
     *,
-    measure: str = "envelope",
-    damping_floor: float | None = None,
-    sharpness: float = SHARPNESS,
-    points: int = POINTS,
+    measure: Measure = "envelope",
+    damping_floor: DampingFloor | None = None,
+    sharpness: Sharpness = RESPONSES.sharpness,
+    points: int = RESPONSES.band_points,
     bound: bool = True,
 ) -> tuple[Certificate, ...]:
     """Certificate of each of ``bodies`` over ``band_hz`` (low, high), both ends included.
@@ -158,8 +163,6 @@ def certify(
     """
     if isinstance(bodies, ReducedModel):
         raise InputError("one reduced model was given; expected a list of them, such as [reduced]")
-    checked_measure(measure)
-    checked_sharpness(sharpness)
     given = None
     if len(band_hz) != 2:
         warnings.warn(
@@ -230,7 +233,7 @@ def _certificate(
         mode_deviation=poles.deviation,
         mode_mac=poles.mac,
         residue_deviation=poles.residue,
-        verified_below_hz=float(np.sqrt(reference.cut) / (2 * np.pi)),
+        verified_below_hz=float(eigenvalue_in_hz(reference.cut)),
         notes=(*known.notes, *_on_damping(reference, reduced, poles), *_missing(poles)),
     )
 
@@ -312,7 +315,7 @@ def _on_damping(reference: CertifiedReference, reduced: ReducedModel, poles: Pol
     omega = 2 * np.pi * poles.frequencies_hz
     moved = damping.ratio(omega) != damping.ratio(omega * (1 + np.nan_to_num(poles.deviation)))
     if moved.any():
-        listed = ", ".join(f"{f:,.6g}" for f in omega[moved][:5] / (2 * np.pi)) + (", ..." if moved.sum() > 5 else "")
+        listed = ", ".join(f"{f:,.6g}" for f in in_hz(omega[moved][:5])) + (", ..." if moved.sum() > 5 else "")
         sentences.append(
             f"the modal damping table jumps between the frequencies that {int(moved.sum())} modes have in the full "
             f"model and in this body, which gives them different ratios: {listed} Hz"

@@ -10,15 +10,17 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.summary import summarised, upwards
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.certificate.tolerances import TOL
 from morembs.reducers.base import ReducedModel
-from morembs.responses.cells import MOST, Cells
+from morembs.responses.cells import Cells
 from morembs.responses.certified import CertifiedReference
 from morembs.responses.layout import Layout
-from morembs.responses.measures import MEASURES, SHARPNESS, Limit, Standard, compare
+from morembs.responses.measures import MEASURES, Limit, Standard, compare
 from morembs.responses.pencils import response_of
 from morembs.responses.rational import Terms
 from morembs.responses.rounding import Response
+from morembs.responses.tolerances import TOL as RESPONSES
 
 UNKNOWN = ("the residual of the reference", "round-off of the full model", "round-off of the body")
 CURES = (
@@ -50,16 +52,6 @@ class ErrorLimits:
         return {"errors at most": upper, "notes": "; ".join(self.notes)}
 
 
-def checked_sharpness(sharpness: float) -> None:
-    """Refuse what is no factor.
-
-    Raises:
-        InputError: as said.
-    """
-    if not 1.01 <= sharpness <= 2:
-        raise InputError(f"sharpness = {sharpness:g} was given; expected a factor from 1.01 to 2")
-
-
 def body_response(reference: CertifiedReference, reduced: ReducedModel, layout: Layout) -> Response:
     """The transfer matrix of ``reduced``, scaled, with the damping floor of ``reference``."""
     scale = reference.problem.motion_scale
@@ -78,7 +70,11 @@ def body_response(reference: CertifiedReference, reduced: ReducedModel, layout: 
 
 
 def error_limits(
-    reference: CertifiedReference, reduced: ReducedModel, *, sharpness: float = SHARPNESS, most_cells: int = MOST
+    reference: CertifiedReference,
+    reduced: ReducedModel,
+    *,
+    sharpness: float = RESPONSES.sharpness,
+    most_cells: int = RESPONSES.max_cells,
 ) -> ErrorLimits:
     """Limits of the error of any body on every frequency of the band of ``reference``; it may be read from a file.
 
@@ -107,7 +103,7 @@ def error_limits(
         if (at := _undamped_pole(terms, low, high)) is not None
     }
     if sharp:
-        at_hz, n = min(sharp.values()) / (2 * np.pi), len(problem.coupling.columns)
+        at_hz, n = in_hz(min(sharp.values())), len(problem.coupling.columns)
         return ErrorLimits(
             limits={name: Limit(lower=0.0, upper=np.inf, at_hz=at_hz) for name in MEASURES},
             block_limit=np.full((n, n), np.inf),
@@ -120,7 +116,7 @@ def error_limits(
             ),
         )
     limits, blocks, cells = compare(standard, body, low, high, sharpness, most_cells=most_cells)
-    hz, upper = merge_cells(cells.edges / (2 * np.pi), cells.upper)
+    hz, upper = merge_cells(in_hz(cells.edges), cells.upper)
     # The ends as they were given.
     hz[0, 0], hz[-1, 1] = reference.band_hz
     notes: tuple[str, ...] = ()
@@ -161,11 +157,11 @@ def _causes(standard: Standard, body: Response, cells: Cells, loose: Sequence[st
         lost = float(parts[worst].max())
         at = omega[int(parts[worst].argmax())]
         amount = f"is {upwards(lost)} of the envelope" if np.isfinite(lost) else "exceeds the damping of a pole"
-        what = f"{UNKNOWN[worst]} {amount} at {at / (2 * np.pi):,.6g} Hz; {CURES[worst]}"
+        what = f"{UNKNOWN[worst]} {amount} at {in_hz(at):,.6g} Hz; {CURES[worst]}"
         if name == "pointwise" and lost < TOL.zero_response and size.min() < TOL.zero_response:
             at = omega[int(size.argmin())]
             what = (
-                f"H has a zero near {at / (2 * np.pi):,.6g} Hz, of {size.min():.1e} of its envelope, of which "
+                f"H has a zero near {in_hz(at):,.6g} Hz, of {size.min():.1e} of its envelope, of which "
                 f'{upwards(lost)} is not known; take measure = "envelope"'
             )
         elif name == "peak" and not cells.lower[3] > 0:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from morembs.base.types import Floats, Ints
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.certificate.tolerances import TOL
 from morembs.linalg.columns import dot, map_columns
 from morembs.reducers.base import ReducedModel
@@ -47,7 +48,7 @@ def enclosures(reference: CertifiedReference) -> Floats:
     gap = np.maximum(1 / theta - beyond, 0.0)
     moved = 2 * coupled**2 / np.maximum(gap + np.sqrt(gap**2 + 4 * coupled**2), np.finfo(float).tiny)
     low = 1 / (1 / theta + moved)
-    return np.asarray(np.sqrt(np.maximum(np.stack([low - off, theta + off], axis=1), 0.0)) / (2 * np.pi))
+    return np.asarray(eigenvalue_in_hz(np.stack([low - off, theta + off], axis=1)))
 
 
 def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
@@ -86,7 +87,7 @@ def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
             off = np.linalg.norm(outputs[held].T @ inputs[held] - true)
             residue[first:last] = off / np.linalg.norm(true)
     return Poles(
-        frequencies_hz=omega[band] / (2 * np.pi),
+        frequencies_hz=in_hz(omega[band]),
         enclosure_hz=limits[band],
         excited=excited[band],
         deviation=deviation[band],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from morembs.base.summary import upwards
+from morembs.base.units import eigenvalue_in_hz
 from morembs.certificate.limits import ErrorLimits
 from morembs.certificate.poles import enclosures
 from morembs.responses.certified import CertifiedReference
@@ -26,10 +27,6 @@ def proof_of(reference: CertifiedReference, known: ErrorLimits) -> tuple[Lemma, 
     )
 
 
-def _hz(value: float) -> float:
-    return float(np.sqrt(max(value, 0.0)) / (2 * np.pi))
-
-
 def _lemma(name: str, statement: str, kind: str = PROVEN, **numbers: float) -> Lemma:
     """Infinite numbers are left out: the statement says so."""
     finite = {key: float(value) for key, value in numbers.items() if np.isfinite(value)}
@@ -37,7 +34,7 @@ def _lemma(name: str, statement: str, kind: str = PROVEN, **numbers: float) -> L
 
 
 def _count(reference: CertifiedReference) -> Lemma:
-    count, below = len(reference.sigma), _hz(reference.cut)
+    count, below = len(reference.sigma), float(eigenvalue_in_hz(reference.cut))
     name, how = (
         ("sturm-count", "by the negative pivots of K - sigma M")
         if reference.counted
@@ -56,7 +53,7 @@ def _enclosures(reference: CertifiedReference) -> Lemma:
 
 
 def _complement(reference: CertifiedReference) -> Lemma:
-    least = _hz(reference.least)
+    least = float(eigenvalue_in_hz(reference.least))
     statement = f"beside the vectors of these modes K >= lam^ M, with lam^ that of {least:,.6g} Hz"
     return _lemma("complement-bound", statement, least_hz=least, highest_hz=reference.band_hz[1])
 

@@ -8,10 +8,11 @@ from pathlib import Path
 
 from morembs.base.errors import InputError
 from morembs.base.former_names import renamed
-from morembs.base.options import checked
+from morembs.base.options import read_options
 from morembs.base.plugins import Registry, subclass_fault
+from morembs.body.body import Body
 from morembs.body.file import read_body
-from morembs.body.stored import StoredBody, choose_body
+from morembs.body.stored import choose_body
 from morembs.exporters.abaqus_matrices import AbaqusExporter
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.dmig import DmigExporter
@@ -79,7 +80,7 @@ def make_exporter(to: str, options: Mapping[str, object] | None = None) -> Expor
         word = to.lower().replace("_", "-")
         raise InputError(f"there is no export to {to!r}; {ADVICE.get(word) or EXPORTERS.advice(word)}")
     kind = EXPORTERS[to]
-    return kind(**checked(kind, options or {}, f"export to {to!r}"))
+    return kind(**read_options(kind, options or {}, f"export to {to!r}"))
 
 
 @keeping_ledger()
@@ -135,7 +136,7 @@ def export_body(
     return replace(done, notes=(*notes, *done.notes))
 
 
-def _in_frame(body: StoredBody, text: str) -> tuple[StoredBody, tuple[str, ...]]:
+def _in_frame(body: Body, text: str) -> tuple[Body, tuple[str, ...]]:
     """``body`` in the floating frame that ``text`` names, and what it lost on the way."""
     if body.floating is None:
         raise InputError(

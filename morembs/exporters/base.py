@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
 
+from morembs.base.arguments import check_options
 from morembs.base.errors import InputError, OutputError
 from morembs.base.types import Floats
-from morembs.body.stored import StoredBodies, StoredBody
+from morembs.body.body import Body
+from morembs.body.stored import StoredBodies
 from morembs.exporters.read_back import ReadBack, frequencies_between
 from morembs.fem.fe_model import SCALAR
 from morembs.problem.damping import frequency_domain_only
@@ -52,7 +54,7 @@ class ExportContext:
     """One body on its way to the file ``path``; ``file`` is the body file it comes from, if it has one."""
 
     source: StoredBodies
-    body: StoredBody
+    body: Body
     path: Path
     file: Path | None = None
 
@@ -159,6 +161,9 @@ class Exporter(ABC):
     needs_frame: ClassVar[bool] = True
     holds: ClassVar[frozenset[str]] = frozenset()
 
+    def __post_init__(self) -> None:
+        check_options(self)
+
     @abstractmethod
     def _write(self, context: ExportContext) -> Exported:
         """Write the file or files; the input has been checked. Files appear whole or not at all."""
@@ -173,7 +178,7 @@ class Exporter(ABC):
         return None
 
     @final
-    def export(self, source: StoredBodies, body: StoredBody, path: str | Path, file: Path | None = None) -> Exported:
+    def export(self, source: StoredBodies, body: Body, path: str | Path, file: Path | None = None) -> Exported:
         """Write ``body`` of ``source`` to ``path``; ``file`` is where the body comes from, if it is a file.
 
         Raises:

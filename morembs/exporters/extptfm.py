@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from morembs.base.errors import InputError, nearest
+from morembs.base.limits import Positive
 from morembs.base.types import Floats
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
 from morembs.exporters.simscape import framed_rows, interfaces_first, refuse_not_symmetric
@@ -37,13 +38,11 @@ class ExtPtfm(Exporter):
     holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 
     interface: str | None = None
-    duration: float = 10000.0
+    duration: Positive = 10000.0
 
     def _write(self, context: ExportContext) -> Exported:
         source, body, target = context.source, context.body, "ExtPtfm of OpenFAST"
         refuse_not_symmetric(body, target)
-        if not (np.isfinite(self.duration) and self.duration > 0):
-            raise InputError(f"duration = {self.duration} s was given; expected a positive one")
         framed = framed_rows(context, target)
         if self.interface is not None and self.interface not in framed:
             raise InputError(f"interface = {self.interface!r} was given; {nearest(self.interface, framed)}")

@@ -21,9 +21,10 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
+from morembs.body.body import Body
 from morembs.body.file import read_body
 from morembs.body.floating.frame import FloatingFrame
-from morembs.body.stored import StoredBodies, StoredBody, choose_body
+from morembs.body.stored import StoredBodies, choose_body
 from morembs.exporters import export_body
 from morembs.exporters.exudyn import exudyn_marker
 
@@ -44,7 +45,7 @@ class ExudynBody:
     """An elastic body of a body file, and ``file`` for Exudyn beside it."""
 
     source: StoredBodies
-    body: StoredBody
+    body: Body
     file: Path
 
     @classmethod

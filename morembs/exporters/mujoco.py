@@ -17,6 +17,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from morembs.base.errors import InputError
+from morembs.base.limits import Part, RelativeError
 from morembs.base.types import Floats
 from morembs.body.floating.frame import FloatingFrame
 from morembs.exporters.base import ExportContext, Exported, Exporter
@@ -45,14 +46,11 @@ class MuJoCo(Exporter):
     holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 
     highest_hz: float | None = None
-    tolerance: float = 0.05
-    share: float = 0.01
+    tolerance: RelativeError = 0.05
+    share: Part = 0.01
 
     def _write(self, context: ExportContext) -> Exported:
         context.markers("MuJoCo")
-        for key, value in (("tolerance", self.tolerance), ("share", self.share)):
-            if not 0 < value < 1:
-                raise InputError(f"{key} = {value} was given; expected a part between 0 and 1")
         frame = _lightened(context.frame, self.share)
         kept = self._kept(frame)
         omega = np.sqrt(np.diag(frame.Ke))

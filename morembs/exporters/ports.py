@@ -9,7 +9,8 @@ import numpy as np
 
 from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
-from morembs.body.body import ElasticBody, input_columns
+from morembs.body.body import Body
+from morembs.body.part import input_columns
 from morembs.body.stored import StoredBodies
 from morembs.fem import Nodes
 from morembs.fem.fe_model import SCALAR, rigid_motion
@@ -67,7 +68,7 @@ def ports_of(
     return _ports(parts, zip(*(values.tolist() for values in rows), strict=True), xyz)
 
 
-def ports_of_body(body: ElasticBody) -> tuple[Port, ...]:
+def ports_of_body(body: Body) -> tuple[Port, ...]:
     """Ports of a body in memory."""
     return ports_of(body.part.interfaces, body.part.columns, body.part.node_ids, body.part.nodes)
 

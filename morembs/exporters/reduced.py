@@ -12,7 +12,8 @@ import scipy.sparse as sp
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.body.stored import StoredBodies, StoredBody
+from morembs.body.body import Body
+from morembs.body.stored import StoredBodies
 from morembs.exporters.base import ExportContext
 from morembs.exporters.read_back import SecondOrder
 from morembs.fem.fe_model import SCALAR
@@ -25,7 +26,7 @@ _HELD = 1e-10
 _ADVICE = 'reduce with method "craig-bampton" or keep more modes, or export to "op4" or "matrix-market"'
 
 
-def reduced_matrices(body: StoredBody) -> dict[str, Floats]:
+def reduced_matrices(body: Body) -> dict[str, Floats]:
     """M, K, D (n, n) and B (n, m); C (m, n) too where it is not B'. Without D or B where there are none."""
     matrices = {"M": body.mass_matrix, "K": body.stiffness_matrix}
     if body.damping_matrix.any():
@@ -37,7 +38,7 @@ def reduced_matrices(body: StoredBody) -> dict[str, Floats]:
     return matrices
 
 
-def body_transfer(body: StoredBody, rows: Ints | slice = slice(None)) -> SecondOrder:
+def body_transfer(body: Body, rows: Ints | slice = slice(None)) -> SecondOrder:
     """The transfer matrix of a body, of some ``rows`` of C and the same columns of B."""
     return second_order(reduced_matrices(body) | {"B": body.input_matrix[:, rows], "C": body.output_matrix[rows]})
 
@@ -127,7 +128,7 @@ def on_interfaces(
     )
 
 
-def refuse_two_sided(body: StoredBody) -> None:
+def refuse_two_sided(body: Body) -> None:
     """Refuse a body whose matrices are not symmetric.
 
     Raises:
@@ -145,7 +146,7 @@ def refuse_two_sided(body: StoredBody) -> None:
         )
 
 
-def to_interfaces(body: StoredBody, C: Floats) -> tuple[Floats, tuple[str, ...]]:
+def to_interfaces(body: Body, C: Floats) -> tuple[Floats, tuple[str, ...]]:
     """T (n, n): reduced coordinates = T @ [interface degrees of freedom C q; others], and what was done.
 
     Raises:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.body.stored import StoredBody
+from morembs.body.body import Body
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import body_transfer, held_and_free, interface_transfer
@@ -103,7 +103,7 @@ def write_mat(path: Path, values: Mapping[str, object]) -> None:
         file.check()
 
 
-def refuse_not_symmetric(body: StoredBody, target: str) -> None:
+def refuse_not_symmetric(body: Body, target: str) -> None:
     """Refuse a body that is none to a ``target`` with symmetric matrices and a mass for each coordinate.
 
     Raises:
@@ -146,7 +146,7 @@ def framed_rows(context: ExportContext, target: str) -> dict[str, list[int]]:
     return rows
 
 
-def interfaces_first(body: StoredBody, rows: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
+def interfaces_first(body: Body, rows: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
     """K, M, D of the coordinates [interface degrees of freedom; modes with the interfaces at rest], of the same body.
 
     Both are K-orthogonal, so that rigid motion is that of the interfaces, without any mode.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from morembs.base.errors import InputError
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
-from morembs.body.body import ElasticBody
+from morembs.body.body import Body
 from morembs.body.stored import StoredBodies, choose_body
 from morembs.exporters.ports import Port, parts_of, ports_of_body, ports_of_file, refuse_loose
 from morembs.exporters.reduced import held_and_free
@@ -91,7 +91,7 @@ class StateSpace:
 
 
 def state_space(
-    body: ElasticBody | StoredBodies,
+    body: Body | StoredBodies,
     inputs: Sequence[str],
     outputs: Sequence[str],
     *,
@@ -117,11 +117,11 @@ def state_space(
     >>> state_space(body, ["RIGHT:force"], ["RIGHT:displacement", "LEFT:reaction"], held=["LEFT"])
     StateSpace: states 24; inputs 6 of them; outputs 12 of them
     """
-    if isinstance(body, ElasticBody):
+    if isinstance(body, Body):
         reduced, recipe, ports = body.reduced, body.recipe, ports_of_body(body)
     else:
         stored = choose_body(body, name)
-        reduced, recipe, ports = stored.reduced(), stored.recipe, ports_of_file(body)
+        reduced, recipe, ports = stored.reduced, stored.recipe, ports_of_file(body)
     reason = frequency_domain_only(recipe)
     if reason:
         raise InputError(f"body {reduced.name!r}: {reason}")

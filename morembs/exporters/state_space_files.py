@@ -12,6 +12,7 @@ import numpy as np
 import scipy.io as sio
 
 from morembs.base.errors import InputError
+from morembs.base.limits import Positive
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.read_back import FirstOrder, ReadBack
 from morembs.exporters.simscape import DIGITS, write_mat
@@ -113,7 +114,7 @@ class StateSpaceExporter(Exporter):
     inputs: list[str] = field(default_factory=list)
     outputs: list[str] = field(default_factory=list)
     held: list[str] = field(default_factory=list)
-    step: float | None = None
+    step: Positive | None = None
 
     def _write(self, context: ExportContext) -> Exported:
         refuse_displacement(context.path, self.inputs)

@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import Finite, PoissonRatio, Positive, one_of
 from morembs.base.types import Floats, Ints
 from morembs.fem.fe_model import DofMap, FEModel, Nodes
 
@@ -41,15 +42,13 @@ class Tube:
 
     outer: float
     inner: float
-    young: float
-    density: float
-    poisson: float = 0.3
+    young: Positive
+    density: Positive
+    poisson: PoissonRatio = 0.3
 
     def __post_init__(self) -> None:
         if not 0 <= self.inner < self.outer < math.inf:
             raise InputError(f"a tube of {self.outer} m around {self.inner} m was given; expected a wall between them")
-        if not (0 < self.young < math.inf and 0 < self.density < math.inf and -1 < self.poisson < 0.5):
-            raise InputError("a tube needs young and density above zero, and poisson between -1 and 0.5")
 
 
 @checked
@@ -66,16 +65,12 @@ class Flow:
     0.188324
     """
 
-    mass_flow: float
-    density: float
-    area: float
-    outlet: str = "held"
+    mass_flow: Finite
+    density: Positive
+    area: Positive
+    outlet: Annotated[str, one_of(*OUTLETS)] = "held"
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.mass_flow) and 0 < self.density < math.inf and 0 < self.area < math.inf):
-            raise InputError("flow: expected a finite mass_flow, and density and area above zero")
-        if self.outlet not in OUTLETS:
-            raise InputError(f"flow: outlet = {self.outlet!r} was given; expected one of {', '.join(OUTLETS)}")
         if self.outlet == "free" and self.mass_flow < 0:
             raise InputError("flow: a free outlet is the end of the path; give the nodes in the order of the flow")
 

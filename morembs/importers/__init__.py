@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from morembs.base.errors import InputError
-from morembs.base.options import Text, checked, known
+from morembs.base.options import Text, known, read_options
 from morembs.base.plugins import Registry
 from morembs.base.units import Units, parse_units
 from morembs.fem import Mesh, Nodes
@@ -211,7 +211,7 @@ def import_file(
         return import_with_engine(path, format_of(path, format), engine, options or {})
     importer = IMPORTERS[format_of(path, format)]
     given = {key: Text(value) if isinstance(value, str) else value for key, value in (options or {}).items()}
-    values = checked(
+    values = read_options(
         importer.read, given, "the format", where=f"{path.name}: ", hidden=_NO_OPTIONS, cure="; give --set {key}=VALUE"
     )
     return importer.read(path, **values)

@@ -28,7 +28,7 @@ from morembs.base import progress
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import SolverError
 from morembs.base.types import Floats, Values
-from morembs.linalg.columns import multiply_into, orthonormal
+from morembs.linalg.columns import multiply_into, orthonormal, symmetric
 
 # Directions of Z below this part of the largest are dropped: (1e-10)^2 is nothing in the Gramian.
 NEGLIGIBLE = 1e-10
@@ -167,7 +167,7 @@ class _Iteration:
             Q = Q @ Y[:, elastic]
             K = _stiffness(system, Q)
         D = Q.T @ system.apply_D(Q)
-        D = 0.5 * (D + D.T)
+        D = symmetric(D)
         k = len(K)
         A = np.block([[np.zeros((k, k)), np.eye(k)], [-K, -D]])
         poles, X = sl.eig(A)
@@ -202,7 +202,7 @@ class _Iteration:
 def _stiffness(system: SecondOrder, Q: Floats) -> Floats:
     """Q' K Q (k, k)."""
     K = Q.T @ (system.K @ Q)
-    return 0.5 * (K + K.T)
+    return symmetric(K)
 
 
 class _Factor:

@@ -106,7 +106,7 @@ def projected(V: Floats, A: sp.csr_array, budget: Budget, W: Floats | None = Non
     test = V if W is None else W
     parts = [dot(test, A @ V[:, at : at + width], budget) for at in range(0, V.shape[1], width)]
     whole = np.hstack(parts) if parts else np.zeros((0, 0))
-    return 0.5 * (whole + whole.T) if W is None else whole
+    return symmetric(whole) if W is None else whole
 
 
 def symmetric(A: Floats) -> Floats:

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from morembs.base import progress
 from morembs.base.errors import InputError, SingularMatrixError, SolverError
 from morembs.base.types import Complexes, Floats
-from morembs.linalg.columns import complement, m_norms, orthonormal
+from morembs.linalg.columns import complement, m_norms, orthonormal, symmetric
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Factorization, LinearSolver
 
@@ -192,7 +192,7 @@ def _converged(pencil: _Pencil, V: Floats, count: int) -> tuple[ComplexModes, Fl
     for step in range(STEPS):
         Kv, Mv, Cv = (_projected(V, A) for A in (pencil.K, pencil.M, pencil.C))
         # To the last bit, by which a body without damping is known.
-        Kv = 0.5 * (Kv + Kv.T)
+        Kv = symmetric(Kv)
         values, Y = small_complex_modes(Kv if pencil.N is None else Kv + _projected(V, pencil.N), Mv, Cv)
         # A pair of s and its conjugate has one mode, two real s have one each.
         s, X = values[:wanted], V @ Y[:, :wanted]
@@ -222,7 +222,7 @@ def _projected(V: Floats, A: sp.csr_array) -> Floats:
     P = V.T @ (A @ V)
     Q = V.T @ (A.T @ V)
     S, Z = 0.5 * (P + Q), 0.5 * (P - Q)
-    return np.asarray(0.5 * (S + S.T) + 0.5 * (Z - Z.T))
+    return np.asarray(symmetric(S) + 0.5 * (Z - Z.T))
 
 
 def _cut(w: Floats, count: int) -> float | str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import scipy.linalg as sl
@@ -12,11 +13,12 @@ import scipy.sparse as sp
 
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats
-from morembs.linalg.columns import dense, fix_signs, m_norms
+from morembs.base.units import eigenvalue_in_hz
+from morembs.linalg.columns import dense, fix_signs, m_norms, symmetric
 from morembs.linalg.lanczos import BlockLanczos, largest
-from morembs.linalg.second_shift import first_look, keeps_two_factors, modes_below, shifted_factor
+from morembs.linalg.second_shift import first_look, keeps_two_factors, modes_below
 from morembs.linalg.slicing import SLICE, Shifted, sliced_modes
-from morembs.linalg.statics import ConstrainedStatics
+from morembs.linalg.statics import ConstrainedStatics, off_eigenvalues
 
 log = logging.getLogger(__name__)
 # Up to this size, or when a large part of all modes is wanted, LAPACK is faster and finds all.
@@ -54,7 +56,7 @@ class Modes:
     @property
     def frequencies_hz(self) -> Floats:
         """Frequencies (m,) in Hz."""
-        return np.sqrt(np.maximum(self.eigenvalues, 0.0)) / (2 * np.pi)
+        return np.asarray(eigenvalue_in_hz(self.eigenvalues))
 
     def first(self, count: int) -> Modes:
         """The lowest ``count`` of these modes."""
@@ -92,7 +94,7 @@ def lowest_modes(
             count, shifted = _up_to(body, M, below)
             if count > MOST_SPARSE and M.shape[0] > DENSE_PART:
                 raise InputError(
-                    f"{count} {what} lie below {np.sqrt(below) / (2 * np.pi):.6g} Hz, more than {MOST_SPARSE}; "
+                    f"{count} {what} lie below {eigenvalue_in_hz(below):.6g} Hz, more than {MOST_SPARSE}; "
                     "lower the limit"
                 )
     if count is not None and count > size:
@@ -118,7 +120,7 @@ def _up_to(body: ConstrainedStatics, M: sp.csr_array, below: float) -> tuple[int
     """How many modes lie below, and the factor that counted them where it will be of use."""
     if keeps_two_factors(body) and M.shape[0] > DENSE_PART:
         try:
-            shifted = shifted_factor(body, M, below)
+            shifted = off_eigenvalues(below, partial(Shifted, body, M))
             return shifted.below, shifted
         except SolverError as error:
             log.info("no second shift: %s", error)
@@ -132,7 +134,7 @@ def _dense(body: ConstrainedStatics, M: sp.csr_array, count: int | None, below: 
     Q = s * (sl.qr(C)[0][:, C.shape[1] :] if C.shape[1] else np.eye(M.shape[0]))
     K = Q.T @ (body.statics.pencil.lower @ Q)
     Mq = Q.T @ (M @ Q)
-    values, vectors = _dense_pencil(0.5 * (K + K.T), 0.5 * (Mq + Mq.T))
+    values, vectors = _dense_pencil(symmetric(K), symmetric(Mq))
     vectors = Q @ vectors
     # LAPACK has the lowest modes to eps of the highest eigenvalue only.
     soft = int((values < SOFT * values[-1]).sum()) if len(values) else 0
@@ -152,7 +154,7 @@ def _sharpened(body: ConstrainedStatics, M: sp.csr_array, V: Floats) -> tuple[Fl
         V /= m_norms(V, M @ V)
         K, G = V.T @ (body.statics.pencil.lower @ V), V.T @ (M @ V)
         # The inverse pencil has its largest values, which LAPACK computes best, for the lowest modes.
-        theta, Y = sl.eigh(0.5 * (G + G.T), 0.5 * (K + K.T))
+        theta, Y = sl.eigh(symmetric(G), symmetric(K))
         values, V = 1.0 / theta[::-1], V @ (Y[:, ::-1] / np.sqrt(theta[::-1]))
     return values, V
 
@@ -171,7 +173,7 @@ def graded_modes(
     while soft:
         some = Y[:, :soft]
         part = some.T @ A @ some if projected is None else projected(some)
-        values[:soft], Q = sl.eigh(0.5 * (part + part.T))
+        values[:soft], Q = sl.eigh(symmetric(part))
         Y[:, :soft] = some @ Q
         # At least the highest of them is known now.
         soft = min(soft - 1, int((values[:soft] < SOFT * values[soft - 1]).sum()))
@@ -211,7 +213,7 @@ def _sparse(
         cut = first_look(lanczos, count, what=what)
         try:
             if shifted is None and cut is not None:
-                shifted = shifted_factor(body, M, cut)
+                shifted = off_eigenvalues(cut, partial(Shifted, body, M))
         except SolverError as error:
             log.info("no second shift: %s", error)
         if shifted is not None and cut is not None:
@@ -242,14 +244,14 @@ def _counted(
         counted = int((values < cut).sum())
         lanczos.store()
         true = count if below is not None else body.count_below(cut)
-        log.info("Sturm count: %d %s below %.6g Hz, %d found", true, what, np.sqrt(cut) / (2 * np.pi), counted)
+        log.info("Sturm count: %d %s below %.6g Hz, %d found", true, what, eigenvalue_in_hz(cut), counted)
         if counted == true:
             vectors = fix_signs(Y[:, :count], body.statics.budget)
             held = float(cut) if counted == count else float(values[count])
             return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=held)
         wanted = max(wanted, true + 2)
     raise SolverError(
-        f"the Sturm count finds {true} {what} below {np.sqrt(cut) / (2 * np.pi):.6g} Hz, the eigensolver {counted}; "
+        f"the Sturm count finds {true} {what} below {eigenvalue_in_hz(cut):.6g} Hz, the eigensolver {counted}; "
         "ask for a few modes more or less, so that the limit does not cut a cluster"
         if cut is not None
         else f"the first {wanted} {what} lie in one cluster; ask for more of them"

@@ -7,15 +7,15 @@ the same space goes on with it (Grimes, Lewis and Simon 1994; Ruhe 1998): modes 
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 
 from morembs.base import progress
-from morembs.base.errors import SingularMatrixError, SolverError
+from morembs.base.errors import SolverError
 from morembs.base.memory import installed_bytes
 from morembs.base.types import Floats
+from morembs.base.units import eigenvalue_in_hz
 from morembs.linalg.lanczos import TOLERANCE, BlockLanczos
 from morembs.linalg.slicing import Shifted
-from morembs.linalg.statics import NUDGES, ConstrainedStatics
+from morembs.linalg.statics import ConstrainedStatics
 
 # Residual of the Ritz values between which the second shift is put: their error is about its square.
 ROUGH = 0.03
@@ -34,20 +34,6 @@ def keeps_two_factors(body: ConstrainedStatics) -> bool:
     stats = body.statics.factor.stats
     unlimited = body.statics.budget.memory is None and not stats.out_of_core
     return unlimited and ROOM * stats.memory_bytes < installed_bytes()
-
-
-def shifted_factor(body: ConstrainedStatics, M: sp.csr_array, sigma: float) -> Shifted:
-    """Factor at ``sigma``, which moves a little up where it hits an eigenvalue.
-
-    Raises:
-        SolverError: eigenvalues cluster there, or round-off hides them.
-    """
-    for nudge in NUDGES:
-        try:
-            return Shifted(body, M, sigma * (1 + nudge))
-        except SingularMatrixError:
-            continue
-    raise SolverError(f"many eigenfrequencies cluster at {_hz(sigma)}")
 
 
 def first_look(lanczos: BlockLanczos, count: int, *, what: str) -> float | None:
@@ -103,12 +89,8 @@ def modes_below(lanczos: BlockLanczos, shifted: Shifted, *, what: str) -> tuple[
         values, Y = values[:locked], Y[:, :locked]
     if len(values) != wanted:
         raise SolverError(
-            f"the Sturm count finds {wanted} {what} below {_hz(shifted.sigma)}, the eigensolver {len(values)}; "
-            "ask for a few modes more or less, so that the limit does not cut a cluster"
+            f"the Sturm count finds {wanted} {what} below {eigenvalue_in_hz(shifted.sigma):.6g} Hz, the eigensolver "
+            f"{len(values)}; ask for a few modes more or less, so that the limit does not cut a cluster"
         )
     order = np.argsort(values, kind="stable")
     return values[order], lanczos.vectors(Y[:, order])
-
-
-def _hz(value: float) -> str:
-    return f"{np.sqrt(max(value, 0.0)) / (2 * np.pi):.6g} Hz"

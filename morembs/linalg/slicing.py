@@ -9,6 +9,7 @@ Modes that are known are locked out of the next space.
 from __future__ import annotations
 
 import logging
+from functools import partial
 
 import numpy as np
 import scipy.linalg as sl
@@ -16,12 +17,13 @@ import scipy.sparse as sp
 
 from morembs.base import progress
 from morembs.base.closing import Closing
-from morembs.base.errors import SingularMatrixError, SolverError
+from morembs.base.errors import SolverError
 from morembs.base.types import Floats, Ints
-from morembs.linalg.columns import dense, dot, map_columns, project_out
+from morembs.base.units import eigenvalue_in_hz
+from morembs.linalg.columns import dense, dot, map_columns, project_out, symmetric
 from morembs.linalg.dynamic_stiffness import constrained
 from morembs.linalg.lanczos import MAX_STEPS, TOLERANCE, BlockLanczos
-from morembs.linalg.statics import NUDGES, ConstrainedStatics, room_for_factor, unit_rows
+from morembs.linalg.statics import ConstrainedStatics, off_eigenvalues, room_for_factor, unit_rows
 
 log = logging.getLogger(__name__)
 # Modes per slice, and columns of a Krylov block.
@@ -40,7 +42,7 @@ class Shifted(Closing):
         if self.rows is not None:
             A = constrained(A, self.rows)
         solver = body.counter().with_memory(room_for_factor(body.statics.budget))
-        self.factor = solver.factorize(A, "symmetric", f"K - sigma M at {np.sqrt(sigma) / (2 * np.pi):.6g} Hz")
+        self.factor = solver.factorize(A, "symmetric", f"K - sigma M at {eigenvalue_in_hz(sigma):.6g} Hz")
         self.below = self.factor.negative_pivots()
         if body.mean_axes:
             self.below -= body.count
@@ -49,7 +51,7 @@ class Shifted(Closing):
             S = dense(body.C.T @ self.X)
             # Scaled: constraints on displacements and on rotations differ by orders of magnitude.
             self.scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
-            S = self.scale[:, None] * (0.5 * (S + S.T)) * self.scale
+            S = self.scale[:, None] * symmetric(S) * self.scale
             self.schur = sl.lu_factor(S)
             self.below -= int(np.count_nonzero(sl.eigvalsh(S) < 0))
 
@@ -102,22 +104,27 @@ def sliced_modes(
         # Behind an empty slice the spectrum has a gap of unknown width.
         step = 2 * (empty - recent[-1]) if empty > recent[-1] else _LEFT * per_slice * gap
         sigma = min(recent[-1] + step, below)
-        with _shifted(body, M, sigma) as shifted:
+        # Down, as the last shift is the limit.
+        words = "; move the limit by a percent"
+        with off_eigenvalues(sigma, partial(Shifted, body, M), side=-1, words=words) as shifted:
             missing = shifted.below - int((lam < shifted.sigma).sum())
             near = np.sort(np.argsort(np.abs(lam - shifted.sigma))[: 3 * per_slice])
             limit = min(below, 2 * shifted.sigma - recent[-1])
             new, V = _slice(shifted, locked[:, :size], near, missing, limit, 2 * per_slice)
         if int((new < shifted.sigma).sum()) != missing or size + len(new) > count:
             raise SolverError(
-                f"{missing} more modes lie below {_hz(shifted.sigma)}, the eigensolver found "
+                f"{missing} more modes lie below {eigenvalue_in_hz(shifted.sigma):.6g} Hz, the eigensolver found "
                 f"{int((new < shifted.sigma).sum())}; move the limit by a percent"
             )
         if not len(new) and sigma >= below:
-            raise SolverError(f"{count} modes lie below {_hz(below)}, {size} were found; move the limit by a percent")
+            raise SolverError(
+                f"{count} modes lie below {eigenvalue_in_hz(below):.6g} Hz, {size} were found; move the "
+                "limit by a percent"
+            )
         empty = empty if len(new) else shifted.sigma
         locked[:, size : size + len(new)] = V
         lam, size = np.append(lam, new), size + len(new)
-        log.info("slice at %s: %d of %d modes", _hz(shifted.sigma), size, count)
+        log.info("slice at %.6g Hz: %d of %d modes", eigenvalue_in_hz(shifted.sigma), size, count)
         progress.update(f"{size} of {count} modes in slices")
     order = np.argsort(lam, kind="stable")
     result = budget.empty(locked.shape, order="F")
@@ -154,7 +161,9 @@ def _slice(
         good = residual <= TOLERANCE * np.abs(theta)
         values = shifted.sigma + 1.0 / theta
         left = int((good & (theta < 0)).sum())
-        progress.update(f"slice at {_hz(shifted.sigma)}: {left} of {missing} modes below it converged")
+        progress.update(
+            f"slice at {eigenvalue_in_hz(shifted.sigma):.6g} Hz: {left} of {missing} modes below it converged"
+        )
         if left >= missing or not lanczos.pending.shape[1]:
             # A mode counts only with all that lie nearer to the shift: gaps there would be misses.
             right = good & (theta > 0) & (values <= limit)
@@ -164,7 +173,7 @@ def _slice(
             fresh = (dot(known, M @ V, budget) ** 2).sum(axis=0) < 0.5
             if int((new[fresh] < shifted.sigma).sum()) >= missing or not lanczos.pending.shape[1]:
                 return new[fresh], V[:, fresh]
-    raise SolverError(f"the slice at {_hz(shifted.sigma)} did not converge in {MAX_STEPS} steps")
+    raise SolverError(f"the slice at {eigenvalue_in_hz(shifted.sigma):.6g} Hz did not converge in {MAX_STEPS} steps")
 
 
 def _make_room(lanczos: BlockLanczos, missing: int, room: int) -> None:
@@ -179,17 +188,3 @@ def _make_room(lanczos: BlockLanczos, missing: int, room: int) -> None:
         lanczos.enlarge(min(2 * lanczos.capacity, room))
     else:
         lanczos.restart(min(keep, lanczos.size - lanczos.block))
-
-
-def _shifted(body: ConstrainedStatics, M: sp.csr_array, sigma: float) -> Shifted:
-    """Factor at ``sigma``, which moves a little down where it hits an eigenvalue."""
-    for nudge in NUDGES:
-        try:
-            return Shifted(body, M, sigma * (1 - nudge))
-        except SingularMatrixError:
-            continue
-    raise SolverError(f"many eigenfrequencies cluster at {_hz(sigma)}; move the limit by a percent")
-
-
-def _hz(value: float) -> str:
-    return f"{np.sqrt(max(value, 0.0)) / (2 * np.pi):.6g} Hz"

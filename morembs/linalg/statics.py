@@ -13,6 +13,9 @@ interface (C = B), for any kind of coupling.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
@@ -21,12 +24,14 @@ from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.closing import Closing
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
 from morembs.base.types import Floats, Ints
-from morembs.linalg.columns import DEPENDENT, m_norms, map_columns
+from morembs.base.units import eigenvalue_in_hz
+from morembs.linalg.columns import DEPENDENT, m_norms, map_columns, symmetric
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, constrained, grounded, spring_stiffness
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
 
+Used = TypeVar("Used")
 # Error of unit interface displacements that is refused, and the one before any refinement, beyond which the condensed
 # stiffness has lost too much; the error that is not refined any more, and the number of steps.
 IMPOSED, FIRST, EXACT, REFINED = 1e-6, 1e-5, 1e-9, 4
@@ -38,6 +43,7 @@ ROUND_OFF = 1e-12
 UNSEEN = 1e-13
 # In addition to a Sturm count: columns of length n, and bytes for buffers of the libraries.
 COUNT_COLUMNS, COUNT_BYTES = 50, 60_000_000
+# Parts by which a shift is moved off an eigenvalue.
 NUDGES = (0.0, 1e-8, 1e-7, 1e-6)
 
 
@@ -111,7 +117,7 @@ class ConstrainedStatics:
         H[:, np.abs(H).max(axis=0, initial=0.0) <= UNSEEN * np.abs(Z).max(axis=0, initial=0.0)] = 0.0
         c, r = H.shape
         self.count = c
-        border = np.block([[0.5 * (E + E.T), -H], [-H.T, np.zeros((r, r))]])
+        border = np.block([[symmetric(E), -H], [-H.T, np.zeros((r, r))]])
         self.scale = _scales(np.diag(E), H)
         scaled = self.scale[:, None] * border * self.scale
         if c + r:
@@ -180,7 +186,7 @@ class ConstrainedStatics:
             )
         self._refuse_lost_energy(lost)
         # Loads have no part in rigid motion, of which the energy has round-off of all rows.
-        return U, -0.5 * (lam + lam.T)
+        return U, -symmetric(lam)
 
     def _meet_motions(self, U: Floats, lam: Floats) -> None:
         """Make C' U = I with loads on the interfaces alone, in place: X has their displacements."""
@@ -222,7 +228,7 @@ class ConstrainedStatics:
         s = _sizes(condensed, self.scale[: self.count])
         H = s[:, None] * (self.C.T @ self.statics.Z)
         Q = sl.qr(H)[0][:, H.shape[1] :] if H.shape[1] else np.eye(self.count)
-        A, B = (Q.T @ (0.5 * (E + E.T) / np.outer(s, s)) @ Q for E in (condensed, -lam))
+        A, B = (Q.T @ (symmetric(E) / np.outer(s, s)) @ Q for E in (condensed, -lam))
         if not A.size:
             return 0.0
         try:
@@ -253,14 +259,8 @@ class ConstrainedStatics:
         Raises:
             SolverError: eigenvalues lie so close to ``sigma`` that no count is possible.
         """
-        for nudge in NUDGES:
-            try:
-                return self._count_below(sigma * (1 + nudge))
-            except SingularMatrixError:
-                continue
-        raise SolverError(
-            f"many eigenfrequencies cluster at {np.sqrt(sigma) / (2 * np.pi):.6g} Hz and cannot be counted there; "
-            "move the limit by a percent"
+        return off_eigenvalues(
+            sigma, self._count_below, words=" and cannot be counted there; move the limit by a percent"
         )
 
     def counter(self) -> LinearSolver:
@@ -283,6 +283,20 @@ class ConstrainedStatics:
             S = self.C.T @ map_columns(factor.solve, self.C, pencil.budget)
         scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
         return negative - int(np.count_nonzero(sl.eigvalsh(scale[:, None] * (S + S.T) * scale) < 0))
+
+
+def off_eigenvalues(sigma: float, use: Callable[[float], Used], *, side: int = 1, words: str = "") -> Used:
+    """``use`` (sigma), or where that hits an eigenvalue of a place a little above ``sigma``, with ``side`` -1 below it.
+
+    Raises:
+        SolverError: eigenvalues cluster there, or round-off hides them.
+    """
+    for nudge in NUDGES:
+        try:
+            return use(sigma * (1 + side * nudge))
+        except SingularMatrixError:
+            continue
+    raise SolverError(f"many eigenfrequencies cluster at {eigenvalue_in_hz(sigma):.6g} Hz{words}")
 
 
 def room_for_factor(budget: Budget) -> int | None:

@@ -13,12 +13,8 @@ from morembs.fem import FEModel, skew
 from morembs.fem.interface import Elimination, Interface
 from morembs.linalg.statics import support_dofs
 from morembs.parametric.parameter import Parameter
+from morembs.parametric.tolerances import TOL
 from morembs.parametric.varied import VariedModel
-
-# Part of the size of a model by which a morph may change the distance of the ends of a spring.
-SAME = 1e-9
-# Most nodes of an average interface with a spring: the term is a full block on them.
-PATCH = 1000
 
 
 def with_springs(varied: VariedModel, interfaces: Sequence[Interface]) -> VariedModel:
@@ -65,10 +61,10 @@ def frame_motion(model: FEModel, interface: Interface) -> sp.csr_array:
     Raises:
         InputError: a mean of very many nodes.
     """
-    if not interface.kind.carries and len(interface.nodes) > PATCH:
+    if not interface.kind.carries and len(interface.nodes) > TOL.max_patch_nodes:
         raise InputError(
             f"a spring at the interface {interface.name}, which takes the mean of {len(interface.nodes)} nodes, joins "
-            f"all of them; expected {PATCH} at most, or coupling = 'rigid'"
+            f"all of them; expected {TOL.max_patch_nodes} at most, or coupling = 'rigid'"
         )
     attached = replace(interface, components=(0, 1, 2, 3, 4, 5)).kind.attach(model, interface)
     if not isinstance(attached, Elimination):
@@ -85,7 +81,7 @@ def _refuse_apart(varied: VariedModel, parameter: Parameter, ends: Sequence[Inte
     for number, d in zip(varied.morph.which, varied.morph.displacements, strict=True):
         morph = varied.parameters[number]
         moves = np.array([d[each.nodes[0]] for each in ends]) * max(abs(morph.low), abs(morph.high))
-        if np.abs(moves - moves[0]).max() > SAME * size:
+        if np.abs(moves - moves[0]).max() > TOL.same_place * size:
             raise InputError(
                 f"parameter {morph.name} moves {ends[0].name} and {ends[1].name}, the ends of the spring "
                 f"{parameter.name}, apart; a spring may join interfaces that move together, or one to the ground"

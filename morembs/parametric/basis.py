@@ -17,41 +17,21 @@ import scipy.linalg as sl
 from morembs.base import progress
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.linalg.columns import map_columns, multiply, symmetric
 from morembs.linalg.lanczos import BlockLanczos
-from morembs.parametric.bound import BEYOND, ParametricBound, ratio, ritz_pairs
+from morembs.parametric.bound import ParametricBound, ratio, ritz_pairs
 from morembs.parametric.bound_at import BoundAt
-from morembs.parametric.cells import MOST, Proofs
+from morembs.parametric.cells import Proofs
 from morembs.parametric.model import ParametricModel
 from morembs.parametric.samples import frequencies, narrower, training_points
 from morembs.parametric.space import GlobalSpace
 from morembs.parametric.steps import SearchSteps, Step
 from morembs.parametric.terms import AffineProblem
+from morembs.parametric.tolerances import TOL
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.responses.certified import floor_of
-
-# Modes up to these multiples of the upper frequency: those that are deflated at the anchor, those taken at other p.
-DEFLATED, TAKEN = 1.75, 1.5
-# In wide boxes more are deflated, as modes of the softest and heaviest body lie lower: to this multiple of its own
-# frequencies, as far as all its moduli and densities scale them, but no further than the second.
-SOFTER, WIDEST = 1.25, 5.0
-# Where those are not enough, modes of the softest bodies up to this multiple, and what they have beside the others.
-SOFTEST, NEW = 2.0, 1e-6
-# Blocks of the Krylov space of the loads that are taken beside the modes, one more each time that p comes again.
-BLOCKS = 2
-# Weight of deflated loads in eigenvalues at the limit of the deflated modes.
-WEIGHT = 2.0
-# Modes at other p are as sharp as this: they are columns of a basis only.
-SHARP, STEPS = 1e-5, 30
-# Values of p of the decomposition, and of the full points that a search may take.
-SNAPSHOTS, POINTS = 96, 40
-# A search ends after so many steps in which the bound falls by less than this factor.
-STALLED, SLOW = 2, 0.95
-# Where less of the stiffness of the anchor is left on a cell, springs that hold the body are taken out of the norm.
-SOFT = 0.05
-# Fresh values per value of training for the bound over the box.
-FRESH = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,9 +91,9 @@ class GreedySearch:
         progress.update("modes at nominal values")
         limit = (self._deflated() * self.high) ** 2
         modes = problem.elastic_modes(below=limit)
-        self.sigma = WEIGHT * limit
+        self.sigma = TOL.deflation_weight * limit
         self._start(modes.vectors)
-        if min(cell.alpha for cell in self.cells) < SOFT and problem.loose is not None:
+        if min(cell.alpha for cell in self.cells) < TOL.least_stiffness_left and problem.loose is not None:
             self._start(modes.vectors, problem.loose)
         self.points: list[Floats] = []
         self.factorisations = 1
@@ -131,7 +111,7 @@ class GreedySearch:
         self.proofs = Proofs(self.space)
         # Many cells help little where the norm is the matter.
         few = loose is None and self.problem.loose is not None
-        self.cells = self.proofs.cells(MOST) if few else self.proofs.cells()
+        self.cells = self.proofs.cells(TOL.max_cells) if few else self.proofs.cells()
 
     def _deflated(self) -> float:
         """The multiple of the upper frequency below which modes of the anchor are deflated."""
@@ -140,7 +120,9 @@ class GreedySearch:
         low, high = np.where(used, box.low, box.nominal), np.where(used, box.high, box.nominal)
         stiffer = ratio(problem.law_K.monotone, box.nominal, low).max()
         lighter = ratio(problem.law_M.monotone, high, box.nominal).max()
-        return float(np.clip(SOFTER * np.sqrt(stiffer * lighter), DEFLATED, WIDEST))
+        return float(
+            np.clip(TOL.softest_up_to * np.sqrt(stiffer * lighter), TOL.deflated_up_to, TOL.max_deflated_up_to)
+        )
 
     def damping(self, p: Floats) -> Damping:
         """The damping at ``p`` (P,) with its floor."""
@@ -156,15 +138,15 @@ class GreedySearch:
         wanted = self.wanted
         self._take(Worst(value=np.inf, p=self.problem.box.nominal, hz=0.0))
         last, stalled = np.inf, 0
-        while stalled < STALLED:
+        while stalled < TOL.stalled_steps:
             worst = self._next()
-            stalled = stalled + 1 if np.isfinite(last) and worst.value > SLOW * last else 0
+            stalled = stalled + 1 if np.isfinite(last) and worst.value > TOL.least_progress * last else 0
             last = worst.value
             progress.update(
                 f"bound {worst.value:.1e} with {self.space.size} columns from {len(self.points)} values of p"
             )
             enough = worst.value <= wanted.tolerance
-            if enough or len(self.points) >= POINTS or not self._take(worst):
+            if enough or len(self.points) >= TOL.max_full_points or not self._take(worst):
                 break
         model, bound = self._bound(proof=True)
         return self._cut(model, bound)
@@ -178,7 +160,7 @@ class GreedySearch:
         return self.worst(model, replace(bound, rounding_K=None, rounding_M=None))
 
     def _bound(self, *, proof: bool) -> tuple[ParametricModel, ParametricBound]:
-        model, enough = self.space.reduced(), BEYOND * self.high**2
+        model, enough = self.space.reduced(), TOL.least_gap * self.high**2
         F = np.eye(self.space.size, self.deflated)
         cells = self.proofs.least(self.cells, F, self.sigma, enough, proof=proof)
         if cells.least.min() < enough:
@@ -198,10 +180,10 @@ class GreedySearch:
             p = np.where(np.isin(np.arange(len(ends)), self.proofs.curved), 0.5 * (cell.low + cell.high), ends)
             K, M = model.matrices(p)
             _, values, Y = ritz_pairs(K, M, model.rigid_at(p))
-            columns.append(Y[:, values < (SOFTEST * self.high) ** 2])
+            columns.append(Y[:, values < (TOL.corner_modes_up_to * self.high) ** 2])
         beside = np.hstack(columns)[known:]
         U, sizes, _ = sl.svd(beside, full_matrices=False)
-        return np.asarray(sl.block_diag(np.eye(known), U[:, sizes > NEW * sizes.max(initial=0.0)]))
+        return np.asarray(sl.block_diag(np.eye(known), U[:, sizes > TOL.new_direction * sizes.max(initial=0.0)]))
 
     def _take(self, worst: Worst) -> bool:
         """Responses and modes at the ``worst`` p join the space, more of them where it was taken before; whether there
@@ -227,17 +209,17 @@ class GreedySearch:
         first: all from one factorisation."""
         flexibility, M, budget = problem.elastic.flexibility, problem.M, problem.budget
         X = map_columns(flexibility, problem.B.toarray() * self.problem.motion_scale, budget)
-        blocks, least = BLOCKS + before, (TAKEN * (1 + 0.5 * before) * self.high) ** -2
-        lanczos = BlockLanczos(flexibility, M, X, capacity=min(STEPS * X.shape[1], len(X)), budget=budget)
+        blocks, least = TOL.load_blocks + before, (TOL.taken_up_to * (1 + 0.5 * before) * self.high) ** -2
+        lanczos = BlockLanczos(flexibility, M, X, capacity=min(TOL.mode_steps * X.shape[1], len(X)), budget=budget)
         start = 0
-        for step in range(STEPS):
+        for step in range(TOL.mode_steps):
             if lanczos.full() or not lanczos.pending.shape[1]:
                 break
             lanczos.expand()
             start = lanczos.size if step < blocks else start
             theta, Y, residual = lanczos.ritz()
             low = theta > least
-            if step >= blocks and (residual[low] <= SHARP * theta[low]).all():
+            if step >= blocks and (residual[low] <= TOL.mode_residual * theta[low]).all():
                 break
         return np.hstack([lanczos.vectors(Y[:, low]), lanczos.V[:, :start]])
 
@@ -256,7 +238,7 @@ class GreedySearch:
             k = int(np.argmax(relative))
             size = at.residual(omega).max() if np.isinf(relative[k]) else 0.0
             if relative[k] > largest.value or (relative[k] == largest.value and size > residual):
-                largest, residual = Worst(value=float(relative[k]), p=p, hz=float(omega[k] / (2 * np.pi))), size
+                largest, residual = Worst(value=float(relative[k]), p=p, hz=float(in_hz(omega[k]))), size
             if largest.value > enough:
                 break
         return largest
@@ -290,7 +272,7 @@ class GreedySearch:
                 low = middle + 1
         model, bound = reduced_to(model, T[:, :high]), bound.turned(T[:, :high]).compressed()
         box = self.problem.box
-        fresh = training_points(box, FRESH * wanted.training, seed=2)
+        fresh = training_points(box, TOL.fresh_per_training * wanted.training, seed=2)
         worst = self.worst(model, bound, np.vstack([self.training, fresh]))
         rigid = self.problem.rigid.shape[1]
         kinds = ("rigid",) * rigid + ("elastic",) * (self.deflated - rigid) + ("krylov",) * (high - self.deflated)
@@ -341,7 +323,7 @@ class GreedySearch:
         return np.asarray(Q * np.where(np.diag(R) < 0, -1.0, 1.0))
 
     def _some(self) -> Floats:
-        step = max(1, len(self.training) // SNAPSHOTS)
+        step = max(1, len(self.training) // TOL.snapshots)
         return np.vstack([*self.points, self.training[::step]])
 
     def _refuse_undamped(self, at: BoundAt, p: Floats) -> None:
@@ -355,7 +337,7 @@ class GreedySearch:
         if len(undamped):
             raise InputError(
                 f"at {self._words(p)} the body has no damping at {len(undamped)} resonances of the band, the first at "
-                f"{np.sqrt(undamped[0]) / (2 * np.pi):,.6g} Hz, where its response has no limit; expected some: give "
+                f"{eigenvalue_in_hz(undamped[0]):,.6g} Hz, where its response has no limit; expected some: give "
                 "[damping], a range of alpha or beta from above 0, or damping_floor = 0.01"
             )
 

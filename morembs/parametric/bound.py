@@ -60,19 +60,11 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.base.types import Floats
+from morembs.linalg.columns import symmetric
 from morembs.parametric.bound_at import BoundAt
 from morembs.parametric.law import LINEAR, SQUARE, Law
+from morembs.parametric.tolerances import TOL
 from morembs.problem.damping import Damping
-
-# Ritz vectors up to the first multiple of the upper frequency are V_L, and those up to the others, one after the other
-# until Lam is this multiple of its square, whose residuals take no more than this part of b together.
-LOW, FAR, BEYOND, TAKEN = 1.5, (4.0, 16.0, 64.0), 1.1, 0.05
-# Parts of their energy that columns may lose by compression, and below which they count as rigid.
-SMALL, RIGID = 1e-5, 1e-6
-# Least part of a rigid motion on springs that low Ritz vectors have to have.
-HELD = 1e-6
-# Springs are soft whose frequencies are this part of the upper one at most.
-SLOW = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,11 +138,11 @@ class ParametricBound:
         )
         return ParametricBound(**parts)
 
-    def compressed(self, cut: float = SMALL) -> ParametricBound:
+    def compressed(self, cut: float = TOL.compression_loss) -> ParametricBound:
         """The same with fewer coordinates: directions along which every column has less than about ``cut`` of its own
         energy are left out, and count by norms."""
         energy = np.linalg.norm(np.tensordot(self.law_K(self.anchor), self.residual_K, 1), axis=0)
-        energy = np.maximum(energy, energy[energy > RIGID * energy.max(initial=0.0)].min(initial=np.inf))
+        energy = np.maximum(energy, energy[energy > TOL.rigid_energy * energy.max(initial=0.0)].min(initial=np.inf))
         size = np.linalg.norm(self.residual_B, axis=0)
         ones, sizes = np.ones_like(self.anchor), np.where(self.anchor == 0, self.cells.high.max(axis=0), self.anchor)
         parts = (
@@ -187,7 +179,7 @@ class ParametricBound:
         rho = KY - MY * values
         off = eK @ size + (eM @ size) * values
         # Beside the band motions on soft springs are inertia, K v = mu M v + rho: rho over mu would be round-off.
-        soft = 0 if self.rigid is None else int((values[:6] < (SLOW * self.highest) ** 2).sum())
+        soft = 0 if self.rigid is None else int((values[:6] < (TOL.soft_spring * self.highest) ** 2).sum())
         static = np.where(np.arange(len(values))[:, None] < soft, 0.0, b / values[:, None])
         start = self.residual_B - KY @ static - MY[:, :soft] @ b[:soft] - MZ @ b_rigid
         off_start = self.rest_B + (eK @ size) @ np.abs(static) + (eM @ np.abs(Z)) @ np.abs(b_rigid)
@@ -205,13 +197,13 @@ class ParametricBound:
         s_K, s_M = ratio(self.law_K.monotone, p, self.soft).min(), ratio(self.law_M.monotone, p, self.soft).max()
         few, below, loads = 0, 0.0, self._rigid_loads(p, M)
         # More of them where so few leave no bound at the upper end of the band.
-        for far in FAR if alpha > 0 else FAR[:1]:
+        for far in TOL.shift_ladder if alpha > 0 else TOL.shift_ladder[:1]:
             more = self._few(values, np.diag(gram)[len(gram) - len(values) :], far)
             d = self._missed(MZ, MY[:, :more], Z, Y[:, :more], eM, loads) / alpha if alpha > 0 else np.inf
             found = float(s_K / s_M * least / (1 + s_K * self.sigma * d))
-            if found > below or far == FAR[0]:
+            if found > below or far == TOL.shift_ladder[0]:
                 few, below = more, found
-            if below > BEYOND * self.highest**2:
+            if below > TOL.least_gap * self.highest**2:
                 break
         # Products with K leave round-off in the residuals, too.
         own = np.sqrt(np.maximum(np.diag(unsure_K), 0.0))
@@ -235,9 +227,9 @@ class ParametricBound:
     def _few(self, values: Floats, own: Floats, far: float) -> int:
         """How many Ritz vectors are V_L, whose residuals have the squares ``own`` (e,) of norms, up to ``far`` times
         the upper frequency: more of them make d smaller and kappa larger."""
-        low = int((values < (LOW * self.highest) ** 2).sum())
+        low = int((values < (TOL.low_modes_up_to * self.highest) ** 2).sum())
         end = int((values < (far * self.highest) ** 2).sum())
-        return low + int((np.cumsum(own[low:end] / (values[low:end] - self.highest**2)) <= TAKEN).sum())
+        return low + int((np.cumsum(own[low:end] / (values[low:end] - self.highest**2)) <= TOL.truncation_share).sum())
 
     def _rigid_loads(self, p: Floats, M: Floats) -> tuple[Floats, Floats] | None:
         """R' M (6, n) and R' W (6, k) of orthonormal motions R that springs alone hold at ``p``."""
@@ -258,7 +250,7 @@ class ParametricBound:
         X, free = np.zeros((few, left.shape[1])), np.eye(few)
         if loads is not None:
             C, wanted = loads[0] @ Y, loads[1]
-            if np.linalg.matrix_rank(C, tol=HELD) < len(C):
+            if np.linalg.matrix_rank(C, tol=TOL.spring_hold) < len(C):
                 return np.inf
             X, free = np.asarray(np.linalg.pinv(C) @ wanted), np.asarray(sl.null_space(C))
         if free.shape[1]:
@@ -275,7 +267,7 @@ def ritz_pairs(K: Floats, M: Floats, rigid: Floats) -> tuple[Floats, Floats, Flo
         values, Y = sl.eigh(K, M)
         return rigid, values, Y
     G = rigid.T @ M @ rigid
-    Z = sl.solve_triangular(sl.cholesky(0.5 * (G + G.T), lower=True), rigid.T, lower=True).T
+    Z = sl.solve_triangular(sl.cholesky(symmetric(G), lower=True), rigid.T, lower=True).T
     Q = sl.qr(M @ Z)[0][:, r:]
     values, Y = sl.eigh(Q.T @ K @ Q, Q.T @ M @ Q)
     return Z, values, np.asarray(Q @ Y)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from morembs.base.types import Complexes, Floats
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.problem.damping import Damping
 from morembs.responses.residual_bound import numerator, slope
 
@@ -65,8 +66,8 @@ class BoundAt:
         if not self.least > highest**2:
             return (
                 "beside the known modes no others are proven to be absent but below "
-                f"{np.sqrt(self.least) / (2 * np.pi):,.4g} Hz (Lam), and the band goes up to "
-                f"{highest / (2 * np.pi):,.4g} Hz"
+                f"{eigenvalue_in_hz(self.least):,.4g} Hz (Lam), and the band goes up to "
+                f"{in_hz(highest):,.4g} Hz"
             )
         a, c, g = self._a(np.array([omega]))
         if not self._gain(a, c, g)[0][0] > 0:

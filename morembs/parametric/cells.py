@@ -37,14 +37,10 @@ from morembs.parametric.bound import Cells
 from morembs.parametric.law import LINEAR, Law, bernstein
 from morembs.parametric.model import ParametricModel
 from morembs.parametric.space import GlobalSpace
+from morembs.parametric.tolerances import TOL
 
 # Parts of what eigenvalues promise that are tried, one after the other.
 TRIED = (0.97, 0.9, 0.8, 0.65)
-# Cells are split until a proof gives this part of what holds at their corners, up to so many of them, and where nothing
-# is proven up to the last number.
-ENOUGH, MOST, FINEST = 0.9, 8, 64
-# Without a proof: values of each morph on a cell, and part of the least estimate that is taken.
-SAMPLES, UNPROVEN = 5, 0.9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,7 +84,7 @@ class Proofs:
             turn = np.asarray(np.kron(turn, bernstein(points[j], low[j], high[j])), dtype=np.float64)
         return np.asarray(turn @ law(at))
 
-    def cells(self, finest: int = FINEST) -> list[Cell]:
+    def cells(self, finest: int = TOL.max_unproven_cells) -> list[Cell]:
         """The box in cells of the parameters with points, with their alpha; at most ``finest`` of them.
 
         Raises:
@@ -100,7 +96,7 @@ class Proofs:
         cells = [self._cell(box.low, box.high)]
         while len(cells) < finest:
             # Cells are as good as their corners at best: only what Bernstein coefficients lose is gained by halves.
-            part = ENOUGH if len(cells) < MOST else np.finfo(float).tiny
+            part = TOL.proven_share if len(cells) < TOL.max_cells else np.finfo(float).tiny
             lossy = [k for k, cell in enumerate(cells) if cell.corner > 0 and cell.alpha < part * cell.corner]
             if not lossy:
                 break
@@ -139,12 +135,12 @@ class Proofs:
 
     def _sampled(self, cell: Cell) -> Cell:
         problem, values = self.problem, []
-        axes = [np.linspace(cell.low[j], cell.high[j], SAMPLES) for j in self.curved]
+        axes = [np.linspace(cell.low[j], cell.high[j], TOL.morph_samples) for j in self.curved]
         for t in product(*axes):
             p = problem.box.nominal.copy()
             p[self.curved] = t
             values.append(least_ratio(self.space.stiffness_sum(problem.law_K(p)), self.space))
-        return replace(cell, alpha=UNPROVEN * max(min(values), 0.0))
+        return replace(cell, alpha=TOL.sampled_share * max(min(values), 0.0))
 
     def least(self, cells: list[Cell], F: Floats, sigma: float, enough: float, *, proof: bool) -> Cells:
         """``cells`` with their Lam^ for W = M_a V ``F`` (n, k), as the reduced terms have it, or with ``proof``; those
@@ -157,8 +153,8 @@ class Proofs:
         while left:
             cell = left.pop(0)
             value, whole, held = self._least(cell, reduced, W_r, W, sigma)
-            lossy = value < min(enough, ENOUGH * whole) and len(self.curved) > 0
-            if lossy and len(left) + len(done) + 2 <= max(MOST, len(cells)):
+            lossy = value < min(enough, TOL.proven_share * whole) and len(self.curved) > 0
+            if lossy and len(left) + len(done) + 2 <= max(TOL.max_cells, len(cells)):
                 ends = cell.halves(self.curved, problem.box.high - problem.box.low)
                 left[:0] = [replace(cell, low=low, high=high) for low, high in ends]
             else:
@@ -184,7 +180,7 @@ class Proofs:
         )
         promised, whole = float(values.min()), float(values[self._corners(len(values))].min())
         if W is None or not promised > 0:
-            return UNPROVEN * max(promised, 0.0), whole, False
+            return TOL.sampled_share * max(promised, 0.0), whole, False
         progress.update(f"modes beside those that are known on {self._words(cell.low, cell.high)}")
         held = next((part for part in TRIED if self._holds(rows, part * promised, W, sigma)), 0.0)
         return held * promised, whole, held > 0

@@ -11,9 +11,7 @@ import scipy.sparse as sp
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.types import Floats
 from morembs.linalg.columns import dot, m_norms, orthonormal, project_out, subtract, symmetric
-
-# What a column has less than this part of its own size beside the others is left out, and counts by its norm.
-CUT = 1e-6
+from morembs.parametric.tolerances import TOL
 
 
 class LoadCoordinates:
@@ -24,7 +22,11 @@ class LoadCoordinates:
     """
 
     def __init__(
-        self, flexibility: Callable[[Floats], Floats], K: sp.csr_array, budget: Budget = UNLIMITED, cut: float = CUT
+        self,
+        flexibility: Callable[[Floats], Floats],
+        K: sp.csr_array,
+        budget: Budget = UNLIMITED,
+        cut: float = TOL.dependent_column,
     ) -> None:
         self.flexibility, self.K, self.budget, self.cut = flexibility, K, budget, cut
         self.basis: list[Floats] = []

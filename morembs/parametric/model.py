@@ -17,19 +17,14 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Complexes, Floats
-from morembs.linalg.columns import projected, without_rigid_motion
+from morembs.base.units import eigenvalue_in_hz, in_hz
+from morembs.linalg.columns import projected, symmetric, without_rigid_motion
 from morembs.linalg.eigen import graded_modes
 from morembs.parametric.law import Law
 from morembs.parametric.parameter import DAMPING, Box
 from morembs.parametric.terms import AffineProblem
+from morembs.parametric.tolerances import TOL
 from morembs.problem.damping import Damping
-
-# Relative difference of frequencies below which modes are one cluster.
-CLUSTER = 1e-6
-# Part of a rigid motion that a basis may miss.
-SPANNED = 1e-8
-# Values of a table that are computed at once.
-BATCH = 256
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,7 +58,7 @@ class ParametricModel:
     @property
     def highest_hz(self) -> float:
         """Upper end of the band that the basis was made for, infinite where that is not known."""
-        return np.inf if self.bound is None else float(self.bound.highest / (2 * np.pi))
+        return np.inf if self.bound is None else float(in_hz(self.bound.highest))
 
     def matrices(self, p: Floats) -> tuple[Floats, Floats]:
         """K and M (..., n, n) at ``p`` (..., P)."""
@@ -85,7 +80,7 @@ class ParametricModel:
         K = without_rigid_motion(K, M, rigid)
         damping = self.box.damping(self.damping, p)
         G = rigid.T @ M @ rigid
-        Z = sl.solve_triangular(sl.cholesky(0.5 * (G + G.T), lower=True), rigid.T, lower=True).T
+        Z = sl.solve_triangular(sl.cholesky(symmetric(G), lower=True), rigid.T, lower=True).T
         values, Y = graded_modes(K, M)
         values[: rigid.shape[1]] = 0.0
         return ModelAt(
@@ -102,13 +97,13 @@ class ParametricModel:
         if not 0 < count <= self.order - r:
             raise InputError(f"{count} frequencies were asked for; expected 1 to {self.order - r}")
         result = np.empty((len(table), count))
-        for first in range(0, len(table), BATCH):
-            p = table[first : first + BATCH]
+        for first in range(0, len(table), TOL.table_rows):
+            p = table[first : first + TOL.table_rows]
             K, M = self.matrices(p)
             L = np.linalg.cholesky(M)
             A = np.linalg.solve(L, np.linalg.solve(L, K).transpose(0, 2, 1))
             values = np.linalg.eigvalsh(0.5 * (A + A.transpose(0, 2, 1)))[:, r : r + count]
-            result[first : first + BATCH] = np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)
+            result[first : first + TOL.table_rows] = eigenvalue_in_hz(values)
         return result
 
     def derivatives(self, p: Floats) -> tuple[Floats, Floats]:
@@ -140,7 +135,7 @@ class ModelAt:
     @property
     def frequencies_hz(self) -> Floats:
         """Elastic eigenfrequencies (n - r,)."""
-        return np.asarray(np.sqrt(np.maximum(self.values[self.rigid.shape[1] :], 0.0)) / (2 * np.pi))
+        return np.asarray(eigenvalue_in_hz(self.values[self.rigid.shape[1] :]))
 
     def response(self, frequencies_hz: Floats) -> Complexes:
         """Elastic part of H (nf, m, m) at frequencies in Hz, as ``full_response`` has that of the full model."""
@@ -212,7 +207,7 @@ class ModelAt:
 
 def _clusters(values: Floats) -> list[NDArray[np.int64]]:
     """Places of eigenvalues that lie together, ascending."""
-    apart = np.flatnonzero(np.diff(values) > 2 * CLUSTER * values[1:])
+    apart = np.flatnonzero(np.diff(values) > 2 * TOL.mode_cluster_gap * values[1:])
     return np.split(np.arange(len(values)), apart + 1)
 
 
@@ -299,6 +294,6 @@ def _rigid(problem: AffineProblem, V: Floats) -> Floats:
     Q, T = np.linalg.qr(V)
     coordinates = sl.solve_triangular(T, Q.T @ (R / size))
     missed = float(np.linalg.norm(R / size - V @ coordinates, axis=0).max(initial=0.0))
-    if not missed <= SPANNED:
+    if not missed <= TOL.missed_rigid:
         raise SolverError(f"the basis misses {missed:.1e} of a rigid motion of some value; it has to span all of them")
     return np.asarray((coordinates * size).reshape(V.shape[1], 6, -1))

@@ -24,18 +24,7 @@ from morembs.fem.elements import TYPES, Rule
 from morembs.fem.formulations import formulation_of, jacobian
 from morembs.parametric.law import bernstein, chebyshev_points, chebyshev_roots, lagrange
 from morembs.parametric.parameter import Parameter
-
-# det J is a cubic in each parameter.
-CUBIC = 4
-# Points of 1 / det J that are tried.
-LEAST_POINTS, MOST_POINTS = 2, 16
-# Values of a parameter, per point, at which the error of the interpolation is looked at.
-DENSE = 8
-MOST_MORPHS = 2
-# Cells into which a range is cut where the coefficients of det J are not positive on all of it.
-CELLS = 32
-# Volumes that are next to none, as part of those of nominal values.
-FLAT = 1e-10
+from morembs.parametric.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,9 +43,9 @@ class Morph:
             InputError: too many, displacements of another shape, or elements that do not take them.
         """
         which = tuple(number for number, each in enumerate(parameters) if each.kind == "morph")
-        if len(which) > MOST_MORPHS:
+        if len(which) > TOL.max_morphs:
             names = ", ".join(parameters[number].name for number in which)
-            raise InputError(f"{len(which)} morphs were given ({names}); expected {MOST_MORPHS} at most")
+            raise InputError(f"{len(which)} morphs were given ({names}); expected {TOL.max_morphs} at most")
         for number in which:
             given = parameters[number].displacement
             if given is None or given.shape != mesh.nodes.xyz.shape or not np.isfinite(given).all():
@@ -152,13 +141,13 @@ class Morph:
         A polynomial of each parameter at each point. One of degree n is nowhere larger than 1 / cos(n pi / 2m) times
         its largest value at the m roots of a Chebyshev polynomial (Ehlich and Zeller 1964), so that eps is proven.
         """
-        largest, m = 0.0, DENSE * (count + CUBIC)
-        between = 1 / np.cos((count - 1 + CUBIC - 1) * np.pi / (2 * m))
+        largest, m = 0.0, TOL.samples_per_point * (count + TOL.det_coefficients)
+        between = 1 / np.cos((count - 1 + TOL.det_coefficients - 1) * np.pi / (2 * m))
         for bits, chosen in self.groups():
             points = self.roots(bits, count)
             dense = [chebyshev_roots(*self.range(number), m) for number in points]
             tables = [lagrange(at, z)[0] for at, z in zip(points.values(), dense, strict=True)]
-            cubic = self.points(bits, CUBIC)
+            cubic = self.points(bits, TOL.det_coefficients)
             cubics = [lagrange(at, z)[0] for at, z in zip(cubic.values(), dense, strict=True)]
             for block, rows in chunks(self.mesh, chosen):
                 rule = formulation_of(block).integration(TYPES[block.type])
@@ -179,16 +168,16 @@ class Morph:
         if not self.which:
             return 0, 0.0
         error = np.inf
-        for count in range(LEAST_POINTS, MOST_POINTS + 1):
+        for count in range(TOL.least_points, TOL.most_points + 1):
             error = self.error(count)
             if error <= min(tolerance, wanted):
                 return count, error
         if error <= tolerance:
-            return MOST_POINTS, error
+            return TOL.most_points, error
         names = " and ".join(self.parameters[number].name for number in self.which)
         raise InputError(
-            f"the volumes of elements change so much with {names} that {MOST_POINTS} points give them to {error:.1e} "
-            f"only ({tolerance:.1e} is needed); narrow the range, or raise the tolerance"
+            f"the volumes of elements change so much with {names} that {TOL.most_points} points give them to "
+            f"{error:.1e} only ({tolerance:.1e} is needed); narrow the range, or raise the tolerance"
         )
 
     def groups(self) -> Iterator[tuple[int, dict[int, NDArray[np.bool_]]]]:
@@ -206,7 +195,7 @@ class Morph:
             InputError: as said, with their labels.
         """
         for bits, chosen in self.groups():
-            points, bad = self.points(bits, CUBIC), list[tuple[str, int]]()
+            points, bad = self.points(bits, TOL.det_coefficients), list[tuple[str, int]]()
             for block, rows in chunks(self.mesh, chosen):
                 inverted = np.zeros(len(rows), dtype=bool)
                 for rule in rules(block):
@@ -218,10 +207,10 @@ class Morph:
 
     def _positive(self, det: Floats, points: dict[int, Floats]) -> NDArray[np.bool_]:
         """Whether cubics (n, nq) with values ``det`` (4, ..., n, nq) at ``points`` are positive on the box."""
-        least = FLAT * np.abs(det).max(axis=tuple(range(len(points))))
+        least = TOL.flat_volume * np.abs(det).max(axis=tuple(range(len(points))))
         sure = _bernstein_least(det, points, {number: [self.range(number)] for number in points}) > least
         if not sure.all():
-            cells = {number: _cells(*self.range(number), CELLS) for number in points}
+            cells = {number: _cells(*self.range(number), TOL.det_cells) for number in points}
             sure[~sure] = _bernstein_least(det[..., ~sure], points, cells) > least[~sure]
         return np.asarray(sure)
 

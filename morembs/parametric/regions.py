@@ -13,9 +13,7 @@ from morembs.fem import Mesh
 from morembs.fem.assembly import material_of_elements
 from morembs.fem.material import Material, isotropic
 from morembs.parametric.parameter import Parameter
-
-# Part by which elastic constants may differ from those of an isotropic material.
-ISOTROPIC = 1e-9
+from morembs.parametric.tolerances import TOL
 
 
 def regions_of(
@@ -88,7 +86,7 @@ def young_of(material: Material, parameter: str) -> float:
     S = np.linalg.inv(material.stiffness)
     E, nu = 1 / S[0, 0], -S[0, 1] / S[0, 0]
     alike = isotropic(set=material.set, young=E, poisson=nu, density=material.density).stiffness
-    if np.abs(alike - material.stiffness).max() > ISOTROPIC * np.abs(alike).max():
+    if np.abs(alike - material.stiffness).max() > TOL.isotropic * np.abs(alike).max():
         raise InputError(
             f"parameter {parameter} is the young of the set {material.set!r}, whose material is not isotropic; the "
             "modulus of an isotropic material can vary"

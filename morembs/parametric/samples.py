@@ -9,12 +9,8 @@ from numpy.typing import NDArray
 
 from morembs.base.types import Floats
 from morembs.parametric.parameter import Box
+from morembs.parametric.tolerances import TOL
 from morembs.problem.damping import Damping
-
-# Corners of boxes with so many parameters at most join the training set.
-CORNERS = 6
-# Frequencies over the band at each p, beside the flanks of its resonances.
-GRID = 16
 
 
 def training_points(box: Box, count: int, seed: int = 1) -> Floats:
@@ -24,7 +20,7 @@ def training_points(box: Box, count: int, seed: int = 1) -> Floats:
 
     sobol = qmc.Sobol(d=len(box.low), seed=seed).random(1 << max(count - 1, 0).bit_length())[:count]
     inside = box.low + sobol * (box.high - box.low)
-    corners = list(product(*zip(box.low, box.high, strict=True))) if len(box.low) <= CORNERS else []
+    corners = list(product(*zip(box.low, box.high, strict=True))) if len(box.low) <= TOL.max_corner_parameters else []
     return np.vstack([box.nominal, *corners, inside])
 
 
@@ -34,7 +30,7 @@ def frequencies(values: Floats, damping: Damping, low: float, high: float) -> Fl
     omega = np.sqrt(inside)
     width = np.maximum(0.5 * damping.at_resonance(inside), 1e-3 * omega)
     flanks = (omega + width * np.array([[-1.0], [0.0], [1.0]])).ravel()
-    return np.concatenate([np.linspace(low, high, GRID), flanks[(flanks > low) & (flanks < high)]])
+    return np.concatenate([np.linspace(low, high, TOL.band_samples), flanks[(flanks > low) & (flanks < high)]])
 
 
 def narrower(box: Box, points: Floats, finite: NDArray[np.bool_]) -> str:

@@ -13,16 +13,11 @@ from morembs.linalg.congruence import weighted_row_sums
 from morembs.linalg.rigid import EPS, ROUND_OFF
 from morembs.linalg.statics import ConstrainedStatics
 from morembs.parametric.bound import Cells, ParametricBound, ratio
-from morembs.parametric.coordinates import CUT, LoadCoordinates, padded
+from morembs.parametric.coordinates import LoadCoordinates, padded
 from morembs.parametric.model import ParametricModel
 from morembs.parametric.terms import AffineProblem
+from morembs.parametric.tolerances import TOL
 from morembs.problem import Problem
-
-# Where sums over all N rows part their round-off, gamma_N |x|' |A x| <= N eps / 2 (x'Dx x'Ax)^(1/2) with row sums D of
-# |A|: up to this part of eps x'Dx, and the rest by x'Ax.
-LONG = 4.0
-# Part of the energy of the largest load that counts as that of a load.
-STILL = 1e-8
 
 
 class GlobalSpace:
@@ -34,7 +29,7 @@ class GlobalSpace:
     Peak memory: V, the coordinates' basis and the terms of a few columns, where the budget wants them.
     """
 
-    def __init__(self, problem: AffineProblem, cut: float = CUT, loose: Problem | None = None) -> None:
+    def __init__(self, problem: AffineProblem, cut: float = TOL.dependent_column, loose: Problem | None = None) -> None:
         self.problem, self.loose, budget = problem, loose, problem.budget
         self.K, statics = (problem.K, problem.statics) if loose is None else (loose.K, loose.statics)
         Nc = self.K.shape[0]
@@ -58,7 +53,7 @@ class GlobalSpace:
         loads = problem.B.toarray() * problem.motion_scale
         sizes = np.sqrt(np.maximum(np.einsum("ij,ij->j", loads, self.coordinates.flexibility(loads)), 0.0))
         # Loads on the supports move nothing: of them there is round-off alone, which has no direction.
-        self._B, self._B_rest = self.coordinates.of(loads, np.maximum(sizes, STILL * sizes.max(initial=0.0)))
+        self._B, self._B_rest = self.coordinates.of(loads, np.maximum(sizes, TOL.still_load * sizes.max(initial=0.0)))
         self._add_rigid()
 
     @property
@@ -159,7 +154,7 @@ class GlobalSpace:
         K, M = (np.stack([padded(term, q) for term in parts]) for parts in (self._K_parts, self._M_parts))
         rest_K, rest_M = (np.stack([np.concatenate(term) for term in rests]) for rests in (self._K_rest, self._M_rest))
         theta = problem.law_M(problem.box.nominal)
-        long = len(problem.rigid) ** 2 * EPS / (16 * LONG)
+        long = len(problem.rigid) ** 2 * EPS / (16 * TOL.roundoff_split)
         rounding = [
             _symmetric_stack(weighted, self.size) + long * _positive(_symmetric_stack(reduced, self.size))
             for weighted, reduced in zip(self._rounding, (self._K, self._M), strict=True)
@@ -196,9 +191,9 @@ def _positive(terms: Floats) -> Floats:
 
 def _rounding(A: sp.csr_array) -> Floats:
     """Weights w (Nc,): round-off in ``A``, in its products with columns and in sums of these over all rows makes at
-    most x'(w x) of x'A x, beside ``LONG``."""
+    most x'(w x) of x'A x, beside ``TOL.roundoff_split``."""
     count = np.diff(A.indptr)
-    return weighted_row_sums(A, ROUND_OFF + EPS * (LONG + 0.5 * count))
+    return weighted_row_sums(A, ROUND_OFF + EPS * (TOL.roundoff_split + 0.5 * count))
 
 
 def _symmetric_stack(terms: list[list[Floats]], n: int) -> Floats:

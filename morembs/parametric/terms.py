@@ -23,14 +23,10 @@ from morembs.linalg.congruence import congruence
 from morembs.parametric.added import with_springs
 from morembs.parametric.law import Law
 from morembs.parametric.parameter import DAMPING
+from morembs.parametric.tolerances import TOL
 from morembs.parametric.varied import VariedModel, varied_model
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
-
-# Part of the size of a model by which the displacements of the nodes of an interface may differ.
-SAME = 1e-9
-# Part of the stiffness of springs against rigid motion that may be round-off.
-LOST = 1e-5
 
 
 class AffineProblem(Problem):
@@ -151,12 +147,13 @@ class AffineProblem(Problem):
         Z = R @ Z[:, free:] / np.sqrt(values[free:])
         lost = float(np.abs(np.linalg.eigvalsh(symmetric(Z.T @ (elements @ Z)))).max(initial=0.0))
         # What is taken for free although a spring holds it.
-        if (values[:free] > SAME * (np.abs(R).T @ (abs(springs) @ np.abs(R))).max()).any():
+        if (values[:free] > TOL.same_place * (np.abs(R).T @ (abs(springs) @ np.abs(R))).max()).any():
             lost = 1.0
-        if not lost <= LOST:
+        if not lost <= TOL.lost_hold:
             raise InputError(
                 f"springs hold the body so softly that round-off of the stiffness of its elements is {lost:.1e} of "
-                f"theirs; expected {LOST:.0e} at most: make them stiffer, or leave them out, and the body is free"
+                f"theirs; expected {TOL.lost_hold:.0e} at most: make them stiffer, or leave them out, and the body is "
+                "free"
             )
 
     @cached_property
@@ -212,7 +209,7 @@ def _refuse_bent(varied: VariedModel, interfaces: Sequence[Interface]) -> None:
         reach = max(abs(parameter.low), abs(parameter.high))
         for interface in interfaces:
             apart = float(np.linalg.norm(np.ptp(d[interface.nodes], axis=0))) * reach
-            if apart > SAME * size:
+            if apart > TOL.same_place * size:
                 raise InputError(
                     f"parameter {parameter.name} moves the nodes of interface {interface.name} by different "
                     f"displacements (up to {1e3 * apart:.3g} mm apart); a morph may only translate an interface"

@@ -10,18 +10,9 @@ from scipy.optimize import least_squares, linear_sum_assignment
 
 from morembs.base.errors import InputError, SolverError, nearest
 from morembs.base.types import Floats, Ints
+from morembs.base.units import in_hz
 from morembs.parametric.model import ModelAt, ParametricModel
-
-# Standard deviation of a measured frequency of which none is given, as a part of it.
-SIGMA = 0.01
-# Directions whose singular value is below this part of the largest are not told by the data.
-TOLD = 1e-3
-# A parameter that has this part of such a direction is not told either, and is named with it.
-PART = 0.05
-# Distance from the end of a range, as a part of it, at which an estimate lies on it.
-AT_END = 1e-6
-# Modes beyond the highest measured one that may come down past it.
-BEYOND = 6
+from morembs.parametric.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,7 +145,7 @@ class _Fit:
                 f"mode {self.measured.highest} was measured, and the body has {have}; expected a body of more modes, "
                 "or fewer measured ones"
             )
-        self.window = min(have, self.measured.highest + BEYOND)
+        self.window = min(have, self.measured.highest + TOL.modes_beyond)
         self.nominal = nominal
         # Residuals and their derivatives are asked for at the same values.
         self._last: tuple[Floats, tuple[ModelAt, Ints]] | None = None
@@ -232,7 +223,7 @@ class _Fit:
         at, pairs = self._paired(x)
         _, s, Vt = np.linalg.svd(self.jacobian(x))
         s = np.concatenate([s, np.zeros(len(Vt) - len(s))])
-        told = s > TOLD * s[0]
+        told = s > TOL.told_direction * s[0]
         inner = Vt[told].T / s[told]
         covariance = np.zeros((len(box.names), len(box.names)))
         covariance[np.ix_(self.free, self.free)] = inner @ inner.T
@@ -241,13 +232,13 @@ class _Fit:
         for v in Vt[~told]:
             part = np.zeros(len(box.names))
             part[self.free] = v
-            sigma[np.abs(part) > PART] = np.inf
+            sigma[np.abs(part) > TOL.named_part] = np.inf
             relative = part * self.span / np.where(box.nominal != 0, np.abs(box.nominal), self.span)
             relative /= relative[np.argmax(np.abs(relative))]
-            untold.append({box.names[k]: float(relative[k]) for k in np.flatnonzero(np.abs(part) > PART)})
-        ends = np.minimum(p - box.low, box.high - p) < AT_END * self.span
+            untold.append({box.names[k]: float(relative[k]) for k in np.flatnonzero(np.abs(part) > TOL.named_part)})
+        ends = np.minimum(p - box.low, box.high - p) < TOL.at_end * self.span
         frequencies = at.frequencies_hz[pairs]
-        band = np.inf if self.model.bound is None else self.model.bound.highest / (2 * np.pi)
+        band = np.inf if self.model.bound is None else in_hz(self.model.bound.highest)
         return Updated(
             names=box.names,
             p=p,

@@ -33,15 +33,13 @@ from morembs.fem.formulations import formulation_of, mass_rule
 from morembs.fem.material import Material
 from morembs.fem.middle_nodes import mesh_in_order
 from morembs.parametric.law import LAGRANGE, LINEAR, ONE, Law
-from morembs.parametric.morph import CUBIC, Morph
+from morembs.parametric.morph import Morph
 from morembs.parametric.parameter import Box, Parameter
 from morembs.parametric.regions import regions_of
+from morembs.parametric.tolerances import TOL
 from morembs.parametric.volumes import VolumeRatios, volume_ratios
 
 Chosen = dict[int, NDArray[np.bool_]]
-# Parts of the tolerance of a body that the stiffness of a morph may take, and that it takes where the terms of one
-# morph can give it: its error counts many times beside a resonance, and a point more costs one term.
-SHARE, FINE = 0.01, 2e-5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -199,7 +197,10 @@ def varied_model(
     mesh, regions, young, density = regions_of(mesh, materials, parameters)
     morph = Morph.of(mesh, parameters)
     morph.check(lambda block: (_stiffness_rule(block), _mass_rule(block, mass_integration)))
-    points, eps = morph.points_for(SHARE * tolerance, (FINE if len(morph.which) == 1 else SHARE) * tolerance)
+    points, eps = morph.points_for(
+        TOL.stiffness_share * tolerance,
+        (TOL.wanted_share if len(morph.which) == 1 else TOL.stiffness_share) * tolerance,
+    )
     make = _Maker(morph, graph, regions, mass_integration, budget)
     return VariedModel(
         parameters=tuple(parameters),
@@ -242,7 +243,7 @@ class _Maker:
         factors: list[Ints] = []
         parts: list[tuple[Ints, Floats]] = []
         at: dict[int, Floats] = {}
-        count = points + CUBIC if stiffness else CUBIC
+        count = points + TOL.det_coefficients if stiffness else TOL.det_coefficients
         for number, bits, chosen in self._groups(of_region):
             grid = self.morph.points(bits, count)
             at |= grid

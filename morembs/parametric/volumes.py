@@ -13,12 +13,8 @@ from morembs.fem import ElementBlock
 from morembs.fem.assembly import chunks
 from morembs.fem.elements import Rule
 from morembs.parametric.law import lagrange
-from morembs.parametric.morph import CUBIC, Morph, on_grid
-
-# Ratios are known to this part.
-ROUND_OFF = 1e-12
-# Values of the morphs at which the extremes of volumes are kept, and points that are sampled at once.
-SAMPLES, PIECE = 257, 4096
+from morembs.parametric.morph import Morph, on_grid
+from morembs.parametric.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,22 +47,26 @@ def volume_ratios(
 ) -> VolumeRatios:
     """Extremes of det J(p) / det J(nominal) at the points of the ``rules`` of a block, for each group of elements."""
     both = (1 << len(morph.which)) - 1
-    cubic = morph.points(both, CUBIC)
-    count = SAMPLES if len(morph.which) < 2 else round(SAMPLES**0.5)
+    cubic = morph.points(both, TOL.det_coefficients)
+    count = TOL.volume_samples if len(morph.which) < 2 else round(TOL.volume_samples**0.5)
     fine = tuple(np.linspace(*morph.range(number), count) for number in morph.which)
     tables = [lagrange(at, z)[0] for at, z in zip(cubic.values(), fine, strict=True)]
     # The second derivative of a cubic is largest at an end.
     bends = [np.einsum("zk,kl->zl", lagrange(at, at[[0, -1]])[1], lagrange(at, at)[1]) for at in cubic.values()]
     nominal = np.array([parameter.nominal for parameter in morph.parameters])
     shape, axes = tuple(len(z) for z in fine), tuple(range(len(fine)))
-    low, high, margin = np.ones((len(chosen), *shape)), np.ones((len(chosen), *shape)), np.full(len(chosen), ROUND_OFF)
+    low, high, margin = (
+        np.ones((len(chosen), *shape)),
+        np.ones((len(chosen), *shape)),
+        np.full(len(chosen), TOL.ratio_error),
+    )
     for group, rows_of in enumerate(chosen):
         lows, highs = [], []
         for block, rows in chunks(morph.mesh, rows_of):
             for rule in rules(block):
                 values = morph.sampled(block, rows, rule, cubic) / morph.determinants(block, rows, rule, nominal)
                 values = values.reshape(*values.shape[: len(axes)], -1)
-                for piece in np.array_split(values, max(1, values.shape[-1] // PIECE), axis=-1):
+                for piece in np.array_split(values, max(1, values.shape[-1] // TOL.volumes_at_once), axis=-1):
                     sampled = on_grid(tables, piece)
                     lows.append(sampled.min(axis=-1))
                     highs.append(sampled.max(axis=-1))
@@ -74,7 +74,7 @@ def volume_ratios(
                         curved = list(tables)
                         curved[axis] = bend
                         most = float(np.abs(on_grid(curved, piece)).max(initial=0.0))
-                        margin[group] = max(margin[group], ROUND_OFF + len(axes) * most * (z[1] - z[0]) ** 2 / 8)
+                        margin[group] = max(margin[group], TOL.ratio_error + len(axes) * most * (z[1] - z[0]) ** 2 / 8)
         if lows:
             low[group], high[group] = np.min(lows, axis=0), np.max(highs, axis=0)
     return VolumeRatios(which=morph.which, points=fine, low=low, high=high, margin=margin)

@@ -2,8 +2,8 @@
 
 from morembs.fem.fe_model import STRUCTURAL
 from morembs.problem.damping import Damping, frequency_domain_only, modal_steps
-from morembs.problem.dynamics import Dynamics, crew_of
 from morembs.problem.problem import AS_A_RULE, LOST, SOFTER, Problem
+from morembs.problem.system import System
 
 __all__ = [
     "AS_A_RULE",
@@ -11,9 +11,8 @@ __all__ = [
     "SOFTER",
     "STRUCTURAL",
     "Damping",
-    "Dynamics",
     "Problem",
-    "crew_of",
+    "System",
     "frequency_domain_only",
     "modal_steps",
 ]

@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sl
 
-from morembs.base.arguments import checked
+from morembs.base.arguments import checked, words
 from morembs.base.errors import InputError, nearest
+from morembs.base.limits import DampingRatio, NotNegative
 from morembs.base.types import Floats
 from morembs.fem.fe_model import STRUCTURAL
 
@@ -48,19 +49,13 @@ class Damping:
     (True, True)
     """
 
-    alpha: float = 0.0
-    beta: float = 0.0
-    modal: float = 0.0
+    alpha: NotNegative = 0.0
+    beta: NotNegative = 0.0
+    modal: DampingRatio = 0.0
     modal_table: str | Sequence[Sequence[float]] = ()
-    structural: float = 0.0
+    structural: NotNegative = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("alpha", "beta", "modal", "structural"):
-            value = getattr(self, name)
-            if not 0 <= value < math.inf:
-                raise InputError(f"damping: {name} = {value} was given; expected a number, zero or more")
-        if self.modal > 1:
-            raise InputError(f"damping: modal = {self.modal} was given; {_RATIO}")
         object.__setattr__(self, "modal_table", modal_steps(self.modal_table) if len(self.modal_table) else ())
         if self.modal and self.modal_table:
             raise InputError("damping: give either one modal ratio or a modal table, not both")
@@ -128,9 +123,6 @@ class Damping:
         return self.alpha * (M - Mr @ Mr.T) + self.beta * K
 
 
-_RATIO = "expected a part of critical damping from 0 to 1, such as 0.02 for 2 percent"
-
-
 def modal_steps(given: str | Sequence[Sequence[float]]) -> Steps:
     """Points (frequency in Hz, ratio) of a table of modal damping, or of the one named ``given``.
 
@@ -158,7 +150,7 @@ def modal_steps(given: str | Sequence[Sequence[float]]) -> Steps:
             )
     for f, ratio in points:
         if not 0 <= ratio <= 1:
-            raise InputError(f"the modal table gives the ratio {ratio:g} at {f:g} Hz; {_RATIO}")
+            raise InputError(f"the modal table gives the ratio {ratio:g} at {f:g} Hz; expected {words(DampingRatio)}")
     return points
 
 

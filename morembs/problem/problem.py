@@ -31,18 +31,16 @@ from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_count, room_for_factor
 from morembs.problem.damping import Damping as Damping
 from morembs.problem.rigid_motions import need_factor, nodes_of_rows, rigid_motions, terms_in_rows
+from morembs.problem.system import System
+from morembs.problem.tolerances import TOL
 
 Shared = TypeVar("Shared")
 # Round-off adds up at random: part of its bound that is seen as a rule.
 AS_A_RULE = 0.1
 # Key of the constraint modes among the solutions that reducers share.
 CONSTRAINT = "constraint modes"
-# Limits of modes that differ by less than this part are one limit.
-SAME = 1e-14
 # Part of a static motion or of the stiffness of a mode that round-off may take.
 LOST = 1e-3
-# Shift in the Sturm count of motions without energy, as a multiple of the round-off in that of rigid motion.
-MECHANISM = 1e3
 SOFTER = (
     "make stiff links and penalty springs softer (a thousand times the stiffness of what they join is rigid enough) or "
     "replace them by rigid couplings, or leave a soft support to the simulation"
@@ -213,6 +211,21 @@ class Problem(Closing):
         )
 
     @cached_property
+    def system(self) -> System:
+        """The matrices with what solving at any s takes; goes to other processes."""
+        return System(
+            K=self.K,
+            M=self.M,
+            velocity_matrix=self.velocity_matrix,
+            N=self.N,
+            rigid=self.rigid,
+            damping=self.damping,
+            damps_rigid_motion=self.damps_rigid_motion,
+            stiffness=self.stiffness,
+            budget=self.budget,
+        )
+
+    @cached_property
     def statics(self) -> Statics:
         """The one factorisation: supported stiffness, shared by all reducers."""
         self._refuse_free_flutter()
@@ -314,7 +327,7 @@ class Problem(Closing):
         enough = known is not None and (
             (count is not None and len(known.eigenvalues) >= count)
             # The limit of the last call comes back as it was given to the eigensolver, up to round-off.
-            or (below is not None and known.verified_below >= below * (1 + GAP) * (1 - SAME))
+            or (below is not None and known.verified_below >= below * (1 + GAP) * (1 - TOL.same_limit))
         )
         if known is not None and enough:
             return known
@@ -397,7 +410,7 @@ class Problem(Closing):
         else:
             mass = self.mass_properties[0]
             lost = float(weights.sum() / (mass if mass > 0 else self.M.diagonal().max(initial=0.0) or 1.0))
-        return MECHANISM * float(np.finfo(float).eps) * lost
+        return TOL.mechanism_shift * float(np.finfo(float).eps) * lost
 
     def _mechanism(self) -> str:
         """Message for a stiffness with more zero-energy motions than the rigid ones."""

@@ -22,13 +22,8 @@ from morembs.linalg.congruence import cancelling
 from morembs.linalg.null_space import DENSE, groups_of, null_space
 from morembs.linalg.rigid import free_in_groups, strain_free, written
 from morembs.linalg.sparse.solver import LinearSolver
+from morembs.problem.tolerances import TOL
 
-# Number of terms up to which round-off of their sum is that of a row of an assembled matrix.
-FEW_TERMS = 100
-# Part of the inertia of a motion below which it depends on the others.
-DEPENDENT = 1e-12
-# Part of the largest motion of a group below which it does not move.
-STILL = 1e-9
 # Part of the radius of gyration below which places of nodes say nothing of the size of a model.
 COMPACT = 1e-3
 
@@ -77,7 +72,7 @@ def terms_in_rows(model: FEModel, coupling: Coupling, A: sp.csr_array, Phi: Floa
     T = sp.csc_array(abs(coupling.T))
     size = T.T @ cancelling(A, T @ np.abs(Phi), model.dofs.component == SCALAR)
     terms = T.astype(bool).T @ np.diff(A.indptr).astype(float)
-    growth = np.where(np.diff(T.indptr) > 1, np.sqrt(np.maximum(terms / FEW_TERMS, 1.0)), 1.0)
+    growth = np.where(np.diff(T.indptr) > 1, np.sqrt(np.maximum(terms / TOL.row_terms, 1.0)), 1.0)
     return np.asarray(size * growth[:, None])
 
 
@@ -102,12 +97,12 @@ def _independent_motions(R: Floats, M: sp.csr_array) -> tuple[Floats, Floats]:
     # Eigenvectors of the inertia are independent motions also where some vanish (all nodes on a line).
     scale = np.sqrt(np.abs(np.diag(G)).clip(np.finfo(float).tiny))
     values, U = sl.eigh(G / np.outer(scale, scale))
-    good = values > DEPENDENT
+    good = values > TOL.dependent_motion
     far = np.where(moves, 1.0, radius or 1.0)[:, None]
     Phi = R if good.all() else (R / scale) @ U[:, good]
     others = R @ np.linalg.qr(U[:, ~good] / scale[:, None])[0]
     size = np.linalg.norm(others * far, axis=0)
-    moving = size > STILL * np.linalg.norm(R * far, axis=0).max(initial=0.0)
+    moving = size > TOL.still_motion * np.linalg.norm(R * far, axis=0).max(initial=0.0)
     return np.asarray(Phi / np.linalg.norm(Phi * far, axis=0)), np.asarray(others[:, moving] / size[moving])
 
 
@@ -138,7 +133,7 @@ def _refuse_free_parts(
     for number in np.flatnonzero(size > 1):
         rows = order[ends[number] - size[number] : ends[number]]
         U, s, _ = np.linalg.svd(Phi[rows], full_matrices=False)
-        rank[number] = int((s > STILL * s.max(initial=0.0)).sum())
+        rank[number] = int((s > TOL.still_motion * s.max(initial=0.0)).sum())
         own[rows, : rank[number]] = U[:, : rank[number]]
     terms = terms_in_rows(model, coupling, model.K, own)
     found = free_in_groups(K, own, terms, nodes_of_rows(model, coupling), last, group, rank)
@@ -177,5 +172,7 @@ def _orthonormal(Z: Floats, M: sp.csr_array) -> Floats:
     try:
         return np.asarray(Z @ np.linalg.inv(np.linalg.cholesky(mass)).T)
     except np.linalg.LinAlgError:
-        _refuse_massless(max(int((np.linalg.eigvalsh(mass) <= DEPENDENT * np.abs(mass).max(initial=0.0)).sum()), 1))
+        _refuse_massless(
+            max(int((np.linalg.eigvalsh(mass) <= TOL.dependent_motion * np.abs(mass).max(initial=0.0)).sum()), 1)
+        )
         raise

@@ -21,24 +21,20 @@ import numpy as np
 
 from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
+from morembs.base.limits import DampingFloor, RelativeError
 from morembs.base.types import Floats
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.problem import SOFTER, Problem
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.families import OfResponses
-from morembs.reducers.family_search import MANY, FamilySearch
-from morembs.responses.band import band_frequencies, checked_band
-from morembs.responses.certified import TOLERANCE, CertifiedReference, certified_reference, checked_floor, floor_of
-from morembs.responses.measures import checked_measure
+from morembs.reducers.family_search import FamilySearch
+from morembs.reducers.tolerances import TOL
+from morembs.responses.band import Band, band_frequencies
+from morembs.responses.certified import CertifiedReference, certified_reference, floor_of
+from morembs.responses.measures import Measure
+from morembs.responses.tolerances import TOL as RESPONSES
 
-# The reference is better than the tolerance by this factor.
-BETTER = 1e-3
 KINDS = {"gramian": "gramian", "krylov": "krylov", "modal": "elastic"}
-# A tolerance is not kept below this times the round-off of the model.
-LOST_PARTS = 3.0
-# A band that ends so many times above the highest mode of a model loses its digits by that.
-ABOVE = 2.0
-# No larger one is advised.
-RAISED = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,20 +57,12 @@ class AutoReducer(OfResponses):
 
     method: ClassVar[str] = "auto"
     of_reference: ClassVar[float] = 4.0
-    band_hz: list[float]
-    tolerance: float
+    band_hz: Band
+    tolerance: RelativeError
     static_exact: bool = False
     inertia_loads: bool = False
-    measure: str = "envelope"
-    damping_floor: float | None = None
-
-    def __post_init__(self) -> None:
-        checked_band(self.band_hz)
-        if not 0 < self.tolerance < 1:
-            raise InputError(f"tolerance = {self.tolerance} was given; expected a relative error between 0 and 1")
-        checked_measure(self.measure)
-        if self.damping_floor is not None:
-            checked_floor(self.damping_floor)
+    measure: Measure = "envelope"
+    damping_floor: DampingFloor | None = None
 
     @property
     def computes_modes(self) -> bool:
@@ -93,7 +81,7 @@ class AutoReducer(OfResponses):
             certified = certified_reference(
                 problem,
                 self.band_hz,
-                tolerance=min(BETTER * self.tolerance, TOLERANCE),
+                tolerance=min(TOL.reference_part * self.tolerance, RESPONSES.reference_error),
                 damping_floor=floor,
                 inertia_loads=inertia,
             )
@@ -107,7 +95,7 @@ class AutoReducer(OfResponses):
         orders: dict[str, object] = {}
         for family in KINDS:
             progress.update(f"order of the {family} basis")
-            fewer = min((C.shape[1] for C in coefficients.values()), default=MANY)
+            fewer = min((C.shape[1] for C in coefficients.values()), default=TOL.no_order)
             C = search.smallest(family, fewer)
             orders[family] = "not reached" if search.reached[family] is None else search.reached[family]
             if C is not None:
@@ -124,7 +112,7 @@ class AutoReducer(OfResponses):
             "choice": _words(best, orders, self.band_hz, self.tolerance),
         }
         if best == "krylov":
-            notes["frequencies_hz"] = [float(w / (2 * np.pi)) for w in search.chosen]
+            notes["frequencies_hz"] = [float(in_hz(w)) for w in search.chosen]
         basis = elastic_basis(problem, certified.model.vectors(C), KINDS[best], notes)
         limit = search.limit(C, np.diag(basis.K)[problem.rigid.shape[1] :])
         if limit.upper > self.tolerance:
@@ -138,21 +126,21 @@ class AutoReducer(OfResponses):
             InputError: an undamped resonance.
             SolverError: a reference without a limit, a tolerance below round-off, or a band far above all modes.
         """
-        highest_hz = float(np.sqrt(certified.values.max()) / (2 * np.pi))
-        far, endless = self.band_hz[1] > ABOVE * highest_hz, ~np.isfinite(certified.off)
+        highest_hz = float(eigenvalue_in_hz(certified.values.max()))
+        far, endless = self.band_hz[1] > TOL.far_band * highest_hz, ~np.isfinite(certified.off)
         if endless.any() and certified.undamped:
             raise InputError(
                 "a transfer error of an undamped model has no bound at its resonances; give damping, or a "
                 "damping_floor such as 0.01"
             )
         if endless.any() and not far:
-            at_hz = float(certified.edges[:-1][endless][0] / (2 * np.pi))
+            at_hz = float(in_hz(certified.edges[:-1][endless][0]))
             raise SolverError(
                 f"the error of the reference of the full model has no limit from {at_hz:,.6g} Hz on, where its "
                 "residual exceeds the damping of a resonance; give more damping, or a damping_floor such as 0.01"
             )
         lost, at_hz = certified.lost()
-        least = LOST_PARTS * lost
+        least = TOL.roundoff_share * lost
         if far and not self.tolerance >= least:
             raise SolverError(
                 f"the band ends at {self.band_hz[1]:,.6g} Hz, and the highest mode of this model lies at "
@@ -161,10 +149,14 @@ class AutoReducer(OfResponses):
             )
         if self.tolerance < least:
             # Above it by what two digits may take off.
-            raising = f"raise the tolerance to {1.05 * least:.1e} or more, or " if least < RAISED else ""
+            raising = (
+                f"raise the tolerance to {TOL.advised_margin * least:.1e} or more, or "
+                if least < TOL.max_advised_tolerance
+                else ""
+            )
             raise SolverError(
                 f"round-off in the stiffness of this model alone may be {lost:.1e} of its response at {at_hz:,.6g} Hz, "
-                f"and {LOST_PARTS:g} times that has to be allowed; {raising}{SOFTER}"
+                f"and {TOL.roundoff_share:g} times that has to be allowed; {raising}{SOFTER}"
             )
 
 

@@ -10,18 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from morembs.base.errors import InputError, SolverError
+from morembs.base.limits import PositiveCount, RelativeError, one_of
 from morembs.base.types import Floats, Values
+from morembs.base.units import in_hz
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
 from morembs.linalg.columns import multiply, project_out, projected
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.sparse.select import select_solver
-from morembs.problem import Damping, Problem
+from morembs.problem import Damping, Problem, System
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.families import OfResponses
@@ -37,22 +39,13 @@ from morembs.reducers.second_order_balancing import (
     truncated,
     usable_order,
 )
-from morembs.responses.band import checked_band
+from morembs.reducers.tolerances import TOL
+from morembs.responses.band import Band
 from morembs.responses.loads import elastic_part, unit_loads
 from morembs.responses.reference import Reference, reference_model
 
 INSTEAD = "give band_hz = [lower, upper], or replace the modal damping by alpha and beta"
 BALANCING = ("bfsr", "sr")
-REFERENCE_ERROR = 1e-8
-# Frequencies at which the reference is held to that error.
-SAMPLES = 60
-# The reference has range enough where doubling it changes the singular values of the position Gramian by less than
-# this part of the largest; those of "fv" and "p" weigh high frequencies more, their change is in the notes.
-SETTLED, DOUBLINGS = 1e-6, 8
-# Undamped resonances are integrated beside the axis, at this part of the upper limit.
-BESIDE = 0.01
-# Test and trial spaces whose angle has a smaller cosine do not belong together.
-PERPENDICULAR = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,30 +84,18 @@ class Balanced(OfResponses):
     """
 
     method: ClassVar[str] = "balanced-truncation"
-    variant: str = "fv"
-    order: int | None = None
-    tolerance: float | None = None
-    band_hz: list[float] | None = None
-    balancing: str = "bfsr"
-    adi_tolerance: float = 1e-10
-    adi_steps: int = 300
+    variant: Annotated[str, one_of(*VARIANTS)] = "fv"
+    order: PositiveCount | None = None
+    tolerance: RelativeError | None = None
+    band_hz: Band | None = None
+    balancing: Annotated[str, one_of(*BALANCING)] = "bfsr"
+    adi_tolerance: RelativeError = 1e-10
+    adi_steps: PositiveCount = 300
 
     def __post_init__(self) -> None:
-        if self.variant not in VARIANTS:
-            raise InputError(f'variant = "{self.variant}" was given; expected one of {", ".join(VARIANTS)}')
-        if self.balancing not in BALANCING:
-            raise InputError(f'balancing = "{self.balancing}" was given; expected one of {", ".join(BALANCING)}')
+        super().__post_init__()
         if (self.order is None) == (self.tolerance is None):
             raise InputError(f'method "{self.method}" needs either order = COUNT or tolerance = PART (one of the two)')
-        if self.order is not None and self.order < 1:
-            raise InputError(f"order = {self.order} was given; expected a count, one or more")
-        for name, value in (("tolerance", self.tolerance), ("adi_tolerance", self.adi_tolerance)):
-            if value is not None and not 0 < value < 1:
-                raise InputError(f"{name} = {value} was given; expected a number between 0 and 1, such as 1e-8")
-        if self.adi_steps < 1:
-            raise InputError(f"adi_steps = {self.adi_steps} was given; expected one or more")
-        if self.band_hz is not None:
-            checked_band(self.band_hz)
 
     @property
     def two_sided(self) -> bool:
@@ -135,7 +116,7 @@ class Balanced(OfResponses):
         products = gramian.products
         order = self._order(products)
         cut = truncated(products, self.variant, order, self.balancing)
-        if cut.cosine < PERPENDICULAR:
+        if cut.cosine < TOL.least_cosine:
             raise SolverError(
                 f'variant = "{self.variant}" has a test space that is nearly perpendicular to the motion '
                 f"at order {order} (cosine {cut.cosine:.1e}): the order cuts between singular values that belong "
@@ -171,10 +152,13 @@ class Balanced(OfResponses):
         return self._over_all(problem)
 
     def _over_all(self, problem: Problem) -> _Gramian:
-        with _pencil(problem) as (pencil, notes):
-            system = _system(problem, pencil)
+        with _damped_system(problem) as (system, notes):
             gramian = low_rank_gramian(
-                system, _loads(problem), tolerance=self.adi_tolerance, max_steps=self.adi_steps, budget=problem.budget
+                _elastic(problem, system),
+                _loads(problem),
+                tolerance=self.adi_tolerance,
+                max_steps=self.adi_steps,
+                budget=problem.budget,
             )
         M, K, budget, (alpha, beta) = problem.M, problem.K, problem.budget, _rayleigh(problem)
         Zp, Zv = gramian.Zp, gramian.Zv
@@ -195,21 +179,21 @@ class Balanced(OfResponses):
 
     def _with_modal_damping(self, problem: Problem) -> _Gramian:
         """Over all frequencies, in a reference model whose range doubles until the singular values stand."""
-        reference = reference_model(problem, np.zeros(1), tolerance=REFERENCE_ERROR)
+        reference = reference_model(problem, np.zeros(1), tolerance=TOL.reference_error)
         wanted = self.order or 10
         top = 4 * float(np.sqrt(reference.values[0]))
         before: tuple[Floats, Floats] | None = None
-        for _ in range(DOUBLINGS):
+        for _ in range(TOL.range_doublings):
             reference = _up_to(problem, top)
             Zp, Zv = lyapunov_factor(reference.values, reference.damping_of_modes(), reference.B * problem.motion_scale)
             products = _modal_products(reference, Zp, Zv)
             values = singular_values(products, "pv")[:wanted], singular_values(products, self.variant)[:wanted]
             if before is not None and len(before[0]) == wanted:
                 settled, change = (float(np.abs(a - b).max() / a[0]) for a, b in zip(values, before, strict=True))
-                if settled <= SETTLED:
+                if settled <= TOL.settled_gramian:
                     notes = {
                         "gramian": "modal damping: Lyapunov equation of a reference model of order "
-                        f"{len(reference.values)}, accurate up to {top / (2 * np.pi):.6g} Hz",
+                        f"{len(reference.values)}, accurate up to {in_hz(top):.6g} Hz",
                         "gramian_change": change,
                     }
                     return _Gramian(Zp=Zp, Zv=Zv, products=products, reference=reference, notes=notes)
@@ -247,25 +231,25 @@ def _why_no_gramian(damping: Damping, own: bool) -> str:
 
 def _up_to(problem: Problem, top: float) -> Reference:
     """Reference from zero to ``top`` (rad/s)."""
-    omega = np.linspace(0.0, top, SAMPLES)
+    omega = np.linspace(0.0, top, TOL.reference_samples)
     try:
-        return reference_model(problem, omega, tolerance=REFERENCE_ERROR)
+        return reference_model(problem, omega, tolerance=TOL.reference_error)
     except SolverError as error:
         raise SolverError(
             "with modal damping the Gramian over all frequencies needs a reference model up to "
-            f"{top / (2 * np.pi):.6g} Hz, which is out of reach ({error}); {INSTEAD}"
+            f"{in_hz(top):.6g} Hz, which is out of reach ({error}); {INSTEAD}"
         ) from error
 
 
 def _over_band(problem: Problem, band_hz: tuple[float, float]) -> _Gramian:
     """The Gramian over a band, in the coordinates of the reference model."""
     low, high = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
-    omega = np.linspace(low, high, SAMPLES)
-    reference = reference_model(problem, omega, tolerance=REFERENCE_ERROR)
+    omega = np.linspace(low, high, TOL.reference_samples)
+    reference = reference_model(problem, omega, tolerance=TOL.reference_error)
     loads = reference.B * problem.motion_scale
     decay = reference.damping_at_resonance()
     # Modes of a table may be damped in part.
-    delta = 0.0 if (decay > 0).all() else BESIDE * high
+    delta = 0.0 if (decay > 0).all() else TOL.axis_offset * high
     Zp, Zv = band_factor(lambda s: reference.states(s, loads), reference.values, decay, (low, high), delta)
     notes: dict[str, object] = {
         "gramian": f"quadrature over {band_hz[0]:g} to {band_hz[1]:g} Hz of a reference model of order "
@@ -293,30 +277,31 @@ def _rayleigh(problem: Problem) -> tuple[float, float]:
 
 
 @contextmanager
-def _pencil(problem: Problem) -> Iterator[tuple[DynamicStiffness, dict[str, object]]]:
-    """A(s) with the whole explicit damping, and what had to be changed for it.
+def _damped_system(problem: Problem) -> Iterator[tuple[System, dict[str, object]]]:
+    """The system that the iteration solves with, and what had to be changed for it.
 
-    The problem's own one serves unless Rayleigh damping comes on top of a damping matrix, or its solver takes no
-    complex matrices.
+    That of the problem serves unless Rayleigh damping comes on top of a damping matrix, which then holds both, or its
+    solver takes no complex matrices.
     """
-    alpha, beta = _rayleigh(problem)
-    own = problem.D is None or not (alpha or beta)
+    system, D, (alpha, beta) = problem.system, problem.D, _rayleigh(problem)
     notes: dict[str, object] = {}
     solver = problem.solver
     if "complex-symmetric" not in solver.structures:
         solver = select_solver(memory=solver.memory, scratch=solver.scratch)
         notes["shift_solver"] = f"{solver.name}, as {problem.solver.name} takes no complex matrices"
-    if own and solver is problem.solver:
-        yield problem.stiffness, notes
+    if D is not None and (alpha or beta):
+        D = D + alpha * problem.M + beta * problem.K
+        system = replace(system, velocity_matrix=D, damping=Damping())
+    elif solver is problem.solver:
+        yield system, notes
         return
-    D = problem.D if own or problem.D is None else problem.D + alpha * problem.M + beta * problem.K
-    with DynamicStiffness(problem.K, problem.M, D, solver=solver, budget=problem.budget) as pencil:
-        yield pencil, notes
+    with DynamicStiffness(problem.K, problem.M, D, solver=solver, budget=problem.budget) as stiffness:
+        yield replace(system, stiffness=stiffness), notes
 
 
-def _system(problem: Problem, pencil: DynamicStiffness) -> SecondOrder:
+def _elastic(problem: Problem, system: System) -> SecondOrder:
     """The elastic part as the iteration sees it: no solution has rigid motion in it."""
-    M, K, D, Z = problem.M, problem.K, problem.D, problem.rigid
+    M, K, D = problem.M, problem.K, problem.D
     alpha, beta = _rayleigh(problem)
     if problem.damps_rigid_motion:
         raise InputError(
@@ -329,15 +314,8 @@ def _system(problem: Problem, pencil: DynamicStiffness) -> SecondOrder:
         return np.asarray(Y if D is None else Y + D @ X)
 
     def solve(s: complex, F: Values) -> Values:
-        at, c = s, 1.0 + 0.0 * s
-        if D is None:
-            # (1 + s beta) (K + f M): real and positive definite for positive s, one pattern for all damping.
-            c = 1.0 + s * beta
-            at = np.sqrt((s * s + alpha * s) / c)
-        with pencil.factorize(at) as factor:
-            X: Values = factor.solve(F / c)
-        X -= Z @ (Z.T @ (M @ X))
-        return X
+        with system.inverse(s) as inverse:
+            return inverse(F)
 
     return SecondOrder(M=M, K=K, apply_D=apply_D, solve=solve, flexibility=problem.elastic.flexibility)
 

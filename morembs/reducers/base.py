@@ -11,10 +11,12 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
+from morembs.base.arguments import check_options
 from morembs.base.errors import InputError, SolverError
-from morembs.base.former_names import accept_progress, with_old_names, with_progress_argument
+from morembs.base.former_names import FormerMethod, accept_progress, with_old_names, with_progress_argument
 from morembs.base.summary import hertz, kinds_words, summarised
 from morembs.base.types import Floats
+from morembs.base.units import eigenvalue_in_hz
 from morembs.fem.fe_model import STRUCTURAL, WITHOUT_MASS
 from morembs.linalg.columns import (
     complement,
@@ -24,13 +26,14 @@ from morembs.linalg.columns import (
     multiply,
     multiply_into,
     projected,
+    symmetric,
     without_rigid_motion,
 )
 from morembs.linalg.complex_modes import small_complex_modes
 from morembs.linalg.eigen import graded_modes
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
 from morembs.reducers.facts import Facts, Shifted
-from morembs.responses.band import MOST_HZ as MOST_HZ
+from morembs.reducers.tolerances import TOL
 from morembs.responses.massless import massless_motions, massless_words
 
 if TYPE_CHECKING:
@@ -42,12 +45,6 @@ if TYPE_CHECKING:
     from morembs.reducers.switching_tables import StaticModeTables
 
 
-# Part by which a reduced stiffness may differ from that of the model, between coordinates of unit stiffness.
-STIFFNESS_ERROR = 1e-2
-# Part of the lowest elastic frequency down to which rigid motion is to be free of round-off.
-LOW = 0.03
-# Larger models are shown without their frequencies, which are computed for that.
-SHOWN_ORDER = 400
 # What a reduced coordinate is; the body file stores the index in this table.
 MODE_KINDS = (
     "rigid",
@@ -91,7 +88,7 @@ class Basis:
 @with_old_names(left="W")
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ReducedModel:
+class ReducedModel(FormerMethod):
     """M q'' + D q' + K q = B f, interface displacements C q: the projection on ``V`` (Nc, n).
 
     Of a model with gyroscopic or circulatory matrices ``D`` is V'(D + G)V and ``K`` V'(K + N)V, with ``W`` the same
@@ -138,12 +135,12 @@ class ReducedModel:
         return self.W is None or self.W is self.V
 
     def _facts(self) -> dict[str, object]:
-        values = self.modes()[0][self.rigid_count :] if self.order <= SHOWN_ORDER else None
+        values = self.modes()[0][self.rigid_count :] if self.order <= TOL.shown_order else None
         return {
             "name": self.name,
             "order": self.order,
             "coordinates": kinds_words(self.mode_kind),
-            "elastic frequencies": None if values is None else hertz(np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)),
+            "elastic frequencies": None if values is None else hertz(eigenvalue_in_hz(values)),
             "inputs": self.B.shape[1],
         }
 
@@ -157,7 +154,7 @@ class ReducedModel:
         if self.symmetric:
             return graded_modes(self.K, self.M)
         if self.congruent:
-            values, Y = graded_modes(0.5 * (self.K + self.K.T), self.M)
+            values, Y = graded_modes(symmetric(self.K), self.M)
             # Flow may make elastic modes softer than rigid motion.
             rigid = np.sort(np.argsort(np.abs(values))[:r])
             order = np.concatenate([rigid, np.delete(np.arange(self.order), rigid)])
@@ -184,11 +181,14 @@ class ReducedModel:
 class Reducer(ABC):
     """Options of a reduction method; its fields are the keys of ``[[reduce]]`` in a job file.
 
-    A method states itself what others need from it: what it cannot reduce (``why_not``), what it costs, and the
-    properties below.
+    Limits of options stand with their types (``morembs.base.limits``) and are checked here. A method states itself what
+    others need from it: what it cannot reduce (``why_not``), what it costs, and the properties below.
     """
 
     method: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
     @property
     def takes_unsymmetric(self) -> bool:
@@ -300,7 +300,7 @@ class Reducer(ABC):
         if basis.W is None:
             M = projected(V, problem.M, budget)
             _refuse_singular_mass(self.method, M, basis.kinds)
-            K = without_rigid_motion(0.5 * (basis.K + basis.K.T), M, basis.rigid)
+            K = without_rigid_motion(symmetric(basis.K), M, basis.rigid)
             B = outputs.T
         else:
             V_velocity = V if basis.V_velocity is None else basis.V_velocity
@@ -383,7 +383,7 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
     coupled = basis.W is None and np.count_nonzero(K) > np.count_nonzero(np.diag(K))
     values, Y = graded_modes(K, M) if coupled else (np.abs(np.diag(K)), np.eye(n))
     # Round-off in K V y, at most: the norms of columns add up.
-    noise = (np.sqrt(problem.rounding(V)) @ np.abs(Y)) ** 2 / STIFFNESS_ERROR
+    noise = (np.sqrt(problem.rounding(V)) @ np.abs(Y)) ** 2 / TOL.stiffness_error
     lowest = values[r]
     scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.maximum(values, lowest), noise), np.finfo(float).tiny))
     # Signs that no structure of a basis has.
@@ -392,7 +392,7 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
     given = K @ x
     true = dot(W, problem.K @ Vx, problem.budget)[:, 0]
     off = float(np.linalg.norm(scale * (Y.T @ (true - given))))
-    if not off <= STIFFNESS_ERROR * max(np.linalg.norm(scale * (Y.T @ given)), np.sqrt(n)):
+    if not off <= TOL.stiffness_error * max(np.linalg.norm(scale * (Y.T @ given)), np.sqrt(n)):
         raise SolverError(
             f"method {method!r} gave a reduced stiffness that is not W' K V of its basis: {off / np.sqrt(n):.1e} of "
             "it is missing or too much; take another method, and report this with the model"
@@ -402,10 +402,14 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
     lost = AS_A_RULE * eps * np.einsum("ij,ij->j", np.abs(Y), np.abs(K) @ np.abs(Y))
     # Rigid motion has no stiffness: what is there is lost.
     lost[:r] = np.maximum(lost[:r], np.abs(values[:r]))
-    size = np.maximum(values, LOW**2 * lowest)
+    size = np.maximum(values, TOL.rigid_frequency**2 * lowest)
     if not (lost <= LOST * size).all():
         k = int(np.argmax(lost / size))
-        what = f"its mode {k - r + 1}" if k >= r else f"its rigid motion at {LOW:g} of its lowest frequency"
+        what = (
+            f"its mode {k - r + 1}"
+            if k >= r
+            else f"its rigid motion at {TOL.rigid_frequency:g} of its lowest frequency"
+        )
         raise SolverError(
             f"round-off in the reduced stiffness hides {what}: it amounts to {lost[k]:.1e} (rad/s)2 of {size[k]:.1e} "
             f"(allowed {LOST:.0e} of it); {SOFTER}"
@@ -461,7 +465,7 @@ def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to:
         constraint = basis.V[:, : basis.kinds.count("constraint")]
         W -= constraint @ (problem.B.T @ W)
     stiffness = W.T @ (problem.K @ W)
-    W = fix_signs(W @ sl.eigh(0.5 * (stiffness + stiffness.T))[1])
+    W = fix_signs(W @ sl.eigh(symmetric(stiffness))[1])
     KW = problem.K @ W
     cross = basis.V.T @ KW
     return Basis(

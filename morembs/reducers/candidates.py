@@ -15,12 +15,9 @@ from morembs.fem.selection import select_nodes
 from morembs.fem.stress_operator import StressOperator, stress_operator
 from morembs.fem.surface import outer_faces
 from morembs.problem import Problem
+from morembs.reducers.tolerances import TOL
 
 NORMALS = "normals"
-# A step along the path that is longer than this multiple of its neighbours is a gap.
-GAP = 3.5
-# Points nearer than this many steps are neighbours.
-BESIDE = 1.2
 
 
 class Candidates:
@@ -165,14 +162,14 @@ def chain(xyz: Floats, ids: Ints) -> Ints:
         raise InputError(f'candidates: {n} node was given; a path needs two or more (or take kind = "surface")')
     order = _walk(xyz, _walk(xyz, 0)[-1])
     along = xyz[order[-1]] - xyz[order[0]]
-    if along[np.argmax(np.abs(along) > 1e-6 * np.linalg.norm(along))] < 0:
+    if along[np.argmax(np.abs(along) > TOL.no_component * np.linalg.norm(along))] < 0:
         order = order[::-1]
     steps = np.linalg.norm(np.diff(xyz[order], axis=0), axis=1)
-    if steps.min() <= 1e-9 * max(float(np.median(steps)), np.finfo(float).tiny):
+    if steps.min() <= TOL.same_place * max(float(np.median(steps)), np.finfo(float).tiny):
         k = int(steps.argmin())
         raise InputError(f"candidates: nodes {ids[order[k]]} and {ids[order[k + 1]]} of the path lie in one point")
     beside = np.maximum(np.append(steps[1:], 0.0), np.insert(steps[:-1], 0, 0.0))
-    far = np.flatnonzero((steps > GAP * beside) & (beside > 0))
+    far = np.flatnonzero((steps > TOL.path_gap * beside) & (beside > 0))
     if len(far):
         k = int(far[steps[far].argmax()])
         raise InputError(
@@ -191,7 +188,7 @@ def _refuse_rows(xyz: Floats, ids: Ints, steps: Floats) -> None:
     step = np.minimum(np.append(steps, np.inf), np.insert(steps, 0, np.inf))
     distance, near = cKDTree(xyz).query(xyz, k=min(4, len(xyz)))
     apart = np.abs(near - np.arange(len(xyz))[:, None])
-    k, column = np.nonzero((apart > 1) & (distance < BESIDE * step[:, None]))
+    k, column = np.nonzero((apart > 1) & (distance < TOL.neighbor_steps * step[:, None]))
     if len(k):
         raise InputError(
             f"candidates: nodes {ids[k[0]]} and {ids[near[k[0], column[0]]]} lie next to each other without following "

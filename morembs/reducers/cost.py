@@ -12,16 +12,7 @@ from __future__ import annotations
 
 from morembs.linalg.eigen import DENSE, DENSE_PART
 from morembs.linalg.sparse.threads import Speed, measured_speed
-
-# Columns of the space for each mode, and blocks on top; operations of the small problem over k^3.
-_PER_MODE, _EXTRA_BLOCKS, _SMALL = 2.4, 10, 2.5
-# Operations over n^3 where all modes are found at once, and part of the speed of a product that it reaches.
-_DENSE, _DENSE_EFFICIENCY = 15.0, 0.4
-# Part of that speed that triangular solves reach.
-_SOLVES = 0.2
-# Columns for each input and operations over p^3 of the reference model; what a comparison takes of these in all.
-_PER_INPUT, _REFERENCE = 5, 1e5
-COMPARED = 2.0
+from morembs.reducers.tolerances import TOL
 
 
 def mode_seconds(size: int, count: int, factor_entries: int, speed: Speed | None = None) -> float:
@@ -29,18 +20,24 @@ def mode_seconds(size: int, count: int, factor_entries: int, speed: Speed | None
     measured."""
     rate = 1e9 * (speed or measured_speed()).gemm_gflops
     if size <= DENSE or (size <= DENSE_PART and 4 * count > size):
-        return _DENSE * size**3 / (_DENSE_EFFICIENCY * rate)
+        return TOL.dense_flops * size**3 / (TOL.dense_efficiency * rate)
     block = min(max(count // 2, 8), 16)
-    columns = min(_PER_MODE * count + _EXTRA_BLOCKS * block, 3 * count + 8 * block, size)
-    flops = 4 * size * columns**2 + _SMALL * columns**4 / (4 * block) + 4 * factor_entries * columns / _SOLVES
+    columns = min(TOL.columns_per_mode * count + TOL.extra_blocks * block, 3 * count + 8 * block, size)
+    flops = (
+        4 * size * columns**2
+        + TOL.small_flops * columns**4 / (4 * block)
+        + 4 * factor_entries * columns / TOL.solve_efficiency
+    )
     return flops / rate
 
 
-def response_seconds(size: int, inputs: int, factor_entries: int = 0, of_reference: float = COMPARED) -> float:
+def response_seconds(
+    size: int, inputs: int, factor_entries: int = 0, of_reference: float = TOL.compared_references
+) -> float:
     """Time of a reduction that follows the responses of ``size`` dofs to ``inputs``, or of a comparison.
 
     ``of_reference`` is how often the work on the reference model is done.
     """
-    rate, columns = 1e9 * measured_speed().gemm_gflops, min(_PER_INPUT * inputs, size)
-    space = 4 * size * columns**2 + 4 * factor_entries * columns / _SOLVES
-    return (space + of_reference * _REFERENCE * inputs**3) / rate
+    rate, columns = 1e9 * measured_speed().gemm_gflops, min(TOL.columns_per_input * inputs, size)
+    space = 4 * size * columns**2 + 4 * factor_entries * columns / TOL.solve_efficiency
+    return (space + of_reference * TOL.reference_flops * inputs**3) / rate

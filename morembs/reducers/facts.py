@@ -11,8 +11,7 @@ from morembs.fem.interface import Coupling, Interface
 from morembs.linalg.dynamic_stiffness import structure_at
 from morembs.linalg.sparse.solver import STRUCTURES
 from morembs.problem import Damping, Problem
-from morembs.responses.damped_reference import AT_ONCE
-from morembs.responses.direct import DENSE
+from morembs.responses.tolerances import TOL as RESPONSES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +79,6 @@ class Facts:
         and none without a damping matrix of its own."""
         if not self.symmetric:
             return self.at_shifts([1j] * count, self.inputs)
-        if self.model.D is None or self.size <= DENSE:
+        if self.model.D is None or self.size <= RESPONSES.dense_order:
             return []
-        return self.at_shifts([1j] * AT_ONCE, self.inputs)
+        return self.at_shifts([1j] * RESPONSES.shifts_at_once, self.inputs)

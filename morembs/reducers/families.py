@@ -9,7 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.reducers.base import MOST_HZ, Reducer
+from morembs.base.limits import Count, PositiveHertz
+from morembs.reducers.base import Reducer
 from morembs.reducers.cost import mode_seconds, response_seconds
 from morembs.reducers.facts import Facts, Shifted
 from morembs.responses.direct import why_no_response
@@ -24,17 +25,13 @@ class OfModes(Reducer):
         up_to_hz: all modes up to this frequency.
     """
 
-    modes: int | None = None
-    up_to_hz: float | None = None
+    modes: Count | None = None
+    up_to_hz: PositiveHertz | None = None
 
     def __post_init__(self) -> None:
-        modes, up_to_hz = self.modes, self.up_to_hz
-        if (modes is None) == (up_to_hz is None):
+        super().__post_init__()
+        if (self.modes is None) == (self.up_to_hz is None):
             raise InputError(f'method "{self.method}" needs either modes = COUNT or up_to_hz = LIMIT (one of the two)')
-        if modes is not None and modes < 0:
-            raise InputError(f"modes = {modes} was given; expected a count, zero or more")
-        if up_to_hz is not None and not 0 < up_to_hz < MOST_HZ:
-            raise InputError(f"up_to_hz = {up_to_hz} was given; expected a positive frequency in Hz below {MOST_HZ:g}")
 
     @property
     def below(self) -> float | None:

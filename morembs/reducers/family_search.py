@@ -11,27 +11,17 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.quadrature import trapezoid
 from morembs.problem.damping import Damping
+from morembs.reducers.tolerances import TOL
 from morembs.responses.certified import CertifiedReference
 from morembs.responses.loads import load_scale
 from morembs.responses.measures import Limit, compare, decide
 from morembs.responses.pencils import response_of
 from morembs.responses.rational import product
 from morembs.responses.rounding import Response
-
-# Directions whose share of the leading one is below this are round-off.
-NOISE = 1e-13
-GREEDY_STEPS = 40
-# Times that a worst frequency joins the samples before columns are added one by one.
-EXCHANGES = 5
-# More columns than any basis has.
-MANY = 1_000_000
-# A response below this part of its envelope is a zero; a shift that is a resonance up to this part of it hits it.
-ZERO, HITS = 1e-3, 1e-6
-# Responses weighted with |H| to these powers: relative errors ask for -1, resonances lose by it.
-WEIGHTS = (-0.5, 0.0, -1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,9 +109,9 @@ class FamilySearch:
         }
         smallest: Floats | None = None
         self.reached[family] = None
-        for exponent in WEIGHTS if family != "modal" else WEIGHTS[:1]:
+        for exponent in TOL.response_weights if family != "modal" else TOL.response_weights[:1]:
             columns = candidates[family](self.tolerance, exponent)
-            order, C = self._certified(columns, min(fewer, MANY if smallest is None else smallest.shape[1]))
+            order, C = self._certified(columns, min(fewer, TOL.no_order if smallest is None else smallest.shape[1]))
             if order is not None:
                 known = self.reached[family]
                 self.reached[family] = order if known is None else min(known, order)
@@ -131,7 +121,7 @@ class FamilySearch:
     def _certified(self, columns: Floats, fewer: int) -> tuple[int | None, Floats | None]:
         """The first of ``columns``, as few as hold the tolerance: their number, at the samples at least, and the
         certified basis where it has ``fewer``."""
-        for _ in range(EXCHANGES):
+        for _ in range(TOL.exchanges):
             C, error = self._cut(columns)
             if error > self.tolerance:
                 return None, None
@@ -159,7 +149,7 @@ class FamilySearch:
             return False
         size = self.standard.layout.norms(self.standard.H.at(self.looked))[:, 0]
         e = self.standard.modes.moduli(self.looked)[0] @ self.standard.sizes[:, 0]
-        self.worst = Limit(lower=0.0, upper=np.inf, at_hz=float(self.looked[(size / e).argmin()]) / (2 * np.pi))
+        self.worst = Limit(lower=0.0, upper=np.inf, at_hz=in_hz(float(self.looked[(size / e).argmin()])))
         return True
 
     def limit(self, C: Floats, theta: Floats) -> Limit:
@@ -190,7 +180,7 @@ class FamilySearch:
         """Whether the response is as good as zero at ``hz``."""
         w = 2 * np.pi * np.array([hz])
         e = self.standard.modes.moduli(w)[0] @ self.standard.sizes[:, 0]
-        return bool(np.linalg.norm(self.standard.H.at(w)) < ZERO * e[0])
+        return bool(np.linalg.norm(self.standard.H.at(w)) < TOL.zero_response * e[0])
 
     def _cut(self, columns: Floats) -> tuple[Floats, float]:
         """The first of ``columns``, as few as hold the tolerance at the samples, and their error."""
@@ -219,7 +209,7 @@ class FamilySearch:
         errors = np.asarray((self._norms(off) / self.sizes).max(axis=1))
         if errors.max() < self.worst.upper:
             j = int(errors.argmax())
-            self.worst = Limit(lower=errors[j], upper=errors[j], at_hz=self.looked[j] / (2 * np.pi))
+            self.worst = Limit(lower=errors[j], upper=errors[j], at_hz=in_hz(self.looked[j]))
         return errors
 
     def _norms(self, H: NDArray[np.complex128]) -> Floats:
@@ -243,7 +233,7 @@ class FamilySearch:
         """Orthonormal basis of the columns of ``X``, the dependent ones dropped."""
         size = np.linalg.norm(X, axis=0)
         U, s, _ = sl.svd(X[:, size > 0] / size[size > 0], full_matrices=False)
-        return np.asarray(U[:, s > NOISE * s[0]])
+        return np.asarray(U[:, s > TOL.direction_noise * s[0]])
 
     def _leading(self, snapshots: Floats) -> Floats:
         """``fixed`` and behind it the principal vectors of the rest of the snapshots (k, j), in the energy norm."""
@@ -254,7 +244,7 @@ class FamilySearch:
         # Of wide snapshots the triangle has the left singular vectors too.
         X = np.asarray(np.linalg.qr(X.T, mode="r")).T if X.shape[1] > 2 * len(X) else X
         U, s, _ = sl.svd(X, full_matrices=False)
-        columns = np.hstack([start, U[:, s > NOISE * s[0]]]) / weight
+        columns = np.hstack([start, U[:, s > TOL.direction_noise * s[0]]]) / weight
         # Nested spans: the first n columns of Q span the first n of these.
         return np.asarray(np.linalg.qr(columns)[0])
 
@@ -274,7 +264,7 @@ class FamilySearch:
     def _responses(self, tolerance: float) -> Floats:
         """Responses of the undamped model (k, n), at 0 Hz first, then where the error is largest."""
         values, shifts = self.reference.values, [0.0]
-        for _ in range(GREEDY_STEPS):
+        for _ in range(TOL.greedy_steps):
             blocks = [self.F / apart(values, shift)[:, None] for shift in shifts]
             C = self._orthonormal(np.hstack(blocks))
             errors = self.errors(C)
@@ -299,8 +289,8 @@ class FamilySearch:
 
 def apart(values: Floats, shift: float) -> Floats:
     """``values`` - shift^2 (k,), for a shift half a percent higher where it hits a resonance."""
-    if (np.abs(np.sqrt(values) - shift) < HITS * shift).any():
-        shift *= 1.005
+    if (np.abs(np.sqrt(values) - shift) < TOL.on_resonance * shift).any():
+        shift *= TOL.shift_move
     return np.asarray(values - shift**2)
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from morembs.base import progress
 from morembs.base.crew import Crew
 from morembs.base.errors import InputError
+from morembs.base.limits import PositiveCount, number, one_of
 from morembs.base.types import Floats
 from morembs.linalg.columns import hstack, m_norms, map_columns, orthonormal, project_out
 from morembs.linalg.gramians import StreamedSVD, WeightedSVD, snapshot_factor
@@ -35,25 +36,16 @@ from morembs.problem import Problem
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.families import OfResponses
-from morembs.responses.band import checked_band
+from morembs.reducers.tolerances import TOL
+from morembs.responses.band import Band
 from morembs.responses.direct import state, states_crew, why_no_response
 from morembs.responses.loads import elastic_part, load_scale, unit_loads
 from morembs.responses.reference import Reference, reference_model
 
 WEIGHTS = ("position", "velocity")
-# Shift off the imaginary axis where there is no damping, as a part of the upper end of the band.
-SHIFT = 0.01
-# A pole this close to the band, as a part of its upper end, counts as inside.
-EDGE = 1e-3
-# The response is static where it differs from statics by less than this part.
-STATIC = 1e-6
 # Tolerances below this ask for singular values that are round-off.
 FINEST = 1e-10
-# Gauss points over the whole band for full factorisations.
-DIRECT_POINTS = 12
-# Of states the square root counts: the response is quadratic in their error.
-ACCURACY = 1e-11
-GRID = 40
+ResponsePart = Annotated[float, number(f"a part of the response from {FINEST:g} to below 1", ge=FINEST, lt=1)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,29 +72,19 @@ class Gramian(OfResponses):
     """
 
     method: ClassVar[str] = "gramian"
-    band_hz: list[float]
-    order: int | None = None
-    tolerance: float | None = None
-    weight: str = "position"
+    band_hz: Band
+    order: PositiveCount | None = None
+    tolerance: ResponsePart | None = None
+    weight: Annotated[str, one_of(*WEIGHTS)] = "position"
     direct: bool = False
-    points: int | None = None
+    points: PositiveCount | None = None
     static: bool = False
     inertia_loads: bool = False
 
     def __post_init__(self) -> None:
-        checked_band(self.band_hz)
+        super().__post_init__()
         if (self.order is None) == (self.tolerance is None):
             raise InputError('method "gramian" needs either order = COUNT or tolerance = PART (one of the two)')
-        if self.order is not None and self.order < 1:
-            raise InputError(f"order = {self.order} was given; expected the number of elastic directions, 1 or more")
-        if self.tolerance is not None and not FINEST <= self.tolerance < 1:
-            raise InputError(
-                f"tolerance = {self.tolerance} was given; expected a part of the response from {FINEST:g} to below 1"
-            )
-        if self.weight not in WEIGHTS:
-            raise InputError(f'weight = "{self.weight}" was given; expected one of {", ".join(WEIGHTS)}')
-        if self.points is not None and self.points < 1:
-            raise InputError(f"points = {self.points} was given; expected the number of Gauss points, 1 or more")
 
     def why_no_response(self, facts: Facts) -> str:
         if not self.direct:
@@ -114,7 +96,7 @@ class Gramian(OfResponses):
     def shifted(self, facts: Facts) -> Sequence[Shifted]:
         if not self.direct:
             return super().shifted(facts)
-        count = self.points or DIRECT_POINTS
+        count = self.points or TOL.direct_points
         # Damped, or beside the imaginary axis.
         return [Shifted(structure="complex-symmetric", count=count, columns=facts.inputs, at_once=count)]
 
@@ -132,7 +114,10 @@ class Gramian(OfResponses):
     def _modal(self, problem: Problem, low: float, high: float, mu: float, notes: dict[str, object]) -> Floats:
         """Basis (Nc, n) from snapshots in the modal coordinates of the reference model, where X is diagonal."""
         reference = reference_model(
-            problem, np.linspace(low, high, GRID), tolerance=ACCURACY, inertia_loads=self.inertia_loads
+            problem,
+            np.linspace(low, high, TOL.state_samples),
+            tolerance=TOL.state_error,
+            inertia_loads=self.inertia_loads,
         )
         values = reference.values
         F = reference.F * load_scale(problem.motion_scale, reference.F, reference.F / values[:, None])
@@ -165,8 +150,8 @@ class Gramian(OfResponses):
         G *= scale
         X = sp.csr_array(problem.K + mu * M)
         damped = problem.D is not None or damping.is_rayleigh or damping.structural > 0
-        delta = 0.0 if damped else SHIFT * high
-        omega, weights = gauss(low, high, self.points or DIRECT_POINTS)
+        delta = 0.0 if damped else TOL.axis_offset * high
+        omega, weights = gauss(low, high, self.points or TOL.direct_points)
 
         # The highest first: it tells whether there are any dynamics.
         points, weights = [complex(delta, w) for w in omega[::-1]], weights[::-1]
@@ -224,14 +209,19 @@ class Gramian(OfResponses):
         """Raise where the states ``U`` (n, p) at the upper end of the band are the static ones ``G``."""
         change = U - G
         size = (np.sum((X @ A * A.conj()).real) for A in (change, G))
-        if np.sqrt(next(size) / next(size)) < STATIC:
+        if np.sqrt(next(size) / next(size)) < TOL.static_response:
             raise InputError(
-                f"the response in the band {list(self.band_hz)} Hz is static to {STATIC:g}: it holds no dynamics; take "
-                'method = "guyan", or raise the upper end of the band towards the first frequency of the body'
+                f"the response in the band {list(self.band_hz)} Hz is static to {TOL.static_response:g}: "
+                'it holds no dynamics; take method = "guyan", '
+                "or raise the upper end of the band towards the first frequency of the body"
             )
 
 
 def _shift(reference: Reference, low: float, high: float) -> float:
     """Real part of the path in 1/s: zero unless a mode that resonates in the band is undamped."""
     at, undamped = np.sqrt(reference.values), reference.damping_at_resonance() <= 0
-    return SHIFT * high if (undamped & (at > low - EDGE * high) & (at < high + EDGE * high)).any() else 0.0
+    return (
+        TOL.axis_offset * high
+        if (undamped & (at > low - TOL.inside_band * high) & (at < high + TOL.inside_band * high)).any()
+        else 0.0
+    )

@@ -22,21 +22,14 @@ import scipy.sparse as sp
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.linalg.columns import dot, fix_signs, multiply_into, project_out
+from morembs.base.units import eigenvalue_in_hz
+from morembs.linalg.columns import dot, fix_signs, multiply_into, project_out, symmetric
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
 from morembs.linalg.lanczos import BlockLanczos, largest
 from morembs.linalg.statics import ConstrainedStatics, Statics
 from morembs.problem import Problem
-
-# Up to this many interface dofs, or where so large a part of them is wanted, all constraint modes are computed.
-DENSE = 400
-PART = 4
-# Above this many interface dofs the body is held by leaving their rows out, not by solving for each.
-MANY = 100
-# Scaled condition of the rigid motions on rows above which these rows do not hold the body.
-LOOSE = 1e6
-BLOCK = 12
+from morembs.reducers.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,7 +56,7 @@ class FixedInterfaceBody(Closing):
         self.problem = problem
         self.statics: Statics | None = None
         rows, mixed = _single(problem.B)
-        if not (len(rows) > MANY if by_rows is None else by_rows) or not _holds(problem, rows):
+        if not (len(rows) > TOL.solved_rows if by_rows is None else by_rows) or not _holds(problem, rows):
             self.rows, self.constrained, self.M = None, problem.internal, problem.M
             return
         kept = np.setdiff1d(np.arange(problem.K.shape[0]), rows)
@@ -118,7 +111,7 @@ def interface_modes(
         from_all: from all constraint modes (True) or by block Lanczos (False); by default what their number is for.
 
     Peak memory: some three times as many columns of length Nc as modes, where the budget wants them; with up to
-    ``DENSE`` interface dofs, or where a large part of the modes is wanted, all constraint modes (Nc, m).
+    ``TOL.dense_interface`` interface dofs, or where a large part of the modes is wanted, all constraint modes (Nc, m).
 
     Raises:
         InputError: more modes than there are.
@@ -130,7 +123,7 @@ def interface_modes(
             "characteristic modes; ask for fewer"
         )
     if from_all is None:
-        from_all = problem.B.shape[1] <= DENSE or (count is not None and PART * count > most)
+        from_all = problem.B.shape[1] <= TOL.dense_interface or (count is not None and TOL.dense_part * count > most)
     if from_all:
         return _all(problem, count, below)
     return _lowest(problem, held, most, count, below)
@@ -166,7 +159,7 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
     # Rigid-body motion is known and goes out before the eigenvalues are computed, which it would blur.
     scale = 1.0 / np.sqrt(np.diag(M))
     H = (problem.B.T @ problem.rigid) / scale[:, None]
-    Ms, Ks = (0.5 * (A + A.T) * np.outer(scale, scale) for A in (M, K))
+    Ms, Ks = (symmetric(A) * np.outer(scale, scale) for A in (M, K))
     Q = sl.qr(Ms @ H)[0][:, r:]
     values, Y = sl.eigh(Q.T @ Ks @ Q, Q.T @ Ms @ Q)
     kept = len(values) if count is None else count
@@ -178,7 +171,7 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
     return InterfaceModes(
         eigenvalues=values[:kept],
         vectors=fix_signs(V, problem.budget),
-        next_hz=float(np.sqrt(values[kept]) / (2 * np.pi)) if kept < len(values) else None,
+        next_hz=float(eigenvalue_in_hz(values[kept])) if kept < len(values) else None,
     )
 
 
@@ -187,8 +180,8 @@ def _lowest(
 ) -> InterfaceModes:
     flexibility = _flexibility(problem, held)
     rng = np.random.default_rng(3)
-    start = flexibility(problem.M @ rng.standard_normal((problem.K.shape[0], BLOCK)))
-    wanted = 4 * BLOCK if count is None else count + 1
+    start = flexibility(problem.M @ rng.standard_normal((problem.K.shape[0], TOL.block_columns)))
+    wanted = 4 * TOL.block_columns if count is None else count + 1
     lanczos = BlockLanczos(flexibility, problem.M, start, capacity=_capacity(wanted, most), budget=problem.budget)
     while True:
         theta, V = largest(lanczos, wanted, what="characteristic modes")
@@ -196,21 +189,19 @@ def _lowest(
         if below is None or values[-1] > below * (1 + GAP):
             break
         wanted *= 2
-        if PART * wanted > most:
+        if TOL.dense_part * wanted > most:
             return _all(problem, count, below)
         lanczos.enlarge(_capacity(wanted, most))
     kept = count if count is not None else int((values <= below * (1 + GAP)).sum()) if below is not None else wanted
     V = V[:, :kept]
     project_out(problem.rigid, V, problem.M)
     return InterfaceModes(
-        eigenvalues=values[:kept],
-        vectors=fix_signs(V, problem.budget),
-        next_hz=float(np.sqrt(values[kept]) / (2 * np.pi)),
+        eigenvalues=values[:kept], vectors=fix_signs(V, problem.budget), next_hz=float(eigenvalue_in_hz(values[kept]))
     )
 
 
 def _capacity(wanted: int, most: int) -> int:
-    return min(2 * wanted + 8 * BLOCK, most)
+    return min(2 * wanted + 8 * TOL.block_columns, most)
 
 
 def _flexibility(problem: Problem, held: FixedInterfaceBody) -> Callable[[Floats], Floats]:
@@ -238,4 +229,4 @@ def _holds(problem: Problem, rows: Ints) -> bool:
     Z = problem.rigid
     size = np.linalg.norm(Z, axis=0) / np.sqrt(len(Z))
     s = np.linalg.svd(Z[rows] / size, compute_uv=False)
-    return bool(len(s) == Z.shape[1] and (not len(s) or s[-1] * LOOSE > s[0]))
+    return bool(len(s) == Z.shape[1] and (not len(s) or s[-1] * TOL.loose_condition > s[0]))

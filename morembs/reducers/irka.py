@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from morembs.base import progress
 from morembs.base.errors import InputError
+from morembs.base.limits import PositiveCount, RelativeError
 from morembs.base.types import Complexes, Floats
 from morembs.linalg.columns import orthonormal
 from morembs.linalg.quadrature import trapezoid
@@ -28,17 +29,10 @@ from morembs.problem import Problem
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.facts import Facts
 from morembs.reducers.families import OfResponses
-from morembs.responses.band import checked_band
+from morembs.reducers.tolerances import TOL
+from morembs.responses.band import Band
 from morembs.responses.reference import Reference, reference_model
 
-# Frequencies at which the reference model is held to its tolerance, and those of the error measure.
-CHECKED, MEASURED, TOLERANCE = 60, 300, 1e-8
-# Modes with less damping than this ratio have no H2 norm to speak of; then s moves to the right by this part of
-# the upper frequency.
-LIGHT, DELTA = 1e-6, 5e-3
-# Damping ratio of the shifts to begin with.
-FIRST_RATIO = 0.02
-INNER_STEPS, INNER_TOLERANCE = 30, 1e-7
 # Places about a resonance, in half power widths, where its peak is sampled.
 PEAK = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 
@@ -67,20 +61,10 @@ class Irka(OfResponses):
     """
 
     method: ClassVar[str] = "irka"
-    order: int
-    band_hz: list[float]
-    max_steps: int = 50
-    tolerance: float = 1e-4
-
-    def __post_init__(self) -> None:
-        if self.order < 1:
-            raise InputError(f"order = {self.order} was given; expected a positive number of elastic coordinates")
-        checked_band(self.band_hz)
-        if self.max_steps < 1 or not 0 < self.tolerance < 1:
-            raise InputError(
-                f"max_steps = {self.max_steps}, tolerance = {self.tolerance} were given; expected at least one step "
-                "and a tolerance between 0 and 1"
-            )
+    order: PositiveCount
+    band_hz: Band
+    max_steps: PositiveCount = 50
+    tolerance: RelativeError = 1e-4
 
     def why_not(self, facts: Facts) -> str:
         if facts.damping.structural:
@@ -92,11 +76,13 @@ class Irka(OfResponses):
 
     def _basis(self, problem: Problem) -> Basis:
         low, high = (2 * np.pi * f for f in self.band_hz)
-        reference = reference_model(problem, np.linspace(low, high, CHECKED), tolerance=TOLERANCE)
+        reference = reference_model(
+            problem, np.linspace(low, high, TOL.reference_samples), tolerance=TOL.reference_error
+        )
         if self.order > len(reference.values):
             raise InputError(
                 f"order = {self.order} was given; {len(reference.values)} coordinates give the responses in this band "
-                f"to {TOLERANCE:.0e} already: lower the order, or widen band_hz"
+                f"to {TOL.reference_error:.0e} already: lower the order, or widen band_hz"
             )
         band = _Band(reference, low, high)
         runs = [self._run(band, shifts) for shifts in _starts(band, self.order, low, high)]
@@ -174,16 +160,18 @@ class _Band:
     def __init__(self, reference: Reference, low: float, high: float) -> None:
         self.reference = reference
         values, d = reference.values, reference.damping_of_modes()
-        inside = values <= (1.2 * high) ** 2
+        inside = values <= (TOL.modes_beyond * high) ** 2
         inside[0] = True
-        light = bool((d[inside] < 2 * LIGHT * np.sqrt(values[inside])).any())
-        self.delta = delta = DELTA * high if light else 0.0
+        light = bool((d[inside] < 2 * TOL.light_damping * np.sqrt(values[inside])).any())
+        self.delta = delta = TOL.light_offset * high if light else 0.0
         # What the damping of the peaks is when s has moved.
         self.decay = 0.5 * d + delta
         self.B = reference.B * reference.problem.motion_scale
         width = self.decay[inside, None] * PEAK
         middle = np.sqrt(values[inside, None])
-        every = np.concatenate([np.linspace(low, high, MEASURED), *(middle - width), *(middle + width), middle[:, 0]])
+        every = np.concatenate(
+            [np.linspace(low, high, TOL.measured_samples), *(middle - width), *(middle + width), middle[:, 0]]
+        )
         self.omega = np.unique(every[(every >= low) & (every <= high)])
         self.weight = trapezoid(self.omega)
         self.H = self.B.T @ self.states(1j * self.omega, self.B)
@@ -231,10 +219,10 @@ class _Band:
         E = np.block([[D, c * eye], [c * eye, zero]])
         A = np.block([[-K, zero], [zero, c**2 * eye]])
         F = np.vstack([B, np.zeros_like(B)])
-        for _ in range(INNER_STEPS):
+        for _ in range(TOL.inner_steps):
             moved = _mirrored_poles(E, A, F, shifts)
             change, shifts = _change(shifts, moved), moved
-            if change <= INNER_TOLERANCE:
+            if change <= TOL.inner_tolerance:
                 break
         return shifts
 
@@ -289,7 +277,7 @@ def _of_modes(band: _Band, met: _Run, order: int) -> _Run:
 
 def _first_shifts(band: _Band, omega: Floats, real: float | None) -> _Shifts:
     """Lightly damped shifts at ``omega`` and one at ``real``, in the directions of the largest response there."""
-    s = FIRST_RATIO * omega + 1j * omega
+    s = TOL.first_shift_ratio * omega + 1j * omega
     if real is not None:
         s = np.append(real + 0j, s)
     H = band.B.T @ band.states(s, band.B)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import scipy.linalg as sl
@@ -21,21 +21,20 @@ from numpy.typing import NDArray
 
 from morembs.base import progress
 from morembs.base.errors import InputError, nearest
+from morembs.base.limits import MOST_HZ, Hertz, PositiveCount, number
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.linalg.columns import complement, dot, hstack, map_columns, multiply_into, projected
 from morembs.linalg.second_order_arnoldi import PASSES
 from morembs.problem import Problem
-from morembs.reducers.base import MOST_HZ, Basis, Reducer, elastic_basis
+from morembs.reducers.base import Basis, Reducer, elastic_basis
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.petrov_galerkin import two_sided_basis
-from morembs.reducers.shifts import RIGID_LOAD, Wanted, apply, expansion_point, frequency, grow_at_once
+from morembs.reducers.shifts import Wanted, expansion_point, grow_at_once
+from morembs.reducers.tolerances import TOL
 from morembs.responses.loads import elastic_part, inertia_loads, load_scale
 
-MOST_COLUMNS = 500
-# Loads that the columns so far carry up to this part need no direction of their own.
-CARRIED = 1e-7
-# Cosine between spaces of inputs and outputs below which they cannot be paired.
-PAIRED = 1e-6
+Rate = Annotated[float, number("a positive number in 1/s", gt=0, lt=MOST_HZ)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,38 +66,29 @@ class Krylov(Reducer):
     """
 
     method: ClassVar[str] = "krylov"
-    shifts_hz: list[float] = field(default_factory=lambda: [0.0])
-    real_shifts: list[float] = field(default_factory=list)
-    moments: int | list[int] = 1
-    order: int | None = None
-    tangential: int | None = None
+    shifts_hz: list[Hertz] = field(default_factory=lambda: [0.0])
+    real_shifts: list[Rate] = field(default_factory=list)
+    moments: PositiveCount | list[PositiveCount] = 1
+    order: PositiveCount | None = None
+    tangential: PositiveCount | None = None
     two_sided: bool = False
     inputs: list[str] | None = None
     outputs: list[str] | None = None
     inertia_loads: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         count = len(self.shifts_hz) + len(self.real_shifts)
         if not count:
             raise InputError("no shift was given; give at least one in shifts_hz (0.0 for statics) or real_shifts")
-        if not all(0 <= f < MOST_HZ for f in self.shifts_hz):
-            raise InputError(
-                f"shifts_hz = {self.shifts_hz} was given; expected frequencies in Hz from 0 to {MOST_HZ:g}"
-            )
-        if not all(0 < s < MOST_HZ for s in self.real_shifts):
-            raise InputError(f"real_shifts = {self.real_shifts} was given; expected positive numbers in 1/s")
         if len({*self.shifts_hz}) + len({*self.real_shifts}) < count:
             raise InputError("a shift was given twice; give it once and raise its moments")
         moments = [self.moments] * count if isinstance(self.moments, int) else self.moments
-        if len(moments) != count or min(moments) < 1:
+        if len(moments) != count:
             raise InputError(
                 f"moments = {self.moments} was given for {count} shifts; expected one positive number, or one for each "
                 "of shifts_hz and then of real_shifts"
             )
-        for name in ("order", "tangential"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise InputError(f"{name} = {value} was given; expected a positive number")
         if self.outputs is not None and not self.two_sided:
             raise InputError("outputs were given, which only two_sided = true uses; set it, or leave outputs out")
         if (
@@ -153,7 +143,7 @@ class Krylov(Reducer):
                 "the expansion is that of the model's own damping matrix, without the damping added to it"
             )
         if self.order is not None:
-            top = max([*self.shifts_hz, *(s / (2 * np.pi) for s in self.real_shifts)])
+            top = max([*self.shifts_hz, *(in_hz(s) for s in self.real_shifts)])
             for space in spaces:
                 notes[f"columns_of_{space.name}_before_the_cut"] = space.size
                 space.cut(self.order, 2 * np.pi * top)
@@ -182,10 +172,11 @@ class Krylov(Reducer):
             count * width * (2 if own and s.imag else 1) * len(_sides(problem, s)) for s, count in self._points()
         )
         room = problem.K.shape[0] - problem.rigid.shape[1]
-        if total > min(MOST_COLUMNS, room):
+        if total > min(TOL.max_columns, room):
             raise InputError(
-                f"{loads} loads with these shifts and moments make {total} columns; at most {min(MOST_COLUMNS, room)} "
-                "make sense here: take fewer shifts or moments, or set tangential = COUNT (loads per shift)"
+                f"{loads} loads with these shifts and moments make {total} columns; at most "
+                f"{min(TOL.max_columns, room)} make sense here: take fewer shifts or moments, "
+                "or set tangential = COUNT (loads per shift)"
             )
         return total
 
@@ -207,7 +198,7 @@ class Krylov(Reducer):
             grow_at_once(problem, [point for point, _ in points], wanted_at)
         for s, count in self._points():
             shift = expansion_point(problem, s)
-            what = f"shift {frequency(s):.6g} Hz" if s.imag or not s else f"real shift {s.real:.6g} 1/s"
+            what = f"shift {in_hz(abs(s)):.6g} Hz" if s.imag or not s else f"real shift {s.real:.6g} 1/s"
             wanted: dict[object, Wanted] = {}
             growing = []
             for space in spaces:
@@ -225,7 +216,7 @@ class Krylov(Reducer):
                     if deflated:
                         lost.append(f"{what}, block {j + 1}: {deflated} columns of the {space.name}")
             if shift.moves:
-                moved.append(f"{what} lies on an eigenvalue; moved to {frequency(shift.at):.8g} Hz")
+                moved.append(f"{what} lies on an eigenvalue; moved to {in_hz(abs(shift.at)):.8g} Hz")
         return lost, moved
 
 
@@ -253,7 +244,7 @@ class _LoadSpace:
         whole = np.linalg.norm(F, axis=0)
         if not problem.damps_rigid_motion:
             F = elastic_part(problem, F)
-        bends = np.linalg.norm(F, axis=0) > RIGID_LOAD * whole
+        bends = np.linalg.norm(F, axis=0) > TOL.rigid_load * whole
         self.lost = [] if bends.all() else [f"{(~bends).sum()} of the {name} do not deform the body"]
         F = F[:, bends]
         if inertia:
@@ -295,7 +286,7 @@ class _LoadSpace:
         rest = self._residual(s)
         values, U = sl.eigh((rest.conj().T @ (rest / weight)).real)
         largest = np.sqrt(np.einsum("ij,ij->j", self.F, self.F / weight).max())
-        good = np.sqrt(np.maximum(values, 0.0)) > CARRIED * largest
+        good = np.sqrt(np.maximum(values, 0.0)) > TOL.carried_load * largest
         directions = U[:, good][:, ::-1][:, :tangential]
         return (directions.tobytes(),), self.F @ directions
 
@@ -306,11 +297,11 @@ class _LoadSpace:
             return np.asarray(F)
         width = problem.budget.columns(len(V))
         blocks = [slice(at, min(at + width, self.size)) for at in range(0, self.size, width)]
-        A = np.hstack([dot(V, apply(problem, s, V[:, block]), problem.budget) for block in blocks])
+        A = np.hstack([dot(V, problem.system.apply(s, V[:, block]), problem.budget) for block in blocks])
         y = np.linalg.solve(A, V.T @ F)
         rest: NDArray[Any] = np.array(F, dtype=y.dtype)
         for block in blocks:
-            rest -= apply(problem, s, V[:, block]) @ y[block]
+            rest -= problem.system.apply(s, V[:, block]) @ y[block]
         return np.asarray(rest)
 
     def cut(self, order: int, top: float) -> None:
@@ -358,7 +349,7 @@ def _two_sided(problem: Problem, V: Floats, W: Floats, notes: dict[str, object])
         joined = hstack(small, more, budget=problem.budget)
         V, W = (joined, W) if small is V else (V, joined)
     U, cosines, T = np.linalg.svd(W.T @ (problem.M @ V))
-    if cosines[-1] < PAIRED:
+    if cosines[-1] < TOL.paired_cosine:
         raise InputError(
             "the spaces of inputs and outputs are nearly orthogonal and cannot be paired; leave two_sided out, or take "
             "other shifts"

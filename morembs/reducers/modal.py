@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
-from morembs.base.errors import InputError, nearest
+from morembs.base.limits import one_of
 from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 from morembs.reducers.base import Basis
@@ -29,14 +29,7 @@ class Modal(OfModes):
     """
 
     method: ClassVar[str] = "modal"
-    interfaces: str = "free"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.interfaces not in ("free", "fixed"):
-            raise InputError(
-                f"interfaces = {self.interfaces!r} was given; {nearest(self.interfaces, ('free', 'fixed'))}"
-            )
+    interfaces: Annotated[str, one_of("free", "fixed")] = "free"
 
     @property
     def takes_unsymmetric(self) -> bool:

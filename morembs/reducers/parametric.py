@@ -9,13 +9,13 @@ from typing import ClassVar
 import numpy as np
 
 from morembs.base.errors import InputError
+from morembs.base.limits import DampingFloor, PositiveCount, RelativeError
 from morembs.parametric.basis import GreedySearch, ParametricBasis, Wanted
 from morembs.parametric.model import ParametricModel
 from morembs.parametric.terms import AffineProblem
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, ReducedModel, Reducer
-from morembs.responses.band import checked_band
-from morembs.responses.certified import checked_floor
+from morembs.responses.band import Band
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,23 +35,12 @@ class ParametricReducer(Reducer):
     """
 
     method: ClassVar[str] = "parametric"
-    band_hz: list[float]
-    tolerance: float = 1e-3
-    training: int = 256
-    order_limit: int = 200
+    band_hz: Band
+    tolerance: RelativeError = 1e-3
+    training: PositiveCount = 256
+    order_limit: PositiveCount = 200
     accept_bound: bool = False
-    damping_floor: float | None = None
-
-    def __post_init__(self) -> None:
-        checked_band(self.band_hz)
-        if not 0 < self.tolerance < 1:
-            raise InputError(f"tolerance = {self.tolerance} was given; expected a relative error between 0 and 1")
-        if self.training < 1:
-            raise InputError(f"training = {self.training} was given; expected a number of values, 1 or more")
-        if self.order_limit < 1:
-            raise InputError(f"order_limit = {self.order_limit} was given; expected a number, 1 or more")
-        if self.damping_floor is not None:
-            checked_floor(self.damping_floor)
+    damping_floor: DampingFloor | None = None
 
     @property
     def computes_modes(self) -> bool:

@@ -9,12 +9,11 @@ import scipy.linalg as sl
 
 from morembs.base.errors import SolverError
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.linalg.columns import hstack, multiply, projected
 from morembs.problem import Problem
 from morembs.reducers.base import Basis
-
-# A pole this far to the right, as part of its size, is unstable.
-GROWING = 1e-8
+from morembs.reducers.tolerances import TOL
 
 
 def two_sided_basis(
@@ -76,9 +75,9 @@ def refuse_unstable(M: Floats, D: Floats, K: Floats, what: str, instead: str) ->
     poles = unit * sl.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-inverse[:, :n], -inverse[:, n:]]]))
     growth = poles.real / np.maximum(np.abs(poles), np.finfo(float).tiny)
     worst = int(np.argmax(growth))
-    if growth[worst] > GROWING:
+    if growth[worst] > TOL.unstable_growth:
         pole = poles[worst]
         raise SolverError(
-            f"{what} gives an unstable reduced model at order {n}: a motion of {abs(pole.imag) / (2 * np.pi):.6g} Hz "
+            f"{what} gives an unstable reduced model at order {n}: a motion of {in_hz(abs(pole.imag)):.6g} Hz "
             f"grows at {pole.real:.6g} per second; {instead}"
         )

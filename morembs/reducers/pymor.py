@@ -12,9 +12,7 @@ from morembs.base.optional import optional
 from morembs.base.types import Floats
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
-
-# Part of the largest entry by which a symmetric matrix may miss its transpose.
-ROUND_OFF = 1e-12
+from morembs.reducers.tolerances import TOL
 
 
 def to_pymor(model: Problem | ReducedModel) -> Any:
@@ -96,7 +94,7 @@ def from_pymor(
 
 
 def _alike(A: Floats, B: Floats) -> bool:
-    return A.shape == B.shape and bool(np.abs(A - B).max(initial=0.0) <= ROUND_OFF * np.abs(A).max(initial=0.0))
+    return A.shape == B.shape and bool(np.abs(A - B).max(initial=0.0) <= TOL.asymmetry * np.abs(A).max(initial=0.0))
 
 
 def _dense(A: Any) -> Floats:

@@ -17,13 +17,11 @@ import scipy.linalg as sl
 
 from morembs.base.types import Complexes, Floats
 from morembs.linalg.quadrature import modal_poles, resonant
+from morembs.reducers.tolerances import TOL
 
 VARIANTS = ("p", "v", "pv", "vp", "fv", "so")
 # These project with one basis, which keeps symmetry and with it stability.
 ONE_SIDED = ("pv", "fv")
-# Singular values below this part of the largest are round-off.
-NOISE = 1e-14
-_NODES_AT_ONCE = 256
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,7 +108,7 @@ def usable_order(products: Products, variant: str) -> int:
         needed.append(products.vv)
     if variant == "so":
         needed.append(products.pp)
-    return min(int((s > NOISE * s[0]).sum()) for s in (_svd(A)[1] for A in needed))
+    return min(int((s > TOL.singular_noise * s[0]).sum()) for s in (_svd(A)[1] for A in needed))
 
 
 def _leading(products: Products, variant: str) -> Floats:
@@ -137,7 +135,7 @@ def _orthonormalising(X: Floats, G: Floats) -> Floats:
     gram = X.T @ G @ X
     size = 1 / np.sqrt(np.diag(gram))
     values, Y = sl.eigh(size[:, None] * gram * size)
-    return np.asarray((size[:, None] * Y) / np.sqrt(np.maximum(values, NOISE * values[-1])))
+    return np.asarray((size[:, None] * Y) / np.sqrt(np.maximum(values, TOL.singular_noise * values[-1])))
 
 
 def _cosine(X: Floats, G: Floats, Y: Floats) -> float:
@@ -180,8 +178,8 @@ def band_factor(
     omega, weight = resonant(*band, modal_poles(values, damping) + 1j * delta)
     k = len(values)
     R: Floats = np.zeros((0, 2 * k))
-    for first in range(0, len(omega), _NODES_AT_ONCE):
-        part = slice(first, first + _NODES_AT_ONCE)
+    for first in range(0, len(omega), TOL.nodes_at_once):
+        part = slice(first, first + TOL.nodes_at_once)
         s = np.asarray(delta + 1j * omega[part], dtype=complex)
         U = states(s) * np.sqrt(weight[part] / np.pi)[:, None, None]
         both = np.concatenate([U, s[:, None, None] * U], axis=1)

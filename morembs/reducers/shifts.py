@@ -10,9 +10,9 @@ At s = 0 the elastic flexibility stands for the inverse of K, with the factor th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import scipy.linalg as sl
@@ -20,19 +20,12 @@ import scipy.linalg as sl
 from morembs.base import progress
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.base.types import Floats, Values
+from morembs.base.units import in_hz
 from morembs.linalg.columns import complement, map_columns
 from morembs.linalg.second_order_arnoldi import PASSES, SecondOrderArnoldi
-from morembs.linalg.sparse.solver import STRUCTURES
-from morembs.problem import Dynamics, Problem, crew_of
-
-Solve = Callable[[Values], Values]
-# Backward error that a solution may have.
-BACKWARD_ERROR = 1e-8
-# An eigenvalue lambda of the body with |lambda - omega^2| below this part of omega^2 drowns all but its mode.
-ON_EIGENVALUE = 1e-6
-# A load that deforms the body by less than this part of itself is rigid.
-RIGID_LOAD = 1e-10
-MOVE, MOVES = 1.005, 3
+from morembs.problem import Problem, System
+from morembs.problem.system import Solve
+from morembs.reducers.tolerances import TOL
 
 
 @dataclass(eq=False)
@@ -47,8 +40,8 @@ class Wanted:
 class KrylovChain:
     """M-orthonormal real blocks of one expansion point ``s``; ``deflated`` columns were lost in each."""
 
-    def __init__(self, problem: Problem | Dynamics, s: complex, F: Floats, transposed: bool = False) -> None:
-        self.problem, self.s, self.F, self.transposed = problem, s, F, transposed
+    def __init__(self, system: System, s: complex, F: Floats, transposed: bool = False) -> None:
+        self.system, self.s, self.F, self.transposed = system, s, F, transposed
         self.blocks: list[Floats] = []
         self.deflated: list[int] = []
         self.space: SecondOrderArnoldi | None = None
@@ -66,35 +59,41 @@ class KrylovChain:
 
     def extend(self, solve: Solve, count: int) -> None:
         """Blocks up to ``count``, as far as there are any."""
-        while len(self.blocks) < count and not self.finished:
-            if self.problem.velocity_matrix is None:
-                self._arnoldi(solve)
-            else:
-                self._second_order(solve)
 
-    def _arnoldi(self, solve: Solve) -> None:
+        def columns(F: Values) -> Values:
+            X = solve(F, transposed=self.transposed)
+            # Elastic motions by rows, as products with M take them.
+            return X if self.system.damps_rigid_motion else np.ascontiguousarray(X)
+
+        while len(self.blocks) < count and not self.finished:
+            if self.system.velocity_matrix is None:
+                self._arnoldi(columns)
+            else:
+                self._second_order(columns)
+
+    def _arnoldi(self, solve: Callable[[Values], Values]) -> None:
         """The orthonormal block is the next right-hand side: raw powers would lose directions after a few blocks."""
-        budget = self.problem.budget
-        W = solve(self.problem.M @ self.blocks[-1] if self.blocks else self.F)
+        M, budget = self.system.M, self.system.budget
+        W = solve(M @ self.blocks[-1] if self.blocks else self.F)
         width = W.shape[1]
-        W = complement(self.blocks, W, self.problem.M, budget, passes=PASSES)
+        W = complement(self.blocks, W, M, budget, passes=PASSES)
         self.deflated.append(width - W.shape[1])
         self.F = np.zeros((0, 0))
         self.blocks.append(budget.store(np.asfortranarray(W)))
 
-    def _second_order(self, solve: Solve) -> None:
-        problem, D = self.problem, self.problem.velocity_matrix
+    def _second_order(self, solve: Callable[[Values], Values]) -> None:
+        system, D = self.system, self.system.velocity_matrix
         if self.space is None:
             if D is None:
                 raise InputError("the second-order Krylov space needs a damping matrix; this model has none")
             start, self.F = solve(self.F), np.zeros((0, 0))
             self.space = SecondOrderArnoldi(
-                problem.M,
+                system.M,
                 D.T if self.transposed else D,
                 start,
                 shift=self.s,
                 scale=self._scale(start),
-                budget=problem.budget,
+                budget=system.budget,
             )
         else:
             self.space.expand(solve)
@@ -107,17 +106,19 @@ class KrylovChain:
         """A frequency in rad/s: that of the expansion point, or at zero that of the deformation under the loads."""
         if self.s:
             return abs(self.s)
-        return float(np.sqrt(np.vdot(start, self.problem.K @ start) / np.vdot(start, self.problem.M @ start)))
+        return float(np.sqrt(np.vdot(start, self.system.K @ start) / np.vdot(start, self.system.M @ start)))
 
 
 class ExpansionPoint:
-    """An expansion point as asked for, and ``at``, where it was moved to; holds the chains made there."""
+    """An expansion point as asked for, and ``at``, where it was moved to; holds the chains made there.
 
-    def __init__(self, problem: Problem | Dynamics, asked: complex) -> None:
-        self.problem, self.asked, self.at, self.moves = problem, asked, asked, 0
+    ``flexibility`` stands for the inverse of K, which is singular for a free body.
+    """
+
+    def __init__(self, system: System, asked: complex, flexibility: Callable[[Values], Values] | None = None) -> None:
+        self.system, self.asked, self.at, self.moves = system, asked, asked, 0
+        self.flexibility = flexibility
         self.chains: dict[object, KrylovChain] = {}
-        self._weight = 1.0 / np.sqrt(np.maximum(problem.K.diagonal(), np.finfo(float).tiny))
-        self._weight[problem.K.diagonal() <= 0] = 0.0
 
     @property
     def fresh(self) -> bool:
@@ -147,14 +148,14 @@ class ExpansionPoint:
                         f"at the real shift {self.asked.real:.6g} 1/s nothing can be solved; take a larger one, or "
                         f"0.0 among shifts_hz ({error})"
                     ) from error
-                if self.moves == MOVES:
+                if self.moves == TOL.shift_moves:
                     raise SolverError(
-                        f"shift {frequency(self.asked):.6g} Hz and {MOVES} places above it, up to "
-                        f"{frequency(self.at):.6g} Hz, lie on eigenvalues or on rigid-body motion; take a shift a few "
+                        f"shift {in_hz(abs(self.asked)):.6g} Hz and {TOL.shift_moves} places above it, up to "
+                        f"{in_hz(abs(self.at)):.6g} Hz, lie on eigenvalues or on rigid-body motion; take a shift a few "
                         f"percent away, or 0 ({error})"
                     ) from error
                 self.chains.clear()
-                self.at, self.moves = self.at * MOVE, self.moves + 1
+                self.at, self.moves = self.at * TOL.shift_move, self.moves + 1
         return [self.chains[key] for key in wanted]
 
     def lacks(self, wanted: Mapping[object, Wanted]) -> bool:
@@ -165,7 +166,7 @@ class ExpansionPoint:
         """Chains that another process made of ``wanted``."""
         self.at, self.moves = grown.at, grown.moves
         for key, (blocks, deflated, ended) in zip(wanted, grown.chains, strict=True):
-            chain = self.chains[key] = KrylovChain(self.problem, self.at, np.zeros((0, 0)))
+            chain = self.chains[key] = KrylovChain(self.system, self.at, np.zeros((0, 0)))
             chain.blocks, chain.deflated, chain.ended = blocks, deflated, ended
 
     def _long_enough(self, key: object, count: int) -> bool:
@@ -173,71 +174,50 @@ class ExpansionPoint:
         return chain is not None and (len(chain.blocks) >= count or chain.finished)
 
     def _extend(self, wanted: Mapping[object, Wanted]) -> None:
-        problem = self.problem
-        if not self.at and problem.N is None:
-            if isinstance(problem, Dynamics):
-                raise SolverError("statics are solved with the factor of the problem, not by other processes")
-            flexibility = problem.elastic.flexibility
-            self._extend_with(lambda F, transposed: map_columns(flexibility, F, problem.budget), wanted)
-            return
-        s = self.at if complex(self.at).imag else complex(self.at).real
-        problem.budget.release_pages()
-        with problem.stiffness.factorize(s) as factor:
-            kind = factor.dtype
-
-            def solve(F: Values, transposed: bool) -> Values:
-                X = map_columns(partial(factor.solve, transposed=transposed), F, problem.budget, kind)
-                self._check(F, X, transposed)
-                return X
-
-            self._extend_with(solve, wanted)
-
-    def _extend_with(self, solve: Callable[[Values, bool], Values], wanted: Mapping[object, Wanted]) -> None:
-        elastic = not self.problem.damps_rigid_motion
-        M, Z = self.problem.M, self.problem.rigid
-
-        def deformation(F: Values, transposed: bool) -> Values:
-            X = solve(F, transposed)
-            # Round-off along rigid motion would grow from block to block.
-            return X - Z @ (Z.T @ (M @ X)) if elastic else X
-
-        for key, want in wanted.items():
-            if self._long_enough(key, want.count):
-                continue
-            chain = self.chains.get(key)
-            if chain is not None and chain.ended is not None:
-                chain = None
-            fresh = KrylovChain(self.problem, self.at, want.F, want.transposed) if chain is None else chain
-            fresh.extend(partial(deformation, transposed=want.transposed), want.count)
-            if chain is None:
+        with self._inverse() as solve:
+            for key, want in wanted.items():
+                if self._long_enough(key, want.count):
+                    continue
+                chain = self.chains.get(key)
+                if chain is not None and chain.ended is None:
+                    chain.extend(solve, want.count)
+                    continue
+                fresh = KrylovChain(self.system, self.at, want.F, want.transposed)
+                fresh.extend(solve, want.count)
                 self._refuse_near_eigenvalue(fresh)
                 self.chains[key] = fresh
 
-    def _check(self, F: Values, X: Values, transposed: bool) -> None:
-        """Backward error of a solution, with rows scaled so that forces and moments count alike."""
-        A = apply(self.problem, self.at, X, transposed)
-        d = self._weight[:, None]
-        small = np.linalg.norm(d * (A - F), axis=0)
-        size = np.linalg.norm(d * F, axis=0) + np.linalg.norm(X / np.where(d > 0, d, np.inf), axis=0)
-        error = float((small / np.where(size > 0, size, 1.0)).max(initial=0.0))
-        if not error <= BACKWARD_ERROR:
-            raise SolverError(f"solved at {frequency(self.at):.6g} Hz to a backward error of {error:.1e} only")
+    @contextmanager
+    def _inverse(self) -> Iterator[Solve]:
+        """The inverse of A(s) without proportional damping, and without rigid motion, whose round-off would grow."""
+        system, flexibility = self.system, self.flexibility
+        if self.at or system.N is not None:
+            with system.inverse(self.at, damped=False) as solve:
+                yield solve
+            return
+        if flexibility is None:
+            raise SolverError("statics are solved with the factor of the problem, not by other processes")
+        yield lambda F, *, transposed=False: system.elastic_part(map_columns(flexibility, F, system.budget))
 
     def _refuse_near_eigenvalue(self, chain: KrylovChain) -> None:
         """A mode that drowns the others shows as a Rayleigh quotient next to the shift."""
         w2 = complex(self.at).imag ** 2
-        own = self.problem.velocity_matrix is not None or self.problem.N is not None
+        own = self.system.velocity_matrix is not None or self.system.N is not None
         if not w2 or own or not chain.blocks[0].shape[1]:
             return
         Q = chain.blocks[0]
-        distance = np.abs(sl.eigvalsh(Q.T @ (self.problem.K @ Q)) - w2).min()
-        if distance < ON_EIGENVALUE * w2:
-            raise SingularMatrixError(f"{frequency(self.at):.6g} Hz is an eigenfrequency")
+        distance = np.abs(sl.eigvalsh(Q.T @ (self.system.K @ Q)) - w2).min()
+        if distance < TOL.on_eigenvalue * w2:
+            raise SingularMatrixError(f"{in_hz(abs(self.at)):.6g} Hz is an eigenfrequency")
 
 
 def expansion_point(problem: Problem, s: complex) -> ExpansionPoint:
     """The expansion point ``s`` (1/s) of a problem, which all reducers share."""
-    return problem.shared(("krylov shift", complex(s)), lambda: ExpansionPoint(problem, complex(s)))
+
+    def flexibility(F: Values) -> Values:
+        return problem.elastic.flexibility(F)
+
+    return problem.shared(("krylov shift", complex(s)), lambda: ExpansionPoint(problem.system, complex(s), flexibility))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -263,8 +243,8 @@ def grow_at_once(problem: Problem, points: Sequence[ExpansionPoint], wanted: Seq
     loads = {key: each.F for _, want in open_ for key, each in want.items()}
     tasks = [(point.asked, {k: (each.count, each.transposed) for k, each in want.items()}) for point, want in open_]
     columns = sum(F.shape[1] for F in loads.values())
-    structure = max((problem.stiffness.structure_at(point.asked) for point, _ in open_), key=STRUCTURES.index)
-    with crew_of(problem, loads, tasks=len(tasks), columns=columns, structure=structure) as crew:
+    asked = [point.asked for point, _ in open_]
+    with problem.system.crew(loads, asked, workers=problem.workers, columns=columns, damped=False) as crew:
         if crew.workers < 2:
             return
         for number, ((point, want), grown) in enumerate(zip(open_, crew.each(_grown, tasks), strict=True)):
@@ -273,27 +253,11 @@ def grow_at_once(problem: Problem, points: Sequence[ExpansionPoint], wanted: Seq
 
 
 def _grown(
-    shared: tuple[Dynamics, Mapping[object, Floats]], task: tuple[complex, Mapping[object, tuple[int, bool]]]
+    shared: tuple[System, Mapping[object, Floats]], task: tuple[complex, Mapping[object, tuple[int, bool]]]
 ) -> Grown:
-    dynamics, loads = shared
+    system, loads = shared
     s, counts = task
-    point = ExpansionPoint(dynamics, s)
+    point = ExpansionPoint(system, s)
     chains = point.grow({key: Wanted(loads[key], *asked) for key, asked in counts.items()})
     parts = [(chain.blocks, chain.deflated, chain.finished) for chain in chains]
     return Grown(at=point.at, moves=point.moves, chains=parts)
-
-
-def frequency(s: complex) -> float:
-    """|s| in Hz."""
-    return float(abs(s) / (2 * np.pi))
-
-
-def apply(problem: Problem | Dynamics, s: complex, X: Values, transposed: bool = False) -> Values:
-    """A(s) X (Nc, k), or A(s)' X, without the proportional damping of the problem."""
-    square: complex = s * s
-    s, square = (x.real if not complex(x).imag else x for x in (complex(s), complex(square)))
-    out = problem.K @ X + square * (problem.M @ X)
-    for factor, A in ((s, problem.velocity_matrix), (1.0, problem.N)):
-        if A is not None:
-            out = out + factor * ((A.T if transposed else A) @ X)
-    return np.asarray(out)

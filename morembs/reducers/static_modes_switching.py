@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 import scipy.linalg as sl
@@ -18,7 +18,8 @@ import scipy.sparse as sp
 
 from morembs.base import progress
 from morembs.base.budget import Budget
-from morembs.base.errors import InputError, nearest
+from morembs.base.errors import InputError
+from morembs.base.limits import Domain, Positive, PositiveCount, one_of
 from morembs.base.types import Floats
 from morembs.fem import FEModel
 from morembs.fem.interface import Interface
@@ -34,13 +35,17 @@ from morembs.reducers.gramian import Gramian
 from morembs.reducers.krylov import Krylov
 from morembs.reducers.modal import Modal
 from morembs.reducers.switching_tables import KINDS, StaticModeTables
+from morembs.reducers.tolerances import TOL
 
 _BASES: tuple[type[Reducer], ...] = (Modal, CraigBampton, FreeInterface, Krylov, Gramian)
 BASES = {reducer.method: reducer for reducer in _BASES}
-# Static modes with less than this part of the largest static answer are round-off.
-EMPTY = 1e-12
-# Columns solved for at a time.
-WIDEST = 128
+Directions = Annotated[
+    list[int] | str,
+    Domain(
+        'some of 0..5 such as [2], or "normals"',
+        lambda chosen: chosen == NORMALS if isinstance(chosen, str) else len(chosen) > 0 and {*chosen} <= {*range(6)},
+    ),
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,28 +69,17 @@ class StaticModesSwitching(Reducer):
     """
 
     method: ClassVar[str] = "static-modes-switching"
-    base: str = "modal"
+    base: Annotated[str, one_of(*BASES)] = "modal"
     base_options: dict[str, Any] = field(default_factory=dict)
     candidates: str
-    directions: list[int] | str = field(default_factory=lambda: [0, 1, 2])
-    kind: str = "path"
-    band: int | None = None
+    directions: Directions = field(default_factory=lambda: [0, 1, 2])
+    kind: Annotated[str, one_of(*KINDS)] = "path"
+    band: PositiveCount | None = None
     stress: bool = False
-    length: float | None = None
+    length: Positive | None = None
 
     def __post_init__(self) -> None:
-        if self.base not in BASES:
-            raise InputError(f"base = {self.base!r} was given; {nearest(self.base, BASES)}")
-        if self.kind not in KINDS:
-            raise InputError(f"kind = {self.kind!r} was given; {nearest(self.kind, KINDS)}")
-        chosen = self.directions
-        plain = not isinstance(chosen, str) and bool(chosen) and set(chosen) <= set(range(6))
-        if not plain and chosen != NORMALS:
-            raise InputError(f'directions = {chosen!r} was given; expected some of 0..5 such as [2], or "normals"')
-        if self.band is not None and self.band < 1:
-            raise InputError(f"band = {self.band} was given; expected a number of neighbouring nodes, 1 or more")
-        if self.length is not None and not 0 < self.length < np.inf:
-            raise InputError(f"length = {self.length} was given; expected the unit of lengths in m")
+        super().__post_init__()
         self.base_reducer()
 
     def base_reducer(self) -> Reducer:
@@ -214,7 +208,7 @@ def _tables(
     nodes, size = len(candidates.rows), len(V)
     R, Q = budget.empty((w + 1, c)), budget.empty((w + 1, c))
     coupling, gravity, whole = np.zeros((reduced.order, c)), np.zeros((c, 3)), np.zeros(c)
-    width = max(1, min(WIDEST, budget.columns(size, copies=8), c))
+    width = max(1, min(TOL.columns_at_once, budget.columns(size, copies=8), c))
     kept, before = budget.empty((size, w + width), order="F"), 0
     moving = M @ problem.coupling.R[:, :3]
     on_stress = _StressTable(candidates, w, budget) if stress is not None else None
@@ -240,7 +234,7 @@ def _tables(
     model = problem.model
     sizes = np.sqrt(np.maximum(np.diag(reduced.M), np.finfo(float).tiny))
     largest = [whole[candidates.turns == kind].max(initial=0.0) for kind in (False, True)]
-    alive = R[0] > EMPTY * np.where(candidates.turns, largest[1], largest[0])
+    alive = R[0] > TOL.empty_mode * np.where(candidates.turns, largest[1], largest[0])
     if not alive.any():
         raise InputError(
             "candidates: nothing is left of their static modes; the constant basis holds them all, or they do not move"

@@ -19,13 +19,10 @@ from morembs.base.errors import InputError
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints, Reals
 from morembs.fem import frozen
+from morembs.reducers.tolerances import TOL
 
 KINDS = ("path", "surface")
 INTERPOLATIONS = ("catmull-rom", "linear")
-# Eigenvalues of the scaled stiffness of an active set below this part of the largest count as zero.
-RANK = 1e-10
-# Intervals, and windows for each, that are kept for reuse.
-_KEPT = 64
 
 
 @summarised
@@ -164,7 +161,7 @@ class StaticModeTables:
         if span is None:
             if self.kind != "path" or len(self.s) < 2:
                 raise InputError('these candidates are no path; reduce with kind = "path" and two nodes or more')
-            if len(self._spans) > _KEPT:
+            if len(self._spans) > TOL.kept_intervals:
                 self._spans.clear()
             span = self._spans[i, interpolation] = _span(self, i, interpolation)
         x = (s - float(self.s[i])) / span.length
@@ -211,7 +208,7 @@ class Span:
         key = (int(candidates[0]), len(candidates)) if len(candidates) else (0, 0)
         rows = self._rows.get(key)
         if rows is None:
-            if len(self._rows) > _KEPT:
+            if len(self._rows) > TOL.kept_intervals:
                 self._rows.clear()
             rows = self._rows[key] = self._of(candidates)
         return rows
@@ -308,7 +305,7 @@ def active_set(tables: StaticModeTables, candidates: Ints) -> ActiveSet:
     # Forces are measured against forces and moments against moments, so that units do not matter.
     turns = tables.turns[candidates]
     largest = [float(np.max(tables.stiffness[0, tables.turns == kind], initial=0.0)) for kind in (False, True)]
-    alive = size > np.sqrt(RANK * np.where(turns, largest[1], largest[0]))
+    alive = size > np.sqrt(TOL.rank * np.where(turns, largest[1], largest[0]))
     if not alive.any():
         named = ", ".join(str(int(k)) for k in np.unique(tables.node_ids[tables.node[candidates]]))
         raise InputError(
@@ -317,10 +314,10 @@ def active_set(tables: StaticModeTables, candidates: Ints) -> ActiveSet:
         )
     D = np.where(alive, 1.0 / np.where(alive, size, 1.0), 0.0)
     values, U = np.linalg.eigh(D[:, None] * R * D)
-    good = values > RANK * values[-1]
+    good = values > TOL.rank * values[-1]
     # Unit strain energy, then modes of the mass: what has none would be infinitely fast.
     X = D[:, None] * U[:, good] / np.sqrt(values[good])
     inverse, W = np.linalg.eigh(X.T @ Q @ X)
-    heavy = inverse > RANK * inverse[-1]
+    heavy = inverse > TOL.rank * inverse[-1]
     omega = 1.0 / np.sqrt(inverse[heavy])
     return ActiveSet(candidates, np.asarray((X @ W[:, heavy]) * omega), omega)

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 
-from morembs.base.errors import InputError
+from morembs.base.arguments import check_value
+from morembs.base.limits import MOST_HZ, Domain
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.problem import Problem
 from morembs.responses.clusters import damping_of_clusters
-
-POINTS = 200
-# Upper ends of bands: squares of frequencies far below or above are no numbers.
-LEAST_HZ, MOST_HZ = 1e-9, 1e12
-# The full model's modes are known up to this multiple of the upper frequency; bounds take the worst case beyond it.
-BEYOND = 1.25
-# Resonances are sampled at these multiples of their half-power width away, at least NEAR of their frequency.
-FLANKS, NEAR = (-1.0, 0.0, 1.0), 1e-3
-# A frequency this near to an undamped resonance, as part of it, is on it.
-ON = 1e-9
-# Damping below this part of a frequency, and of the largest damping, is round-off of none.
-UNDAMPED = 1e-12
+from morembs.responses.tolerances import TOL
 
 
-def band_frequencies(problem: Problem, band_hz: Sequence[float], points: int = POINTS, floor: float = 0.0) -> Floats:
+def band_frequencies(
+    problem: Problem, band_hz: Sequence[float], points: int = TOL.band_points, floor: float = 0.0
+) -> Floats:
     """Frequencies (nf,) in Hz: ``points`` over the band, half of them in equal steps, half in equal ratios, and the
     flanks of every resonance in it, damped by the ratio ``floor`` at least. None is an undamped resonance.
 
@@ -47,16 +41,26 @@ def band_frequencies(problem: Problem, band_hz: Sequence[float], points: int = P
         (mean, lowest), own = damping_of_clusters(modes.eigenvalues, D), float(np.diag(D).max(initial=0.0))
         width, least = width + 0.5 * mean, width + 0.5 * lowest
     # At its top an undamped resonance is infinite.
-    damped = least > UNDAMPED * (omega + own)
-    width = np.maximum(width, NEAR * omega)
-    for flank in FLANKS:
-        flanks = (omega + flank * width) / (2 * np.pi)
+    damped = least > TOL.no_damping * (omega + own)
+    width = np.maximum(width, TOL.least_flank * omega)
+    for flank in TOL.flank_widths:
+        flanks = in_hz(omega + flank * width)
         grid.append(flanks[(flanks > low) & (flanks < high) & (damped | bool(flank))])
     hz = np.unique(np.concatenate(grid))
-    on = np.abs(hz[:, None] - omega[~damped] / (2 * np.pi)) <= ON * hz[:, None]
+    on = np.abs(hz[:, None] - in_hz(omega[~damped])) <= TOL.on_resonance * hz[:, None]
     # At the top of an undamped resonance there is no response: its flank within the band takes its place.
-    moved = np.where(hz * (1 + NEAR) <= high, 1 + NEAR, 1 - NEAR)
+    moved = np.where(hz * (1 + TOL.least_flank) <= high, 1 + TOL.least_flank, 1 - TOL.least_flank)
     return np.unique(np.where(on.any(axis=1), hz * moved, hz))
+
+
+def _is_band(band_hz: Sequence[float]) -> bool:
+    return len(band_hz) == 2 and 0 <= band_hz[0] < band_hz[1] < MOST_HZ and band_hz[1] >= TOL.least_upper_hz
+
+
+_BAND_WORDS = (
+    f"[LOW, HIGH] in Hz with 0 <= LOW < HIGH, such as [0, 500], and HIGH from {TOL.least_upper_hz:g} to {MOST_HZ:g}"
+)
+Band = Annotated[list[float], Domain(_BAND_WORDS, _is_band, {"minItems": 2, "maxItems": 2})]
 
 
 def checked_band(band_hz: Sequence[float]) -> tuple[float, float]:
@@ -65,14 +69,10 @@ def checked_band(band_hz: Sequence[float]) -> tuple[float, float]:
     Raises:
         InputError: not two ascending frequencies, or an upper one that no body has.
     """
-    if len(band_hz) != 2 or not 0 <= band_hz[0] < band_hz[1] < MOST_HZ or band_hz[1] < LEAST_HZ:
-        raise InputError(
-            f"band_hz = {list(band_hz)} was given; expected [LOW, HIGH] in Hz with 0 <= LOW < HIGH, such as [0, 500], "
-            f"and HIGH from {LEAST_HZ:g} to {MOST_HZ:g}"
-        )
+    check_value("band_hz", list(band_hz), Band)
     return float(band_hz[0]), float(band_hz[1])
 
 
 def beyond(high_hz: float) -> float:
     """Eigenvalue in (rad/s)2 up to which modes are known for a band that ends at ``high_hz``."""
-    return float((2 * np.pi * BEYOND * high_hz) ** 2)
+    return float((2 * np.pi * TOL.modes_beyond * high_hz) ** 2)

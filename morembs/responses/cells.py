@@ -8,15 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from morembs.base.types import Bools, Floats
-
-# Cells to begin with, and the most that are made: limits hold with any number, but are sharp with enough of them.
-FIRST, MOST = 32, 30_000
-# Narrowest cell, as part of the upper end of the band.
-NARROWEST = 1e-14
-# Numbers that are handled in all, over which fewer cells than MOST are made, but never fewer than LEAST.
-WORK, LEAST = 5_000_000_000, 300
-# Numbers that are handled at once.
-AT_ONCE = 2_000_000
+from morembs.responses.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +54,7 @@ def search(
     quantities: int,
     allowed: Floats | None = None,
     per_cell: int = 1,
-    most: int = MOST,
+    most: int = TOL.max_cells,
 ) -> Cells:
     """Halve cells until all are done.
 
@@ -73,10 +65,10 @@ def search(
     low, high = edges[:-1], edges[1:]
     kept: list[tuple[Floats, Floats, Floats]] = []
     best, at = np.full(quantities, -np.inf), np.zeros(quantities)
-    count, decided, whole, step = 0, True, True, max(1, AT_ONCE // per_cell)
-    most = min(most, max(LEAST, min(MOST, WORK // per_cell)))
+    count, decided, whole, step = 0, True, True, max(1, TOL.entries_at_once // per_cell)
+    most = min(most, max(TOL.least_max_cells, min(TOL.max_cells, TOL.max_cell_entries // per_cell)))
     while len(low) and decided:
-        narrow = high - low <= NARROWEST * edges[-1]
+        narrow = high - low <= TOL.least_cell_width * edges[-1]
         ready = resolved(low, high) | narrow
         unready = np.stack([low[~ready], high[~ready]])
         low, high, narrow = low[ready], high[ready], narrow[ready]
@@ -106,8 +98,8 @@ def search(
 
 def first_edges(low: float, high: float, inside: Floats) -> Floats:
     """Edges (n + 1,) of the first cells of a band in rad/s, with those of ``inside`` it as ends."""
-    least = NARROWEST * high
+    least = TOL.least_cell_width * high
     inside = inside[(inside > low + least) & (inside < high - least)]
-    edges = np.unique(np.concatenate([np.linspace(low, high, FIRST + 1), inside]))
+    edges = np.unique(np.concatenate([np.linspace(low, high, TOL.first_cells + 1), inside]))
     # Ends that are nearly equal are one.
     return np.asarray(edges[np.concatenate([[True], np.diff(edges) > least])])

@@ -15,10 +15,13 @@ import numpy as np
 import scipy.linalg as sl
 
 from morembs.base import progress
+from morembs.base.arguments import check_value
 from morembs.base.errors import InputError, SolverError
 from morembs.base.former_names import with_progress_argument
+from morembs.base.limits import DampingFloor
 from morembs.base.summary import summarised, upwards
 from morembs.base.types import Complexes, Floats
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.linalg.columns import dot, subtract
 from morembs.linalg.congruence import scaled_row_sums
 from morembs.linalg.eigen import GAP
@@ -34,21 +37,9 @@ from morembs.responses.measures import Standard
 from morembs.responses.pencils import response_of
 from morembs.responses.rational import Terms, squares
 from morembs.responses.reference import Reference, ReferenceSpace, reference_model, reference_space, stands_still
-from morembs.responses.residual_bound import CLOSE, Residual, numerator, slope
+from morembs.responses.residual_bound import Residual, numerator, slope
 from morembs.responses.rounding import EPS, Rounding
-
-# Error of the reference, as part of the envelope of the response.
-TOLERANCE = 1e-9
-# Ratio of critical damping that is given to the stiffness of models without any.
-FLOOR = 0.01
-# Part of the tolerance to which the reference grows with modal damping.
-MODAL = 1e-3
-# Frequencies at which a growing space is looked at.
-LOOKED_AT = 24
-# A model with a damping matrix of its own is known to this.
-DAMPED = 1e-8
-# Backward error of a small eigenproblem, in eps of its highest eigenvalue, over 1 - (1 / 1.25)^2.
-SMALL = 10.0
+from morembs.responses.tolerances import TOL
 
 
 def floor_of(
@@ -61,25 +52,13 @@ def floor_of(
         InputError: not a ratio.
     """
     if given is not None:
-        return checked_floor(given)
+        check_value("damping_floor", given, DampingFloor)
+        return float(given)
     damping, (low, high) = damping or problem.damping, (2 * np.pi * f for f in band_hz)
     if damping.is_rayleigh or damping.structural or problem.D is not None:
         return 0.0
     jumps = damping.jumps
-    return 0.0 if damping.ratio(np.append(jumps[(jumps > low) & (jumps < high)], low)).all() else FLOOR
-
-
-def checked_floor(given: float) -> float:
-    """``given`` if it is a ratio of critical damping.
-
-    Raises:
-        InputError: it is not.
-    """
-    if not 0 <= given < 1:
-        raise InputError(
-            f"damping_floor = {given} was given; expected a part of critical damping from 0 to below 1, such as 0.01"
-        )
-    return float(given)
+    return 0.0 if damping.ratio(np.append(jumps[(jumps > low) & (jumps < high)], low)).all() else TOL.damping_floor
 
 
 @summarised
@@ -181,7 +160,7 @@ class CertifiedReference:
         # What the small eigenproblem leaves of the couplings between modes above the cut, of which the band may be far
         # below the first.
         above = self.values[self.values >= self.cut]
-        floor = SMALL * EPS * float(above.max(initial=0.0)) / float(above.min(initial=np.inf))
+        floor = TOL.small_eigen_eps * EPS * float(above.max(initial=0.0)) / float(above.min(initial=np.inf))
         return Standard(
             H=H,
             modes=modes,
@@ -210,7 +189,7 @@ class CertifiedReference:
         omega = np.concatenate([[low, high], inside])
         off, e = self._lost(omega)
         part = off / e
-        return float(part.max()), float(omega[part.argmax()] / (2 * np.pi))
+        return float(part.max()), float(in_hz(omega[part.argmax()]))
 
     def _lost(self, omega: Floats) -> tuple[Floats, Floats]:
         """``uncertainty`` and envelope (nf,) at ``omega`` (nf,)."""
@@ -232,7 +211,7 @@ def certified_reference(
     problem: Problem,
     band_hz: Sequence[float],
     *,
-    tolerance: float = TOLERANCE,
+    tolerance: float = TOL.reference_error,
     damping_floor: float | None = None,
     inertia_loads: bool = False,
 ) -> CertifiedReference:
@@ -287,9 +266,9 @@ class _Build:
 
     def with_own_damping(self) -> CertifiedReference:
         """The space of a damping matrix of the model's own, whose error is an estimate."""
-        problem, omega = self.problem, np.linspace(*self.band, LOOKED_AT)
+        problem, omega = self.problem, np.linspace(*self.band, TOL.growth_samples)
         omega = np.unique(np.concatenate([omega, _inside(np.sqrt(self.modes.eigenvalues), self.band)]))
-        model = reference_model(problem, omega, tolerance=DAMPED, inertia_loads=self.inertia)
+        model = reference_model(problem, omega, tolerance=TOL.damped_error, inertia_loads=self.inertia)
         return CertifiedReference(
             model=replace(model, damping=self.damping),
             band_hz=self.band_hz,
@@ -300,7 +279,7 @@ class _Build:
             sigma=np.zeros(len(self.modes.eigenvalues)),
             cut=self.cut,
             edges=np.array(self.band),
-            off=np.array([max(model.error, DAMPED)]),
+            off=np.array([max(model.error, TOL.damped_error)]),
             doubts=("the error of the full response, with the model's own damping, is an estimate",),
             solve_errors=np.zeros(len(model.values)),
             start=0.0,
@@ -321,7 +300,7 @@ class _Build:
         """The space, grown until the error is below the tolerance."""
         growth, seen = reference_space(self.problem, self.inertia), list[float]()
         # Modal damping acts on the computed modes: they are closer to the true ones than the response asks for.
-        enough = 0.1 * self.tolerance * (MODAL if self.damping.is_modal else 1.0)
+        enough = 0.1 * self.tolerance * (TOL.modal_growth_part if self.damping.is_modal else 1.0)
         while True:
             error = self._guess(growth)
             progress.update(f"reference: order {growth.lanczos.size}, error {error:.1e}")
@@ -348,7 +327,7 @@ class _Build:
         cross = dot(lanczos.V[:, : lanczos.size], KW, problem.budget)
         gram = W.T @ KW - cross.T @ np.linalg.solve(S, cross)
         tau = root(gram) @ Y[lanczos.last]
-        w = np.linspace(*self.band, LOOKED_AT)
+        w = np.linspace(*self.band, TOL.growth_samples)
         g = numerator(w, slope(self.damping, values))
         a = values * (1 + 1j * self.damping.structural + 1j * w[:, None] * self.damping.beta) + g
         e = (1 / np.abs(a)) @ (b**2).sum(axis=1)
@@ -367,7 +346,7 @@ class _Build:
             k = int((values < self.cut).sum())
         if k != len(self.modes.eigenvalues):
             raise SolverError(
-                f"{len(self.modes.eigenvalues)} modes lie below {np.sqrt(self.cut) / (2 * np.pi):,.6g} Hz and the "
+                f"{len(self.modes.eigenvalues)} modes lie below {eigenvalue_in_hz(self.cut):,.6g} Hz and the "
                 f"reference has {k}; move the upper end of the band by a percent"
             )
         modes = space.modes(Y, values, k, self.band[1])
@@ -444,7 +423,7 @@ class _Build:
             doubts += ("the solver is too inexact to say how far its solutions are off, so that limits are estimates",)
         values, jumps = left.values, self.damping.jumps**2
         jumps = jumps[jumps >= left.softest]
-        off = values * (sigma / np.sqrt(np.maximum(values, CLOSE)) + CLOSE)
+        off = values * (sigma / np.sqrt(np.maximum(values, TOL.closest_mode)) + TOL.closest_mode)
         straddled = (np.abs(values[:, None] - jumps) <= off[:, None]).any()
         if len(jumps) and (straddled or len(values) < growth.room):
             doubts += (

@@ -7,15 +7,15 @@ from itertools import pairwise
 import numpy as np
 
 from morembs.base.types import Floats
-
-# Part of a frequency: an eigensolver turns modes that are nearer by about its own error, 1e-8, over their distance.
-EQUAL = 1e-6
+from morembs.responses.tolerances import TOL
 
 
 def clusters(values: Floats) -> list[slice]:
     """Runs of modes whose eigenvalues (k,), ascending, belong to equal frequencies."""
     omega = np.sqrt(np.maximum(values, 0.0))
-    starts = np.flatnonzero(np.diff(omega, prepend=-np.inf) > EQUAL * omega) if len(omega) else np.zeros(0, int)
+    starts = (
+        np.flatnonzero(np.diff(omega, prepend=-np.inf) > TOL.equal_modes * omega) if len(omega) else np.zeros(0, int)
+    )
     return [slice(*ends) for ends in pairwise([*starts.tolist(), len(omega)])]
 
 

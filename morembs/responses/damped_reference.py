@@ -19,25 +19,13 @@ import scipy.sparse as sp
 from morembs.base import progress
 from morembs.base.errors import SolverError
 from morembs.base.types import Complexes, Floats
+from morembs.base.units import in_hz
 from morembs.linalg.columns import complement, dot, hstack, multiply, orthonormal, projected, symmetric
 from morembs.linalg.eigen import graded_modes
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
 from morembs.problem import SOFTER, Problem
-from morembs.responses.direct import DENSE, state, states_crew
-
-MAX_ORDER = 2000
-# Blocks of the second-order Krylov space to begin with.
-BLOCKS = 4
-# Damping matrices that touch no more rows than this are sets of dampers.
-FEW_ROWS = 200
-# Frequencies at which changes are looked for.
-LOOKED_AT = 100
-# Error that is put down to round-off where the space cannot grow.
-EXHAUSTED = 1e-8
-# Nearer to each other than this part of the highest two frequencies count as one.
-NEAR = 5e-3
-# Frequencies solved for before the response is looked at again, on workers where there are any.
-AT_ONCE = 2
+from morembs.responses.direct import state, states_crew
+from morembs.responses.tolerances import TOL
 
 
 class DampedSpace:
@@ -45,7 +33,7 @@ class DampedSpace:
 
     def __init__(self, problem: Problem, D: sp.csr_array, F: Floats, omega: Floats) -> None:
         self.problem, self.D, self.F = problem, D, F
-        if len(F) <= DENSE:
+        if len(F) <= TOL.dense_order:
             V = sl.null_space((problem.M @ problem.rigid).T) if problem.rigid.shape[1] else np.eye(len(F))
             self.scale = np.ones(F.shape[1])
             self.V = orthonormal(V, problem.M)
@@ -55,7 +43,7 @@ class DampedSpace:
         self.scale = 1.0 / np.sqrt(np.maximum(np.einsum("ij,ij->j", F, own), np.finfo(float).tiny))
         own *= self.scale
         space = SecondOrderArnoldi(problem.M, D, start, shift=0.0, scale=float(omega.max()), budget=problem.budget)
-        for _ in range(BLOCKS - 1):
+        for _ in range(TOL.damped_first_blocks - 1):
             space.expand(problem.elastic.flexibility)
         self.V = hstack(*space.blocks, budget=problem.budget)
 
@@ -63,15 +51,15 @@ class DampedSpace:
         """(V (Nc, k), eigenvalues (k,), Y (k, k), D (k, k), error): grown until H is known to ``tolerance``.
 
         Raises:
-            SolverError: it is not with ``MAX_ORDER`` columns.
+            SolverError: it is not with ``TOL.max_order`` columns.
         """
-        if len(self.F) <= DENSE:
+        if len(self.F) <= TOL.dense_order:
             return (self.V, *self._sharpened(), 0.0)
-        grid = omega[omega > 0][:: max(1, len(omega) // LOOKED_AT)]
+        grid = omega[omega > 0][:: max(1, len(omega) // TOL.change_samples)]
         loads, good, visited = self.F * self.scale, 0, list[float]()
         wanted = list(dict.fromkeys([float(omega.max()), float(grid[len(grid) // 2])]))
         before: Complexes = np.zeros((0, 0, 0), dtype=complex)
-        with states_crew(self.problem, [1j * wanted[0]] * AT_ONCE, loads) as crew:
+        with states_crew(self.problem, [1j * wanted[0]] * TOL.shifts_at_once, loads) as crew:
             while True:
                 values, Y, D = self._small()
                 F = Y.T @ dot(self.V, loads, self.problem.budget)
@@ -85,7 +73,7 @@ class DampedSpace:
                     true = loads.T @ U
                     errors.append(float(np.abs(true - _response(w, values, D, F)).max() / np.abs(true).max()))
                     progress.update(
-                        f"frequency response: order {len(values)}, error {errors[-1]:.1e} at {w / (2 * np.pi):.4g} Hz"
+                        f"frequency response: order {len(values)}, error {errors[-1]:.1e} at {in_hz(w):.4g} Hz"
                     )
                     solved += [U.real, U.imag]
                 # Both judge one space: the next one, which has them in it, has to be good as well.
@@ -101,11 +89,11 @@ class DampedSpace:
         """
         problem, size = self.problem, self.V.shape[1]
         fresh = complement([problem.rigid, self.V], solved, problem.M, problem.budget)
-        if fresh.shape[1] and size + fresh.shape[1] <= MAX_ORDER:
+        if fresh.shape[1] and size + fresh.shape[1] <= TOL.max_order:
             self.V = hstack(self.V, fresh, budget=problem.budget)
             return True
         # Where nothing is left to add, the rest is the round-off of the direct solution.
-        if good or (not fresh.shape[1] and error <= EXHAUSTED):
+        if good or (not fresh.shape[1] and error <= TOL.exhausted_error):
             return False
         raise SolverError(
             f"the response reached an error of only {error:.1e} with {size} vectors; lower the upper "
@@ -150,8 +138,8 @@ def _most_changed(grid: Floats, change: Floats, visited: Sequence[float]) -> lis
     """The frequencies of ``grid`` (ng,) with the largest ``change`` (ng,), apart from each other and from those
     ``visited``, where the space is exact and a solution proves nothing; one of them where there are no others."""
     chosen: list[float] = []
-    for _ in range(AT_ONCE):
-        far = np.abs(grid[:, None] - np.array([*visited, *chosen])).min(axis=1) > NEAR * grid[-1]
+    for _ in range(TOL.shifts_at_once):
+        far = np.abs(grid[:, None] - np.array([*visited, *chosen])).min(axis=1) > TOL.shift_gap * grid[-1]
         if far.any() or not chosen:
             chosen.append(float(grid[np.argmax(np.where(far, change, -1.0))]))
     return chosen
@@ -165,7 +153,7 @@ def _response(w: float, values: Floats, D: Floats, F: Floats) -> Complexes:
 def _dampers(D: sp.csr_array) -> Floats:
     """Forces (N, d) of dampers, where ``D`` touches few rows; no columns otherwise."""
     rows = np.flatnonzero(np.diff(D.indptr))
-    if not 0 < len(rows) <= FEW_ROWS:
+    if not 0 < len(rows) <= TOL.damper_rows:
         return np.zeros((D.shape[0], 0))
     values, U = sl.eigh(D[rows][:, rows].toarray())
     kept = U[:, np.abs(values) > 1e-12 * np.abs(values).max()]

@@ -6,8 +6,6 @@ Frequencies that are known in advance are shared out among the workers of the pr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -16,12 +14,10 @@ from morembs.base.crew import Crew
 from morembs.base.errors import InputError, SingularMatrixError
 from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Complexes, Floats, Values
+from morembs.base.units import in_hz
 from morembs.linalg.columns import map_columns
-from morembs.linalg.sparse.solver import STRUCTURES
-from morembs.problem import Damping, Dynamics, Problem, crew_of
-
-# Models with a damping matrix are taken whole up to this size.
-DENSE = 400
+from morembs.problem import Damping, Problem, System
+from morembs.responses.tolerances import TOL
 
 
 def why_no_response(damping: Damping, own: bool, size: int | None) -> str:
@@ -30,7 +26,7 @@ def why_no_response(damping: Damping, own: bool, size: int | None) -> str:
     ``own`` says that the model has a damping matrix; ``size`` None stands for direct solutions, which take Rayleigh
     damping beside a matrix at no size.
     """
-    small = size is not None and size <= DENSE
+    small = size is not None and size <= TOL.dense_order
     if not own or not (damping.is_modal or (damping.is_rayleigh and not small)):
         return ""
     kind = "modal" if damping.is_modal else "Rayleigh"
@@ -53,40 +49,34 @@ def refuse_skew_parts(problem: Problem) -> None:
         )
 
 
-def elastic_states(problem: Problem | Dynamics, s: complex, F: Values, *, transposed: bool = False) -> Values:
+def elastic_states(system: System, s: complex, F: Values, *, transposed: bool = False) -> Values:
     """Elastic part (Nc, p) of A(s)^-1 F, or of A(s)'^-1 F, for loads ``F`` (Nc, p), at complex ``s`` in 1/s, not zero.
 
-    Rayleigh and structural damping need no damping matrix: A(s) = c K + g M = c (K + f M), see ``damping``.
-    Factor and solution are real where A(s) is. Peak memory: 2 p columns and the factor.
+    Peak memory: 2 p columns and the factor.
 
     Raises:
         InputError: modal damping, which has no matrix, or Rayleigh damping beside a matrix of the model's own.
         SingularMatrixError: ``s`` is an eigenvalue.
+        SolverError: as ``System.inverse``.
     """
-    damping, M, Z = problem.damping, problem.M, problem.rigid
+    damping, M, Z = system.damping, system.M, system.rigid
     if damping.is_modal:
         raise InputError("modal damping is known mode by mode only; a direct solution needs Rayleigh damping or none")
-    reason = why_no_response(damping, problem.velocity_matrix is not None or problem.N is not None, None)
+    reason = why_no_response(damping, system.velocity_matrix is not None or system.N is not None, None)
     if reason:
         raise InputError(reason)
-    c, at = _solved_at(damping, s)
     try:
-        factor = problem.stiffness.factorize(at)
+        with system.inverse(s) as solve:
+            U = solve(F, transposed=transposed)
+            if not system.damps_rigid_motion:
+                return U
+            # Damping couples rigid motion to the rest: it is held by forces M Z, as the mean axes of the body hold it.
+            X = solve(M @ Z, transposed=transposed)
     except SingularMatrixError as error:
         raise SingularMatrixError(
-            f"{abs(s) / (2 * np.pi):.9g} Hz is an eigenfrequency of the undamped model, where its response is "
+            f"{in_hz(abs(s)):.9g} Hz is an eigenfrequency of the undamped model, where its response is "
             "infinite; move the frequency or give the model damping"
         ) from error
-    solve = partial(factor.solve, transposed=transposed)
-    U = map_columns(solve, F, problem.budget, factor.dtype)
-    if not Z.shape[1]:
-        return U if c == 1 else U / c
-    if not problem.damps_rigid_motion:
-        # Rigid motion is a solution of its own, and is left out.
-        U -= Z @ (Z.T @ (M @ U))
-        return U if c == 1 else U / c
-    # Damping couples it to the rest: it is held by forces M Z, as the mean axes of the body hold it.
-    X = map_columns(solve, M @ Z, problem.budget, factor.dtype)
     return np.asarray(U - X @ np.linalg.solve(Z.T @ (M @ X), Z.T @ (M @ U)))
 
 
@@ -95,25 +85,16 @@ def states_crew(problem: Problem, s: Sequence[complex], F: Values) -> Crew:
 
     Work for them is ``state``, which gives U (Nc, p), and ``seen``, which gives F'U (p, p).
     """
-    structures = [problem.stiffness.structure_at(_solved_at(problem.damping, x)[1]) for x in s]
-    structure = max(structures, key=STRUCTURES.index, default=STRUCTURES[0])
-    return crew_of(problem, F, tasks=len(s), columns=F.shape[1], structure=structure)
+    return problem.system.crew(F, s, workers=problem.workers, columns=F.shape[1])
 
 
-def _solved_at(damping: Damping, s: complex) -> tuple[Any, complex]:
-    """c and sqrt(f) of A(s) = c (K + f M): what is solved at sqrt(f) instead, which is ``s`` for c = 1."""
-    c, g = damping.proportional(s)
-    at = s if not (damping.is_rayleigh or damping.structural) else np.sqrt(complex(g / c))
-    return c, at if complex(at).imag else complex(at).real
+def state(shared: tuple[System, Values], s: complex) -> Values:
+    """``elastic_states`` (Nc, p) at ``s`` of the system and the loads that are ``shared``."""
+    system, F = shared
+    return elastic_states(system, s, F)
 
 
-def state(shared: tuple[Problem | Dynamics, Values], s: complex) -> Values:
-    """``elastic_states`` (Nc, p) at ``s`` of the problem and the loads that are ``shared``."""
-    problem, F = shared
-    return elastic_states(problem, s, F)
-
-
-def seen(shared: tuple[Problem | Dynamics, Values], s: complex) -> Complexes:
+def seen(shared: tuple[System, Values], s: complex) -> Complexes:
     """F'U (p, p) of ``state``."""
     return np.asarray(shared[1].T @ state(shared, s))
 
@@ -122,8 +103,8 @@ def elastic_statics(problem: Problem, F: Values, *, transposed: bool = False) ->
     """Elastic displacements (Nc, p) under loads ``F`` (Nc, p), dense or sparse: of K + N, or of its transpose."""
     if problem.N is None:
         return map_columns(problem.elastic.flexibility, F, problem.budget)
-    factor = problem.stiffness.factorize(0.0, "unsymmetric")
-    return map_columns(partial(factor.solve, transposed=transposed), F, problem.budget)
+    with problem.system.inverse(0.0) as solve:
+        return solve(F, transposed=transposed)
 
 
 @with_progress_argument

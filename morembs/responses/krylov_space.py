@@ -25,11 +25,7 @@ from morembs.problem import Problem
 from morembs.responses.reference import ReferenceSpace
 from morembs.responses.rounding import EPS, with_left
 from morembs.responses.solves import Softness
-
-# Modes of which the Krylov space misses more than this part join it.
-MISSED = 1e-6
-# Rows of V that are read at once.
-ROWS = 1 << 12
+from morembs.responses.tolerances import TOL
 
 
 class KrylovSpace:
@@ -40,7 +36,7 @@ class KrylovSpace:
         lanczos, K, M, budget = space.lanczos, problem.K, problem.M, problem.budget
         V = lanczos.V[:, : lanczos.size]
         seen = (dot(V, M @ modes.vectors, budget) ** 2).sum(axis=0)
-        missed = (1 - seen > (0.0 if everything else MISSED**2)).nonzero()[0]
+        missed = (1 - seen > (0.0 if everything else TOL.missed_mode**2)).nonzero()[0]
         X = np.array(modes.vectors[:, missed], order="F")
         for _ in range(2 if len(missed) else 0):
             # What soft modes have of rigid motion by round-off would be scaled up to a mode of its own.
@@ -132,8 +128,8 @@ class KrylovSpace:
         """(k,) how far round-off in K moves the eigenvalues of V ``Y`` at most, as ``Problem.uncertainty``."""
         weights, V = self.problem.shared("row sums of |K|", lambda: scaled_row_sums(self.problem.K)), self.V
         gram = np.zeros((V.shape[1], V.shape[1]))
-        for first in range(0, len(V), ROWS):
-            rows = slice(first, first + ROWS)
+        for first in range(0, len(V), TOL.rows_at_once):
+            rows = slice(first, first + TOL.rows_at_once)
             X = np.sqrt(weights[rows, None]) * V[rows]
             gram += X.T @ X
             self.problem.budget.release_if_tight()

@@ -7,9 +7,7 @@ import numpy as np
 from morembs.base.types import Floats
 from morembs.linalg.columns import hstack
 from morembs.problem import Problem
-
-# An inertia load that deforms the body by less than this part of what a rigid motion weighs does not deform it.
-RIGID = 1e-8
+from morembs.responses.tolerances import TOL
 
 
 def unit_loads(problem: Problem, inertia: bool = False) -> Floats:
@@ -45,7 +43,7 @@ def inertia_loads(problem: Problem) -> Floats:
     loads = np.hstack([problem.M @ coupling.R, coupling.T.T @ (model.M @ np.column_stack(fields))])
     whole = np.linalg.norm(loads, axis=0)
     elastic = elastic_part(problem, loads)
-    return np.asarray(elastic[:, np.linalg.norm(elastic, axis=0) > RIGID * whole])
+    return np.asarray(elastic[:, np.linalg.norm(elastic, axis=0) > TOL.rigid_load * whole])
 
 
 def load_scale(units: Floats, F: Floats, G: Floats) -> Floats:

@@ -12,19 +12,13 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.base.errors import InputError
+from morembs.base.types import Floats
+from morembs.linalg.columns import symmetric
 from morembs.linalg.null_space import groups_of, null_space
 from morembs.problem import Problem
 from morembs.responses.loads import static_response
+from morembs.responses.tolerances import TOL
 
-# Rows that M couples and that are looked at for motions without mass: the dofs of a node or a frame.
-SMALL = 100
-# Mass of a motion per stiffness, as part of the largest, that is round-off: lower modes than a millionth of the highest
-# frequencies that count are no motions of interfaces.
-NO_MASS = 1e-12
-# Flexibility under a load, against the others, that is round-off.
-RIGID = 1e-10
-# Part of the largest motion of interfaces that is named.
-NAMED = 0.1
 NAMES = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "scalar")
 
 
@@ -34,11 +28,11 @@ def loaded_without_mass(problem: Problem) -> tuple[str, ...]:
     if not len(touched):
         return ()
     _, label = groups_of(problem.M)
-    small = np.bincount(label) <= SMALL
+    small = np.bincount(label) <= TOL.massless_group
     rows = np.flatnonzero(np.isin(label, np.unique(label[touched][small[label[touched]]])))
     Z = null_space(sp.csr_array(problem.M[rows][:, rows]), problem.solver)
     work = np.abs(problem.B[rows].T @ Z).max(axis=1, initial=0.0)
-    return tuple(name for name, moved in zip(_names(problem), work > RIGID, strict=True) if moved)
+    return tuple(name for name, moved in zip(_names(problem), work > TOL.no_flexibility, strict=True) if moved)
 
 
 def massless_motions(problem: Problem) -> tuple[str, ...]:
@@ -54,20 +48,33 @@ def _massless(problem: Problem) -> tuple[str, ...]:
     A = scale[:, None] * (problem.B.T @ X) * scale
     G = scale[:, None] * (X.T @ (problem.M @ X)) * scale
     d = np.sqrt(np.maximum(np.diag(A), 0.0))
-    d = np.where(d > RIGID * d.max(initial=0.0), d, np.inf)
-    values, U = sl.eigh(0.5 * (A + A.T) / np.outer(d, d))
-    elastic = values > RIGID
+    d = np.where(d > TOL.no_flexibility * d.max(initial=0.0), d, np.inf)
+    values, U = sl.eigh(symmetric(A) / np.outer(d, d))
+    elastic = values > TOL.no_flexibility
     W = U[:, elastic] / np.sqrt(values[elastic]) / d[:, None]
-    share, Y = sl.eigh(W.T @ (0.5 * (G + G.T)) @ W)
+    share, Y = sl.eigh(W.T @ symmetric(G) @ W)
     # Each dof alone has at most as much mass per stiffness as the lowest mode.
     stiff = problem.K.diagonal()
     alone = np.divide(problem.M.diagonal(), stiff, out=np.zeros_like(stiff), where=stiff > 0)
-    none = share <= NO_MASS * max(float(share.max(initial=0.0)), float(alone.max(initial=0.0)))
-    names, moved = _names(problem), np.abs(A @ W @ Y[:, none])
+    none = share <= TOL.no_mass * max(float(share.max(initial=0.0)), float(alone.max(initial=0.0)))
+    names, moved = _names(problem), np.abs(_reduced(A @ W @ Y[:, none]))
     return tuple(
-        " with ".join(name for name, size in zip(names, column, strict=True) if size >= NAMED * column.max())
+        " with ".join(name for name, size in zip(names, column, strict=True) if size >= TOL.named_motion * column.max())
         for column in moved.T
     )
+
+
+def _reduced(X: Floats) -> Floats:
+    """Columns (m, k) with the span of those of ``X``, in echelon form: each has an entry where no other has one.
+
+    Which vectors an eigensolver gives of a multiple eigenvalue is chance; these do not depend on it.
+    """
+    _, R, pivots = sl.qr(X.T, mode="economic", pivoting=True)
+    k = X.shape[1]
+    order = np.argsort(pivots[:k])
+    out = np.empty_like(X)
+    out[pivots] = np.linalg.solve(R[:, :k], R).T[:, order]
+    return out
 
 
 def refuse_massless(problem: Problem) -> None:

@@ -13,23 +13,23 @@ The block of the motions i and loads j is measured by the envelope of its own, s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.base.errors import InputError
+from morembs.base.limits import number, one_of
 from morembs.base.types import Floats
-from morembs.responses.cells import MOST, Bounds, Cells, first_edges, search
+from morembs.base.units import in_hz
+from morembs.responses.cells import Bounds, Cells, first_edges, search
 from morembs.responses.layout import Layout
-from morembs.responses.rational import BULGE, DEGREE, GRID, POINTS, SEGMENTS, Terms, cell_points, on_grid, squares
+from morembs.responses.rational import GRID, POINTS, Terms, cell_points, on_grid, squares
 from morembs.responses.rounding import Lost, Response, Rounding
+from morembs.responses.tolerances import TOL
 
 MEASURES = ("envelope", "peak", "pointwise")
-SHARPNESS = 1.05
-# A limit of a cell is at most this times a value that is reached in it.
-LOCAL = 2.0
-# Part of its limit that interpolation may cost in a cell that is not halved any more.
-FINE = 0.4
+Measure = Annotated[str, one_of(*MEASURES)]
+Sharpness = Annotated[float, number("a factor from 1.01 to 2", ge=1.01, le=2)]
 TINY = np.finfo(float).tiny
 
 
@@ -45,16 +45,6 @@ class Limit:
     lower: float
     upper: float
     at_hz: float
-
-
-def checked_measure(measure: str) -> None:
-    """Refuse what is no measure.
-
-    Raises:
-        InputError: as said.
-    """
-    if measure not in MEASURES:
-        raise InputError(f'measure = {measure!r} was given; expected "envelope", "peak" or "pointwise"')
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,14 +110,14 @@ class Comparison:
         rests = [terms.remainder(middle, half, size) for terms, size in zip(self.both, self.sizes, strict=True)]
         rest_H, rest = rests[0][:, :1], (rests[0] + rests[1])[:, None]
         size = layout.norms(X)
-        most = np.maximum(size[:, 1:], size[:, :-1]) + BULGE * _spread(X, layout)[:, None] + rest
+        most = np.maximum(size[:, 1:], size[:, :-1]) + TOL.bulge * _spread(X, layout)[:, None] + rest
         e, e_least, e_most, floor, floor_most = self._envelope(grid)
         off = standard.uncertain(low, high)[:, None]
         # The uncertainty of the whole counts for every block.
         unsure = floor + (off * e[..., 0])[..., None]
         unsure_most = floor_most + (off * e_most[..., 0])[..., None]
         size_H = np.sqrt(squares(H).sum(axis=2))
-        bulge_H = BULGE * _spread(H, None)[:, :1] + rest_H
+        bulge_H = TOL.bulge * _spread(H, None)[:, :1] + rest_H
         least_H = _chords(H) - bulge_H
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             pure = [
@@ -169,7 +159,7 @@ class Comparison:
             pure_upper, total = (np.concatenate(limits, axis=2).max(axis=1) for limits in (pure, upper))
             # nan: infinite limits on both sides of a difference.
             cost = np.nan_to_num(pure_upper - seen, nan=np.inf, posinf=np.inf)
-            final = cost <= np.maximum(FINE * (SHARPNESS - 1) * total, total - pure_upper)
+            final = cost <= np.maximum(TOL.interpolation_share * (TOL.sharpness - 1) * total, total - pure_upper)
         # Where only what is not known makes a limit infinite, smaller cells do not help.
         final &= np.isfinite(cost)
         where = reached.argmax(axis=1)
@@ -221,7 +211,7 @@ def _shrunk(half: Floats, near: Floats, far: Floats) -> list[Floats]:
 
 def _spread(p: NDArray[np.complex128], layout: Layout | None) -> Floats:
     """(nc, q) largest |p - p_mid| on the grid."""
-    away = p - p[:, SEGMENTS // 2, None]
+    away = p - p[:, TOL.segments // 2, None]
     if layout is None:
         return np.asarray(np.sqrt(squares(away).sum(axis=2)).max(axis=1))[:, None]
     return np.asarray(layout.norms(away).max(axis=1))
@@ -240,9 +230,9 @@ def compare(
     body: Response,
     low: float,
     high: float,
-    sharpness: float = SHARPNESS,
+    sharpness: float = TOL.sharpness,
     asked: tuple[str, float] | None = None,
-    most_cells: int = MOST,
+    most_cells: int = TOL.max_cells,
 ) -> tuple[dict[str, Limit], Floats, Cells]:
     """Limits by measure, those (ni, ni) of the blocks by their envelopes, and the cells with upper limits (nc, 3).
 
@@ -260,7 +250,9 @@ def compare(
     unasked = np.array([asked is not None and q != number and (q, number) != (3, 1) for q in range(len(factor))])
 
     def done(bounds: Bounds, lower: Floats) -> NDArray[np.bool_]:
-        sharp = (bounds.upper <= factor * lower) & ((bounds.upper <= LOCAL * bounds.lower) | other) | unasked
+        sharp = (bounds.upper <= factor * lower) & (
+            (bounds.upper <= TOL.local_sharpness * bounds.lower) | other
+        ) | unasked
         if asked:
             allowed = asked[1] * (lower[3] if number == 1 else 1.0)
             sharp[:, number] &= (bounds.upper[:, number] <= allowed) | (lower[number] > allowed)
@@ -276,7 +268,7 @@ def compare(
         most=most_cells,
     )
     upper, lower = cells.upper.max(axis=0), cells.lower
-    hz = cells.at / (2 * np.pi)
+    hz = in_hz(cells.at)
     # The largest |H| is known from both sides; where its lower limit is 0, no error is known relative to it.
     in_peaks = np.inf if lower[3] == 0 else 1 / lower[3]
     with np.errstate(invalid="ignore"):
@@ -329,4 +321,4 @@ def decide(standard: Standard, body: Response, low: float, high: float, measure:
 def _numbers(comparison: Comparison) -> int:
     """Numbers that are held for one cell at once."""
     entries, poles = len(comparison.standard.layout.i), len(comparison.poles)
-    return int(SEGMENTS * (6 * entries + 6 * poles) + 20 * DEGREE * poles)
+    return int(TOL.segments * (6 * entries + 6 * poles) + 20 * TOL.degree * poles)

@@ -27,9 +27,8 @@ import numpy as np
 
 from morembs.base.types import Floats
 from morembs.responses.rational import Terms
+from morembs.responses.tolerances import TOL
 
-# Degree of the interpolant, and steps of the grid.
-DEGREE, STEPS = 48, 192
 # Parts of the way to the nearest pole that Bernstein ellipses take.
 REACH = np.linspace(0.3, 0.95, 14)
 
@@ -45,7 +44,7 @@ def largest(poles: Terms, b: Floats, N: Floats, band: tuple[float, float]) -> fl
     if not len(b):
         return 0.0
     middle, half = 0.5 * (band[0] + band[1]), 0.5 * (band[1] - band[0])
-    w = middle + half * np.cos(np.pi * np.arange(STEPS + 1) / STEPS)
+    w = middle + half * np.cos(np.pi * np.arange(TOL.modal_steps + 1) / TOL.modal_steps)
     inverse = poles.inverse(w)
     # Real and imaginary parts of Z one after the other: N is real.
     seen = sum(
@@ -53,7 +52,7 @@ def largest(poles: Terms, b: Floats, N: Floats, band: tuple[float, float]) -> fl
     )
     sizes = np.sqrt(np.maximum(np.diag(N), 0.0)) * np.linalg.norm(b, axis=1)
     rest = _remainder(poles, sizes, middle, half)
-    return float((np.sqrt(seen.max().clip(0)) + rest) / np.cos(0.5 * DEGREE * np.pi / STEPS) + rest)
+    return float((np.sqrt(seen.max().clip(0)) + rest) / np.cos(0.5 * TOL.modal_degree * np.pi / TOL.modal_steps) + rest)
 
 
 def _remainder(poles: Terms, sizes: Floats, middle: float, half: float) -> float:
@@ -63,5 +62,5 @@ def _remainder(poles: Terms, sizes: Floats, middle: float, half: float) -> float
     for A in half + REACH * (away - half):
         rho = A / half + np.sqrt((A / half) ** 2 - 1)
         least = (np.abs(poles.z - middle) - A).prod(axis=1)
-        best = min(best, 4 * rho**-DEGREE / (rho - 1) * float((sizes / least).sum()))
+        best = min(best, 4 * rho**-TOL.modal_degree / (rho - 1) * float((sizes / least).sum()))
     return best

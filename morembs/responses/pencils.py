@@ -10,9 +10,8 @@ from morembs.linalg.eigen import graded_modes
 from morembs.responses.layout import Layout
 from morembs.responses.rational import Terms
 from morembs.responses.rounding import EPS, Response, Rounding, couplings, with_left
+from morembs.responses.tolerances import TOL
 
-# Damping that couples modes by less than this part of their own counts as round-off.
-UNCOUPLED = 1e-8
 TINY = np.finfo(float).tiny
 
 
@@ -66,7 +65,7 @@ def response_of(
     d, stiffness = np.diag(coupled), theta * (1 + 1j * structural)
     left = loss * np.abs(L.T @ K @ X - np.diag(theta)) + highest**2 * np.abs(L.T @ M @ X - np.eye(len(theta)))
     off = np.abs(coupled - np.diag(d))
-    if (off.sum(axis=1) <= UNCOUPLED * np.abs(d) + 4 * len(d) * EPS * np.abs(d).max(initial=0.0)).all():
+    if (off.sum(axis=1) <= TOL.uncoupled_damping * np.abs(d) + 4 * len(d) * EPS * np.abs(d).max(initial=0.0)).all():
         N = layout.rows(outputs, inputs)
         return Response(
             terms=Terms.second_order(stiffness, d, N.real if symmetric else N),

@@ -22,27 +22,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.base.types import Complexes, Floats
+from morembs.responses.tolerances import TOL
 
-DEGREE, SEGMENTS = 10, 60
 TINY = np.finfo(float).tiny
 # Bernstein ellipses that are tried.
 RHO = np.array([2.5, 3.0, 4.0, 6.0, 9.0, 14.0, 22.0, 40.0])
 
 
 def _interpolation() -> Floats:
-    """(SEGMENTS + 1, DEGREE + 1) values of the interpolant on the grid, from those at the Chebyshev points."""
-    d = DEGREE
+    """(segments + 1, degree + 1) values of the interpolant on the grid, from those at the Chebyshev points."""
+    d = TOL.degree
     j, k = np.arange(d + 1), np.arange(d + 1)
     ends = np.where((j == 0) | (j == d), 0.5, 1.0)
     coefficients = 2.0 / d * ends[:, None] * np.cos(np.pi * np.outer(k, j) / d) * ends
     return np.asarray(np.cos(np.outer(GRID, k)) @ coefficients)
 
 
-GRID = np.pi * np.arange(SEGMENTS + 1) / SEGMENTS
-POINTS = np.cos(np.pi * np.arange(DEGREE + 1) / DEGREE)
+GRID = np.pi * np.arange(TOL.segments + 1) / TOL.segments
+POINTS = np.cos(np.pi * np.arange(TOL.degree + 1) / TOL.degree)
 INTERPOLATION = _interpolation()
-# Part of max_grid |p - p_mid| by which p leaves its chords at most.
-BULGE = (DEGREE * np.pi / SEGMENTS) ** 2 / 8 / np.cos(DEGREE * np.pi / SEGMENTS / 2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,7 +104,7 @@ class Terms:
             if slope is not None:
                 far = np.abs(middle) + half * (rho + 1 / rho) / 2
                 inverse = inverse * (far[:, None] ** 2 + far[:, None] * slope)
-            bound = 4 * rho**-DEGREE / (rho - 1) * (inverse @ sizes)
+            bound = 4 * rho**-TOL.degree / (rho - 1) * (inverse @ sizes)
             bounds = np.where(free[:, None], np.minimum(bounds, bound), bounds)
         return bounds
 
@@ -126,7 +124,7 @@ def cell_points(low: Floats, high: Floats, cosines: Floats) -> Floats:
 
 
 def on_grid(values: Complexes) -> Complexes:
-    """(nc, SEGMENTS + 1, e) of the interpolants with ``values`` (nc, DEGREE + 1, e) at the Chebyshev points."""
+    """(nc, segments + 1, e) of the interpolants with ``values`` (nc, degree + 1, e) at the Chebyshev points."""
     parts = np.ascontiguousarray(values).view(np.float64)
     return np.asarray((INTERPOLATION @ parts).view(np.complex128))
 

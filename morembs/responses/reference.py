@@ -31,29 +31,15 @@ from morembs.linalg.eigen import graded_modes
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.problem import SOFTER, Problem
 from morembs.problem.damping import Damping
-from morembs.responses.band import NEAR, ON
 from morembs.responses.damped_reference import DampedSpace
 from morembs.responses.direct import refuse_skew_parts, why_no_response
 from morembs.responses.loads import static_response, unit_loads
 from morembs.responses.massless import refuse_massless
 from morembs.responses.rational import product
 from morembs.responses.solves import Solves
+from morembs.responses.tolerances import TOL
 
-MAX_ORDER = 2000
-# Frequencies that a space is looked at first.
-LOOKED_AT = 12
-# Room for the space to begin with.
-FIRST_ORDER = 250
-# Error of H that the jumps of a modal table may leave where the tolerance is below it; it is part of ``error``.
-JUMPS = 1e-6
 JUMPY = "; or let the ratio of the modal damping table jump further below or above the band"
-# Parts of a block: what is taken out changes nothing up to SAME, and leaves round-off of its own above FEW.
-SAME, FEW = 1e-14, 1e-3
-# An error below RESOLVED stands still where half of all blocks, and at least so many, do not halve it. Above it modes
-# may be missing.
-STILL, RESOLVED = 12, 1e-2
-# A frequency beside a jump, as part of it.
-SIDE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -123,7 +109,7 @@ def reference_model(
     """Reference whose error is below ``tolerance`` times the largest entry of H at all ``omega`` (nf,) in rad/s.
 
     Forces and moments are scaled to equal static energy for that. With modal damping every Ritz mode has the ratio of
-    its own frequency. Where a modal table jumps beside modes that are not resolved, the error may be up to ``JUMPS``:
+    its own frequency. Where a modal table jumps beside unresolved modes, the error may be up to ``TOL.jump_error``:
     ``Reference.error`` says what it is. Peak memory: the Krylov space, up to some hundred columns of length N.
 
     Args:
@@ -179,15 +165,15 @@ def _damped(problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, 
 def _beside_resonances(omega: Floats, reference: Reference) -> Floats:
     """``omega`` (nf,), but beside the undamped resonances of ``reference`` where it is one: there is no response."""
     poles = np.sqrt(reference.values[reference.damping_at_resonance() == 0])
-    on = (np.abs(omega[:, None] - poles) <= ON * poles).any(axis=1)
-    return np.asarray(np.where(on, omega * (1 + NEAR), omega))
+    on = (np.abs(omega[:, None] - poles) <= TOL.on_resonance * poles).any(axis=1)
+    return np.asarray(np.where(on, omega * (1 + TOL.least_flank), omega))
 
 
 def stands_still(errors: list[float]) -> bool:
     """Whether the latest blocks of a space do not help, by the ``errors`` after each."""
-    late = max(STILL, len(errors) // 2)
+    late = max(TOL.stagnation_blocks, len(errors) // 2)
     before, latest = min(errors[:-late], default=np.inf), min(errors[-late:])
-    return before <= RESOLVED and latest > 0.5 * before
+    return before <= TOL.stagnated_error and latest > 0.5 * before
 
 
 class ReferenceSpace:
@@ -209,7 +195,7 @@ class ReferenceSpace:
         M = problem.M
         self.room = M.shape[0] - problem.rigid.shape[1]
         self.lanczos = BlockLanczos(
-            self._solved, M, start, capacity=min(FIRST_ORDER, self.room), seed=3, budget=problem.budget
+            self._solved, M, start, capacity=min(TOL.first_order, self.room), seed=3, budget=problem.budget
         )
         # G F = V g in the first block of V.
         self.loads = self.lanczos.M_pending.T @ start
@@ -228,7 +214,7 @@ class ReferenceSpace:
             return self.problem.elastic.flexibility(F)
         k, b = self.lanczos.size, F.shape[1]
         X, residuals = self.solves.flexibility(F)
-        lost = self.solves.inertia(self.lanczos.V[:, k : k + b], SAME * np.sqrt(k + b))
+        lost = self.solves.inertia(self.lanczos.V[:, k : k + b], TOL.no_change * np.sqrt(k + b))
         self.residuals = np.append(self.residuals, residuals + lost)
         return X
 
@@ -236,7 +222,7 @@ class ReferenceSpace:
         """The space, grown until the error with ``damping`` is below ``tolerance`` at ``omega``.
 
         Raises:
-            SolverError: it stands still above, or the space has ``MAX_ORDER`` columns.
+            SolverError: it stands still above, or the space has ``TOL.max_order`` columns.
         """
         lanczos, seen = self.lanczos, list[float]()
         while True:
@@ -263,7 +249,7 @@ class ReferenceSpace:
                 error, jumps = max(error, self._change(reference, g, at)), self._jumps(reference, at)
             worst = max(error, jumps)
             progress.update(f"frequency response: order {lanczos.size}, error {worst:.1e}")
-            good = error <= tolerance and jumps <= max(tolerance, JUMPS)
+            good = error <= tolerance and jumps <= max(tolerance, TOL.jump_error)
             if good or not lanczos.pending.shape[1]:
                 return self._sharpened(reference, worst)
             seen.append(worst)
@@ -279,15 +265,15 @@ class ReferenceSpace:
         """One block more; False where there is none. ``error`` and ``advice`` are told where there is no room.
 
         Raises:
-            SolverError: the space has ``MAX_ORDER`` columns.
+            SolverError: the space has ``TOL.max_order`` columns.
         """
         lanczos = self.lanczos
         if lanczos.pending.shape[1]:
             self._clean()
         if not lanczos.pending.shape[1]:
             return False
-        if lanczos.full() and lanczos.capacity < min(MAX_ORDER, self.room):
-            lanczos.enlarge(min(2 * lanczos.capacity, MAX_ORDER, self.room))
+        if lanczos.full() and lanczos.capacity < min(TOL.max_order, self.room):
+            lanczos.enlarge(min(2 * lanczos.capacity, TOL.max_order, self.room))
         if lanczos.full():
             raise SolverError(
                 f"the full response reached an error of only {error:.1e} with {lanczos.size} vectors; lower the "
@@ -315,9 +301,9 @@ class ReferenceSpace:
         known = [self.problem.rigid, lanczos.V[:, : lanczos.size]]
         for _ in range(2):
             out = float(np.abs(take_out(known, Q, MQ, budget)).max(initial=0.0))
-            if out > SAME:
+            if out > TOL.no_change:
                 MQ = M @ Q
-            if out < FEW:
+            if out < TOL.large_change:
                 break
         # What was orthonormal keeps its length, unless it was rigid motion or round-off.
         Q, MQ = orthonormal_pair(Q, M, np.ones(Q.shape[1]), Q.T @ MQ, MW=MQ, least=np.sqrt(0.5))
@@ -365,7 +351,7 @@ class ReferenceSpace:
             if not unsure.any():
                 continue
             omega_k, F = np.sqrt(values[unsure]), np.abs(reference.F[unsure])
-            ratios = reference.damping.ratio(np.array([jump * (1 - SIDE), jump * (1 + SIDE)]))
+            ratios = reference.damping.ratio(np.array([jump * (1 - TOL.beside_jump), jump * (1 + TOL.beside_jump)]))
             below, above = (
                 1 / (stiffness[unsure] - omega[:, None] ** 2 + 2j * ratio * omega[:, None] * omega_k)
                 for ratio in ratios
@@ -401,7 +387,7 @@ class ReferenceSpace:
             return gain * float(residual.max()) / float(np.abs(H).max())
 
         # A few frequencies refuse most spaces; one that they accept is looked at everywhere.
-        few = omega[:: max(1, len(omega) // LOOKED_AT)]
+        few = omega[:: max(1, len(omega) // TOL.first_samples)]
         worst = max(at(w) for w in few)
         if worst > tolerance and lanczos.pending.shape[1]:
             return worst

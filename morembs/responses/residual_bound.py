@@ -45,12 +45,10 @@ from morembs.base.types import Complexes, Floats
 from morembs.problem.damping import Damping
 from morembs.responses.cells import Bounds, first_edges, search
 from morembs.responses.modal_residual import form, largest
-from morembs.responses.rational import BULGE, POINTS, SEGMENTS, Terms, cell_points, on_grid, squares
+from morembs.responses.rational import POINTS, Terms, cell_points, on_grid, squares
+from morembs.responses.tolerances import TOL
 
-CLOSE = 1e-12
 TINY = np.finfo(float).tiny
-# Part of the tolerance that modes may take which count one by one.
-APART = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,7 +122,11 @@ class Residual:
         # Modes that are as good as exact count one by one: their share in T^2 over their own part of the envelope.
         each = own * most**2 / self._weakest(np.array([low]), np.array([high]))[0]
         order = [p for p in np.argsort(each) if p < k]
-        fits = [p for n, p in enumerate(order) if 2 * (n + 1) * each[order[: n + 1]].sum() <= APART * tolerance]
+        fits = [
+            p
+            for n, p in enumerate(order)
+            if 2 * (n + 1) * each[order[: n + 1]].sum() <= TOL.single_modes_part * tolerance
+        ]
         others = np.ones(len(size), dtype=bool)
         others[fits] = False
         hidden, modal, above = (self.lost * np.sqrt(size) * most)[others], self._modal(), self._above(band)
@@ -137,13 +139,13 @@ class Residual:
             w = cell_points(lo, hi, POINTS)
             p = on_grid((T.inverse(w) * numerator(w, slope[others])) @ rows)
             here = np.sqrt(squares(p).sum(axis=2))
-            spread = np.sqrt(squares(p - p[:, SEGMENTS // 2, None]).sum(axis=2)).max(axis=1)
+            spread = np.sqrt(squares(p - p[:, TOL.segments // 2, None]).sum(axis=2)).max(axis=1)
             middle, half = 0.5 * (lo + hi), 0.5 * (hi - lo)
             outside = T.remainder(middle, half, norms, slope[others])[:, 0]
             weakest = self._weakest(lo, hi)
             mu = np.sqrt(hi) * ((modal * np.sqrt(size[:k]) / weakest[:, :k]).sum(axis=1) + above)
             turned = mu * np.sqrt(self.ratio * hi / np.sqrt(self.softest))
-            whole = here.max(axis=1) + BULGE * spread + outside + self.start + turned
+            whole = here.max(axis=1) + TOL.bulge * spread + outside + self.start + turned
             whole += (hidden / weakest[:, others]).sum(axis=1)
             ends = np.maximum(*(np.abs(end[:, None, None] - poles.z) for end in (lo, hi))).prod(axis=2)
             kappa = ((coupled**2 * own[:k]) / weakest[:, :k]).sum(axis=1)
@@ -151,7 +153,7 @@ class Residual:
             with np.errstate(over="ignore"):
                 gamma = 1.0 / np.maximum(1.0 - hi**2 / self.least, TINY)
                 left = 1 - gamma * kappa - nu
-                gain = np.where(left > 0, gamma / np.maximum(left, CLOSE), np.inf)
+                gain = np.where(left > 0, gamma / np.maximum(left, TOL.closest_mode), np.inf)
             off = gain * ((double * whole**2 + mu**2) / (1.0 / ends @ size) + rest)
             fine = half < 0.1 * T.nearest(middle)
             return Bounds(upper=off[:, None], lower=np.zeros((len(lo), 1)), at=middle[:, None], final=fine[:, None])
@@ -162,7 +164,7 @@ class Residual:
             first_edges(low, high, T.z.real.ravel()),
             lambda bounds, _: bounds.upper <= tolerance,
             quantities=1,
-            per_cell=4 * SEGMENTS * rows.shape[1] + 20 * len(size),
+            per_cell=4 * TOL.segments * rows.shape[1] + 20 * len(size),
         )
         return np.append(cells.edges[:, 0], high), cells.upper[:, 0]
 

@@ -25,10 +25,9 @@ from numpy.typing import NDArray
 from morembs.base.types import Floats
 from morembs.responses.layout import Layout
 from morembs.responses.rational import Terms
+from morembs.responses.tolerances import TOL
 
 EPS = float(np.finfo(float).eps)
-# Round-off of the evaluation itself, as a multiple of eps times the envelope.
-EVALUATION = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,7 +62,7 @@ class Rounding:
             left=far_c * s[:, None],
             right=far_b * t[:, None],
             own=s * t,
-            rows=layout.products(far_c, far_b) - size + EVALUATION * EPS * size,
+            rows=layout.products(far_c, far_b) - size + TOL.evaluation_eps * EPS * size,
             layout=layout,
         )
 

@@ -12,8 +12,8 @@ stands for G f, f = W^(1/2) g, with the residual rho and the part z = x - U Thet
 
     softness^2 |v'g| <= |S g| <= |W^(1/2) z| + softness^2 |rho|_W,
 
-as z - P f = P rho. All of ``TRIALS`` vectors g have |v'g| < SMALLEST with a probability of 1e-12. Nothing is assumed of
-the solver.
+as z - P f = P rho. All of the 8 random vectors g have |v'g| < ``TOL.least_random_part`` with a probability of 1e-12.
+Nothing is assumed of the solver.
 """
 
 from __future__ import annotations
@@ -26,14 +26,9 @@ import numpy as np
 from morembs.base.types import Floats
 from morembs.linalg.congruence import extended_product, scaled_row_sums
 from morembs.problem import Problem
+from morembs.responses.tolerances import TOL
 
 EPS = float(np.finfo(float).eps)
-# P(|v'g| < SMALLEST) = 0.032 for one vector, 1e-12 for all.
-TRIALS, SMALLEST = 8, 0.04
-# A residual is refined where it is so many times what round-off may make of its evaluation, in so many steps at most.
-REFINED, STEPS = 100.0, 6
-# Blocks of that size, in extended precision and not, that are held at once, and most columns of them.
-COPIES, WIDEST = 12, 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,9 +69,9 @@ class Solves:
     def checked(self, X: Floats, F: Floats) -> tuple[Floats, Floats]:
         """``X`` (Nc, k), refined where it needs it, and limits (k,) of |K X - F|_W, round-off included."""
         best = X, *self._residual(X, F)
-        for _ in range(STEPS):
+        for _ in range(TOL.refinement_steps):
             X, rho, left, lost = best
-            if (left <= REFINED * lost).all():
+            if (left <= TOL.residual_over_roundoff * lost).all():
                 break
             Y = X - self.problem.elastic.flexibility(rho)
             # Rigid motion has no residual.
@@ -116,7 +111,7 @@ class Solves:
         makes more of the round-off of its evaluation than of the residual.
         """
         problem, w, K = self.problem, self.weights, self.problem.K
-        energy, width = np.empty(len(values)), problem.budget.columns(len(U), COPIES, WIDEST)
+        energy, width = np.empty(len(values)), problem.budget.columns(len(U), TOL.block_copies, TOL.block_columns)
         finer = float(np.finfo(np.longdouble).eps) / EPS * self.gamma
         for at in range(0, len(values), width):
             some = slice(at, at + width)
@@ -135,14 +130,14 @@ class Solves:
         """The number that turns residuals into energies beside the lowest modes ``U`` (Nc, k) with ``values`` (k,)."""
         x, off = self.problem.shared("random solutions", self._random)
         z = x - U @ ((U.T @ (self.problem.K @ x)) / values[:, None])
-        grown, least = float(_norms(z, self.weights).max()), SMALLEST - off
-        proven = least > 0.1 * SMALLEST
-        return Softness(value=float(np.sqrt(grown / (least if proven else SMALLEST))), proven=proven)
+        grown, least = float(_norms(z, self.weights).max()), TOL.least_random_part - off
+        proven = least > 0.1 * TOL.least_random_part
+        return Softness(value=float(np.sqrt(grown / (least if proven else TOL.least_random_part))), proven=proven)
 
     def _random(self) -> tuple[Floats, float]:
-        """Solutions (Nc, TRIALS) for random loads, and a limit of their residuals."""
+        """Solutions (Nc, trials) for random loads, and a limit of their residuals."""
         root = np.sqrt(self.weights)[:, None]
-        x, left = self.flexibility(root * np.random.default_rng(11).standard_normal((len(root), TRIALS)))
+        x, left = self.flexibility(root * np.random.default_rng(11).standard_normal((len(root), TOL.random_loads)))
         return x, float(left.max())
 
 

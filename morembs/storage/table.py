@@ -1,22 +1,26 @@
 """Tables of the datasets in a group: what its writer stores, its reader takes, its check expects and its page tells.
 
-A field more is a row more, beside the place where its value is made. ``Writer.rows`` writes by a table, ``read_rows``
-reads by it, ``TableCheck`` compares a file with it, and ``scripts/schema.py`` writes the tables of the documentation.
+A field of a dataclass that is a ``dataset`` is declared there alone; ``table_of`` gives the table of the class.
+``Writer.rows`` writes by a table, ``read_rows`` reads by it, ``TableCheck`` compares a file with it, and
+``scripts/schema.py`` writes the tables of the documentation.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import KW_ONLY, MISSING, dataclass, field, fields, replace
+from functools import partial
 from itertools import count, takewhile
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import h5py
 import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.storage.storable import json_text, storable, text
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,9 @@ class Row:
         doc: what the documentation says instead of ``about``.
         when: may be absent: in the words of the documentation, when.
         field: where the value is found, and is put when it was read; by default the last part of ``name``.
+        write: gives the value of the object that has the fields; by default that of ``field``.
         read: whether a reader takes it; what follows from other datasets is there for other programs.
+        later: whether a reader takes it from the file at each use only.
         columns: each column lies in one piece, in single or double precision.
     """
 
@@ -110,7 +116,9 @@ class Row:
     doc: str = ""
     when: str = ""
     field: str = ""
+    write: Callable[[Any], Any] | None = None
     read: bool = True
+    later: bool = False
     columns: bool = False
 
     @property
@@ -127,6 +135,13 @@ class Row:
     def key(self) -> str:
         """Name of the field."""
         return self.field or self.name.removesuffix("/*").rpartition("/")[2]
+
+    def of(self, whole: Any) -> Any:
+        """The value that is written of an object, or of a mapping, with the fields."""
+        if self.write is not None:
+            return self.write(whole)
+        value = whole[self.key] if isinstance(whole, Mapping) else getattr(whole, self.key)
+        return (value() if value else None) if isinstance(value, Later) else value
 
     def items(self, group: Any) -> dict[str, Any]:
         """Those in an open ``group``, of several, by what follows ``place`` in their paths."""
@@ -163,8 +178,59 @@ class Table:
         return iter(self.rows)
 
 
-def read_rows(group: Any, table: Table, lacking: str = "the group lacks") -> Any:
-    """What an open HDF5 ``group`` holds; fields that may be absent, and are, are left out.
+def dataset(
+    kind: str | Table, *row: str, name: str = "", default: Any = MISSING, default_factory: Any = MISSING, **more: Any
+) -> Any:
+    """A field of a dataclass that is a dataset of a file: the arguments are those of ``Row``, whose name is by default
+    that of the field, and those of ``dataclasses.field``."""
+    made: Any = {"default": default} if default_factory is MISSING else {"default_factory": default_factory}
+    return field(**made, metadata={"row": Row(name, kind, *row, **more)})
+
+
+def table_of(kind: Any, **made: Callable[..., Any]) -> Table:
+    """The table of a dataclass: its fields that are datasets. ``made`` are ``build`` and ``parts`` of the table."""
+    rows = [
+        replace(row, name=row.name or each.name, field=each.name)
+        for each in fields(kind)
+        if (row := each.metadata.get("row")) is not None
+    ]
+    return Table(tuple(rows), **({"build": kind} | made))
+
+
+@dataclass(frozen=True)
+class Later(Generic[T]):
+    """A value that is read at each call; false where there is none, and then a call says ``why_not``.
+
+    Raises:
+        InputError: there is none, or the file is gone or damaged.
+    """
+
+    read: Callable[[], T] | None = None
+    why_not: str = ""
+
+    @classmethod
+    def of(cls, value: T) -> Later[T]:
+        """One that is in memory."""
+        return cls(partial(_same, value))
+
+    def __bool__(self) -> bool:
+        return self.read is not None
+
+    def __call__(self) -> T:
+        if self.read is None:
+            raise InputError(self.why_not)
+        return self.read()
+
+
+def _same(value: T) -> T:
+    return value
+
+
+def read_rows(
+    group: Any, table: Table, lacking: str = "the group lacks", later: Callable[[Row], Any] | None = None
+) -> Any:
+    """What an open HDF5 ``group`` holds; fields that may be absent, and are, are left out. ``later`` makes what stands
+    for a row that is read at its use.
 
     Raises:
         InputError: others are absent; ``lacking`` says before their names whose they are.
@@ -176,7 +242,9 @@ def read_rows(group: Any, table: Table, lacking: str = "the group lacks") -> Any
             several = {name: row.value(inner) for name, inner in row.items(group).items()}
             values[row.key] = several if row.name.endswith("*") else tuple(several.values())
         elif isinstance(item, h5py.Group if isinstance(row.kind, Table) else h5py.Dataset):
-            if row.read:
+            if row.later and later is not None:
+                values[row.key] = later(row)
+            elif row.read and not row.later:
                 values[row.key] = row.value(item)
         elif not row.when:
             missing.append(row.place)

@@ -96,11 +96,12 @@ class Writer:
                 item.attrs[key] = np.bytes_(words)
         self.check()
 
-    def rows(self, at: str, table: Table, whole: object) -> None:
-        """Store ``whole`` by its ``table`` in the group ``at``, a path with a slash behind it."""
+    def rows(self, at: str, table: Table, whole: object, **given: Any) -> None:
+        """Store ``whole`` by its ``table`` in the group ``at``, a path with a slash behind it; ``given`` values
+        stand for those of its fields."""
         source = table.parts(whole)
         for row in table:
-            value: Any = source[row.key] if isinstance(source, Mapping) else getattr(source, row.key)
+            value = given[row.key] if row.key in given else row.of(source)
             if row.when and value is None:
                 continue
             for name, part in row.parts(value):

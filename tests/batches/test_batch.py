@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from morembs.app.batches.children import Children
-from morembs.app.batches.manifest import Ended, Manifest
+from morembs.app.batches.manifest import Manifest
 from morembs.app.batches.plan import parts_of, unchanged
 from morembs.app.batches.records import Nobody, Record
 from morembs.app.batches.run import batch
@@ -28,6 +28,7 @@ from morembs.base.errors import InputError
 from morembs.body.file import read_body
 from morembs.storage.contents import Content
 from tests.support import decks, processes
+from tests.support.batches import remember
 
 # Seconds after which a wait for another thread counts as endless.
 PATIENCE = 600.0
@@ -59,21 +60,6 @@ def jobs(folder: Path, tables: Mapping[str, Mapping[str, str]]) -> Path:
         (folder / name).mkdir()
         decks.folder(folder / name, own, decks.deck(decks.BEAM[:12])).rename(folder / name / f"{name}.toml")
     return folder
-
-
-def remember(folder: Path, manifest: Manifest) -> None:
-    """As if each job below ``folder`` had been done."""
-    for part in parts_of([folder]):
-        for output in part.outputs:
-            output.write_bytes(b"a body")
-        deck = part.path.with_name("part.inp")
-        end = Ended(
-            key=part.key,
-            inputs={deck: Content.of(deck)},
-            facts={},
-            outputs={path.resolve(): Content.of(path) for path in part.outputs},
-        )
-        manifest.ended(part.loaded.output, end)
 
 
 def test_only_what_is_due_is_run(tmp_path: Path) -> None:

@@ -90,7 +90,7 @@ def test_shapes_for_paraview_are_modes_on_the_moved_nodes(written, body):
         assert np.array_equal(grid["Connectivity"][()], source["VTKHDF/Connectivity"][()])
         assert np.array_equal(grid["Types"][()], source["VTKHDF/Types"][()])
         shape = grid["PointData/some-basis_mode_001"][()].ravel()
-        mode = at.body.basis() @ at.body.reduced().modes()[1][:, 6]
+        mode = at.body.basis() @ at.body.reduced.modes()[1][:, 6]
     assert abs(shape @ mode) == pytest.approx(np.linalg.norm(shape) * np.linalg.norm(mode), rel=1e-5)
 
 

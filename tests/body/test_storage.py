@@ -17,15 +17,18 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from morembs.base.errors import InputError, OutputError
 from morembs.base.progress import Stage
 from morembs.body import Cells, elastic_body, make_part
+from morembs.body.build import body_of
 from morembs.body.file import check_names, read_body, write_body
 from morembs.body.vtkhdf import shown_modes
 from morembs.fem.interface import make_interface
-from morembs.problem import Problem
+from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Modal, ReducedModel
+from morembs.storage.checksums import seal
 from morembs.storage.safefile import check_writable
 from scripts.schema import stale
 from tests.support.meshes import box, steel, where
@@ -77,38 +80,41 @@ def reduced_model(M, K, rigid_count=0, **matrices):
     return ReducedModel(name="made", M=M, K=K, mode_kind=("elastic",) * n, rigid_count=rigid_count, **parts)
 
 
-class Made:
-    """A body without a model; its basis is made on the fly. Column j, row i: sin(i + 1) + j."""
+class Waves:
+    """A basis that is made on the fly. Column j, row i: sin(i + 1) + j."""
 
-    def __init__(self, n_nodes, order, fail_at=None, error=None):
-        x = np.arange(3.0 * n_nodes).reshape(-1, 3)
-        zero, rows = np.zeros((order, order)), np.arange(n_nodes)
-        self.part = SimpleNamespace(
-            mass=1.0,
-            center_of_mass=np.zeros(3),
-            inertia=np.eye(3),
-            nodes=Rows(ids=rows + 1, xyz=x),
-            cells=(Cells(vtk=1, connectivity=rows[:, None]),),
-            interfaces=(),
-            columns={},
-            node_ids=rows + 1,
-            source="",
-            warnings=(),
-        )
-        self.reduced = reduced_model(np.eye(order), np.diag(np.arange(1.0, order + 1)), D=zero)
-        self.name, self.recipe, self.full_frequencies_hz, self.certificate = "made", {}, None, None
-        self.floating, self.ranking, self.recovery, self.switching = None, (), None, None
-        self.spin = self.parametric = None
-        self.frequencies_hz = np.sqrt(np.arange(1.0, order + 1)) / (2 * np.pi)
-        self.fail_at, self.error, self.asked = fail_at, error, 0
+    def __init__(self, rows, order, fail_at, error):
+        self.rows, self.order, self.fail_at, self.error, self.asked = rows, order, fail_at, error, 0
 
-    def basis(self, columns=slice(None)):
+    def __call__(self, columns=slice(None)):
         self.asked += 1
-        wanted = range(self.reduced.order)[columns]
+        wanted = range(self.order)[columns]
         if self.fail_at is not None and self.fail_at in wanted:
             raise self.error
-        rows = np.sin(np.arange(1.0, 3 * len(self.part.nodes) + 1))
-        return rows[:, None] + np.arange(wanted.start, wanted.stop)
+        return np.sin(np.arange(1.0, self.rows + 1))[:, None] + np.arange(wanted.start, wanted.stop)
+
+
+def made(n_nodes, order, fail_at=None, error=None, name="made"):
+    """A body without a model."""
+    x = np.arange(3.0 * n_nodes).reshape(-1, 3)
+    zero, rows = np.zeros((order, order)), np.arange(n_nodes)
+    part = SimpleNamespace(
+        mass=1.0,
+        center_of_mass=np.zeros(3),
+        inertia=np.eye(3),
+        nodes=Rows(ids=rows + 1, xyz=x),
+        cells=(Cells(vtk=1, connectivity=rows[:, None]),),
+        transformation=sp.csr_array((3 * n_nodes, 0)),
+        interfaces=(),
+        columns={},
+        node_ids=rows + 1,
+        source="",
+        warnings=(),
+    )
+    reduced = reduced_model(np.eye(order), np.diag(np.arange(1.0, order + 1)), D=zero)
+    frequencies = np.sqrt(np.arange(1.0, order + 1)) / (2 * np.pi)
+    body = body_of(reduced, part, frequencies_hz=frequencies, basis=Waves(3 * n_nodes, order, fail_at, error))
+    return dataclasses.replace(body, name=name)
 
 
 class Rows(SimpleNamespace):
@@ -153,7 +159,7 @@ def test_everything_comes_back_to_the_last_bit(bar, stored):
         ):
             np.testing.assert_array_equal(getattr(body_read, name), value, err_msg=name)
         assert body_read.mode_kind == reduced.mode_kind and body_read.rigid_count == reduced.rigid_count == 6
-        assert body_read.recipe == body.recipe and body_read.reduced().structural == 0
+        assert body_read.recipe == body.recipe and body_read.reduced.structural == 0
         np.testing.assert_array_equal(body_read.basis(), body.basis())
         for columns in (slice(2, 5), slice(None, None, 3), slice(None, None, -2), slice(3, 3)):
             np.testing.assert_array_equal(body_read.basis(columns), body.basis()[:, columns])
@@ -179,6 +185,32 @@ def test_interfaces_and_the_meaning_of_the_inputs(bar, stored):
         np.testing.assert_allclose(body.input_matrix[:, column], through_basis, rtol=0, atol=1e-9)
     assert back.input_component[:7].tolist() == [0, 1, 2, 4, 0, 1, 2]
     assert back.input_interface[:7].tolist() == [0, 0, 0, 0, 1, 1, 1] and (back.input_node_id[:7] == -1).all()
+
+
+def test_damping_ratios_of_modes_are_kept(tmp_path):
+    model = steel(box("hex8", (4, 1, 1), (0.5, 0.05, 0.03)))
+    left = make_interface(model, name="left", nodes=where(model, 0, 0.0))
+    with Problem(model, [left], damping=Damping(modal=0.03)) as problem:
+        body = elastic_body(problem, CraigBampton(modes=3).reduce(problem), make_part(problem))
+    with h5py.File(write_body(tmp_path / "body.h5", [body])) as file:
+        assert file["bodies/craig-bampton/damping_ratios"].attrs["description"].startswith(b"ratio of critical damping")
+    path = tmp_path / "body.h5"
+    kept = read_body(path).bodies["craig-bampton"].damping_ratios
+    assert kept[:6].tolist() == [0.0] * 6 and kept[6:] == pytest.approx(0.03, rel=1e-6)
+    with h5py.File(path, "r+") as file:
+        del file["bodies/craig-bampton/damping_ratios"]
+        file["bodies/craig-bampton/damping_ratios"] = np.zeros(4)
+        seal(file, apart=["provenance"])
+    with pytest.raises(InputError, match=r"damping_ratios has the shape \(4,\)"):
+        read_body(path)
+
+
+def test_what_0_1_called_is_a_property_now(stored):
+    body = read_body(stored).bodies["modal"]
+    with pytest.warns(DeprecationWarning, match="ReducedModel is there without a call"):
+        assert body.reduced() is body.reduced
+    with pytest.raises(InputError, match="no static modes of candidate loads"):
+        body.switching()
 
 
 def test_names_that_are_not_there_are_told(stored):
@@ -228,8 +260,8 @@ def test_same_input_same_bytes(bar, stored, tmp_path):
 
 
 def test_same_bytes_in_another_process(tmp_path):
-    write_body(tmp_path / "here.h5", [Made(50, 4)], provenance=PROVENANCE)
-    done = child("write_body('there.h5', [Made(50, 4)], provenance=PROVENANCE)", tmp_path, PYTHONHASHSEED="77")
+    write_body(tmp_path / "here.h5", [made(50, 4)], provenance=PROVENANCE)
+    done = child("write_body('there.h5', [made(50, 4)], provenance=PROVENANCE)", tmp_path, PYTHONHASHSEED="77")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "here.h5").read_bytes() == (tmp_path / "there.h5").read_bytes()
 
@@ -241,10 +273,10 @@ def test_interruption_leaves_the_old_file_or_none(tmp_path, error, old):
     if old:
         path.write_bytes(old)
     with pytest.raises(type(error)) as caught:
-        write_body(path, [Made(10, 6, fail_at=3, error=error)], block_bytes=8 * 30)
+        write_body(path, [made(10, 6, fail_at=3, error=error)], block_bytes=8 * 30)
     assert caught.value is error
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == ([("body.h5", old)] if old else [])
-    write_body(path, [Made(10, 6)])
+    write_body(path, [made(10, 6)])
     assert read_body(path).bodies["made"].basis(slice(2, 3))[0] == np.sin(1.0) + 2
 
 
@@ -269,14 +301,14 @@ def replaced_open(monkeypatch, new):
 
 
 def test_short_writes_are_continued(tmp_path, monkeypatch):
-    whole = write_body(tmp_path / "whole.h5", [Made(20, 3)], provenance=PROVENANCE).read_bytes()
+    whole = write_body(tmp_path / "whole.h5", [made(20, 3)], provenance=PROVENANCE).read_bytes()
 
     class Slow(io.FileIO):
         def write(self, data):
             return super().write(data[: len(data) // 2 + 1])
 
     slow = replaced_open(monkeypatch, lambda path: Slow(path, "x+b"))
-    assert write_body(tmp_path / "slow.h5", [Made(20, 3)], provenance=PROVENANCE).read_bytes() == whole
+    assert write_body(tmp_path / "slow.h5", [made(20, 3)], provenance=PROVENANCE).read_bytes() == whole
     assert slow
 
 
@@ -305,10 +337,10 @@ def test_failure_inside_hdf5_leaves_the_old_file(tmp_path, monkeypatch, reason, 
     path = tmp_path / "body.h5"
     path.write_bytes(b"the old file")
     replaced_open(monkeypatch, lambda path: Failing(io.FileIO(path, "x+b")))
-    body = Made(2000, 6)
+    body = made(2000, 6)
     with pytest.raises(OutputError if isinstance(reason, OSError) else KeyboardInterrupt):
         write_body(path, [body])
-    assert number > 1 or not body.asked  # no work for a file that is lost
+    assert number > 1 or not body.basis.asked  # no work for a file that is lost
     assert open_in_hdf5() == 0
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("body.h5", b"the old file")]
 
@@ -318,7 +350,7 @@ def test_full_disk_at_any_place(tmp_path):
 
     def work():
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        size = write_body("size.h5", [Made(500, 30)], provenance=PROVENANCE).stat().st_size
+        size = write_body("size.h5", [made(500, 30)], provenance=PROVENANCE).stat().st_size
         Path("size.h5").unlink()
         Path("body.h5").write_bytes(b"old")
         free, before = resource.getrlimit(resource.RLIMIT_FSIZE), open_in_hdf5()
@@ -326,14 +358,14 @@ def test_full_disk_at_any_place(tmp_path):
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, free[1]))
             try:
                 with pytest.raises(OutputError) as refused:
-                    write_body("body.h5", [Made(500, 30)], provenance=PROVENANCE)
+                    write_body("body.h5", [made(500, 30)], provenance=PROVENANCE)
             finally:
                 resource.setrlimit(resource.RLIMIT_FSIZE, free)
             assert open_in_hdf5() == before and os.listdir() == ["body.h5"], limit
             assert Path("body.h5").read_bytes() == b"old"
             if "basis" in str(refused.value):
                 sys.stdout.write(f"{refused.value}\n")
-        write_body("body.h5", [Made(500, 30)])
+        write_body("body.h5", [made(500, 30)])
         assert read_body("body.h5").bodies["made"].basis().shape == (1500, 30)
 
     done = apart(work, tmp_path)
@@ -349,8 +381,8 @@ def test_basis_is_streamed(tmp_path):
     code = """
 def peak():
     return int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) / 1024
-body = Made(100_000, 84)
-write_body("small.h5", [Made(10, 84)])
+body = made(100_000, 84)
+write_body("small.h5", [made(10, 84)])
 body.basis(slice(0, 1))
 before = peak()
 write_body("body.h5", [body])
@@ -365,7 +397,7 @@ print(peak() - before, Path("body.h5").stat().st_size / 2**20, float(column[0, 0
 
 
 def test_where_no_file_can_be_written(tmp_path, monkeypatch):
-    body = [Made(2, 1)]
+    body = [made(2, 1)]
     (tmp_path / "file").write_bytes(b"")
     (tmp_path / "folder").mkdir()
     for path, words in (
@@ -395,14 +427,13 @@ def test_where_no_file_can_be_written(tmp_path, monkeypatch):
 def test_a_link_keeps_pointing(tmp_path):
     (tmp_path / "far").mkdir()
     (tmp_path / "body.h5").symlink_to(tmp_path / "far" / "real.h5")
-    write_body(tmp_path / "body.h5", [Made(2, 1)])
+    write_body(tmp_path / "body.h5", [made(2, 1)])
     assert (tmp_path / "body.h5").is_symlink() and read_body(tmp_path / "far" / "real.h5").bodies
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "a/b", "a\nb"])
 def test_names_that_cannot_be_stored(tmp_path, name):
-    body = Made(2, 1)
-    body.name = name
+    body = made(2, 1, name=name)
     with pytest.raises(InputError, match="cannot be stored"):
         write_body(tmp_path / "body.h5", [body])
     with pytest.raises(InputError, match="interface name"):
@@ -411,7 +442,7 @@ def test_names_that_cannot_be_stored(tmp_path, name):
 
 
 def test_bodies_that_do_not_go_together(tmp_path):
-    first, second = Made(2, 1), Made(2, 1)
+    first, second = made(2, 1), made(2, 1)
     for bodies, words in (([], "no body"), ([first, second], "different parts"), ([first, first], "more than once")):
         with pytest.raises(InputError, match=words):
             write_body(tmp_path / "body.h5", bodies)
@@ -501,7 +532,7 @@ def test_equal_coordinates_leave_the_sign_to_the_first(more):
 
 
 def test_cells_of_several_types(tmp_path):
-    body = Made(7, 1)
+    body = made(7, 1)
     body.part.cells = (
         Cells(vtk=10, connectivity=np.array([[0, 1, 2, 3], [3, 4, 5, 6]])),
         Cells(vtk=12, connectivity=np.empty((0, 8), dtype=np.int64)),
@@ -553,7 +584,7 @@ def test_octave_loads_every_group(bar, stored):
 
 @needs_octave
 def test_octave_loads_a_body_without_interfaces(tmp_path):
-    write_body(tmp_path / "body.h5", [Made(3, 2)])
+    write_body(tmp_path / "body.h5", [made(3, 2)])
     out = octave('s = load("body.h5"); printf("%s ", fieldnames(s){:}, size(s.bodies.made.input_matrix))', tmp_path)
     with h5py.File(tmp_path / "body.h5") as file:
         assert out.split()[: len(file)] == sorted(file)

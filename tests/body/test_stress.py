@@ -13,8 +13,8 @@ import scipy.sparse.linalg as spl
 from morembs.base.budget import Budget
 from morembs.base.errors import InputError
 from morembs.base.units import parse_units
-from morembs.body.stress_shapes import read_recovery, recovery_parts, stress_recovery, stress_shapes
-from morembs.body.tables import RECOVERY
+from morembs.body.recovery_shapes import RECOVERY, read_recovery, recovery_parts
+from morembs.body.stress_shapes import stress_recovery, stress_shapes
 from morembs.fem import Mesh
 from morembs.fem.assembly import assemble
 from morembs.fem.elements import TYPES

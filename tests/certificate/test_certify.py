@@ -168,10 +168,9 @@ BODIES = {
     "rotor": foreign("ansys_rotor/rotorDiscTest.inp", 2),
 }
 LARGE = {
-    "bracket": small("bracket.msh", "average", "FOOT", "TIP"),
+    "bracket": small("bracket.msh", "rigid", "FOOT", "TIP"),
     "abaqus block": foreign("abaqus_block/blockC3D8.inp", 0),
     "plate": small("plate.msh", "average", "LEFT", "RIGHT"),
-    "conrod": small("conrod.msh", "rigid", "BIGEND", "SMALLEND"),
     "wheelset": foreign("wheelset/wheelset.vtk", 0),
 }
 
@@ -447,9 +446,8 @@ SPOILED = {
 }
 
 
-@pytest.mark.parametrize("what", SPOILED)
 @pytest.mark.parametrize("damping", DAMPINGS)
-def test_reduced_matrices_that_are_not_projections_are_bounded_too(what, damping):
+def test_reduced_matrices_that_are_not_projections_are_bounded_too(damping):
     """The bound sees what was stored, not what ought to have been."""
     model, interfaces = ends("average")
     with Problem(model, interfaces, damping=DAMPINGS[damping]) as problem:
@@ -460,13 +458,14 @@ def test_reduced_matrices_that_are_not_projections_are_bounded_too(what, damping
         E = np.zeros_like(sound.K)
         E[6:, 6:] = np.random.default_rng(1).standard_normal((sound.order - 6,) * 2)
         E = (E + E.T) / (2 * np.sqrt(len(E)))
-        wrong = SPOILED[what](sound, E)
-        before, certificate = certify(problem, [sound, wrong], hz)
+        spoiled = {what: replace(spoil(sound, E), name=what) for what, spoil in SPOILED.items()}
+        before, *certificates = certify(problem, [sound, *spoiled.values()], hz)
+    for (what, wrong), certificate in zip(spoiled.items(), certificates, strict=True):
         error = errors_of(wrong, omega, H, scale)
         if what != "D" or damping == "rayleigh":
-            assert error.max() > 1.5 * before.error.max()
-        assert (np.abs(certificate.error - error) <= 1e-3 * error + 10 * certificate.reference_error).all()
-        assert (error <= certificate.bound * (1 + 1e-6) + certificate.reference_error).all()
+            assert error.max() > 1.5 * before.error.max(), what
+        assert (np.abs(certificate.error - error) <= 1e-3 * error + 10 * certificate.reference_error).all(), what
+        assert (error <= certificate.bound * (1 + 1e-6) + certificate.reference_error).all(), what
 
 
 def known_by(model, interfaces, modes):

@@ -15,7 +15,9 @@ from morembs.body.build import BodyOptions, build_body
 from morembs.body.file import write_body
 from morembs.parametric.terms import AffineProblem, varied_model
 from morembs.reducers import ParametricReducer
+from tests.support.commands import run
 from tests.support.parametric import STEEL, bracket, interfaces, longer, parameters, parametric_file
+from tests.support.stored import datasets
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +25,7 @@ def path(tmp_path_factory):
     mesh = bracket()
     varied = varied_model(mesh, [STEEL], (*parameters(), longer(mesh)))
     with AffineProblem(varied, interfaces(varied.model(varied.box.nominal))) as problem:
-        return parametric_file(tmp_path_factory.mktemp("bodies") / "bracket.h5", problem, nodes="skin")
+        return parametric_file(tmp_path_factory.mktemp("bodies") / "bracket.h5", problem, nodes="interfaces")
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +36,7 @@ def proven(tmp_path_factory):
     with AffineProblem(varied, interfaces(varied.model(varied.box.nominal))) as problem:
         reduced = reducer.reduce(problem)
         variation = reducer.variation(problem, reduced)
-        body = build_body(problem, reduced, make_part(problem, "skin"), BodyOptions(), variation=variation)
+        body = build_body(problem, reduced, make_part(problem, "interfaces"), BodyOptions(), variation=variation)
         return write_body(tmp_path_factory.mktemp("proven") / "bracket.h5", [body])
 
 
@@ -43,12 +45,6 @@ def table(tmp_path):
     file = tmp_path / "p.csv"
     file.write_text("E_arm,t\n1.6e11,-2\n2.0e11,1.5\n2.6e11,2.5\n")
     return file
-
-
-def run(*arguments, code=0):
-    result = CliRunner().invoke(app, [str(each) for each in arguments])
-    assert result.exit_code == code, result.stderr
-    return result.stdout if code == 0 else result.stderr
 
 
 def test_a_body_at_values_is_written(path, tmp_path):
@@ -98,14 +94,7 @@ def test_a_body_at_values_is_exported(path, tmp_path):
 
 
 def numbers(file):
-    held = {}
-    with h5py.File(file) as opened:
-        opened.visititems(
-            lambda name, item: (
-                held.update({name: item[()]}) if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" else None
-            )
-        )
-    return held
+    return {name: value for name, value in datasets(file).items() if value.dtype.kind in "iuf"}
 
 
 def test_a_family_is_exported_with_an_index(path, table, tmp_path):

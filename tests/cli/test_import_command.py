@@ -6,6 +6,7 @@ import gzip
 import hashlib
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -22,6 +23,7 @@ from morembs.app.cli import app
 from morembs.fem import FEModel
 from morembs.importers import IMPORTERS, import_file
 from morembs.importers.model_file import read_model, write_model
+from tests.support import commands
 from tests.support.decks import BEAM, deck, folder
 from tests.support.meshes import box, steel
 
@@ -30,10 +32,7 @@ CONROD_HZ = [5931.72907, 10572.56166, 13006.48953, 14286.39617]
 BLOCK_HZ = [451.333341, 452.009851, 607.870197, 1026.459420]
 
 
-def run(*arguments: object) -> str:
-    result = CliRunner().invoke(app, ["import", *map(str, arguments)])
-    assert result.exit_code == 0, result.stderr
-    return result.stdout
+run = partial(commands.run, "import")
 
 
 def refused(folder: Path, *arguments: object) -> str:

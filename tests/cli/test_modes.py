@@ -18,7 +18,7 @@ from morembs.body.file import read_body
 from morembs.body.floating.spin import campbell
 from morembs.fem.tubes import tube_model
 from morembs.importers.model_file import write_model
-from tests.support.commands import refused
+from tests.support.commands import refused, run
 from tests.support.meshes import box
 from tests.support.tubes import PIPE
 
@@ -71,12 +71,6 @@ def job(folder, tables=SPIN):
     path = folder / "job.toml"
     path.write_text(JOB.format(tables=tables))
     return path
-
-
-def run(*words):
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    assert result.exit_code == 0, result.stderr
-    return result.stdout
 
 
 @pytest.fixture(scope="module")

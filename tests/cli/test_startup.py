@@ -17,7 +17,7 @@ LOADED = """
 import sys
 sys.argv[0] = "morembs"
 try:
-    __import__("morembs.app.cli").cli.main()
+    __import__("morembs.app.cli").app.cli.main()
 finally:
     print("\\n" + " ".join({".".join(name.split(".")[:2]) for name in sys.modules}), file=sys.stderr)
 """

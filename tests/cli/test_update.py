@@ -2,14 +2,14 @@
 
 import csv
 import json
+from functools import partial
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import morembs
-from morembs.app.cli import app
 from morembs.parametric.terms import AffineProblem, varied_model
+from tests.support import commands
 from tests.support.parametric import STEEL, bracket, interfaces, longer, parameters, parametric_file
 
 HIDDEN = {"E_arm": 1.8e11, "E_rest": 2.35e11, "t": 1.0}
@@ -23,10 +23,7 @@ def path(tmp_path_factory):
         return parametric_file(tmp_path_factory.mktemp("bodies") / "bracket.h5", problem, nodes="skin")
 
 
-def run(*arguments, code=0):
-    result = CliRunner().invoke(app, ["update", *map(str, arguments)])
-    assert result.exit_code == code, result.stderr
-    return result.stdout if code == 0 else result.stderr
+run = partial(commands.run, "update")
 
 
 def write(file, header, rows):

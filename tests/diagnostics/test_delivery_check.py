@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from morembs.app.cli import app
 from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
+from morembs.body.build import body_of as body_of_reduced
 from morembs.body.delivery_check import check_delivery
 from morembs.body.file import read_body, write_body
 from morembs.fem import FEModel
@@ -36,7 +37,8 @@ def body_of(reducer=None, coupling="rigid", damping=None, model=None):
 
 
 def with_matrices(body, **matrices):
-    return replace(body, reduced=replace(body.reduced, **matrices))
+    known = {name: getattr(body, name) for name in ("frequencies_hz", "full_frequencies_hz", "certificate", "floating")}
+    return body_of_reduced(replace(body.reduced, **matrices), body.part, **known)
 
 
 @pytest.mark.parametrize("coupling", ["rigid", "average", "direct"])

@@ -71,7 +71,7 @@ def test_one_of_several_interfaces_carries_the_tower(tmp_path):
     assert any("nothing can be attached to tower" in note for note in done.notes)
     with pytest.raises(InputError, match="did you mean 'boat'"):
         export_body(source, "extptfm", options={"interface": "boot"})
-    with pytest.raises(InputError, match="expected a positive one"):
+    with pytest.raises(InputError, match="expected a positive number"):
         export_body(source, "extptfm", options={"interface": "boat", "duration": 0.0})
 
 

@@ -291,7 +291,7 @@ def test_a_compiler_that_fails_is_told_of(source, monkeypatch):
         ({"structure": "floating", "held": ["tip"]}, 'take structure = "linear"'),
         ({"stress": [99999]}, "node 99999 has no stress in the file; the nearest labels are"),
         ({"damping_ratio": -0.1}, "zero or more"),
-        ({"fmi": "1.0"}, "'2.0' or '3.0'"),
+        ({"fmi": "1.0"}, '"2.0" or "3.0"'),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_is_written(source, options, words):

@@ -12,6 +12,7 @@ import scipy.sparse.linalg as spl
 import morembs
 from morembs import elastic_body, make_part, state_space
 from morembs.base.errors import InputError
+from morembs.body.build import body_of
 from morembs.body.file import read_body, write_body
 from morembs.exporters import export_body
 from morembs.exporters.state_space_files import read_state_space, write_state_space
@@ -41,7 +42,7 @@ def body():
     size = np.sqrt(np.outer(np.diag(free.reduced.M), np.diag(free.reduced.M)))
     skewed = np.triu(np.random.default_rng(3).standard_normal(D.shape) * size, 1)
     reduced = replace(free.reduced, D=D + 2 * (skewed - skewed.T), W=free.reduced.V)
-    return replace(free, reduced=reduced, floating=None)
+    return body_of(reduced, free.part, free.frequencies_hz)
 
 
 def response(system, omega):

@@ -359,13 +359,13 @@ def test_three_models_of_a_stiff_slider_crank_agree():
 
 
 def test_bad_input_is_named():
-    with pytest.raises(InputError, match="'cubic' was given; expected 'linear'"):
+    with pytest.raises(InputError, match="'cubic' was given; expected \"linear\""):
         ReducedMember(rod(), modes=1, formulation="cubic")
     with pytest.raises(InputError, match="-1 modes"):
         ReducedMember(rod(), modes=-1)
-    with pytest.raises(InputError, match=r"range of \+-3\.5 rad"):
+    with pytest.raises(InputError, match=r"reach = 3\.5 was given; expected an angle in rad"):
         ReducedMember(rod(), modes=1, reach=3.5)
-    with pytest.raises(InputError, match="1 points"):
+    with pytest.raises(InputError, match="points_per_angle = 1 was given"):
         ReducedMember(rod(), modes=1, points_per_angle=1)
     with pytest.raises(InputError, match=r"'membrane' was given for a Softening.*Take 'tangent'"):
         ReducedMember(Softening(0.0), modes=1, formulation="membrane")

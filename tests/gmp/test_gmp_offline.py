@@ -368,5 +368,5 @@ def test_bad_plans_are_named():
         AngleRange(angle=0.5, moment=1.0)
     with pytest.raises(InputError, match=r"moment = -1"):
         AngleRange(moment=-1)
-    with pytest.raises(InputError, match=r"3\.2 rad"):
+    with pytest.raises(InputError, match=r"angle = 3\.2 was given"):
         AngleRange(angle=3.2)

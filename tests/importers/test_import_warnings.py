@@ -19,15 +19,10 @@ from morembs.importers import import_file
 from morembs.importers.formulations import ansys_meaning, deck_warnings, meaning_of
 from morembs.importers.model_file import read_model, write_model
 from morembs.importers.to_model import model_of
+from tests.support.commands import run
 from tests.support.decks import BEAM, MATERIAL, deck, folder
 from tests.support.mesh_decks import ansys_archive, nastran_mesh
 from tests.support.meshes import STEEL, box
-
-
-def run(*arguments: object) -> str:
-    result = CliRunner().invoke(app, list(map(str, arguments)))
-    assert result.exit_code == 0, result.stderr
-    return result.stdout
 
 
 def test_a_warning_goes_from_the_deck_into_the_body_file(tmp_path: Path) -> None:

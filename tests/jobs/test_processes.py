@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import psutil
 import pytest
@@ -29,9 +28,10 @@ from morembs.importers.model_file import write_model
 from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.ranks import why_not
 from morembs.linalg.sparse.select import SOLVERS
-from tests.support.commands import refused, without_progress
+from tests.support.commands import refused, run, without_progress
 from tests.support.matrices import brick, shifted
 from tests.support.meshes import box, steel, where
+from tests.support.stored import datasets
 from tests.support.tubes import BORE, arch
 
 ROOT = Path(__file__).parents[2]
@@ -96,18 +96,13 @@ FLOW = f'[[flow]]\npath = "set:TUBE"\nmass_flow = 0.4\ndensity = 1000.0\narea = 
 def reduced(folder: Path, solver: str, method: str = KRYLOV) -> dict[str, np.ndarray]:
     """Datasets of the body, all but what tells of the run."""
     folder.mkdir()
-    return datasets(written(folder, solver, method))
+    return body_of(written(folder, solver, method))
 
 
-def datasets(job: Path) -> dict[str, np.ndarray]:
+def body_of(job: Path) -> dict[str, np.ndarray]:
     """As ``reduced``, of a job that is written."""
-    folder = job.parent
-    result = CliRunner().invoke(app, ["reduce", str(job)])
-    assert result.exit_code == 0, result.stderr
-    values: dict[str, np.ndarray] = {}
-    with h5py.File(folder / "part.h5") as file:
-        file.visititems(lambda name, node: values.update({name: node[()]}) if isinstance(node, h5py.Dataset) else None)
-    return {name: value for name, value in values.items() if not name.startswith("provenance")}
+    run("reduce", job)
+    return datasets(job.with_name("part.h5"))
 
 
 def written(folder: Path, solver: str, method: str = KRYLOV) -> Path:
@@ -124,9 +119,7 @@ def damped(folder: Path, solver: str, keys: dict[str, str]) -> Path:
 
 
 def checked(job: Path) -> dict[str, Any]:
-    result = CliRunner().invoke(app, ["check", str(job), "--json"])
-    assert result.exit_code == 0, result.stderr
-    forecast: dict[str, Any] = json.loads(result.stdout)[0]
+    forecast: dict[str, Any] = json.loads(run("check", job, "--json"))[0]
     return forecast
 
 
@@ -179,7 +172,7 @@ def test_damped_bodies_and_certificates_do_not_depend_on_workers(tmp_path, caplo
     caplog.set_level("INFO", "morembs.base.crew")
     for workers in (1, 2, 3):
         job = damped(tmp_path / f"w{workers}", f"workers = {workers}", keys)
-        made.append(datasets(job))
+        made.append(body_of(job))
         assert sorted(path.name for path in job.parent.iterdir()) == ["job.toml", "part.h5"]
     for other in made[1:]:
         assert [name for name in made[0] if not same(made[0][name], other[name])] == []
@@ -196,7 +189,7 @@ def test_check_forecasts_what_factors_at_shifts_and_workers_take(tmp_path, caplo
     alone, shared = (damped(tmp_path / f"w{n}", f'name = "mumps"\nworkers = {n}', keys) for n in (1, 2))
     forecast = checked(alone)
     caplog.clear()
-    datasets(alone)
+    body_of(alone)
     factors = [record.args for record in caplog.records if "factor entries=" in record.msg]
     entries, megabytes = max(args[3] for args in factors), max(args[4] for args in factors)
     # MUMPS counts both triangles of the pivot blocks of symmetric ones before it knows which pivots it takes.
@@ -206,7 +199,7 @@ def test_check_forecasts_what_factors_at_shifts_and_workers_take(tmp_path, caplo
     assert forecast["shift_factor_bytes"] > (3 if model == "tube" else 1.8) * forecast["factor_bytes"]
     both = checked(shared)
     caplog.clear()
-    datasets(shared)
+    body_of(shared)
     peak = max(record.args[2] for record in caplog.records if "workers of" in record.msg)
     assert both["processes"] == 2 and 1 <= both["process_bytes"] / (1e6 * peak) < 1.6
     assert both["all_processes_bytes"] > both["peak_memory_bytes"] + 2 * both["process_bytes"]

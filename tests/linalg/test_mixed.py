@@ -12,7 +12,8 @@ from morembs.base.errors import InputError, SingularMatrixError, SolverError
 from morembs.fem.assembly import assemble
 from morembs.fem.material import isotropic
 from morembs.linalg.sparse.mixed import Mixed
-from morembs.linalg.sparse.mumps import Mumps, MumpsAnalysis
+from morembs.linalg.sparse.mumps import Mumps
+from morembs.linalg.sparse.session import SessionAnalysis
 from morembs.linalg.sparse.solver import SYMMETRIC_STRUCTURES, Analysis, Factorization
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.problem import Problem
@@ -106,7 +107,7 @@ def test_a_solution_that_stagnates_later_gets_a_double_factor_too(caplog: pytest
         def _release(self) -> None:
             self.factor.close()
 
-    class WeakAnalysis(MumpsAnalysis):
+    class WeakAnalysis(SessionAnalysis):
         def factorize_unchecked(self, A: Lower) -> Factorization:
             factor = super().factorize_unchecked(A)
             return Weak(factor) if factor.stats.precision == "single" else factor

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
-from morembs.linalg.sparse import mumps, mumps_instance, mumps_library, ordering
+from morembs.linalg.sparse import mumps, mumps_library, ordering
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
+from morembs.linalg.sparse.mumps_codes import Job
 from morembs.linalg.sparse.symmetric import Lower
 from tests.support.matrices import backward_error, brick, chain, random, shifted, sparse_loads
 
@@ -81,13 +82,13 @@ def test_workspace_is_raised_when_it_was_too_small(kind: Kind, hopeless: bool) -
     codes: list[int] = []
 
     def starve(call: Callable[[Any, int], None], data: Any, job: int) -> None:
-        if job == mumps_instance.FACTORIZE:
+        if job == Job.FACTORIZE:
             # ICNTL(14), the room in per cent.
             asked.append(int(data.icntl[13]))
             if hopeless or len(asked) == 1:
                 data.icntl[13] = -60
         call(data, job)
-        codes.extend([int(data.infog[0])] if job == mumps_instance.FACTORIZE else [])
+        codes.extend([int(data.infog[0])] if job == Job.FACTORIZE else [])
 
     A, b = brick(8), random(1536)
     if hopeless:
@@ -130,7 +131,7 @@ def test_inertia_keeps_no_factor(kind: Kind) -> None:
     A, controls = shifted(brick(5), 13.7), []
 
     def note(call: Callable[[Any, int], None], data: Any, job: int) -> None:
-        if job == mumps_instance.FACTORIZE:
+        if job == Job.FACTORIZE:
             # ICNTL(31) discards the factor, ICNTL(22) writes it to the disk.
             controls.append((data.icntl[30], data.icntl[21]))
         call(data, job)
@@ -201,7 +202,7 @@ def test_low_rank_needs_a_library_that_can(kind: Kind) -> None:
     controls = []
 
     def note(call: Callable[[Any, int], None], data: Any, job: int) -> None:
-        if job == mumps_instance.FACTORIZE:
+        if job == Job.FACTORIZE:
             # ICNTL(35) chooses blocks of low rank, CNTL(7) is what they may drop.
             controls.append((data.icntl[34], data.cntl[6]))
         call(data, job)
@@ -226,7 +227,7 @@ def test_scratch_is_empty_after_an_exception(on_disk: Any) -> None:
         on_disk.factorize(chain(40, held=False), "spd")
 
 
-@pytest.mark.parametrize("job", [mumps_instance.ANALYSE, mumps_instance.FACTORIZE])
+@pytest.mark.parametrize("job", [Job.ANALYSE, Job.FACTORIZE])
 def test_an_interrupt_of_the_wait_leaves_nothing_behind(on_disk: Any, job: int) -> None:
     """The call goes on alone, then MUMPS frees what it holds; the folder is gone at once."""
     ended, freed = threading.Event(), threading.Event()
@@ -235,7 +236,7 @@ def test_an_interrupt_of_the_wait_leaves_nothing_behind(on_disk: Any, job: int) 
         if now == job:
             assert ended.wait(600)
         call(data, now)
-        if now == mumps_instance.END:
+        if now == Job.END:
             freed.set()
 
     class Impatient:

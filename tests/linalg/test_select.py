@@ -163,4 +163,4 @@ def test_motions_of_low_energy_reach_the_solver_that_uses_them(monkeypatch: pyte
     if not SOLVERS["amg"].unavailable():
         _without(monkeypatch, *(SOLVERS[name] for name in {*FAST, *LEAN} - {"amg"}))
         with known.with_memory(10**9).analyse(MATRICES["spd"], "spd") as analysis:
-            assert analysis.solver.near_nullspace is Z
+            assert analysis.session.solver.near_nullspace is Z

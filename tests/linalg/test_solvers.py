@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -301,12 +302,18 @@ def test_inertia_counts_the_eigenvalues_of_a_pencil_below_a_shift(solver: Linear
             assert factor.negative_pivots() == gap
 
 
+@cache
+def large_brick() -> tuple[sp.csc_array, np.ndarray]:
+    """A matrix of 8,232 rows and its 40 lowest eigenvalues by ARPACK."""
+    K = brick(14)
+    return K, spl.eigsh(K, 40, sigma=0.0, return_eigenvectors=False)
+
+
 def test_inertia_of_large_fronts(solver: LinearSolver) -> None:
     """The last front of 8,232 unknowns is large enough for processes to share it. ARPACK says how many are below."""
     if "symmetric" not in solver.structures:
         pytest.skip("it factorises positive definite matrices only")
-    K = brick(14)
-    below = spl.eigsh(K, 40, sigma=0.0, return_eigenvectors=False)
+    K, below = large_brick()
     try:
         assert solver.negative_eigenvalues(shifted(K, 3.0)) == (below < 3.0).sum() == 27
     except SolverError as error:

@@ -66,7 +66,7 @@ def test_the_basis_keeps_its_tolerance_at_other_values_and_no_error_exceeds_the_
         S = np.outer(basis.model.scale, basis.model.scale)
         with problem.at(p, assembled=True) as there:
             B = there.B.toarray()
-            H = np.stack([B.T @ elastic_states(there, 2j * np.pi * f, B) for f in hz])
+            H = np.stack([B.T @ elastic_states(there.system, 2j * np.pi * f, B) for f in hz])
         error = np.linalg.norm((at.response(hz) - H) * S, axis=(1, 2))
         assert at.bound_kind == "bound"
         assert (error <= bound).all() and (bound <= 30 * error).all()

@@ -4,14 +4,12 @@ import os
 import shutil
 import signal
 
-import h5py
-import numpy as np
-
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
 from morembs.parametric.steps import clear_steps
 from tests.support.parametric import BRACKET
 from tests.support.processes import apart
+from tests.support.stored import datasets
 
 JOB = """
 [model]
@@ -63,14 +61,7 @@ def reduced(folder, progress=None, job=JOB):
     (folder / "bracket.inp").write_bytes(BRACKET.read_bytes())
     (folder / "job.toml").write_text(job)
     run_job(load_job(folder / "job.toml"), progress or Told())
-    return datasets(folder / "bracket.h5")
-
-
-def datasets(path):
-    held = {}
-    with h5py.File(path) as file:
-        file.visititems(lambda name, item: held.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
-    return {name: np.asarray(value).tobytes() for name, value in held.items() if not name.startswith("provenance")}
+    return {name: value.tobytes() for name, value in datasets(folder / "bracket.h5").items()}
 
 
 def test_a_killed_reduction_goes_on_and_gives_the_same_body(tmp_path):

@@ -96,7 +96,7 @@ def test_each_ratio_holds_from_its_frequency_to_the_next():
         ({"modal_table": [[0, 0.01], [100]]}, ["expected points"]),
         ({"modal_table": "adam"}, ["'adam'", "'adams'"]),
         ({"modal": 2.0}, ["modal = 2.0", "0.02 for 2 percent"]),
-        ({"modal": -0.1}, ["modal = -0.1", "zero or more"]),
+        ({"modal": -0.1}, ["modal = -0.1", "from 0 to 1"]),
         ({"structural": -0.1}, ["structural = -0.1", "zero or more"]),
         ({"modal": 0.1, "modal_table": "adams"}, ["not both"]),
         ({"alpha": 0.1, "modal_table": "adams"}, ["not both"]),
@@ -151,7 +151,7 @@ def test_the_response_of_a_table_solves_the_dense_equations(coupling, table):
         assert off(full_response(problem, OMEGA), true, problem) < 1e-6
         assert len(reference_model(problem, OMEGA).values) < 0.9 * len(values)
         with pytest.raises(InputError, match="mode by mode"):
-            elastic_states(problem, 100j, problem.B)
+            elastic_states(problem.system, 100j, problem.B)
 
 
 def test_a_table_that_jumps_among_modes_of_a_larger_model_makes_an_estimate():

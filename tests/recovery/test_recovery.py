@@ -20,8 +20,8 @@ from morembs.body.file import read_body, write_body
 from morembs.body.floating.frame import floating_frame
 from morembs.body.recovery.expansion import Expander
 from morembs.body.recovery.recover import Recovered, Trajectory, expand, read_trajectory, recover
-from morembs.body.stress_shapes import recovery_parts, stress_recovery
-from morembs.body.tables import RECOVERY
+from morembs.body.recovery_shapes import RECOVERY, recovery_parts
+from morembs.body.stress_shapes import stress_recovery
 from morembs.body.vtkhdf_series import stored_recovery
 from morembs.dynamics.multibody import FixedJoint, FlexibleBody, PointLoad, System, ground, simulate
 from morembs.dynamics.multibody.rotations import exponential

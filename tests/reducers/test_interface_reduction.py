@@ -16,7 +16,8 @@ from morembs.fem.interface import make_interface
 from morembs.linalg.sparse.select import select_solver
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, Guyan
-from morembs.reducers.interface_modes import DENSE, FixedInterfaceBody, interface_modes
+from morembs.reducers.interface_modes import FixedInterfaceBody, interface_modes
+from morembs.reducers.tolerances import TOL as REDUCERS
 from tests.support.meshes import box, steel, where
 
 SIZE = (0.4, 0.1, 0.08)
@@ -29,7 +30,7 @@ def bar(n=(6, 3, 3)):
 def wide_bar(lengthwise):
     """So many interface motions that characteristic modes come from block Lanczos, with the rows left out."""
     model = bar((lengthwise, 8, 8))
-    assert 2 * 3 * len(where(model, 0, 0.0)) > DENSE
+    assert 2 * 3 * len(where(model, 0, 0.0)) > REDUCERS.dense_interface
     return model
 
 
@@ -245,7 +246,7 @@ def test_an_average_interface_inside_a_rigid_or_direct_one_is_refused():
     ("options", "words"),
     [
         ({"interface_modes": 3, "interface_up_to_hz": 10.0}, "choose one"),
-        ({"interface_modes": -1}, "expected a count"),
+        ({"interface_modes": -1}, "expected an integer, zero or more"),
         ({"interface_up_to_hz": 0.0}, "expected a positive frequency"),
         ({"interface_up_to_hz": float("nan")}, "expected a positive frequency"),
     ],

@@ -205,7 +205,7 @@ def test_a_body_file_keeps_the_skew_parts(stored):
     read = read_body(path, whole=True)
     body = read.bodies["krylov"]
     assert read.format_version == 3 and not body.symmetric and body.floating is None
-    again = body.reduced()
+    again = body.reduced
     assert again.congruent and not again.symmetric
     assert np.array_equal(again.complex_modes()[0], reduced.complex_modes()[0])
     assert error(reduced_response(again, OMEGA), reduced_response(reduced, OMEGA)) < 1e-12

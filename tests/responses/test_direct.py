@@ -140,7 +140,7 @@ def test_what_has_no_matrix_is_not_solved_directly():
     model = beam()
     modal = Damping(modal=0.01)
     with Problem(model, ends(model), damping=modal) as problem, pytest.raises(InputError, match="mode by mode"):
-        elastic_states(problem, 100j, problem.B)
+        elastic_states(problem.system, 100j, problem.B)
     with Problem(model) as problem, pytest.raises(InputError, match="needs interfaces"):
         direct_response(problem, OMEGA)
     damped = replace(model, D=dampers(model, False))

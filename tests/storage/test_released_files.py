@@ -17,7 +17,7 @@ from rich.console import Console
 from morembs import read_body
 from morembs.app.cli.certificates import Certified, print_certificates
 from morembs.base.errors import InputError
-from morembs.body.stress_shapes import read_recovery
+from morembs.body.recovery_shapes import read_recovery
 from morembs.dynamics.gmp.stored import read_members, write_members
 from morembs.importers.model_file import read_model
 from morembs.importers.native import import_native

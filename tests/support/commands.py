@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from morembs.app.cli import app
 
 # Whoever makes a factor says so here.
-FACTORISING = "morembs.linalg.sparse.solver"
+FACTORISING = "morembs.linalg.sparse.factorization"
 OLD_RESULT = b"what was there before"
 
 
@@ -23,6 +23,13 @@ def factorisations(records: Sequence[logging.LogRecord]) -> int:
 def without_progress(errors: str) -> str:
     """Standard error of a command without its lines of progress, which only work that takes long writes."""
     return "".join(line for line in errors.splitlines(keepends=True) if not line.startswith("["))
+
+
+def run(*arguments: object, code: int = 0) -> str:
+    """Standard output of a command that succeeds; standard error of one that ends with another ``code``."""
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert result.exit_code == code and isinstance(result.exception, SystemExit | None), (result.output, result.stderr)
+    return result.stderr if code else result.stdout
 
 
 def refused(job: Path, verbs: Sequence[str] = ("reduce", "check")) -> str:

@@ -10,7 +10,8 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
 from morembs.certificate.response import reduced_response
-from morembs.responses.certified import FLOOR, floor_of
+from morembs.responses.certified import floor_of
+from morembs.responses.tolerances import TOL as RESPONSES
 
 Long = np.longdouble
 # Models of more dofs stay sparse.
@@ -64,7 +65,7 @@ class Truth:
 
 def response_of(reduced, omega):
     """H of a body; one without damping gets that which certificates assume."""
-    floor = FLOOR if not reduced.D.any() and not reduced.structural else 0.0
+    floor = RESPONSES.damping_floor if not reduced.D.any() and not reduced.structural else 0.0
     return reduced_response(replace(reduced, structural=reduced.structural + 2 * floor), omega)
 
 

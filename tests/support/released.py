@@ -163,7 +163,10 @@ def body_file(path: Path, read_body: Any, read_recovery: Any) -> dict[str, Any]:
                 "switching": body.switching() if body.has_switching else None,
                 "stress": read_recovery(group["recovery"]) if body.has_recovery else None,
             }
-    content = described(stored) | described(more, "/read")
+    # Properties now, fields then.
+    flags = ("has_recovery", "has_switching")
+    found = {f"/bodies/{name}/{flag}": getattr(body, flag) for name, body in stored.bodies.items() for flag in flags}
+    content = described(stored) | described(more, "/read") | found
     # Times and memory of the run, and the version of the program.
     return {name: value for name, value in content.items() if not name.startswith("/provenance")}
 

@@ -2,7 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import h5py
+import numpy as np
+
+
+def datasets(path: Path) -> dict[str, np.ndarray]:
+    """Values of all datasets of a file by their names, but of /provenance."""
+    values = {}
+    with h5py.File(path) as file:
+        file.visititems(lambda name, item: values.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
+    return {name: np.asarray(value) for name, value in values.items() if not name.startswith("provenance")}
 
 
 def everything(file):

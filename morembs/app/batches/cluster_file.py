@@ -3,46 +3,42 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Self
-
-from pydantic import Field, ValidationError, model_validator
+from typing import Annotated, Any, Literal
 
 from morembs.app.jobs.job import parse_memory
-from morembs.app.jobs.schema import Table
 from morembs.base.errors import InputError
-from morembs.base.options import in_toml
+from morembs.base.key_tables import Table, described, read_table
+from morembs.base.limits import number, text
 
 QUEUES = ("slurm", "pbs", "lsf", "sge")
 
 
+@dataclass(frozen=True, kw_only=True)
 class Place(Table):
     """``[cluster]``: where the jobs of a batch run."""
 
-    kind: Literal["slurm", "pbs", "lsf", "sge", "local", "address"] = Field(
-        description='"slurm", "pbs", "lsf", "sge", "local" or "address"'
+    kind: Literal["slurm", "pbs", "lsf", "sge", "local", "address"]
+    workers: Annotated[int, number("how many workers at most, a positive count", ge=1)] = 1
+    cores: Annotated[int, number("the cores of a worker, a positive count", ge=1)] = 1
+    memory: str = described('the memory of a worker, a text such as "32 GiB"', "")
+    walltime: (
+        Annotated[str, text('the time that a worker may run, such as "04:00:00"', r"^\d+:[0-5]\d:[0-5]\d$")] | None
+    ) = None
+    queue: Annotated[str, text("the name of a queue")] | None = None
+    prologue: list[str] = described("lines of shell before a worker starts", [])
+    directives: list[str] = described('options of the queue such as "--account=fem"', field(default_factory=list))
+    address: Annotated[str, text('the address of a scheduler such as "tcp://head:8786"', r"^[a-z]+://\S+$")] | None = (
+        None
     )
-    workers: int = Field(default=1, ge=1, description="how many workers at most, a positive count")
-    cores: int = Field(default=1, ge=1, description="the cores of a worker, a positive count")
-    memory: str = Field(default="", description='the memory of a worker, a text such as "32 GiB"')
-    walltime: str | None = Field(
-        default=None, pattern=r"^\d+:[0-5]\d:[0-5]\d$", description='the time that a worker may run, such as "04:00:00"'
-    )
-    queue: str | None = Field(default=None, min_length=1, description="the name of a queue")
-    prologue: list[str] = Field(default_factory=list, description="lines of shell before a worker starts")
-    directives: list[str] = Field(default_factory=list, description='options of the queue such as "--account=fem"')
-    address: str | None = Field(
-        default=None, pattern=r"^[a-z]+://\S+$", description='the address of a scheduler such as "tcp://head:8786"'
-    )
-    options: dict[str, Any] = Field(default_factory=dict, description="further options of the cluster in dask-jobqueue")
+    options: dict[str, Any] = described("further options of the cluster in dask-jobqueue", {})
 
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
+    def refuse_conflicts(self) -> None:
         if self.kind in QUEUES and not self.memory:
-            raise ValueError('memory is missing; expected the memory of a worker, a text such as "32 GiB"')
+            raise InputError('memory is missing; expected the memory of a worker, a text such as "32 GiB"')
         if (self.kind == "address") != (self.address is not None):
-            raise ValueError('an address goes with kind = "address", and is needed there')
-        return self
+            raise InputError('an address goes with kind = "address", and is needed there')
 
     @property
     def bytes(self) -> int:
@@ -85,21 +81,9 @@ def place_of(given: str | Path) -> Place:
     if not isinstance(table, dict) or len(data) > 1:
         raise InputError(f"{path} has the tables {', '.join(data) or 'none'}; expected one table [cluster]")
     try:
-        place = Place.model_validate(table)
-    except ValidationError as error:
-        raise InputError(f"{path}: " + "; ".join(_fault(fault, table) for fault in error.errors())) from error
+        place = read_table(Place, table, "[cluster]")
+    except InputError as error:
+        raise InputError(f"{path}: " + "; ".join(str(error).splitlines())) from error
     if place.kind in QUEUES:
         _ = place.bytes
     return place
-
-
-def _fault(fault: Any, table: dict[str, Any]) -> str:
-    key = str(fault["loc"][0]) if fault["loc"] else ""
-    if fault["type"] == "extra_forbidden":
-        return f"[cluster]: unknown key {key!r}; known are {', '.join(Place.model_fields)}"
-    if fault["type"] == "value_error":
-        return f"[cluster]: {fault['msg'].removeprefix('Value error, ')}"
-    expected = Place.model_fields[key].description
-    if fault["type"] == "missing":
-        return f"[cluster]: {key} is missing; expected {expected}"
-    return f"[cluster]: {key} = {in_toml(table.get(key))} was given; expected {expected}"

@@ -46,14 +46,14 @@ class Part:
     @cached_property
     def key(self) -> str:
         """SHA-256 of what is asked for, not of the files it is asked of."""
-        tables = self.loaded.tables.model_dump(mode="json")
+        tables = self.loaded.tables.values()
         asked = {
             table: {key: value for key, value in values.items() if key not in _BESIDE.get(table, ())}
             if isinstance(values, dict)
             else values
             for table, values in tables.items()
         }
-        text = json.dumps([asked, VERSION, FORMAT_VERSION], sort_keys=True)
+        text = json.dumps([asked, VERSION, FORMAT_VERSION], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property

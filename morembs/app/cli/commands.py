@@ -197,9 +197,10 @@ def init(
 def schema() -> None:
     """Print the JSON schema of job files, by which editors complete and check keys."""
     from morembs.app.jobs.schema import JobTables
+    from morembs.base.key_tables import json_schema
 
     with messages(), printing():
-        echo(json.dumps(JobTables.model_json_schema(), indent=2))
+        echo(json.dumps(json_schema(JobTables), indent=2))
 
 
 def _order(jobs: Sequence[Path], changes: Sequence[str]) -> Order:

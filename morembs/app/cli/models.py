@@ -11,7 +11,6 @@ from morembs.app.cli.messages import print_json, print_names, printing
 from morembs.app.cli.terminal import EPILOG, AsJson, messages, progress_line
 from morembs.base.errors import InputError
 from morembs.base.options import pairs
-from morembs.base.units import parse_units
 
 if TYPE_CHECKING:
     from morembs.app.jobs.import_job import ImportJob, ImportResult
@@ -72,6 +71,7 @@ def import_model(
 ) -> None:
     """Convert a model of another program into a model file that jobs read."""
     from morembs.app.jobs.import_job import ImportJob, list_engines, list_formats, material_of, run_import
+    from morembs.base.units import parse_units
     from morembs.importers.deck_options import density_of
 
     with messages():

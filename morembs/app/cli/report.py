@@ -30,7 +30,7 @@ from morembs.app.jobs.run import JobResult
 from morembs.app.jobs.stages.forecast import JobForecast
 from morembs.base.progress import duration_words
 from morembs.base.types import Floats
-from morembs.body import ElasticBody
+from morembs.body import Body
 from morembs.body.tables import certificate_values
 from morembs.storage.checksums import whole_sum
 
@@ -160,7 +160,7 @@ def print_result(console: Console, result: JobResult, told: Sequence[str] = ()) 
     _print_written(console, written)
 
 
-def _print_certificates(console: Console, bodies: Sequence[ElasticBody]) -> None:
+def _print_certificates(console: Console, bodies: Sequence[Body]) -> None:
     """The errors of each body, and the choices of those that made some."""
     known = []
     for body in bodies:
@@ -231,7 +231,7 @@ def _print_written(console: Console, files: Sequence[Path]) -> None:
     console.print("written: " + ", ".join(map(str, files)), highlight=False, soft_wrap=True)
 
 
-def _frequencies(bodies: Sequence[ElasticBody]) -> Table:
+def _frequencies(bodies: Sequence[Body]) -> Table:
     """Elastic frequencies, those of the full model first where they are known."""
     full = bodies[0].full_frequencies_hz
     rigid = bodies[0].reduced.rigid_count if full is None else int((full == 0).sum())

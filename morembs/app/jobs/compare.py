@@ -9,7 +9,7 @@ import numpy as np
 
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
-from morembs.body import ElasticBody
+from morembs.body import Body
 from morembs.body.stored import StoredBodies
 from morembs.certificate.response import full_response, reduced_response
 from morembs.problem import Problem
@@ -64,7 +64,7 @@ def recommended(limits: Mapping[str, float | None]) -> str:
     return min(known, key=lambda name: known[name]) if known else next(iter(limits))
 
 
-def frequency_response(problem: Problem, bodies: Sequence[ElasticBody], frequencies_hz: Floats) -> FrequencyResponse:
+def frequency_response(problem: Problem, bodies: Sequence[Body], frequencies_hz: Floats) -> FrequencyResponse:
     """Full against reduced response at ``frequencies_hz`` (nf,)."""
     omega = 2 * np.pi * frequencies_hz
     size = np.outer(problem.motion_scale, problem.motion_scale)
@@ -80,7 +80,7 @@ def frequency_response(problem: Problem, bodies: Sequence[ElasticBody], frequenc
     )
 
 
-def certified_response(problem: Problem, bodies: Sequence[ElasticBody]) -> FrequencyResponse | None:
+def certified_response(problem: Problem, bodies: Sequence[Body]) -> FrequencyResponse | None:
     """The response that certificates were made with; None if no body has one."""
     known = {body.name: body.certificate for body in bodies if body.certificate is not None}
     if not known:

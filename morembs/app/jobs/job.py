@@ -8,20 +8,17 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
-
-from pydantic import BaseModel, ValidationError
+from typing import Any
 
 from morembs.app.jobs.schema import JobTables, ReduceTable
-from morembs.base.errors import InputError, nearest
-from morembs.base.options import Text, checked, in_toml, pairs, readings
+from morembs.base.errors import InputError
+from morembs.base.key_tables import read_table
+from morembs.base.options import Text, pairs, read_options, readings
 from morembs.base.units import Units, parse_units
 from morembs.reducers import REDUCERS
 from morembs.reducers.base import Reducer
 from morembs.storage.attempts import attempt_at
 
-# Where a key is: names of tables and keys, and numbers of tables in [[...]].
-Loc = tuple[int | str, ...]
 MOST_BYTES = 2.0**60
 BYTES = {"": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}
 BYTES |= {"b": 1, "kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40}
@@ -65,7 +62,7 @@ class Job:
     def units(self) -> Units:
         """The declared units."""
         given = self.tables.model.units
-        return parse_units(given if isinstance(given, str) else given.model_dump())
+        return parse_units(given if isinstance(given, str) else given.values())
 
     @property
     def output(self) -> Path:
@@ -106,10 +103,7 @@ def load_job(path: str | Path, changes: Sequence[str] = ()) -> Job:
     wrong = next((word for word in _words_in(data) if "\0" in word), None)
     if wrong is not None:
         raise InputError(f"{wrong[:100]!r} in {str(path)!r} has a NUL character, as no name has; give another text")
-    try:
-        tables = JobTables.model_validate(data)
-    except ValidationError as error:
-        raise InputError("\n".join(_faults(error, data))) from error
+    tables = read_table(JobTables, data)
     memory = None if tables.solver.memory is None else parse_memory(tables.solver.memory)
     return Job(
         path=path, text=text, tables=tables, reducers=_reducers(tables.reduce), memory=memory, changes=tuple(changes)
@@ -170,85 +164,10 @@ def _reducer(name: str, table: ReduceTable) -> Reducer:
     if table.method not in REDUCERS:
         raise InputError(f"{where}method = {table.method!r} was given; {REDUCERS.advice(table.method)}")
     kind = REDUCERS[table.method]
-    options = checked(
+    options = read_options(
         kind, table.options(), f"method {table.method!r}", where=where, word="key", besides=("name", "method")
     )
     try:
         return kind(**options)
     except InputError as error:
         raise InputError(f"{where}{error}") from error
-
-
-def _faults(error: ValidationError, data: Mapping[str, Any]) -> list[str]:
-    """One line for each faulty key; the branches of a union count as one fault."""
-    lines: dict[Loc, str] = {}
-    meant: list[str] = []
-    for fault in error.errors():
-        loc, kind = fault["loc"], fault["type"]
-        if kind == "extra_forbidden":
-            _, _, table = _walk(loc[:-1])
-            advice = nearest(str(loc[-1]), table.model_fields)
-            lines[loc] = f"{_words(loc[:-1])}unknown key {str(loc[-1])!r}; {advice}"
-            meant.append(f"{_words(loc[:-1])}{advice}")
-            continue
-        holder, at, _ = _walk(loc)
-        if kind == "value_error":
-            lines[at] = _words(at) + fault["msg"].removeprefix("Value error, ")
-            continue
-        expected = holder.model_fields[str(at[-1])].description
-        if kind == "missing":
-            lines[at] = f"{_words(at[:-1])}{at[-1]} is missing; expected {expected}"
-        else:
-            given = in_toml(_value(data, at))
-            lines[at] = f"{_words(at[:-1])}{at[-1]} = {given} was given; expected {expected}"
-    return [line for at, line in lines.items() if not _is_echo(at, line, lines, meant)]
-
-
-def _is_echo(at: Loc, line: str, lines: Mapping[Loc, str], meant: list[str]) -> bool:
-    """Whether another line says it better: one further inside, or an unknown key that was meant for this."""
-    if any(at == other[: len(at)] for other in lines if other != at):
-        return True
-    return bool(at) and " is missing; " in line and f"{_words(at[:-1])}did you mean {at[-1]!r}?" in meant
-
-
-def _value(data: Any, at: Loc) -> object:
-    for step in at:
-        data = data[step]
-    return data
-
-
-def _walk(loc: Loc) -> tuple[type[BaseModel], Loc, type[BaseModel]]:
-    """(table that holds the last key of ``loc``, location of that key, table that ``loc`` leads to).
-
-    Steps that are no keys, such as the names of branches of a union, are passed over.
-    """
-    holder: type[BaseModel] = JobTables
-    table: type[BaseModel] = JobTables
-    depth = 0
-    for at, step in enumerate(loc):
-        if isinstance(step, int) and at == depth and at == 1:
-            depth = at + 1  # the number of a table in [[...]]
-        elif isinstance(step, str) and step in table.model_fields:
-            holder, depth = table, at + 1
-            table = inner_table(table.model_fields[step].annotation) or table
-    return holder, loc[:depth], table
-
-
-def inner_table(annotation: object) -> type[BaseModel] | None:
-    """The table inside an annotation such as ``list[Table] | None``."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next((inner for part in get_args(annotation) if (inner := inner_table(part))), None)
-
-
-def _words(loc: Loc) -> str:
-    """``[[material]] 2: `` of ("material", 1)."""
-    if not loc:
-        return ""
-    head = f"[[{loc[0]}]] {int(loc[1]) + 1}" if len(loc) > 1 and isinstance(loc[1], int) else f"[{loc[0]}]"
-    inner = [str(step) for step in loc[1:] if isinstance(step, str) and step.isidentifier() and step[0].islower()]
-    return ", ".join([head, *inner]) + ": "
-
-
-def _description(model: type[BaseModel], key: str) -> str:
-    return model.model_fields[key].description or "another value"

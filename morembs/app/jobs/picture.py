@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 
 from morembs.app.jobs.compare import FrequencyResponse
-from morembs.body import ElasticBody
+from morembs.body import Body
 from morembs.body.drawing import FULL_COLOR, draw_shapes
 from morembs.body.shapes import Shapes
 from morembs.storage.safefile import replacing
@@ -20,7 +20,7 @@ from morembs.storage.safefile import replacing
 BODY_COLORS = ("#d1495b", "#2e86ab", "#3d9970", "#b5651d", "#7b4fa3", "#607d8b")
 
 
-def draw(path: Path, bodies: Sequence[ElasticBody], shapes: Shapes | None, response: FrequencyResponse | None) -> None:
+def draw(path: Path, bodies: Sequence[Body], shapes: Shapes | None, response: FrequencyResponse | None) -> None:
     """Write the picture (png, pdf or svg by the ending of ``path``); the old one stays if that fails.
 
     Raises:
@@ -47,9 +47,7 @@ def save(figure: Figure, path: Path) -> None:
         figure.savefig(cast(IO[bytes], file), format=kind, metadata=dates.get(kind))
 
 
-def _fill(
-    figure: Figure, bodies: Sequence[ElasticBody], shapes: Shapes | None, response: FrequencyResponse | None
-) -> None:
+def _fill(figure: Figure, bodies: Sequence[Body], shapes: Shapes | None, response: FrequencyResponse | None) -> None:
     source = bodies[0].part.source or "model"
     first = next((body for body in bodies if shapes is not None and body.name == shapes.body), bodies[0])
     heights = [0.3] + [4.2] * (shapes is not None) + [4.6] * (response is not None)

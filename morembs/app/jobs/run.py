@@ -19,7 +19,7 @@ from morembs.app.jobs.stages.write import INPUTS
 from morembs.base.memory import PeakMemory, resident_bytes
 from morembs.base.progress import Progress, Stage, Stopwatch, listening
 from morembs.base.summary import summarised
-from morembs.body import ElasticBody
+from morembs.body import Body
 from morembs.body.shapes import Shapes
 from morembs.fem import Mesh
 from morembs.linalg.sparse.solver import FactorStats
@@ -42,7 +42,7 @@ class JobResult:
     nodes: int
     elements: int
     dofs: int
-    bodies: tuple[ElasticBody, ...]
+    bodies: tuple[Body, ...]
     factor: FactorStats
     choice: str
     stages: tuple[Stage, ...]

@@ -15,9 +15,10 @@ import scipy.linalg as sl
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
+from morembs.body.body import Body
 from morembs.body.recovery.trajectory import Trajectory
-from morembs.body.stored import StoredBodies, StoredBody
-from morembs.body.stress_shapes import Recovery
+from morembs.body.recovery_shapes import Recovery
+from morembs.body.stored import StoredBodies
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,7 +40,7 @@ class Expansion:
 
 def expand(
     source: StoredBodies,
-    body: StoredBody,
+    body: Body,
     trajectory: Trajectory,
     *,
     recovery: Recovery | None = None,
@@ -72,7 +73,7 @@ class Expander:
     """
 
     source: StoredBodies
-    body: StoredBody
+    body: Body
     recovery: Recovery | None
     scale: float
     kept_bytes: int = 2**30
@@ -143,7 +144,7 @@ class Expander:
         return np.ascontiguousarray(moved.T).reshape(len(q), -1, 3)
 
 
-def reduced_coordinates(body: StoredBody, trajectory: Trajectory) -> Floats:
+def reduced_coordinates(body: Body, trajectory: Trajectory) -> Floats:
     """Reduced coordinates (nt, nr) of a trajectory in these or in elastic coordinates.
 
     Raises:
@@ -176,16 +177,16 @@ def reduced_coordinates(body: StoredBody, trajectory: Trajectory) -> Floats:
     return np.asarray(trajectory.coordinates @ body.floating.elastic.T)
 
 
-def is_reduced(body: StoredBody, trajectory: Trajectory) -> bool:
+def is_reduced(body: Body, trajectory: Trajectory) -> bool:
     """Whether the coordinates are the reduced ones, not the elastic ones of the floating frame."""
     return bool(trajectory.coordinates.shape[1] == len(body.stiffness_matrix))
 
 
-def _origin(body: StoredBody) -> Floats:
+def _origin(body: Body) -> Floats:
     return np.zeros(3) if body.floating is None else body.floating.origin
 
 
-def _deformation(body: StoredBody) -> Floats:
+def _deformation(body: Body) -> Floats:
     """What takes the rigid motion out of reduced coordinates (nr, nr)."""
     r, order = body.rigid_count, len(body.stiffness_matrix)
     if body.mode_kind[:r] == ("rigid",) * r:

@@ -12,13 +12,14 @@ import numpy as np
 from morembs.base import progress
 from morembs.base.errors import InputError
 from morembs.base.former_names import with_progress_argument
+from morembs.body.body import Body
 from morembs.body.file import read_body
 from morembs.body.recovery.expansion import Expander, Expansion, expand, is_reduced, reduced_coordinates
 from morembs.body.recovery.shown import LargestDisplacement, ShownStress, notes_on_correction, notes_on_frame
 from morembs.body.recovery.trajectory import Trajectory, read_trajectory
-from morembs.body.stored import StoredBody, choose_body
+from morembs.body.recovery_shapes import Recovery
+from morembs.body.stored import choose_body
 from morembs.body.stored_check import check_grid
-from morembs.body.stress_shapes import Recovery
 from morembs.body.vtkhdf_series import read_grid, stored_recovery, write_series
 from morembs.storage.contents import keeping_ledger
 from morembs.storage.safefile import check_writable
@@ -128,7 +129,7 @@ def _steps(
             yield step
 
 
-def _recovery_of(path: Path, body: StoredBody, stress: bool) -> Recovery | None:
+def _recovery_of(path: Path, body: Body, stress: bool) -> Recovery | None:
     """What the file has for displacements, and with ``stress`` for these.
 
     Raises:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from morembs.base.types import Floats
+from morembs.body.body import Body
 from morembs.body.recovery.trajectory import Trajectory
-from morembs.body.stored import StoredBodies, StoredBody
-from morembs.body.stress_shapes import Recovery
+from morembs.body.recovery_shapes import Recovery
+from morembs.body.stored import StoredBodies
 from morembs.fem.stress_operator import von_mises
 
 # Jumps between elements, relative to the largest stress, from which its mesh is called coarse.
@@ -110,7 +111,7 @@ class LargestDisplacement:
         )
 
 
-def notes_on_frame(body: StoredBody, trajectory: Trajectory) -> tuple[str, ...]:
+def notes_on_frame(body: Body, trajectory: Trajectory) -> tuple[str, ...]:
     """A note on a body that floats, of which only the elastic coordinates were given."""
     if body.floating is None or trajectory.coordinates.shape[1] == len(body.stiffness_matrix):
         return ()
@@ -120,9 +121,7 @@ def notes_on_frame(body: StoredBody, trajectory: Trajectory) -> tuple[str, ...]:
     return (f"no {what} of the frame was given: {still}; give it to see the body move",) if missing else ()
 
 
-def notes_on_correction(
-    body: StoredBody, recovery: Recovery | None, trajectory: Trajectory, stress: bool
-) -> tuple[str, ...]:
+def notes_on_correction(body: Body, recovery: Recovery | None, trajectory: Trajectory, stress: bool) -> tuple[str, ...]:
     """Notes on what lacks its mode-acceleration correction, and why."""
     if not body.input_matrix.shape[1]:
         return ()

@@ -9,7 +9,7 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.body.stored import StoredBody
+from morembs.body.body import Body
 from morembs.dynamics.assembly.parts import Substructure
 from morembs.fem.interface.base import Elimination
 from morembs.problem import Problem
@@ -31,7 +31,7 @@ def _keeps_all(part: Substructure, problem: Problem) -> bool:
     return problem.model.dofs.is_solid and len(ids) == len(own) and set(ids.tolist()) == set(own.tolist())
 
 
-def basis_of(part: Substructure, body: StoredBody, problem: Problem) -> Floats:
+def basis_of(part: Substructure, body: Body, problem: Problem) -> Floats:
     """Columns (Nc, n) of the coupled dofs of ``problem`` for the coordinates of ``body``.
 
     Raises:
@@ -94,7 +94,7 @@ def refuse_other_part(part: Substructure, problem: Problem) -> None:
         _refuse_apart(f"{what}: node {source.node_ids[at]} is at", source.coordinates[at], nodes.xyz[rows[at]], 0.0)
 
 
-def refuse_other_matrices(part: Substructure, body: StoredBody, problem: Problem, V: Floats) -> None:
+def refuse_other_matrices(part: Substructure, body: Body, problem: Problem, V: Floats) -> None:
     """Refuse a body whose matrices are not the projections of those of ``problem`` on its basis ``V`` (Nc, n).
 
     Raises:
@@ -103,7 +103,7 @@ def refuse_other_matrices(part: Substructure, body: StoredBody, problem: Problem
     n, what = len(body.stiffness_matrix), f"part {part.name!r}: its body was not reduced from its model"
     if V.shape != (len(problem.rigid), n):
         raise InputError(f"part {part.name!r}: its basis has the shape {V.shape}; expected {(len(problem.rigid), n)}")
-    rigid = body.reduced().modes()[1][:, : body.rigid_count]
+    rigid = body.reduced.modes()[1][:, : body.rigid_count]
     damped = problem.damping.matrix(body.mass_matrix, body.stiffness_matrix, rigid)
     products: dict[str, tuple[Any, Floats, Floats]] = {
         "stiffness": (problem.K, body.stiffness_matrix, np.zeros((n, n))),

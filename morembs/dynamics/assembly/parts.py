@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.body.stored import StoredBodies, StoredBody, choose_body
+from morembs.body.body import Body
+from morembs.body.stored import StoredBodies, choose_body
 from morembs.exporters.ports import ports_of_file
 from morembs.exporters.reduced import to_interfaces
 from morembs.fem.fe_model import SCALAR, rigid_motion
@@ -64,7 +65,7 @@ class PlacedBody(Placed):
     first n dofs, of which the first ``inputs`` are the interface motions; ``shown`` are labels of nodes that it keeps.
     """
 
-    body: StoredBody
+    body: Body
     turn: Floats
     place: Floats
     coordinates: Floats
@@ -131,7 +132,7 @@ def _rotation(part: Substructure) -> Floats:
     return np.asarray(U @ Vt)
 
 
-def _refuse(name: str, source: StoredBodies, body: StoredBody) -> None:
+def _refuse(name: str, source: StoredBodies, body: Body) -> None:
     """Refuse bodies that cannot be coupled."""
     if not source.interfaces:
         raise InputError(f"part {name!r}: body {body.name!r} has no interfaces to couple; reduce it with some")

@@ -20,7 +20,7 @@ from morembs.base.closing import Closing
 from morembs.base.errors import BudgetError, InputError, enough_megabytes
 from morembs.base.progress import listening
 from morembs.base.types import Floats, Ints
-from morembs.body.stored import StoredBody
+from morembs.body.body import Body
 from morembs.dynamics.assembly.belonging import basis_of, eliminations, refuse_other_matrices
 from morembs.dynamics.assembly.bodies import AssembledModel, joined
 from morembs.dynamics.assembly.parts import Placed, PlacedBody, Substructure
@@ -159,7 +159,7 @@ class _Full:
         return np.vstack([u[: self.body.inputs], inside[self.rest]])
 
 
-def _checked(part: Substructure, body: StoredBody, problem: Problem) -> Floats:
+def _checked(part: Substructure, body: Body, problem: Problem) -> Floats:
     V = basis_of(part, body, problem)
     refuse_other_matrices(part, body, problem, V)
     return V

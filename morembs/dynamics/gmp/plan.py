@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import Positive, number
 
 TOLERANCE = 2e-3
+EndAngle = Annotated[float, number("an angle in rad above zero and below pi", gt=0, lt=math.pi)]
 
 
 @checked
@@ -27,9 +30,9 @@ class AngleRange:
         InputError: not one of the three, or no positive number.
     """
 
-    angle: float | None = None
-    moment: float | None = None
-    load: float | None = None
+    angle: EndAngle | None = None
+    moment: Positive | None = None
+    load: Positive | None = None
 
     def __post_init__(self) -> None:
         given = {name: value for name in ("angle", "moment", "load") if (value := getattr(self, name)) is not None}
@@ -37,11 +40,6 @@ class AngleRange:
             raise InputError(
                 f"an envelope of {', '.join(given) or 'nothing'} was given; expected one of angle, moment, load"
             )
-        for name, value in given.items():
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"an envelope with {name} = {value} was given; expected a positive number")
-        if self.angle is not None and self.angle >= math.pi:
-            raise InputError(f"an envelope with the angle {self.angle} rad was given; expected less than pi")
 
 
 @checked
@@ -59,23 +57,12 @@ class Plan:
         symmetric: take equilibria from others by the symmetries that the component is found to have.
     """
 
-    reach: float | AngleRange = 0.8
-    points_per_angle: int | None = None
-    tolerance: float = TOLERANCE
+    reach: EndAngle | AngleRange = 0.8
+    points_per_angle: Annotated[int, number("an integer, 2 or more", ge=2)] | None = None
+    tolerance: Positive = TOLERANCE
     workers: int = 1
     checkpoint: str | Path | None = None
     symmetric: bool = True
-
-    def __post_init__(self) -> None:
-        if isinstance(self.reach, bool) or not isinstance(self.reach, AngleRange | int | float):
-            raise InputError(f"reach = {self.reach!r} was given; expected an angle in rad or an Envelope")
-        if not isinstance(self.reach, AngleRange) and not 0 < self.reach < math.pi:
-            raise InputError(f"a range of +-{self.reach} rad was given; expected a positive number below pi")
-        if isinstance(self.tolerance, str) or not (math.isfinite(self.tolerance) and self.tolerance > 0):
-            raise InputError(f"tolerance = {self.tolerance} was given; expected a positive number")
-        count = self.points_per_angle
-        if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 2):
-            raise InputError(f"{count} points per angle were given; expected two or more, or None to choose them")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import NotNegative, Positive, PositiveCount
 from morembs.base.types import Floats
 from morembs.dynamics.nonlinear.member import MemberState
 from morembs.dynamics.nonlinear.planar_beam import Section
@@ -29,18 +30,10 @@ from morembs.dynamics.nonlinear.planar_beam import Section
 class Link:
     """A link of equal elements, ``length`` in m, with a point mass ``tip`` in kg at its end."""
 
-    length: float
+    length: Positive
     section: Section
-    elements: int = 3
-    tip: float = 0.0
-
-    def __post_init__(self) -> None:
-        whole = isinstance(self.elements, int | np.integer) and self.elements >= 1
-        if not (0 < self.length < np.inf and whole and 0 <= self.tip < np.inf):
-            raise InputError(
-                f"a link of {self.length} m, {self.elements} elements and {self.tip} kg at its tip was given; expected "
-                "a length above zero, one or more elements and a mass of zero or more"
-            )
+    elements: PositiveCount = 3
+    tip: NotNegative = 0.0
 
 
 @checked

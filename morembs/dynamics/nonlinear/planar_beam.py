@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import NotNegative, Positive
 from morembs.base.types import Floats, Ints
 
 # From node coordinates (6,) to step d (2,), rotation half way and relative rotation.
@@ -35,19 +36,11 @@ _T = np.array([[-1, 0, 0, 1, 0, 0], [0, -1, 0, 0, 1, 0], [0, 0, 0.5, 0, 0, 0.5],
 class Section:
     """Stiffness EA (N), GA (N, of shear), EI (N m2) and mass per length (kg/m), rotary inertia per length (kg m)."""
 
-    EA: float
-    GA: float
-    EI: float
-    mass: float
-    rotary: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("EA", "GA", "EI", "mass"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"section: {name} = {value} was given; expected a positive number")
-        if not (math.isfinite(self.rotary) and self.rotary >= 0):
-            raise InputError(f"section: rotary = {self.rotary} was given; expected zero or more")
+    EA: Positive
+    GA: Positive
+    EI: Positive
+    mass: Positive
+    rotary: NotNegative = 0.0
 
     @classmethod
     @checked

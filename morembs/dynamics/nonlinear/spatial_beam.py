@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import NotNegative, Positive
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.helix import Helix
 from morembs.dynamics.nonlinear.rotation_vectors import curvature, shortened, tangents
@@ -37,22 +38,14 @@ class SpatialSection:
     ``mass`` per length (kg/m); ``rotary`` per length (kg m) about the axes 1 (along the beam), 2 and 3.
     """
 
-    EA: float
-    GA2: float
-    GA3: float
-    GJ: float
-    EI2: float
-    EI3: float
-    mass: float
-    rotary: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        for name in ("EA", "GA2", "GA3", "GJ", "EI2", "EI3", "mass"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"section: {name} = {value} was given; expected a positive number")
-        if len(self.rotary) != 3 or not all(math.isfinite(value) and value >= 0 for value in self.rotary):
-            raise InputError(f"section: rotary = {self.rotary} was given; expected three numbers, zero or more")
+    EA: Positive
+    GA2: Positive
+    GA3: Positive
+    GJ: Positive
+    EI2: Positive
+    EI3: Positive
+    mass: Positive
+    rotary: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
 
     @classmethod
     @checked

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import Positive
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.planar_beam import PlanarBeam
 
@@ -26,17 +27,15 @@ class CurvedTube:
     """About ``centre`` (2,) m: ``radius`` m of its axis, ``clearance`` m of the wire's axis to either side, ``penalty``
     N/m2."""
 
-    radius: float
-    clearance: float
-    penalty: float
+    radius: Positive
+    clearance: Positive
+    penalty: Positive
     centre: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        sizes = self.radius, self.clearance, self.penalty
-        if not (all(0 < size < np.inf for size in sizes) and self.clearance < self.radius):
+        if self.clearance >= self.radius:
             raise InputError(
-                f"tube: radius = {self.radius} m, clearance = {self.clearance} m, penalty = {self.penalty} N/m2 were "
-                "given; expected positive numbers, and a clearance below the radius"
+                f"tube: clearance = {self.clearance} m was given; expected less than the radius, {self.radius} m"
             )
 
 

@@ -109,13 +109,7 @@ def linear_system(
 
 
 def damping_parameter(start: float) -> Variable:
-    """Modal damping beside the damping matrix of the body.
-
-    Raises:
-        InputError: a ratio that is negative or not finite.
-    """
-    if not 0 <= start < np.inf:
-        raise InputError(f"damping_ratio = {start} was given; expected a number, zero or more")
+    """Modal damping beside the damping matrix of the body."""
     about = "ratio of critical damping of all modes, beside the damping matrix of the body"
     return Variable(name="damping_ratio", unit="1", about=about, start=start)
 
@@ -130,7 +124,7 @@ def _held_columns(context: ExportContext, held: Sequence[str]) -> Ints:
 
 def _coordinates(context: ExportContext, fixed: Ints) -> _Coordinates:
     body = context.body
-    values, Y = body.reduced().modes()
+    values, Y = body.reduced.modes()
     rigid = body.rigid_count
     X = np.zeros((len(values), 0))
     notes: tuple[str, ...] = ()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.body.stress_shapes import Recovery
+from morembs.body.recovery_shapes import Recovery
 from morembs.body.vtkhdf_series import stored_recovery
 from morembs.exporters.base import ExportContext
 from morembs.fem.fe_model import SCALAR

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from morembs.base.errors import InputError
+from morembs.base.limits import NotNegative, Positive
 from morembs.base.types import Floats
 from morembs.exporters.base import LOSSES, ExportContext, Exported, Exporter
 from morembs.exporters.fmu.compiler import SINGLE_STEPS, compiled, single_error
@@ -55,7 +56,7 @@ class _Equations(Exporter):
     structure: Structure = "auto"
     held: list[str] = field(default_factory=list)
     stress: list[int] = field(default_factory=list)
-    damping_ratio: float = 0.0
+    damping_ratio: NotNegative = 0.0
 
     def _system(self, context: ExportContext) -> System:
         body = context.body
@@ -135,13 +136,11 @@ class CSource(_Equations):
     about: ClassVar[str] = "C99 source and header with a step function that allocates nothing"
     lossless: ClassVar[bool] = True
 
-    step: float = 1e-4
+    step: Positive = 1e-4
     method: Method = "auto"
     precision: Precision = "double"
 
     def _write(self, context: ExportContext) -> Exported:
-        if not 0 < self.step < np.inf:
-            raise InputError(f"step = {self.step} was given; expected the step in s, above zero")
         if context.path.suffix != self.suffix:
             raise InputError(f"{context.path} was given; expected a name that ends in .c, beside which the header goes")
         name = identifier(context.path.name.removesuffix(self.suffix))

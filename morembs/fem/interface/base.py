@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -13,6 +13,7 @@ from morembs.base.plugins import Registry
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel, frozen
+from morembs.storage.table import dataset
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -28,7 +29,8 @@ class Interface:
     ``nodes`` (ns,) rows of ``Nodes.xyz``; ``point`` (3,) origin of the frame in m; ``axes`` (3, 3) its
     axes as rows (those of the model); ``weights`` (ns,) areas in m2 where the nodes carry whole faces,
     else ones; ``components`` the degrees of freedom 0..5 (translations, rotations) that are exposed, 6 for each of the
-    generalised ``forces`` ("B:NAME", "C:NAME") of ``matrix_interface``.
+    generalised ``forces`` ("B:NAME", "C:NAME") of ``matrix_interface``. In a body from a file ``node_ids`` (ns,) are
+    labels of the nodes, and ``nodes`` rows of those that the file keeps, -1 for others.
 
     >>> interfaces[0]
     Interface: name LEFT; coupling rigid; nodes 4; point [0.0, 0.025, 0.025]; components 0, 1, 2, 3, 4, 5
@@ -36,12 +38,47 @@ class Interface:
 
     name: str
     nodes: Ints
-    coupling: str
-    point: Floats
-    weights: Floats
-    axes: Floats = field(default_factory=lambda: np.eye(3))
-    components: tuple[int, ...] = SIX
-    forces: tuple[str, ...] = ()
+    coupling: str = dataset(
+        "text", doc="`rigid`, `average`, `direct`, `matrix`, or a kind that [another package](extending.md) defines"
+    )
+    components: tuple[int, ...] = dataset(
+        "few",
+        "any",
+        "exposed degrees of freedom 0..5",
+        default=SIX,
+        doc="exposed degrees of freedom: 0, 1, 2 along x, y, z; 3, 4, 5 about them; 6 for each of `forces`",
+    )
+    forces: tuple[str, ...] = dataset(
+        "text",
+        "forces",
+        "columns of the input matrix B, rows of the output matrix C of the model",
+        default=(),
+        write=lambda interface: interface.forces or None,
+        doc="`B:NAME`, a column of the input matrix of the model, or `C:NAME`, a row of its output matrix",
+        when="with coupling `matrix`",
+    )
+    point: Floats = dataset("real", "3", "origin of the frame", "m")
+    axes: Floats = dataset(
+        "real",
+        "3 3",
+        "axes of the frame as rows",
+        default_factory=lambda: np.eye(3),
+        doc="axes of the frame as rows, in the coordinates of the model",
+    )
+    node_ids: Ints = dataset(
+        "whole",
+        "s",
+        "labels of the nodes",
+        default_factory=lambda: np.zeros(0, dtype=np.int64),
+        doc="labels of the nodes that follow the frame",
+    )
+    weights: Floats = dataset(
+        "real",
+        "s",
+        "share of each node (area in m2, or 1)",
+        doc="share of each node: area in m² of the whole faces between the nodes, 0 for nodes on none; 1 for all if "
+        "there are no whole faces",
+    )
 
     def __post_init__(self) -> None:
         for name in ("nodes", "point", "weights", "axes"):

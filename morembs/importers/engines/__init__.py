@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from morembs.base.errors import InputError
-from morembs.base.options import Text, checked, known
+from morembs.base.options import Text, known, read_options
 from morembs.base.plugins import Registry
 from morembs.importers.engines.calculix import find_ccx
 from morembs.importers.engines.calculix_import import import_with_calculix, readable_by_calculix
@@ -108,7 +108,7 @@ def import_with_engine(path: Path, format: str, text: str, options: Mapping[str,
     if format not in engine.formats:
         raise InputError(f"--engine {name} reads {engine.decks}; {path.name} is {_KINDS.get(format, format)}")
     given = {key: Text(value) if isinstance(value, str) else value for key, value in options.items()}
-    values = checked(
+    values = read_options(
         engine.read,
         given,
         f"the engine {name}",

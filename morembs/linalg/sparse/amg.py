@@ -9,7 +9,6 @@ a time: it smooths whole blocks of right-hand sides with Chebyshev polynomials (
 from __future__ import annotations
 
 import logging
-import time
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import ClassVar
@@ -19,50 +18,18 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.base.errors import InputError, SingularMatrixError, SolverError
 from morembs.base.types import Floats, Ints, Values
 from morembs.linalg.sparse.conjugate_gradient import conjugate_gradients
 from morembs.linalg.sparse.ordering import node_graph
-from morembs.linalg.sparse.solver import (
-    MECHANISM,
-    SINGULAR,
-    Analysis,
-    Factorization,
-    FactorStats,
-    Forecast,
-    LinearSolver,
-)
+from morembs.linalg.sparse.session import FactorSize, Session, SessionSolver
+from morembs.linalg.sparse.solver import MECHANISM, Forecast
 from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.tolerances import TOL
 
 log = logging.getLogger(__name__)
 Singles = NDArray[np.float32]
 
-# Two nodes belong together when the block between them has at least this share of their diagonal blocks. Measured
-# with ten-node tetrahedra: 0.05 to 0.1 take the fewest steps, and 0.15 twice as many.
-_STRENGTH = 0.06
-_ENERGY = ("energy", {"maxiter": 4, "degree": 1})
-# Rows of the coarsest level, which is factorised as a dense matrix.
-_COARSEST = 900
-# Motions of an aggregate: PyAMG counts aggregates, not rows, when it decides whether to coarsen again.
-_MOTIONS = 6
-# Degree of the smoothing polynomial, and the part of the spectrum that it damps: from top / _PART to top.
-_DEGREE = 3
-_PART = 20.0
-_POWER_STEPS = 15
-_MARGIN = 1.15
-_NODE = 3
-
-_ACCURACY = 1e-12
-_BACKWARD = 1e-12
-_MOST_STEPS = 200
-_BLOCK = 64
-# Measured with tetrahedra of ten nodes, 6e3 to 1e5 rows: bytes for each entry of the matrix, for each row, and others.
-_PEAK = (48.0, 200.0, 5e6)
-_KEPT = (20.0, 300.0, 0.0)
-_ENTRIES = 1.7
-# Bytes for each row and column while a block is solved, and operations of the setup for each entry.
-_WORK = 80
-_FLOPS = 300.0
 _CURE = 'take a direct solver (solver = "auto")'
 
 
@@ -78,7 +45,7 @@ class _Level:
 
     def smooth(self, B: Singles, X: Singles | None) -> Singles:
         """``X`` (None: zero) after a Chebyshev polynomial in D^-1 A for A X = B (n, k)."""
-        upper, lower = self.top * _MARGIN, self.top / _PART
+        upper, lower = self.top * TOL.spectrum_margin, self.top / TOL.smoothed_part
         center, half = (upper + lower) / 2, (upper - lower) / 2
         first = center / half
         rho = 1 / first
@@ -86,7 +53,7 @@ class _Level:
         D = R * self.inverse
         D *= np.float32(1 / center)
         X = D.copy() if X is None else np.add(X, D, out=X)
-        for _ in range(_DEGREE - 1):
+        for _ in range(TOL.smoother_degree - 1):
             R -= self.A @ D
             before, rho = rho, 1 / (2 * first - rho)
             D *= np.float32(rho * before)
@@ -109,7 +76,7 @@ class Hierarchy:
         self.unit = float(A.diagonal().max())
         self.levels: list[_Level] = []
         coarsest = A
-        if A.shape[0] > _COARSEST:
+        if A.shape[0] > TOL.coarsest_rows:
             coarsest = self._coarsen(A, near, starts)
         dense = coarsest.toarray() / self.unit
         size = np.sqrt(np.diag(dense).clip(0.0))
@@ -121,7 +88,7 @@ class Hierarchy:
             self._factor = np.linalg.cholesky(self._scale[:, None] * dense * self._scale)
         except np.linalg.LinAlgError:
             raise _singular() from None
-        if np.diag(self._factor).min() ** 2 < 1.0 / SINGULAR:
+        if np.diag(self._factor).min() ** 2 < 1.0 / TOL.singular_condition:
             raise _singular()
         self.entries = dense.size // 2 + int(sum(level.A.nnz + level.P.nnz for level in self.levels))
         self.nbytes = int(self._factor.nbytes) + sum(level.nbytes for level in self.levels)
@@ -136,13 +103,13 @@ class Hierarchy:
                 blocks,
                 B=near,
                 symmetry="symmetric",
-                strength=("symmetric", {"theta": _STRENGTH}),
-                smooth=_ENERGY,
+                strength=("symmetric", {"theta": TOL.strong_coupling}),
+                smooth=("energy", {"maxiter": TOL.prolongation_steps, "degree": 1}),
                 improve_candidates=None,
                 presmoother=None,
                 postsmoother=None,
-                max_levels=12,
-                max_coarse=_COARSEST // _MOTIONS,
+                max_levels=TOL.levels,
+                max_coarse=TOL.coarsest_rows // TOL.aggregate_motions,
             ).levels
         except (ValueError, RuntimeError, IndexError, ZeroDivisionError, MemoryError) as error:
             raise SolverError(f"PyAMG could not set up a multigrid hierarchy ({error}); {_CURE}") from error
@@ -151,7 +118,7 @@ class Hierarchy:
             P = sp.csr_array(level.P, dtype=np.float32)
             self.levels.append(_level(sp.csr_array(level.A) if number else A, P if number else P[place], self.unit))
             levels[number] = None
-        if levels[-1].A.shape[0] > 4 * _COARSEST:
+        if levels[-1].A.shape[0] > TOL.failed_coarsest_rows:
             raise SolverError(
                 f"multigrid could not coarsen below {levels[-1].A.shape[0]} rows: the unknowns hardly couple; {_CURE}"
             )
@@ -192,7 +159,7 @@ def _level(A: sp.csr_array, P: sp.csr_array, unit: float) -> _Level:
     single = sp.csr_array(((A.data / unit).astype(np.float32), A.indices, A.indptr), shape=A.shape)
     x = np.random.default_rng(17).standard_normal(A.shape[0]).astype(np.float32)
     top = 1.0
-    for _ in range(_POWER_STEPS):
+    for _ in range(TOL.power_steps):
         x = inverse * (single @ (x / np.linalg.norm(x)))
         top = float(np.linalg.norm(x))
     return _Level(single, P, sp.csr_array(P.T), inverse[:, None], top)
@@ -205,7 +172,7 @@ def by_nodes(A: sp.csr_array, near: Floats | None, starts: Ints) -> tuple[sp.bsr
     rows of its own that touch nothing. Without a near-nullspace it is one constant for each unknown of a node.
     """
     n = A.shape[0]
-    width = _NODE if len(starts) <= n / 2 else 1
+    width = TOL.node_rows if len(starts) <= n / 2 else 1
     sizes = np.diff(np.append(starts, n))
     offset = np.arange(n) - np.repeat(starts, sizes)
     head = offset % width == 0
@@ -228,103 +195,87 @@ def by_nodes(A: sp.csr_array, near: Floats | None, starts: Ints) -> tuple[sp.bsr
     return blocks, place, wide
 
 
-class _AmgFactor(Factorization):
-    """The hierarchy, and the matrix in double precision; ``levels`` are the rows of its levels, finest first."""
+class AmgSession(Session):
+    """The nodes, as the pattern shows them; then the hierarchy, and the matrix in double precision.
 
-    def __init__(self, A: sp.csr_array, hierarchy: Hierarchy, budget: int | None, stats: FactorStats) -> None:
-        super().__init__(stats)
-        self._A, self._hierarchy = A, hierarchy
-        self._norm = float(abs(A).sum(axis=1).max())
-        self._width = _BLOCK
-        if budget is not None:
-            self._width = min(_BLOCK, max(1, (budget - stats.memory_bytes) // (_WORK * self.n)))
-        self.steps = 0
-        self.levels = [level.A.shape[0] for level in hierarchy.levels]
-        log.debug("multigrid with levels of %s rows", self.levels)
+    ``levels`` are the rows of the levels, finest first, ``steps`` those of the last solution.
+    """
 
-    def _solve(self, B: Values) -> Values:
-        """Raises SolverError where the iteration does not converge."""
-        for first in range(0, B.shape[1], self._width):
-            part = B[:, first : first + self._width]
-            solution = conjugate_gradients(
-                self._A.__matmul__,
-                self._hierarchy.precondition,
-                part,
-                norm=self._norm,
-                accuracy=_ACCURACY,
-                max_steps=_MOST_STEPS,
-            )
-            self.steps = solution.steps
-            error = float(solution.residual.max(initial=0.0))
-            log.debug("multigrid: %d steps to a backward error of %.1e", solution.steps, error)
-            if solution.stagnated or not error <= _BACKWARD:
-                raise SolverError(
-                    f"multigrid came to a backward error of only {error:.1e} in {solution.steps} steps (needed "
-                    f"{_BACKWARD:.0e}); it converges slowly for slender bodies, thin walls and stretched elements, and "
-                    f"not at all for a body that is not held: {_CURE}"
-                )
-            part[:] = solution.X
-        return B
-
-    def _negative_pivots(self) -> int | None:
-        return None
-
-    def _release(self) -> None:
-        del self._A, self._hierarchy
-
-
-class _AmgAnalysis(Analysis):
-    """The nodes, as the pattern shows them, and the forecast."""
+    title = "multigrid"
+    instead = "give more memory or take a coarser mesh"
+    thread_safe = True
+    solver: Amg
 
     def __init__(self, solver: Amg, A: Lower, structure: str) -> None:
-        super().__init__(A, structure)
-        self.solver = solver
-        near = solver.near_nullspace
-        if near is not None and (near.ndim != 2 or near.shape[0] != A.n or not np.isfinite(near).all()):
-            raise InputError(f"a near-nullspace of shape {near.shape} was given; expected finite values ({A.n}, r)")
-        needed = self.forecast.memory
-        if solver.memory is not None and needed > solver.memory:
-            raise BudgetError(
-                f"{solver.memory / 1e6:.1f} MB are left of the memory budget; multigrid needs {needed / 1e6:.0f} MB: "
-                "give more memory or take a coarser mesh",
-                needed=needed,
+        super().__init__(solver, A, structure)
+        self.near = solver.near_nullspace
+        if self.near is not None and (
+            self.near.ndim != 2 or self.near.shape[0] != A.n or not np.isfinite(self.near).all()
+        ):
+            raise InputError(
+                f"a near-nullspace of shape {self.near.shape} was given; expected finite values ({A.n}, r)"
             )
-        self._starts = node_graph(A)[1] if A.n > _COARSEST else np.arange(A.n)
+        self._starts: Ints | None = None
+        self._A: sp.csr_array | None = None
+        self._hierarchy: Hierarchy | None = None
+        self._norm = 0.0
+        self.steps = 0
+        self.levels: list[int] = []
 
-    @property
-    def forecast(self) -> Forecast:
-        peak, kept = (int(entry * self.nnz + row * self.n + other) for entry, row, other in (_PEAK, _KEPT))
-        return Forecast(
-            backend=Amg.name,
-            size=self.n,
-            factor_entries=int(_ENTRIES * self.nnz),
-            flops=_FLOPS * self.nnz,
-            memory=peak,
-            kept=kept,
+    def _analyse(self, A: Lower) -> Forecast:
+        peak, kept = (
+            int(entry * self.nnz + row * self.n + other)
+            for entry, row, other in (TOL.multigrid_peak, TOL.multigrid_kept)
         )
+        entries = int(TOL.multigrid_entries * self.nnz)
+        return self.forecast(entries=entries, flops=TOL.multigrid_flops * self.nnz, memory=peak, kept=kept)
 
-    def factorize_unchecked(self, A: Lower) -> Factorization:
+    def _factorize(self, A: Lower) -> FactorSize:
         """Both triangles of ``A`` are held in double precision, which the forecast counts.
 
         Raises SingularMatrixError (also where not positive definite) or SolverError (no hierarchy).
         """
-        start = time.perf_counter()
+        if self._starts is None:
+            self._starts = node_graph(A)[1] if A.n > TOL.coarsest_rows else np.arange(A.n)
         whole = A.full()
         # Symmetric, so its columns are its rows; PyAMG takes indices of 32 bits only.
         indices, indptr = (index.astype(np.int32, copy=False) for index in (whole.indices, whole.indptr))
         rows = sp.csr_array((whole.data, indices, indptr), shape=whole.shape)
         del whole
-        hierarchy = Hierarchy(rows, self.solver.near_nullspace, self._starts)
+        hierarchy = Hierarchy(rows, self.near, self._starts)
         kept = hierarchy.nbytes + (int(rows.data.nbytes) if hierarchy.levels else _bytes(rows))
-        stats = self._stats(start, hierarchy.entries, memory_bytes=kept)
-        return _AmgFactor(rows, hierarchy, self.solver.memory, stats)
+        self._A, self._hierarchy = rows, hierarchy
+        self._norm = float(abs(rows).sum(axis=1).max())
+        self.columns = TOL.block_columns
+        if (budget := self.solver.memory) is not None:
+            room = (budget - kept) // (TOL.multigrid_solve_bytes * self.n)
+            self.columns = min(TOL.block_columns, max(1, room))
+        self.levels = [level.A.shape[0] for level in hierarchy.levels]
+        log.debug("multigrid with levels of %s rows", self.levels)
+        return FactorSize(entries=hierarchy.entries, memory=kept)
 
-    def _release(self) -> None:
-        self._starts = np.arange(0)
+    def _solve(self, B: Values) -> Values:
+        """Raises SolverError where the iteration does not converge."""
+        if self._A is None or self._hierarchy is None:
+            raise SolverError("multigrid holds no hierarchy any more; factorise again")
+        solution = conjugate_gradients(self._A.__matmul__, self._hierarchy.precondition, B, norm=self._norm)
+        self.steps = solution.steps
+        error = float(solution.residual.max(initial=0.0))
+        log.debug("multigrid: %d steps to a backward error of %.1e", solution.steps, error)
+        if solution.stagnated or not error <= TOL.iteration_accuracy:
+            raise SolverError(
+                f"multigrid came to a backward error of only {error:.1e} in {solution.steps} steps (needed "
+                f"{TOL.iteration_accuracy:.0e}); it converges slowly for slender bodies, thin walls and stretched "
+                f"elements, and not at all for a body that is not held: {_CURE}"
+            )
+        return solution.X
+
+    def _forget(self) -> None:
+        self._A = self._hierarchy = None
 
 
 @dataclass(frozen=True, kw_only=True)
-class Amg(LinearSolver):
+class Amg(SessionSolver):
     """Multigrid of positive definite matrices, for compact bodies; ``scratch`` has no effect.
 
     ``near_nullspace`` (n, r) holds motions that cost next to no energy, such as the rigid-body modes of the body
@@ -336,13 +287,11 @@ class Amg(LinearSolver):
     name: ClassVar[str] = "amg"
     structures: ClassVar[tuple[str, ...]] = ("spd",)
     counts: ClassVar[bool] = False
+    session: ClassVar[type[Session]] = AmgSession
 
     @classmethod
     def unavailable(cls) -> str:
         return "" if find_spec("pyamg") else "PyAMG is not installed; get it with: pip install pyamg"
-
-    def _analyse(self, A: Lower, structure: str) -> Analysis:
-        return _AmgAnalysis(self, A, structure)
 
 
 def _bytes(A: sp.csr_array) -> int:

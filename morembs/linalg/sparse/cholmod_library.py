@@ -11,8 +11,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from threadpoolctl import threadpool_info
 
+from morembs.base.types import Values
 from morembs.linalg.sparse.foreign import (
     UnusableError,
     constants,
@@ -25,10 +27,23 @@ from morembs.linalg.sparse.foreign import (
     with_header,
     without_comments,
 )
+from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.tolerances import TOL
 
 HINT = "sudo apt-get install libsuitesparse-dev"
-# Values of the enumerations of CHOLMOD, the same in all its releases.
-LONG, REAL, GIVEN, SUPERNODAL, NOT_POSITIVE_DEFINITE = 2, 1, 1, 2, 1
+
+
+class Code:
+    """Values of the enumerations of CHOLMOD, the same in all its releases."""
+
+    LOWER = -1
+    REAL = 1
+    LONG = 2
+    GIVEN_ORDER = 1
+    ALWAYS_SUPERNODAL = 2
+    NOT_POSITIVE_DEFINITE = 1
+    SOLVE_WHOLE = 0
+
 
 # Folders of the headers of the system.
 FOLDERS = ("/usr/local/include/suitesparse", "/usr/include/suitesparse", "/usr/local/include", "/usr/include")
@@ -75,9 +90,8 @@ _FUNCTIONS: dict[str, Any] = {
     "free_factor": ctypes.c_int,
     "free_dense": ctypes.c_int,
 }
-# A library that is newer than the header writes beyond the structure while it is being tested.
-_PADDING = 1 << 14
-_DEFAULT_NRELAX = [4, 16, 48]
+# What ``start`` writes into the structure, by which its layout is known to be right.
+_DEFAULTS = {"nrelax": [4, 16, 48], "itype": [Code.LONG]}
 
 
 @dataclass(frozen=True)
@@ -111,6 +125,36 @@ class Library:
     def new(self, name: str) -> Any:
         """An empty structure: "common", "sparse", "dense" or "factor"."""
         return self.structures[name]()
+
+    def started(self) -> Any:
+        """A workspace of CHOLMOD, which says nothing on its own; ``finish`` ends it."""
+        common = self.new("common")
+        self.functions["start"](ctypes.byref(common))
+        common.print, common.error_handler = 0, None
+        return common
+
+    def sparse(self, A: Lower, values: bool = True) -> Any:
+        """``A`` as a structure cholmod_sparse, which keeps its arrays alive; its pattern only without ``values``."""
+        matrix = self.new("sparse")
+        matrix.held = [array.astype(np.int64) for array in (A.indptr, A.indices)]
+        matrix.p, matrix.i = (array.ctypes.data for array in matrix.held)
+        if values:
+            data = np.ascontiguousarray(A.data, dtype=np.float64)
+            matrix.x, matrix.xtype = data.ctypes.data, Code.REAL
+            matrix.held.append(data)
+        matrix.nrow = matrix.ncol = A.n
+        matrix.nzmax = A.nnz
+        matrix.stype, matrix.itype, matrix.sorted, matrix.packed = Code.LOWER, Code.LONG, 1, 1
+        return matrix
+
+    def dense(self, X: Values) -> Any:
+        """The Fortran-ordered ``X`` (n, k) as a structure cholmod_dense."""
+        matrix = self.new("dense")
+        matrix.nrow, matrix.ncol = X.shape
+        matrix.d, matrix.nzmax = X.shape[0], X.size
+        matrix.x, matrix.xtype = X.ctypes.data, Code.REAL
+        matrix.held = X
+        return matrix
 
 
 def parse_header(text: str) -> tuple[str, dict[str, type[ctypes.Structure]]]:
@@ -163,9 +207,10 @@ def _open(path: str, header: Path) -> Library:
         raise UnusableError(f"its header {header} has version {version}, the library {loaded}")
     for name, result in _FUNCTIONS.items():
         functions[name].restype = result
-    holder = padded(structures["common"], _PADDING)
+    holder = padded(structures["common"], TOL.padding_bytes)
     functions["start"](ctypes.byref(holder))
-    agrees = list(holder.data.nrelax) == _DEFAULT_NRELAX and holder.data.itype == LONG and not any(holder.padding)
+    written = {"nrelax": list(holder.data.nrelax), "itype": [holder.data.itype]}
+    agrees = written == _DEFAULTS and not any(holder.padding)
     functions["finish"](ctypes.byref(holder))
     if not agrees:
         raise UnusableError(f"its structure differs from that of its header {header}")

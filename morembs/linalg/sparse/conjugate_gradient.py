@@ -19,20 +19,9 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.base.types import Bools, Floats, Values
+from morembs.linalg.sparse.tolerances import TOL
 
 Operator = Callable[[Values], Values]
-
-# Steps without halving the residual after which a column counts as stalled: residuals rise and rest for a while
-# where conjugate gradients work on the lowest modes, so a few steps say nothing.
-STALLED = 50
-# Backward error up to which a stalled column is still a solution: round-off, not failure.
-ACCEPTED = 1e-13
-# How far the true residual may lie above that of the recurrence, or above round-off.
-_DRIFT = 2.0
-# Share of the Gram matrix, relative to the largest, below which a direction depends on the others.
-_DEPENDENT = 1e-13
-# Rows multiplied at once: no temporary is as large as a block.
-_ROWS = 1 << 13
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +29,7 @@ class Solution:
     """``X`` (n, k) of A X = B after ``steps``.
 
     ``residual`` (k,) are backward errors ||b - A x|| / (||A|| ||x|| + ||b||) of true residuals; ``stagnated`` says
-    that at least one column stays above ``ACCEPTED`` and did not converge.
+    that at least one column stays above ``stalled_error`` and did not converge.
     """
 
     X: Values
@@ -55,9 +44,9 @@ def conjugate_gradients(
     B: Values,
     *,
     norm: float,
-    accuracy: float = 1e-12,
-    backward: float = 4e-16,
-    max_steps: int = 200,
+    accuracy: float = TOL.iteration_accuracy,
+    backward: float = TOL.iteration_roundoff,
+    max_steps: int = TOL.iteration_steps,
 ) -> Solution:
     """X of A X = B for symmetric A, real or complex.
 
@@ -81,7 +70,7 @@ def conjugate_gradients(
     while steps < max_steps and run.left() and run.step():
         steps += 1
     run.finish()
-    failed = ~(run.residual <= ACCEPTED) & ~run.converged
+    failed = ~(run.residual <= TOL.stalled_error) & ~run.converged
     return Solution(X=run.X, steps=steps, residual=run.residual, stagnated=bool(failed.any()))
 
 
@@ -120,7 +109,7 @@ class _Run:
         better = error < 0.5 * self.least
         self.least = np.where(better, error, self.least)
         self.since = np.where(better, 0, self.since + 1)
-        stalled = (self.since >= STALLED) | ~np.isfinite(size)
+        stalled = (self.since >= TOL.stalled_steps) | ~np.isfinite(size)
         self._verify((size <= self.backward * unit) | stalled, stalled)
         return bool(len(self.columns))
 
@@ -180,7 +169,7 @@ class _Run:
         np.subtract(_part(self.B, column), T, out=T)
         size, unit = _norms(T), self._unit()[at]
         floor = self.backward * unit
-        agrees = (size <= _DRIFT * np.maximum(_norms_of(self.R, at), floor)) & ~stop[at]
+        agrees = (size <= TOL.residual_drift * np.maximum(_norms_of(self.R, at), floor)) & ~stop[at]
         leaves = agrees | stop[at] | ~(size < 0.5 * self.true[at])
         self.residual[column] = np.where(unit > 0, size / np.where(unit > 0, unit, 1.0), np.where(size > 0, np.inf, 0))
         self.converged[column] = agrees
@@ -224,7 +213,7 @@ def _basis(Z: Values) -> Values:
     scale = 1.0 / size[held]
     G = (Z.conj().T @ Z if Z.dtype.kind == "c" else Z.T @ Z)[np.ix_(held, held)] * np.outer(scale, scale)
     values, V = np.linalg.eigh(G)
-    good = values > _DEPENDENT * values[-1]
+    good = values > TOL.dependent_direction * values[-1]
     T = np.zeros((Z.shape[1], int(good.sum())), dtype=Z.dtype)
     T[held] = scale[:, None] * V[:, good] / np.sqrt(values[good])
     return T
@@ -232,9 +221,10 @@ def _basis(Z: Values) -> Values:
 
 def _subtract(Y: Values, P: Values, C: Values, columns: NDArray[np.int64] | None = None) -> None:
     """Y -= P C in place, or these columns of Y, a slice of rows at a time."""
+    step = TOL.product_rows
     some = columns is not None and len(columns) < Y.shape[1]
-    for first in range(0, len(Y), _ROWS):
-        rows = slice(first, first + _ROWS)
+    for first in range(0, len(Y), step):
+        rows = slice(first, first + step)
         if some:
             Y[rows, columns] -= P[rows] @ C
         else:
@@ -243,9 +233,10 @@ def _subtract(Y: Values, P: Values, C: Values, columns: NDArray[np.int64] | None
 
 def _product(Z: Values, T: Values, memory: Values) -> Values:
     """Z T in ``memory``, a slice of rows at a time."""
+    step = TOL.product_rows
     result = memory[:, : T.shape[1]]
-    for first in range(0, len(Z), _ROWS):
-        result[first : first + _ROWS] = Z[first : first + _ROWS] @ T
+    for first in range(0, len(Z), step):
+        result[first : first + step] = Z[first : first + step] @ T
     return result
 
 

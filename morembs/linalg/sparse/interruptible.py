@@ -15,10 +15,9 @@ from typing import Generic, TypeVar
 
 from morembs.base.errors import SolverError
 from morembs.base.progress import SILENT, Progress
+from morembs.linalg.sparse.tolerances import TOL
 
 T = TypeVar("T")
-# How often news of a long call is given, in seconds.
-_TICK = 0.5
 _NAME = "morembs-call"
 
 
@@ -66,7 +65,7 @@ class ForeignObject(ABC):
         worker = threading.Thread(target=job.run, daemon=True, name=_NAME)
         try:
             worker.start()
-            while not job.done.wait(_TICK):
+            while not job.done.wait(TOL.news_seconds):
                 progress.update(f"{news} {time.perf_counter() - start:.0f} s".strip())
         except BaseException:
             self.abandoned = job.abandon() and worker.ident is not None

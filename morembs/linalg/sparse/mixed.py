@@ -18,12 +18,9 @@ from morembs.linalg.sparse.conjugate_gradient import conjugate_gradients
 from morembs.linalg.sparse.mumps import Mumps
 from morembs.linalg.sparse.solver import Analysis, Factorization, FactorStats, Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.tolerances import TOL
 
 log = logging.getLogger(__name__)
-# A rough factor that needs more steps than this costs more than a double one.
-MOST_STEPS = 30
-# Columns iterated at once: five arrays of this width exist.
-_BLOCK = 64
 
 
 class _MixedAnalysis(Analysis):
@@ -95,8 +92,9 @@ class _MixedFactor(Factorization):
         return self._iterate(b) is not None
 
     def _solve(self, B: Values) -> Values:
-        for first in range(0, B.shape[1], _BLOCK):
-            part = B[:, first : first + _BLOCK]
+        step = TOL.block_columns
+        for first in range(0, B.shape[1], step):
+            part = B[:, first : first + step]
             X = None if self._exact is not None else self._iterate(part)
             if X is None:
                 if self._exact is None:
@@ -104,7 +102,7 @@ class _MixedFactor(Factorization):
                     self._exact = self._analysis.in_double(self._A)
                 X = self._exact._solve(part)
                 self._applied += 1
-            B[:, first : first + _BLOCK] = X
+            part[:] = X
         return B
 
     def _iterate(self, B: Values) -> Values | None:
@@ -113,7 +111,11 @@ class _MixedFactor(Factorization):
         size[size == 0.0] = 1.0
         B = B / size
         solution = conjugate_gradients(
-            lambda X: np.asfortranarray(self._A @ X), self._precondition, B, norm=self._norm, max_steps=MOST_STEPS
+            lambda X: np.asfortranarray(self._A @ X),
+            self._precondition,
+            B,
+            norm=self._norm,
+            max_steps=TOL.iteration_steps_rough,
         )
         log.debug("%d steps to a backward error of %.1e", solution.steps, solution.residual.max(initial=0.0))
         return None if solution.stagnated else solution.X * size

@@ -7,45 +7,252 @@ the graph of the nodes; the analysis serves all matrices of one pattern.
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
 
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.scratch import ScratchFolder, free_bytes
 from morembs.base.types import Values
-from morembs.linalg.sparse.mumps_instance import ANALYSE, FACTORIZE, Instance
+from morembs.linalg.sparse.mumps_codes import (
+    MILLION,
+    SINGULAR,
+    TOO_SMALL,
+    WORDS,
+    Control,
+    Info,
+    Job,
+    Ordering,
+    RealControl,
+    RealInfo,
+    Setting,
+)
+from morembs.linalg.sparse.mumps_instance import Instance
 from morembs.linalg.sparse.mumps_library import Library, embedded_library, system_library
 from morembs.linalg.sparse.ordering import metis_ordering
-from morembs.linalg.sparse.solver import (
-    MECHANISM,
-    STRUCTURES,
-    Analysis,
-    Factorization,
-    FactorStats,
-    Forecast,
-    LinearSolver,
-)
+from morembs.linalg.sparse.session import FactorSize, Session, SessionSolver
+from morembs.linalg.sparse.solver import MECHANISM, STRUCTURES, Forecast
 from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.tolerances import TOL
 
 log = logging.getLogger(__name__)
 PRECISIONS = ("double", "single")
-_MEGABYTE = 1_000_000
-# Room for pivots that are put off, in per cent; a positive definite matrix puts none off.
-_RELAXATION, _RELAXATION_SPD = 20, 5
-_ATTEMPTS = 4
-# Workspace or buffers found too small in the numerical phase: more of them cures it.
-_TOO_SMALL = {-8, -9, -14, -15, -17, -18, -20}
-# Columns solved at once in memory; on disk each block reads every factor again, so all go at once.
-_BLOCK = 64
+
+
+class MumpsSession(Session):
+    """An instance of MUMPS. Versions before 5.6 lose the analysis with the factor: a new instance is then made."""
+
+    title = "MUMPS"
+    words = WORDS
+    overwrites = True
+    solver: MumpsSolver
+    library: Library
+
+    def __init__(self, solver: MumpsSolver, A: Lower, structure: str) -> None:
+        super().__init__(solver, A, structure)
+        # The entries of a right-hand side are counted in 32 bits in places.
+        self.columns = max(1, np.iinfo(np.int32).max // self.n)
+        self.arithmetic = np.dtype(_dtype(solver.precision, structure))
+        self._order = metis_ordering(A)
+        self._delayed = TOL.delayed_pivots_percent_spd if structure == "spd" else TOL.delayed_pivots_percent
+        self._folder: ScratchFolder | None = None
+        self._instance: Instance | None = None
+        self._negative: int | None = None
+
+    @property
+    def instance(self) -> Instance:
+        """What MUMPS holds."""
+        if self._instance is None:
+            raise SolverError("MUMPS holds nothing of this matrix any more; analyse it again")
+        return self._instance
+
+    def _begin(self, A: Lower) -> None:
+        """Make an instance and analyse the pattern of ``A`` with it."""
+        solver, order = self.solver, self._order
+        self._instance = instance = Instance(self.library, self.structure, self.arithmetic)
+        controls = {
+            Control.DELAYED_PIVOTS_PERCENT: self._delayed,
+            # Neither of these may depend on the values: one analysis serves many shifts.
+            Control.PERMUTE_LARGE_TO_DIAGONAL: Setting.NO,
+            Control.SYMMETRIC_ORDERING: Setting.USUAL_SYMMETRIC_ORDERING,
+            # Processes that share the root of the tree (ScaLAPACK) would not count its negative pivots.
+            Control.WHOLE_ROOT: Setting.YES,
+            # Its own METIS where there is none here; a build without one takes the next best.
+            Control.ORDERING: Ordering.METIS if order is None else Ordering.GIVEN,
+        }
+        if solver.low_rank:
+            controls[Control.LOW_RANK] = Setting.LOW_RANK_FACTOR_AND_SOLUTION
+            instance.set_real(RealControl.DROPPED_BY_LOW_RANK, solver.low_rank)
+        if solver.discard:
+            controls[Control.DISCARD_FACTOR] = Setting.YES
+        for control, value in controls.items():
+            instance.set(control, value)
+        if order is not None:
+            position = np.empty(A.n, dtype=np.int32)
+            position[order] = np.arange(1, A.n + 1, dtype=np.int32)
+            instance.give("perm_in", position)
+        instance.give_pattern(A)
+        if solver.out_of_core or self._folder is not None:
+            self._use_disk()
+        self._analyse_again()
+
+    def _analyse_again(self) -> None:
+        if self.run(self.instance.run, Job.ANALYSE) < 0:
+            raise self._failure("the analysis")
+
+    def _analyse(self, A: Lower) -> Forecast:
+        """In memory where the budget has room: first usual, then tight for delayed pivots; else on disk."""
+        self._begin(A)
+        budget = self.solver.memory
+        wanted = self._demand()
+        if budget is not None and wanted.memory > budget and self._delayed > TOL.delayed_pivots_percent_spd:
+            # Less room to begin with, more if it turns out to be needed.
+            self._delayed = TOL.delayed_pivots_percent_spd
+            self.instance.set(Control.DELAYED_PIVOTS_PERCENT, self._delayed)
+            self._analyse_again()
+            wanted = self._demand()
+        if budget is not None and wanted.memory > budget:
+            on_disk = self._demand_of(Info.MEMORY_ON_DISK)
+            if self._folder is None and self.solver.out_of_core is None and on_disk.memory <= budget:
+                self._use_disk()
+                self._analyse_again()
+                wanted = self._demand()
+        if budget is not None and wanted.memory > budget:
+            on_disk = self._demand_of(Info.MEMORY_ON_DISK)
+            raise BudgetError(
+                f"{budget / MILLION:.1f} MB are left of the memory budget for the factorisation; "
+                f"{on_disk.memory / MILLION:.0f} MB are needed even with the factors on disk "
+                f"({self._demand_of(Info.MEMORY).memory / MILLION:.0f} MB without); give more memory or take a coarser "
+                "mesh",
+                needed=on_disk.memory,
+            )
+        if wanted.disk and (free := free_bytes(self.solver.scratch)) < wanted.disk:
+            raise SolverError(
+                f"the scratch folder has {free / 1e9:.1f} GB left, the factor needs {wanted.disk / 1e9:.1f} GB; "
+                "make room, give another scratch folder, or give more memory"
+            )
+        return wanted
+
+    def _demand(self) -> Forecast:
+        """The forecast for the place where the factor is to lie."""
+        return self._demand_of(Info.MEMORY if self._folder is None else Info.MEMORY_ON_DISK)
+
+    def _demand_of(self, memory: Info) -> Forecast:
+        instance, size = self.instance, self.arithmetic.itemsize
+        entries = instance.count(Info.ENTRIES_ESTIMATE)
+        # Coordinates of what is given, and its values where they are copied; the rest is what MUMPS will allocate.
+        symmetric = not self.structure.endswith("unsymmetric")
+        copied = 0 if symmetric and self.arithmetic == np.float64 else size
+        matrix = (8 + copied) * (self.lower_nnz if symmetric else self.nnz)
+        disk = size * entries if memory == Info.MEMORY_ON_DISK else 0
+        return self.forecast(
+            entries=entries,
+            flops=instance.real_info(RealInfo.FLOPS_ESTIMATE),
+            memory=self._megabytes(memory) * MILLION + matrix,
+            kept=0 if disk else size * entries,
+            disk=disk,
+            precision=self.solver.precision,
+            ranks=self._ranks(),
+        )
+
+    def _megabytes(self, memory: Info) -> int:
+        """Memory on this machine of which INFOG(memory) is the largest of one process."""
+        return self.instance.info(memory)
+
+    def _ranks(self) -> int:
+        """How many processes on this machine hold the factor."""
+        return 1
+
+    def _on_disk(self) -> Forecast | None:
+        return self._demand_of(Info.MEMORY_ON_DISK)
+
+    def _use_disk(self) -> None:
+        """Have the factors written to a private folder."""
+        self._folder = self._folder or ScratchFolder(self.solver.scratch)
+        path, room = str(self._folder.path).encode(), self.instance.longest_folder
+        if len(path) > room:
+            raise InputError(
+                f"the scratch folder {self._folder.path} has a path of {len(path)} bytes; "
+                f"MUMPS {self.library.version} takes up to {room}: give a shorter one"
+            )
+        self.instance.use_folder(path)
+
+    def _factorize(self, A: Lower) -> FactorSize:
+        """Numerical phase, with more workspace each time it was too small."""
+        if self._instance is None:
+            self._begin(A)
+        instance = self.instance
+        instance.give_pattern(A)
+        instance.give_values(A)
+        delayed = self._delayed
+        for attempt in range(1, TOL.factorisation_attempts + 1):
+            code = self.run(instance.run, Job.FACTORIZE)
+            if code >= 0:
+                break
+            if code not in TOO_SMALL or attempt == TOL.factorisation_attempts:
+                raise self._failure("the factorisation")
+            delayed = max(2 * delayed, TOL.delayed_pivots_percent)
+            log.info("%s: INFOG(1) = %d, again with %d %% more workspace", self.solver.name, code, delayed)
+            instance.set(Control.DELAYED_PIVOTS_PERCENT, delayed)
+        instance.take_matrix()
+        negative = instance.info(Info.NEGATIVE_PIVOTS)
+        if self.structure == "spd" and negative > 0:
+            raise SingularMatrixError(
+                f"the matrix should be positive definite but has {negative} negative pivots; {MECHANISM}"
+            )
+        self._negative = negative if self.structure in ("spd", "symmetric") else None
+        entries = instance.count(Info.ENTRIES)
+        size, on_disk = self.arithmetic.itemsize * entries, self._folder is not None
+        flops = instance.real_info(RealInfo.FLOPS)
+        return FactorSize(entries=entries, memory=0 if on_disk else size, disk=size if on_disk else 0, flops=flops)
+
+    def _solve(self, B: Values) -> Values:
+        X = B.astype(self.arithmetic, copy=False)
+        # On disk each block reads every factor again, so all go at once.
+        self.instance.set(Control.COLUMNS_AT_ONCE, TOL.block_columns if self._folder is None else B.shape[1])
+        if self.run(self.instance.solve, X) < 0:
+            raise self._failure("the solution")
+        return X
+
+    def _solve_transposed(self, B: Values) -> Values:
+        self.instance.set(Control.NOT_TRANSPOSED, Setting.TRANSPOSED)
+        try:
+            return self._solve(B)
+        finally:
+            self.instance.set(Control.NOT_TRANSPOSED, Setting.YES)
+
+    def _negative_pivots(self) -> int | None:
+        return self._negative
+
+    def _failure(self, phase: str) -> SolverError | SingularMatrixError:
+        """The exception for a job that failed."""
+        code, detail = self.instance.info(Info.CODE), self.instance.info(Info.DETAIL)
+        if code in SINGULAR:
+            return SingularMatrixError(f"the matrix is singular (MUMPS INFOG(1) = {code}); {MECHANISM}")
+        return self.failure(phase, code, f"INFOG(1) = {code}, INFOG(2) = {detail}")
+
+    def _forget(self) -> None:
+        if self._instance is not None and self.library.keeps_analysis:
+            self._instance.run(Job.FREE_FACTOR)
+        else:
+            self._free()
+
+    def _free(self) -> None:
+        instance, self._instance = self._instance, None
+        if instance is not None:
+            instance.end()
+
+    def close(self) -> None:
+        super().close()
+        # At once, also where an interrupted job goes on.
+        if self._folder is not None:
+            self._folder.close()
 
 
 @dataclass(frozen=True, kw_only=True)
-class _MumpsSolver(LinearSolver):
+class MumpsSolver(SessionSolver):
     """What the libraries share.
 
     ``precision`` "single" and ``low_rank`` (relative size of what a low-rank block drops, 0 for none) make
@@ -57,21 +264,9 @@ class _MumpsSolver(LinearSolver):
     low_rank: float = 0.0
     out_of_core: bool | None = None
     discard: bool = False
-    progress: Progress = field(default=SILENT, compare=False, repr=False)
 
+    session: ClassVar[type[Session]] = MumpsSession
     library: ClassVar[Callable[[str], Library | str]]
-
-    def opened(self, dtype: str) -> Library | str:
-        """The library for factors of ``dtype``, or why there is none."""
-        return type(self).library(dtype)
-
-    def megabytes(self, instance: Instance, number: int) -> int:
-        """Memory on this machine of which INFOG(number) is the largest of one process."""
-        return instance.info(number)
-
-    def local(self, instance: Instance) -> int:
-        """How many processes on this machine hold the factor of ``instance``."""
-        return 1
 
     def __post_init__(self) -> None:
         if self.precision not in PRECISIONS:
@@ -79,11 +274,31 @@ class _MumpsSolver(LinearSolver):
 
     @classmethod
     def unavailable(cls) -> str:
-        library = cls.library("float64")
+        return cls.lacks("double", "spd")
+
+    @classmethod
+    def lacks(cls, precision: str, structure: str) -> str:
+        """Why there is no arithmetic of this ``precision`` for this ``structure``; empty: there is."""
+        library = cls.library(_dtype(precision, structure))
         return library if isinstance(library, str) else ""
 
+    def opened(self, structure: str) -> Library:
+        library = self._found(_dtype(self.precision, structure))
+        if isinstance(library, str):
+            raise InputError(f"solver = {self.name!r} cannot take {structure} matrices here: {library}")
+        if self.low_rank and not library.low_rank:
+            raise InputError(
+                f"low_rank = {self.low_rank} was given, but this build of MUMPS crashes at random in low-rank mode; "
+                "build one with METIS (make mumps)"
+            )
+        return library
+
+    def _found(self, dtype: str) -> Library | str:
+        """The library for factors of ``dtype``, or why there is none."""
+        return type(self).library(dtype)
+
     def _inertia(self, A: Lower, what: str) -> int:
-        if isinstance(type(self).library("float64"), str):
+        if self.unavailable():
             return super()._inertia(A, what)
         # Backward stable by its choice of pivots, so the count holds for a matrix next to this one.
         with self._counting().analyse(A, "symmetric", what) as analysis, analysis.factorize_unchecked(A) as factor:
@@ -97,23 +312,6 @@ class _MumpsSolver(LinearSolver):
         """This solver with nothing kept but the signs of the pivots."""
         return replace(self, precision="double", low_rank=0.0, out_of_core=False, discard=True)
 
-    @classmethod
-    def lacks(cls, precision: str, structure: str) -> str:
-        """Why there is no arithmetic of this ``precision`` for this ``structure``; empty: there is."""
-        library = cls.library(_dtype(precision, structure))
-        return library if isinstance(library, str) else ""
-
-    def _analyse(self, A: Lower, structure: str) -> Analysis:
-        library = self.opened(_dtype(self.precision, structure))
-        if isinstance(library, str):
-            raise InputError(f"solver = {self.name!r} cannot take {structure} matrices here: {library}")
-        if self.low_rank and not library.low_rank:
-            raise InputError(
-                f"low_rank = {self.low_rank} was given, but this build of MUMPS crashes at random in low-rank mode; "
-                "build one with METIS (make mumps)"
-            )
-        return MumpsAnalysis(self, library, A, structure)
-
 
 def _dtype(precision: str, structure: str) -> str:
     if structure.startswith("complex"):
@@ -121,223 +319,8 @@ def _dtype(precision: str, structure: str) -> str:
     return "float32" if precision == "single" else "float64"
 
 
-class MumpsAnalysis(Analysis):
-    """An instance of MUMPS after JOB = 1."""
-
-    def __init__(self, solver: _MumpsSolver, library: Library, A: Lower, structure: str) -> None:
-        super().__init__(A, structure)
-        self.solver, self.backend = solver, solver.name
-        self._folder: ScratchFolder | None = None
-        self._order = metis_ordering(A)
-        self.relaxation = _RELAXATION_SPD if structure == "spd" else _RELAXATION
-        try:
-            self._set_up(library, A)
-            self._forecast = self._within_budget()
-        except BaseException:
-            self.close()
-            raise
-
-    def _set_up(self, library: Library, A: Lower) -> None:
-        solver, order = self.solver, self._order
-        self.instance = instance = Instance(library, self.structure, _dtype(solver.precision, self.structure))
-        instance.control(14, self.relaxation)
-        # Neither of these may depend on the values: one analysis serves many shifts.
-        instance.control(6, 0)
-        instance.control(12, 1)
-        # Processes that share the root of the tree (ScaLAPACK) would not count its negative pivots.
-        instance.control(13, 1)
-        if order is None:
-            # Its own METIS; a build without one takes the next best.
-            instance.control(7, 5)
-        else:
-            position = np.empty(A.n, dtype=np.int32)
-            position[order] = np.arange(1, A.n + 1, dtype=np.int32)
-            instance.give("perm_in", position)
-            instance.control(7, 1)
-        if solver.low_rank:
-            instance.control(35, 2)
-            instance.real_control(7, solver.low_rank)
-        if solver.discard:
-            instance.control(31, 1)
-        instance.set_pattern(A)
-        if solver.out_of_core or self._folder is not None:
-            self._use_disk()
-
-    def _within_budget(self) -> Forecast:
-        """Analyse, on disk where the budget asks for it."""
-        self._analyse()
-        budget = self.solver.memory
-        wanted = self._demand(16 if self._folder is None else 26)
-        if budget is None or wanted.memory <= budget:
-            return self._have_room(wanted)
-        if self.relaxation > _RELAXATION_SPD:
-            # Tight: less room to begin with, more if it turns out to be needed.
-            self.relaxation = _RELAXATION_SPD
-            self.instance.control(14, self.relaxation)
-            self._analyse()
-            wanted = self._demand(16 if self._folder is None else 26)
-            if wanted.memory <= budget:
-                return self._have_room(wanted)
-        if self._folder is None and self.solver.out_of_core is None and self._demand(26).memory <= budget:
-            self._use_disk()
-            self._analyse()
-            wanted = self._demand(26)
-        if wanted.memory > budget:
-            on_disk = self._demand(26)
-            raise BudgetError(
-                f"{budget / _MEGABYTE:.1f} MB are left of the memory budget for the factorisation; "
-                f"{on_disk.memory / _MEGABYTE:.0f} MB are needed even with the factors on disk "
-                f"({self._demand(16).memory / _MEGABYTE:.0f} MB without); give more memory or take a coarser mesh",
-                needed=on_disk.memory,
-            )
-        return self._have_room(wanted)
-
-    def _analyse(self) -> None:
-        if self.instance.run(ANALYSE, self.solver.progress, "ordering") < 0:
-            raise self.instance.error("analysis")
-
-    def _demand(self, number: int) -> Forecast:
-        """Forecast in core (INFOG(16)) or out of core (INFOG(26))."""
-        instance = self.instance
-        entries = instance.count(3)
-        size = instance.dtype.itemsize
-        # Coordinates of what is given, and its values where they are copied; the rest is what MUMPS will allocate.
-        symmetric = not self.structure.endswith("unsymmetric")
-        held = 0 if symmetric and instance.dtype == np.float64 else size
-        matrix = (8 + held) * (self.lower_nnz if symmetric else self.nnz)
-        disk = size * entries if number == 26 else 0
-        needed = self.solver.megabytes(instance, number) * _MEGABYTE + matrix
-        return Forecast(
-            backend=self.backend,
-            size=self.n,
-            factor_entries=entries,
-            flops=instance.real_info(1),
-            memory=needed,
-            kept=0 if disk else size * entries,
-            disk=disk,
-            precision=self.solver.precision,
-            ranks=self.solver.local(instance),
-        )
-
-    def _have_room(self, wanted: Forecast) -> Forecast:
-        if wanted.disk:
-            free = free_bytes(self.solver.scratch)
-            if free < wanted.disk:
-                raise SolverError(
-                    f"the scratch folder has {free / 1e9:.1f} GB left, the factor needs {wanted.disk / 1e9:.1f} GB; "
-                    "make room, give another scratch folder, or give more memory"
-                )
-        return wanted
-
-    def _use_disk(self) -> None:
-        """Have the factors written to a private folder."""
-        self._folder = self._folder or ScratchFolder(self.solver.scratch)
-        path, room = str(self._folder.path).encode(), self.instance.longest_folder
-        if len(path) > room:
-            raise InputError(
-                f"the scratch folder {self._folder.path} has a path of {len(path)} bytes; "
-                f"MUMPS {self.instance.library.version} takes up to {room}: give a shorter one"
-            )
-        self.instance.set_disk(path)
-
-    @property
-    def forecast(self) -> Forecast:
-        return self._forecast
-
-    @property
-    def on_disk(self) -> Forecast:
-        """The forecast with the factor on disk."""
-        return self._demand(26)
-
-    def factorize_unchecked(self, A: Lower) -> Factorization:
-        start = time.perf_counter()
-        self._eliminate(A)
-        instance = self.instance
-        entries, on_disk = instance.count(29), self._folder is not None
-        held = instance.dtype.itemsize * entries
-        stats = self._stats(
-            start,
-            entries,
-            memory_bytes=0 if on_disk else held,
-            disk_bytes=held if on_disk else 0,
-            out_of_core=on_disk,
-            flops=instance.real_info(3),
-        )
-        return _MumpsFactor(self, stats)
-
-    def _eliminate(self, A: Lower) -> None:
-        """Numerical phase, with more workspace each time it was too small."""
-        if self.instance.ended:
-            # The factor before was closed, and this version of MUMPS let go of the analysis with it.
-            self._set_up(self.instance.library, A)
-            self._analyse()
-        instance = self.instance
-        instance.set_pattern(A)
-        instance.set_values(A)
-        relaxation = self.relaxation
-        for attempt in range(_ATTEMPTS):
-            news = f"factorising ({self._forecast.flops:.2g} operations)"
-            code = instance.run(FACTORIZE, self.solver.progress, news)
-            if code >= 0:
-                break
-            if code not in _TOO_SMALL or attempt == _ATTEMPTS - 1:
-                raise instance.error("factorisation")
-            relaxation = max(2 * relaxation, _RELAXATION)
-            log.info("%s: INFOG(1) = %d, again with %d %% more workspace", self.backend, code, relaxation)
-            instance.control(14, relaxation)
-        instance.drop_matrix()
-        if self.structure == "spd" and instance.info(12) > 0:
-            raise SingularMatrixError(
-                f"the matrix should be positive definite but has {instance.info(12)} negative pivots; {MECHANISM}"
-            )
-
-    def _release(self) -> None:
-        # Not there where MUMPS could not be started.
-        if hasattr(self, "instance"):
-            self.instance.close()
-        if self._folder is not None:
-            self._folder.close()
-
-
-class _MumpsFactor(Factorization):
-    """The factor that an analysis holds."""
-
-    def __init__(self, analysis: MumpsAnalysis, stats: FactorStats) -> None:
-        super().__init__(stats, np.complex128 if analysis.structure.startswith("complex") else np.float64)
-        self._instance = analysis.instance
-        counts = analysis.structure in ("spd", "symmetric")
-        self._negative = self._instance.info(12) if counts else None
-
-    def _solve(self, B: Values) -> Values:
-        instance = self._instance
-        X = B if B.dtype == instance.dtype else B.astype(instance.dtype)
-        # The entries of a right-hand side are counted in 32 bits in places.
-        step = max(1, (2**31 - 1) // self.n)
-        for first in range(0, X.shape[1], step):
-            part = X[:, first : first + step]
-            instance.control(27, part.shape[1] if self._stats.out_of_core else _BLOCK)
-            instance.solve_dense(part)
-        return X.astype(self.dtype, copy=False)
-
-    def _solve_transposed(self, B: Values) -> Values:
-        self._instance.control(9, 2)
-        try:
-            return self._solve(B)
-        finally:
-            self._instance.control(9, 1)
-
-    def _negative_pivots(self) -> int | None:
-        return self._negative
-
-    def _release(self) -> None:
-        self._instance.forget()
-
-    def _give_way(self) -> None:
-        """The next factorisation overwrites the factor."""
-
-
 @dataclass(frozen=True, kw_only=True)
-class Mumps(_MumpsSolver):
+class Mumps(MumpsSolver):
     """The sequential MUMPS of the system (Debian: libmumps-seq-dev), or one built with METIS."""
 
     name: ClassVar[str] = "mumps"
@@ -346,7 +329,7 @@ class Mumps(_MumpsSolver):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EmbeddedMumps(_MumpsSolver):
+class EmbeddedMumps(MumpsSolver):
     """The MUMPS that comes with the CasADi package: real double precision."""
 
     name: ClassVar[str] = "mumps-embedded"

@@ -26,10 +26,10 @@ from morembs.linalg.sparse.foreign import (
     with_header,
     without_comments,
 )
+from morembs.linalg.sparse.mumps_codes import ARITHMETIC, Job, World
 from morembs.linalg.sparse.rebinding import rebind, scipy_blas
+from morembs.linalg.sparse.tolerances import TOL
 
-# "No MPI" for the sequential build: its dummy of MPI expects this communicator.
-USE_COMM_WORLD = -987654
 SYSTEM_HINT = "sudo apt-get install libmumps-seq-dev libmetis5 libopenblas0-pthread"
 EMBEDDED_HINT = "pip install casadi"
 RANKS_HINT = "sudo apt-get install libmumps-dev openmpi-bin libmetis5 libopenblas0-pthread"
@@ -57,14 +57,10 @@ _NEEDED = {
     "ooc_tmpdir",
     "ooc_prefix",
 }
-# The letter that MUMPS puts before its names, by type of the values.
-ARITHMETIC = {"float64": "d", "complex128": "z", "float32": "s", "complex64": "c"}
 # MUMPS keeps state in global variables, so one job runs at a time. Reentrant, because the garbage
 # collector may close a factorisation of the thread that holds it; one for all, because two threads that
 # look for the library at the same time both open it.
 LOCK = threading.RLock()
-# A library that is newer than the header writes beyond the structure while it is being tested.
-_PADDING = 1 << 16
 # Folders of the headers of the system.
 FOLDERS = (Path("/usr/local/include"), Path("/usr/include"))
 
@@ -138,15 +134,15 @@ def _open(path: str, folder: Path, letter: str, low_rank: bool = False) -> Libra
         raise UnusableError(f"it cannot be loaded: {error}") from None
     function.restype = None
     # Keeps the padding alive as long as the structure.
-    holder = padded(layout, _PADDING)
+    holder = padded(layout, TOL.padding_bytes)
     data = holder.data
-    data.par, data.sym, data.comm_fortran = 1, 1, USE_COMM_WORLD
+    data.par, data.sym, data.comm_fortran = 1, 1, World.SEQUENTIAL
     library = Library(path, version, layout, function, low_rank)
     with library.lock:
-        library.call(data, -1)
+        library.call(data, Job.NEW)
         loaded = data.version_number.decode("latin-1").strip()
         data.icntl[:4] = [0] * 4
-        library.call(data, -2)
+        library.call(data, Job.END)
     if loaded != version:
         raise UnusableError(f"its header {header} has version {version}, the library {loaded or 'another'}")
     return library

@@ -18,17 +18,13 @@ from numpy.typing import NDArray
 from morembs.base.types import Ints
 from morembs.linalg.sparse.foreign import find_library
 from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.tolerances import TOL
 
 log = logging.getLogger(__name__)
 
-_OPTIONS = 40
-_OK = 1
-# Below this any order is good, and METIS is not meant for graphs of a few vertices.
-_SMALLEST = 50
-_CHUNK = 1 << 20
+# Of METIS 5: length of its array of options, and what its functions return.
+METIS = {"METIS_NOPTIONS": 40, "METIS_OK": 1}
 _LAST: list[tuple[int | None, Ints | None]] = [(None, None)]
-# Relative difference of two sums of keys that is round-off.
-_SAME = 1e-10
 
 
 @cache
@@ -37,7 +33,7 @@ def metis_library() -> tuple[Any, type[np.signedinteger[Any]]] | None:
     path = find_library("metis")
     if path is None:
         return None
-    options = np.zeros(2 * _OPTIONS, dtype=np.int32)
+    options = np.zeros(2 * METIS["METIS_NOPTIONS"], dtype=np.int32)
     try:
         library = ctypes.CDLL(path)
         library.METIS_NodeND.restype = ctypes.c_int
@@ -68,12 +64,12 @@ def metis_ordering(A: Lower) -> Ints | None:
 def _ordered(A: Lower) -> Ints | None:
     metis = metis_library()
     n = A.n
-    if metis is None or n < _SMALLEST:
+    if metis is None or n < TOL.smallest_graph:
         return None
     library, integer = metis
     graph, starts = node_graph(A)
     vertices = graph.shape[0]
-    if vertices < _SMALLEST or graph.nnz == 0 or graph.nnz > np.iinfo(integer).max:
+    if vertices < TOL.smallest_graph or graph.nnz == 0 or graph.nnz > np.iinfo(integer).max:
         return None
     sizes = np.diff(np.append(starts, n))
     arrays = [np.ascontiguousarray(array, dtype=integer) for array in (graph.indptr, graph.indices, sizes)]
@@ -89,7 +85,7 @@ def _ordered(A: Lower) -> Ints | None:
         ctypes.c_void_p(order.ctypes.data),
         ctypes.c_void_p(position.ctypes.data),
     )
-    if code != _OK:
+    if code != METIS["METIS_OK"]:
         log.warning("METIS failed with code %d; the solver orders the matrix itself", code)
         return None
     return explode(order.astype(np.int64), starts, sizes)
@@ -112,7 +108,7 @@ def _new_pattern(A: Lower) -> NDArray[np.bool_]:
     first = np.ones(A.n, dtype=bool)
     key = np.random.default_rng(5).uniform(1.0, 2.0, A.n)
     row = _row_sums(A, key)
-    first[1:] = (counts[1:] != counts[:-1] - 1) | (np.abs(row[1:] - key[1:] - row[:-1]) > _SAME * row[1:])
+    first[1:] = (counts[1:] != counts[:-1] - 1) | (np.abs(row[1:] - key[1:] - row[:-1]) > TOL.same_key_sum * row[1:])
     same = np.flatnonzero(~first)
     for columns in _pieces(same, counts):
         here, length = _places(A.indptr[columns], counts[columns])
@@ -133,9 +129,9 @@ def _row_sums(A: Lower, key: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _pieces(columns: Ints, counts: Ints) -> list[Ints]:
-    """``columns`` cut into pieces of about ``_CHUNK`` entries: the temporaries are several times as large."""
+    """``columns`` cut into pieces of about ``graph_entries``: the temporaries are several times as large."""
     ends = np.cumsum(counts[columns])
-    limits = np.arange(_CHUNK, ends[-1] if columns.size else 0, _CHUNK)
+    limits = np.arange(TOL.graph_entries, ends[-1] if columns.size else 0, TOL.graph_entries)
     return [part for part in np.split(columns, np.searchsorted(ends, limits)) if part.size]
 
 

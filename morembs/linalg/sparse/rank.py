@@ -21,17 +21,17 @@ from typing import Any
 import numpy as np
 
 from morembs.base.memory import peak_memory_bytes
+from morembs.linalg.sparse.mumps_codes import Job
 from morembs.linalg.sparse.mumps_library import Library, rank_library
+from morembs.linalg.sparse.tolerances import TOL
 
 # Arrays of the matrix and of right-hand sides, which rank 0 alone has.
 ARRAYS = {"irn": np.int32, "jcn": np.int32, "perm_in": np.int32, "a": None, "rhs": None}
 COUNTS = ("n", "nnz", "nrhs", "lrhs")
 TOLD = ("icntl", "cntl", "infog", "rinfog")
-NEW, END = -1, -2
 SOCKET = "socket"
-# The ranks ask for commands so often, in seconds: MPI itself would wait with a whole processor.
-_SHORTEST, _LONGEST = 2e-4, 5e-3
-_PR_SET_PDEATHSIG = 1
+# Number of ``prctl`` for the signal that follows the end of the parent (linux/prctl.h).
+PRCTL = {"PR_SET_PDEATHSIG": 1}
 
 
 class Mpi:
@@ -61,13 +61,13 @@ class Mpi:
 
     def hear(self) -> str:
         """The next command of rank 0."""
-        flag, pause = ctypes.c_int(), _SHORTEST
+        flag, pause = ctypes.c_int(), TOL.shortest_poll_seconds
         while True:
             self._library.MPI_Iprobe(0, 0, self._world, ctypes.byref(flag), None)
             if flag.value:
                 break
             time.sleep(pause)
-            pause = min(2 * pause, _LONGEST)
+            pause = min(2 * pause, TOL.longest_poll_seconds)
         size = np.zeros(1, dtype=np.int64)
         self._library.MPI_Recv(ctypes.c_void_p(size.ctypes.data), 1, self._long, 0, 0, self._world, None)
         message = ctypes.create_string_buffer(int(size[0]))
@@ -109,20 +109,20 @@ class Rank:
             return library, ""
         data = self._new(library, 1)
         loaded = data.version_number.decode("latin-1").strip()
-        library.call(data, END)
+        library.call(data, Job.END)
         return library.version, loaded
 
     def run(self, command: dict[str, Any]) -> dict[str, Any]:
         """Run the job of a ``command``; what MUMPS says about it, and the peak memory of all ranks."""
         number, job = command["instance"], command["job"]
-        if job == NEW:
+        if job == Job.NEW:
             library = rank_library(command["dtype"])
             if isinstance(library, str):
                 return {"fault": library}
             self._instances[number], self._held[number] = (library, self._new(library, command["sym"])), {}
         library, data = self._instances[number]
-        if job != NEW:
-            if job != END:
+        if job != Job.NEW:
+            if job != Job.END:
                 data.icntl[:], data.cntl[:] = command["icntl"], command["cntl"]
                 data.ooc_tmpdir, data.ooc_prefix = command["ooc_tmpdir"].encode(), command["ooc_prefix"].encode()
                 if self.mpi.rank == 0:
@@ -130,14 +130,14 @@ class Rank:
             # All ranks come back with the same INFOG, whichever of them failed.
             library.call(data, job)
         answer = {name: list(getattr(data, name)) for name in TOLD}
-        if job == END:
+        if job == Job.END:
             del self._instances[number], self._held[number]
         return {**answer, "peak": self.mpi.gathered(peak_memory_bytes())}
 
     def _new(self, library: Library, sym: int) -> Any:
         data = library.structure()
         data.par, data.sym, data.comm_fortran = 1, sym, self.mpi.communicator
-        library.call(data, NEW)
+        library.call(data, Job.NEW)
         data.icntl[:4] = [0] * 4
         return data
 
@@ -180,7 +180,7 @@ def _follow(lifeline: socket.socket, folder: Path) -> None:
 
 def _die_with_parent() -> None:
     before = os.getppid()
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    ctypes.CDLL(None).prctl(PRCTL["PR_SET_PDEATHSIG"], signal.SIGKILL)
     if os.getppid() != before:
         os._exit(1)
 

@@ -1,4 +1,4 @@
-"""The processes of a parallel MUMPS, started by mpirun, as a library whose calls they run.
+"""The processes of a parallel MUMPS, started by mpirun, which run commands together.
 
 This process never becomes one of MPI. Commands go to rank 0 over a socket, arrays through files in a private folder
 that rank 0 maps into memory. One group of processes serves all instances of MUMPS with the same ranks, from the first
@@ -7,8 +7,6 @@ to the end of this process, as its start takes a second; between commands it sle
 
 from __future__ import annotations
 
-import ctypes
-import itertools
 import json
 import logging
 import os
@@ -19,26 +17,21 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 import weakref
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from morembs.base.crew import processors, threads_for
-from morembs.base.errors import InputError, OutputError, SolverError
+from morembs.base.errors import InputError, SolverError
 from morembs.base.scratch import ScratchFolder
-from morembs.linalg.sparse.mumps_library import Library, rank_files
-from morembs.linalg.sparse.rank import ARRAYS, COUNTS, END, NEW, SOCKET, TOLD
+from morembs.linalg.sparse.mumps_library import rank_files
+from morembs.linalg.sparse.rank import SOCKET
+from morembs.linalg.sparse.tolerances import TOL
 
 log = logging.getLogger(__name__)
 _PROGRAM = "morembs.linalg.sparse.rank"
 _AS_ROOT = ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM")
-# How often the end of mpirun is looked for, and how long it may take to leave, in seconds.
-_LOOK, _PATIENCE = 0.5, 10.0
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
 
 
@@ -149,7 +142,7 @@ class Ranks:
         finally:
             os.close(opened)
         listener.listen()
-        listener.settimeout(_LOOK)
+        listener.settimeout(TOL.news_seconds)
         return listener
 
     def _accepted(self, listener: socket.socket) -> socket.socket:
@@ -192,7 +185,7 @@ class Ranks:
     def died(self) -> SolverError:
         """The error for ranks that are gone, once mpirun has said which."""
         with suppress(subprocess.TimeoutExpired):
-            self._mpirun.wait(_PATIENCE)
+            self._mpirun.wait(TOL.leaving_seconds)
         words = self._words()
         self.kill()
         rank = re.search(r"process rank (\d+) .*?on signal (\d+)", words, flags=re.DOTALL)
@@ -218,110 +211,9 @@ def _end(mpirun: subprocess.Popen[bytes], folder: ScratchFolder, owner: int) -> 
         with suppress(OSError):
             mpirun.terminate()
         try:
-            mpirun.wait(_PATIENCE)
+            mpirun.wait(TOL.leaving_seconds)
         except subprocess.TimeoutExpired:
             with suppress(OSError):
                 os.killpg(mpirun.pid, signal.SIGKILL)
             mpirun.wait()
     folder.close()
-
-
-_RUNNING: dict[tuple[int, Path | None, int], Ranks] = {}
-_NUMBERS = itertools.count(1)
-_LOCK = threading.RLock()
-
-
-@dataclass(frozen=True)
-class RanksLibrary(Library):
-    """MUMPS on ``count`` ranks. Its structures stay here; what they hold goes there with each call, and comes back."""
-
-    count: int = 2
-    scratch: Path | None = None
-    numbers: dict[int, tuple[Ranks, int]] = field(default_factory=dict, compare=False)
-    dtype: str = "float64"
-
-    @property
-    def _key(self) -> tuple[int, Path | None, int]:
-        return self.count, self.scratch, os.getpid()
-
-    @property
-    def local(self) -> int:
-        """How many of the ranks run on this machine."""
-        return max((ranks.local for ranks, _ in self.numbers.values()), default=self.count)
-
-    def call(self, data: Any, job: int) -> None:
-        """Run one job on all ranks."""
-        at = ctypes.addressof(data)
-        if job == NEW:
-            with _LOCK:
-                self.numbers[at] = self._begun()
-        ranks, number = self.numbers[at]
-        if job == END:
-            self._ended(at, ranks, number)
-            return
-        if not ranks.alive:
-            # Their folder is gone with them.
-            raise ranks.died()
-        command, rhs = self._command(ranks, number, data, job)
-        answer = ranks.call(command)
-        for name in TOLD:
-            getattr(data, name)[:] = answer[name]
-        if rhs is not None and answer["infog"][0] >= 0:
-            rhs[:] = np.fromfile(ranks.folder / command["arrays"]["rhs"], dtype=rhs.dtype)
-
-    def _begun(self) -> tuple[Ranks, int]:
-        ranks = _RUNNING.get(self._key)
-        if ranks is None or not ranks.alive:
-            ranks = _RUNNING[self._key] = Ranks(self.count, self.scratch)
-        return ranks, next(_NUMBERS)
-
-    def _ended(self, at: int, ranks: Ranks, number: int) -> None:
-        """Free an instance; nothing where its ranks have ended."""
-        del self.numbers[at]
-        if ranks.alive:
-            with suppress(SolverError):
-                ranks.call(self._plain(number, END))
-            for file in ranks.folder.glob(f"{number}-*"):
-                file.unlink(missing_ok=True)
-
-    def _plain(self, number: int, job: int) -> dict[str, Any]:
-        return {"instance": number, "job": job, "dtype": self.dtype}
-
-    def _command(self, ranks: Ranks, number: int, data: Any, job: int) -> tuple[dict[str, Any], Any]:
-        """The command for a job, its arrays in files; and the right-hand sides that the solution overwrites."""
-        command = {**self._plain(number, job), "sym": int(data.sym)}
-        if job == NEW:
-            return command, None
-        arrays, rhs = {}, None
-        for name, kind in ARRAYS.items():
-            address, file = getattr(data, name), f"{number}-{name}-{time.monotonic_ns()}"
-            if not address:
-                continue
-            size = {"perm_in": data.n, "rhs": data.nrhs * data.lrhs}.get(name, data.nnz)
-            array = _at(address, size, np.dtype(kind or self.dtype))
-            for old in ranks.folder.glob(f"{number}-{name}-*"):
-                old.unlink()
-            try:
-                array.tofile(ranks.folder / file)
-            except OSError as error:
-                raise OutputError(
-                    f"the scratch folder {ranks.folder.parent} has no room for {array.nbytes / 1e9:.2f} GB more "
-                    f"({error.strerror}); make room, or give another scratch folder"
-                ) from error
-            arrays[name] = file
-            rhs = array if name == "rhs" else rhs
-        return {
-            **command,
-            "icntl": list(data.icntl),
-            "cntl": list(data.cntl),
-            "arrays": arrays,
-            "ooc_tmpdir": data.ooc_tmpdir.decode(),
-            "ooc_prefix": data.ooc_prefix.decode(),
-            "counts": {name: int(getattr(data, name)) for name in COUNTS},
-        }, rhs
-
-
-def _at(address: int, size: int, dtype: np.dtype[Any]) -> Any:
-    """The array (size,) at an address."""
-    memory: Any = (ctypes.c_char * (size * dtype.itemsize)).from_address(address)
-    return np.frombuffer(memory, dtype=dtype)

@@ -13,16 +13,25 @@ import ctypes
 import platform
 import sys
 from collections.abc import Mapping
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
 # Type of the relocations of that table, by processor.
 _JUMP_SLOT = {"x86_64": 7, "aarch64": 1026}
-# Tags of the dynamic section: bytes of the table of relocations, names, symbols, and that table.
-_SIZE, _NAMES, _SYMBOLS, _RELOCATIONS = 2, 5, 6, 23
-_LINK_MAP = 2
+# What ``dlinfo`` is asked for (dlfcn.h).
+_REQUESTS = {"RTLD_DI_LINKMAP": 2}
 # All that MUMPS spends its time in.
 BLAS = ("dgemm", "dtrsm", "dgemv", "daxpy", "dcopy", "dscal", "dswap")
+
+
+class _Tag(IntEnum):
+    """Tags of the dynamic section: bytes of the table of relocations, names, symbols, and that table."""
+
+    SIZE = 2
+    NAMES = 5
+    SYMBOLS = 6
+    RELOCATIONS = 23
 
 
 class _LinkMap(ctypes.Structure):
@@ -58,7 +67,9 @@ def called(library: ctypes.CDLL) -> dict[str, int]:
         return {}
     place = ctypes.POINTER(_LinkMap)()
     try:
-        failed = ctypes.CDLL(None).dlinfo(ctypes.c_void_p(library._handle), _LINK_MAP, ctypes.byref(place))
+        failed = ctypes.CDLL(None).dlinfo(
+            ctypes.c_void_p(library._handle), _REQUESTS["RTLD_DI_LINKMAP"], ctypes.byref(place)
+        )
     except (AttributeError, TypeError):  # a loader of another kind
         return {}
     if failed:
@@ -67,14 +78,14 @@ def called(library: ctypes.CDLL) -> dict[str, int]:
     while tag := ctypes.c_int64.from_address(at).value:
         tags[tag] = ctypes.c_uint64.from_address(at + 8).value
         at += 16
-    if not {_SIZE, _NAMES, _SYMBOLS, _RELOCATIONS} <= set(tags):
+    if not set(_Tag) <= set(tags):
         return {}
     # Some loaders leave addresses in the section as they are in the file.
     names, symbols, table = (
-        tags[tag] if tags[tag] >= base else base + tags[tag] for tag in (_NAMES, _SYMBOLS, _RELOCATIONS)
+        tags[tag] if tags[tag] >= base else base + tags[tag] for tag in (_Tag.NAMES, _Tag.SYMBOLS, _Tag.RELOCATIONS)
     )
     known = {}
-    for entry in (_Relocation * (tags[_SIZE] // ctypes.sizeof(_Relocation))).from_address(table):
+    for entry in (_Relocation * (tags[_Tag.SIZE] // ctypes.sizeof(_Relocation))).from_address(table):
         if entry.info & 0xFFFFFFFF == kind:
             symbol = _Symbol.from_address(symbols + ctypes.sizeof(_Symbol) * (entry.info >> 32))
             known[ctypes.string_at(names + symbol.name).decode("ascii", "replace")] = base + entry.offset

@@ -14,12 +14,13 @@ from morembs.base.types import Floats
 from morembs.linalg.sparse.amg import Amg
 from morembs.linalg.sparse.cholmod import Cholmod
 from morembs.linalg.sparse.mixed import Mixed
-from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps, MumpsAnalysis
+from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps, MumpsSolver
 from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.pardiso import Pardiso
 from morembs.linalg.sparse.solver import STRUCTURES, Analysis, Forecast, LinearSolver
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.sparse.tolerances import TOL
 from morembs.linalg.sparse.umfpack import Umfpack
 
 log = logging.getLogger(__name__)
@@ -44,9 +45,6 @@ FAST = ("cholmod", "mumps", "mumps-embedded", "superlu")
 LEAN = ("mumps", "mumps-embedded", "mumps-mixed", "amg", "superlu")
 DIRECT = ("mumps", "mumps-embedded")
 COUNTING = (*DIRECT, "superlu")
-# In addition to a factor in memory while it solves: columns of length n, and bytes for buffers of the libraries; and
-# what is kept compared with the forecast of MUMPS.
-COLUMNS, BYTES, KEPT = 60, 60_000_000, 1.25
 
 
 def available_solvers() -> dict[str, str]:
@@ -152,18 +150,19 @@ class AutoSolver(LinearSolver):
     def _has_room(self, A: Lower, structure: str, direct: str) -> bool:
         """Whether the factor and its workspace fit into memory."""
         with self._configured(direct).with_memory(None).analyse(A, structure) as analysis:
-            if not isinstance(analysis, MumpsAnalysis) or self.memory is None:
+            in_core, on_disk = analysis.forecast, analysis.on_disk
+            if on_disk is None or self.memory is None:
                 return True
             # Whoever makes the factor keeps up to a fifth more than MUMPS; a Sturm count needs about what a factor
             # on disk does, and the values of K - sigma M.
-            in_core, beside = analysis.forecast, 1.1 * analysis.on_disk.memory + 8 * A.nnz
-            beside += COLUMNS * 8 * A.n + BYTES
-            return max(in_core.memory, KEPT * in_core.kept + beside) <= self.memory
+            beside = TOL.count_margin * on_disk.memory + 8 * A.nnz
+            beside += TOL.columns_beside_factor * 8 * A.n + TOL.bytes_beside_factor
+            return max(in_core.memory, TOL.factor_margin * in_core.kept + beside) <= self.memory
 
 
 def lacks(solver: type[LinearSolver], structure: str) -> str:
     """Why ``solver`` cannot factorise such a matrix here; empty: it can."""
-    if issubclass(solver, Mumps | EmbeddedMumps | RankedMumps):
+    if issubclass(solver, MumpsSolver):
         return solver.lacks("double", structure)
     return solver.unavailable()
 

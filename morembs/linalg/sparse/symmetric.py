@@ -15,11 +15,7 @@ from numpy.typing import NDArray
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError, SingularMatrixError
 from morembs.base.types import Values
-
-# Rows handled at once: the temporaries of a piece stay small compared with the matrix.
-_ROWS = 1 << 15
-# Relative difference between the two triangles that is still round-off of an assembly.
-SYMMETRIC = 1e-9
+from morembs.linalg.sparse.tolerances import TOL
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,8 +149,8 @@ class Lower:
     def largest_in_rows(self) -> NDArray[np.float64]:
         """Largest magnitude (n,) of each row of the whole matrix."""
         size = np.zeros(self.n)
-        for first in range(0, self.n, _ROWS):
-            last = min(first + _ROWS, self.n)
+        for first in range(0, self.n, TOL.matrix_rows):
+            last = min(first + TOL.matrix_rows, self.n)
             begin, end = self.indptr[first], self.indptr[last]
             values = self._magnitudes(slice(begin, end))
             column = np.repeat(np.arange(first, last), np.diff(self.indptr[first : last + 1]))
@@ -165,8 +161,8 @@ class Lower:
     def scaled_norm(self, d: NDArray[np.float64]) -> float:
         """Largest row sum of the magnitudes of D A D, with ``d`` (n,) the diagonal of D."""
         total = np.zeros(self.n)
-        for first in range(0, self.n, _ROWS):
-            last = min(first + _ROWS, self.n)
+        for first in range(0, self.n, TOL.matrix_rows):
+            last = min(first + TOL.matrix_rows, self.n)
             begin, end = self.indptr[first], self.indptr[last]
             column = np.repeat(np.arange(first, last), np.diff(self.indptr[first : last + 1]))
             row = self.indices[begin:end]
@@ -231,8 +227,8 @@ class General(Lower):
 
 def _upper(A: sp.csr_array) -> Iterator[tuple[int, Values, NDArray[np.bool_]]]:
     """Pieces of ``A``: their first row, the row of each entry, and whether it lies on or right of the diagonal."""
-    for first in range(0, A.shape[0], _ROWS):
-        last = min(first + _ROWS, A.shape[0])
+    for first in range(0, A.shape[0], TOL.matrix_rows):
+        last = min(first + TOL.matrix_rows, A.shape[0])
         row = np.repeat(np.arange(first, last, dtype=A.indices.dtype), np.diff(A.indptr[first : last + 1]))
         yield first, row, A.indices[A.indptr[first] : A.indptr[last]] >= row
 
@@ -244,7 +240,7 @@ def _check_values(A: sp.csr_array, what: str, regular: bool) -> None:
     size = np.asarray(np.sqrt(abs(A.diagonal())))
     x = np.divide(x, size, out=x, where=size > 0)
     Ax, ATx = A @ x, A.T @ x
-    if np.linalg.norm(Ax - ATx) > SYMMETRIC * (np.linalg.norm(Ax) + np.linalg.norm(ATx)):
+    if np.linalg.norm(Ax - ATx) > TOL.asymmetry * (np.linalg.norm(Ax) + np.linalg.norm(ATx)):
         raise InputError(f"{what} is not symmetric; the methods here need symmetric mass, stiffness and damping")
     if not regular:
         return

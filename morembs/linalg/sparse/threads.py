@@ -11,16 +11,12 @@ from functools import lru_cache
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from morembs.base.errors import InputError
+from morembs.linalg.sparse.tolerances import TOL
 
 # Binary logarithm of the processor cycles that an idle thread of OpenBLAS keeps asking for work before it
 # sleeps; 26 by default, which is 20 ms or more.
 _TIMEOUT = "OPENBLAS_THREAD_TIMEOUT"
 _SHORTEST = "4"
-# Order of the product, and bytes of the arrays: beyond every cache.
-_ORDER = 1000
-_STREAM_BYTES = 1 << 26
-# Seconds for each of the two measurements.
-_BUDGET = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,9 +65,10 @@ def _measured(threads: int) -> Speed:
     # Not at the top: this module has to be imported before NumPy, see quiet_idle_threads.
     import numpy as np
 
-    A = np.ones((_ORDER, _ORDER))
+    order = TOL.speed_order
+    A = np.ones((order, order))
     product = np.empty_like(A)
-    a, b, c = (np.ones(_STREAM_BYTES // 24) for _ in range(3))
+    a, b, c = (np.ones(TOL.speed_bytes // 24) for _ in range(3))
 
     def triad() -> None:
         np.multiply(c, 3.0, out=a)
@@ -80,11 +77,11 @@ def _measured(threads: int) -> Speed:
     gemm = shortest_time(lambda: np.matmul(A, A, out=product))
     # The first pass reads c and writes a, the second reads a and b and writes a.
     stream = shortest_time(triad)
-    return Speed(gemm_gflops=2e-9 * _ORDER**3 / gemm, triad_gbs=5e-9 * a.nbytes / stream)
+    return Speed(gemm_gflops=2e-9 * order**3 / gemm, triad_gbs=5e-9 * a.nbytes / stream)
 
 
 def shortest_time(
-    job: Callable[[], object], budget: float = _BUDGET, clock: Callable[[], float] = time.perf_counter
+    job: Callable[[], object], budget: float = TOL.speed_seconds, clock: Callable[[], float] = time.perf_counter
 ) -> float:
     """Shortest of the times in seconds that ``job`` takes, run until the ``budget`` is used up."""
     best, end = float("inf"), clock() + budget

@@ -15,7 +15,7 @@ from morembs.app.jobs.stages.spin import SPINS
 from morembs.app.jobs.stages.stage import JobStage, Result, Work
 from morembs.app.jobs.stages.unreduced import PARTS
 from morembs.base.errors import InputError
-from morembs.body import ElasticBody, make_part
+from morembs.body import Body, make_part
 from morembs.body.build import BodyOptions, StressOptions, build_body
 from morembs.body.delivery_check import delivered_warnings
 from morembs.body.floating.frame import check_frame
@@ -25,7 +25,7 @@ from morembs.fem.fe_model import has_places
 from morembs.fem.selection import select_nodes
 from morembs.reducers import Facts
 
-BODIES: Result[tuple[ElasticBody, ...]] = Result("bodies")
+BODIES: Result[tuple[Body, ...]] = Result("bodies")
 
 
 class Deliver(JobStage):
@@ -101,7 +101,7 @@ class Deliver(JobStage):
         work.give(BODIES, delivered)
 
 
-def recommended_body(bodies: Sequence[ElasticBody]) -> ElasticBody:
+def recommended_body(bodies: Sequence[Body]) -> Body:
     """The body with the smallest limit of its error, whose modes are drawn."""
     limits = {body.name: None if body.certificate is None else body.certificate.limit.upper for body in bodies}
     return next(body for body in bodies if body.name == recommended(limits))
@@ -121,7 +121,7 @@ def body_options(job: Job) -> BodyOptions:
             "force": force,
             "moment": force * units.length,
         }
-        values = given.model_dump(exclude_none=True)
+        values = given.values(without_none=True)
         envelope = Envelope(**{name: value * scale[name] for name, value in values.items()})
     stiffened = tables.stiffening
     stress = tables.stress

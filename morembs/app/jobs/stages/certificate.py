@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 
 from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.couple import PROBLEM
-from morembs.app.jobs.stages.reduction import REDUCED, refuse_comparison
+from morembs.app.jobs.stages.reduction import REDUCED
 from morembs.app.jobs.stages.spin import SPINS
 from morembs.app.jobs.stages.stage import JobStage, Result, Work
 from morembs.app.jobs.stages.unreduced import PARTS
-from morembs.base.errors import InputError
 from morembs.reducers import Facts
 from morembs.reducers.cost import response_seconds
 from morembs.reducers.facts import Shifted
@@ -33,16 +32,6 @@ class Certify(JobStage):
     def is_asked(self, job: Job) -> bool:
         return certified_band(job) is not None
 
-    def check(self, job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
-        if job.tables.certify is not None:
-            if not facts.inputs:
-                raise InputError(
-                    "[certify] compares interface degrees of freedom, and there are none; add at least one "
-                    "[[interface]]"
-                )
-            refuse_comparison("certify", facts)
-        return ()
-
     def shifted(self, job: Job, facts: Facts) -> Mapping[str, Sequence[Shifted]]:
         given = job.tables.certify
         return {} if given is None else {"[certify]": facts.at_frequencies(given.points)}
@@ -61,7 +50,7 @@ class Certify(JobStage):
         from morembs.certificate.certify import certify
 
         problem, reduced = work[PROBLEM], work[REDUCED]
-        options = {} if given is None else given.model_dump(exclude={"band_hz"})
+        options = {} if given is None else given.values(but={"band_hz"})
         with work.watch.stage("certify"):
             against = problem if parts is None else parts.problem
             spanned = reduced if parts is None else [parts.expanded(body) for body in reduced]

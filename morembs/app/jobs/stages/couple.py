@@ -70,7 +70,7 @@ def interfaces_of(job: Job, model: FEModel) -> list[Interface]:
         # Without a matrix there are nodes: the schema sees to it.
         nodes = table.nodes or ""
         if nodes.startswith("coupling:"):
-            coupling = table.coupling if "coupling" in table.model_fields_set else None
+            coupling = table.coupling if "coupling" in table.given else None
             interfaces.append(
                 interface_of_coupling(
                     model, nodes, name=table.name, coupling=coupling, point=point, components=table.components

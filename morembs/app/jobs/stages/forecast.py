@@ -27,7 +27,7 @@ from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.threads import blas_threads, measured_speed
 from morembs.linalg.statics import COUNT_BYTES, COUNT_COLUMNS, require_room_to_count
-from morembs.problem.dynamics import PROCESS_BYTES, worker_bytes
+from morembs.problem.system import PROCESS_BYTES, worker_bytes
 from morembs.reducers.facts import Shifted
 
 # Bytes of a stored entry of K or M, and of the triangle with the places of M in it.

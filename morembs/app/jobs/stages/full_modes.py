@@ -30,5 +30,5 @@ class FullModes(JobStage):
         check, parts = work.job.tables.check, work.get(PARTS)
         against = work[PROBLEM] if parts is None else parts.problem
         with work.watch.stage("compare"):
-            insist = "full_modes" in check.model_fields_set
+            insist = "full_modes" in check.given
             work.give(NOTES, know_frequencies(against, check.full_modes, insist=insist))

@@ -67,12 +67,14 @@ class ParameterSteps(JobStage):
 
     tables = ("parameter",)
     needs = (WRITTEN,)
+    gives = (WRITTEN,)
 
     def is_asked(self, job: Job) -> bool:
         return bool(job.tables.parameter)
 
     def run(self, work: Work) -> None:
-        clear_steps(work[WRITTEN])
+        with work.watch.more():
+            clear_steps(work[WRITTEN])
 
 
 def varied_of(job: Job, mesh: Mesh, materials: Sequence[Material], budget: Budget = UNLIMITED) -> VariedModel:

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from morembs.app.jobs.job import Job
-from morembs.app.jobs.solver import solver_of
 from morembs.app.jobs.stages.stage import asked
 from morembs.base.budget import UNLIMITED, Budget
-from morembs.base.errors import InputError
 from morembs.base.progress import duration_words
 from morembs.body.diagnostics.warnings import examined, examined_mesh
 from morembs.fem import FEModel
-from morembs.linalg.sparse.select import lacks
 from morembs.reducers import Facts
 from morembs.reducers.facts import Shifted
 
@@ -36,26 +33,12 @@ def preflight(job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
         InputError: whatever ``reduce`` would refuse after the factorisation, as far as it can be told before.
     """
     warnings = [warning for stage in asked(job) for warning in stage.check(job, facts, rigid)]
-    _refuse_solver(job, facts)
     return (*_many_motions(job, facts), *warnings)
 
 
 def shifted_of(job: Job, facts: Facts) -> dict[str, Shifted]:
     """What is factorised beside K, by the words for what asks for it."""
     return {words: each for stage in asked(job) for words, found in stage.shifted(job, facts).items() for each in found}
-
-
-def _refuse_solver(job: Job, facts: Facts) -> None:
-    """Refuse a solver that does not take what is factorised beside K."""
-    solver = type(solver_of(job))
-    for words, each in shifted_of(job, facts).items():
-        takes = f"it takes {' or '.join(solver.structures)} ones"
-        reason = lacks(solver, each.structure) if each.structure in solver.structures else takes
-        if reason:
-            raise InputError(
-                f"[solver]: solver = {solver.name!r} was given, and {words} factorises {each.structure} matrices "
-                f'({reason}); take name = "auto" and no ranks'
-            )
 
 
 def _many_motions(job: Job, facts: Facts) -> list[str]:

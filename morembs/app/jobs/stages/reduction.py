@@ -32,7 +32,18 @@ class Reduction(JobStage):
     gives = (REDUCED,)
 
     def check(self, job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
-        """Ask every reduction whether it can be made."""
+        """Ask every reduction, and the comparison of their responses, whether it can be made."""
+        key = next((key for key in ("certify", "response") if getattr(job.tables, key) is not None), "")
+        if key == "certify" and not facts.inputs:
+            raise InputError(
+                "[certify] compares interface degrees of freedom, and there are none; add at least one [[interface]]"
+            )
+        if key and facts.inputs > MOST_INTERFACE_DOFS:
+            raise InputError(
+                f"[{key}] compares the responses of all interface degrees of freedom, {facts.inputs} x {facts.inputs} "
+                f"at each frequency, and at most {MOST_INTERFACE_DOFS} fit; leave [{key}] out, or take rigid or "
+                "average couplings"
+            )
         for name, reducer in reducers_of(job).items():
             if facts.inputs > MOST_INTERFACE_DOFS and reducer.follows_responses:
                 raise InputError(
@@ -43,6 +54,9 @@ class Reduction(JobStage):
             reason = reducer.why_not(facts)
             if reason:
                 raise InputError(f"[[reduce]] {name!r}: {reason}")
+        reason = why_no_response(facts.damping, facts.own_damping, facts.size)
+        if key and reason:
+            raise InputError(f"[{key}]: {reason}")
         return tuple(_many_modes(job, facts.size))
 
     def shifted(self, job: Job, facts: Facts) -> Mapping[str, Sequence[Shifted]]:
@@ -73,23 +87,6 @@ class Reduction(JobStage):
                         raise
                     raise type(error)(f"[[reduce]] {name!r}: {error}") from error
         work.give(REDUCED, reduced)
-
-
-def refuse_comparison(key: str, facts: Facts) -> None:
-    """Refuse to compare responses as the table ``key`` of a job asks.
-
-    Raises:
-        InputError: too many interface degrees of freedom, or a damping that has no responses.
-    """
-    if facts.inputs > MOST_INTERFACE_DOFS:
-        raise InputError(
-            f"[{key}] compares the responses of all interface degrees of freedom, {facts.inputs} x {facts.inputs} at "
-            f"each frequency, and at most {MOST_INTERFACE_DOFS} fit; leave [{key}] out, or take rigid or average "
-            "couplings"
-        )
-    reason = why_no_response(facts.damping, facts.own_damping, facts.size)
-    if reason:
-        raise InputError(f"[{key}]: {reason}")
 
 
 def reducers_of(job: Job) -> dict[str, Reducer]:

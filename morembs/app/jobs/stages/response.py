@@ -10,11 +10,11 @@ from morembs.app.jobs.compare import FrequencyResponse, certified_response, freq
 from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.body import BODIES
 from morembs.app.jobs.stages.couple import PROBLEM
-from morembs.app.jobs.stages.reduction import MOST_INTERFACE_DOFS, refuse_comparison
+from morembs.app.jobs.stages.reduction import MOST_INTERFACE_DOFS
 from morembs.app.jobs.stages.stage import JobStage, Result, Work
 from morembs.app.jobs.stages.unreduced import PARTS
 from morembs.base.types import Floats
-from morembs.body import ElasticBody
+from morembs.body import Body
 from morembs.reducers import Facts
 from morembs.reducers.cost import response_seconds
 from morembs.reducers.facts import Shifted
@@ -31,11 +31,6 @@ class Response(JobStage):
     tables = ("response", "output")
     needs = (PROBLEM, PARTS, BODIES)
     gives = (RESPONSE,)
-
-    def check(self, job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
-        if job.tables.response is not None and job.tables.certify is None:
-            refuse_comparison("response", facts)
-        return ()
 
     def shifted(self, job: Job, facts: Facts) -> Mapping[str, Sequence[Shifted]]:
         given = job.tables.response
@@ -59,7 +54,7 @@ class Response(JobStage):
             work.give(RESPONSE, response)
 
 
-def _band(job: Job, body: ElasticBody) -> Floats:
+def _band(job: Job, body: Body) -> Floats:
     given = job.tables.response
     if given is not None:
         return np.geomspace(given.from_hz, given.to_hz, given.points)

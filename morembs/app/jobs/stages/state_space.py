@@ -23,6 +23,7 @@ class StateSpace(JobStage):
 
     tables = ("state_space",)
     needs = (BODIES, WRITTEN)
+    gives = (WRITTEN,)
 
     def is_asked(self, job: Job) -> bool:
         return job.tables.state_space is not None
@@ -64,6 +65,8 @@ class StateSpace(JobStage):
         from morembs.exporters.state_space_files import write_state_space
 
         bodies = work[BODIES]
-        body = recommended_body(bodies) if asked.body is None else next(b for b in bodies if b.name == asked.body)
-        system = state_space(body, asked.inputs, asked.outputs, held=asked.held)
-        write_state_space(work.job.result(asked.path), system if asked.step is None else system.discrete(asked.step))
+        with work.watch.more():
+            body = recommended_body(bodies) if asked.body is None else next(b for b in bodies if b.name == asked.body)
+            system = state_space(body, asked.inputs, asked.outputs, held=asked.held)
+            path = work.job.result(asked.path)
+            write_state_space(path, system if asked.step is None else system.discrete(asked.step))

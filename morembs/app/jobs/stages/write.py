@@ -14,6 +14,7 @@ from morembs.body.file import write_body
 from morembs.storage.contents import Content
 
 INPUTS: Result[Mapping[str, Content]] = Result("inputs")
+# The body file; what else is written beside it changes this, and comes before the picture.
 WRITTEN: Result[Path] = Result("written")
 
 
@@ -35,7 +36,7 @@ class WriteBody(JobStage):
                 bodies,
                 # What was asked for and of what: the same for the same input.
                 recipe={
-                    **job.tables.model_dump(exclude_none=True, exclude={"output", "solver"}),
+                    **job.tables.values(without_none=True, but={"output", "solver"}),
                     "dofs": model.size,
                     "source": model.source,
                     **work.recipe,

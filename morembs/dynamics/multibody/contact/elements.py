@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError, nearest
+from morembs.base.limits import Positive
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.component import Marker, MarkerState, direction
 from morembs.dynamics.multibody.forces import Force
@@ -52,13 +53,8 @@ class PowerLaw:
         InputError: a stiffness or an exponent that is not positive.
     """
 
-    stiffness: float
-    exponent: float = 1.5
-
-    def __post_init__(self) -> None:
-        for key, value in (("stiffness", self.stiffness), ("exponent", self.exponent)):
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"{key} = {value} of a contact was given; expected a positive number")
+    stiffness: Positive
+    exponent: Positive = 1.5
 
     def force(self, penetration: float) -> float:
         return float(self.stiffness * max(penetration, 0.0) ** self.exponent)

@@ -1,0 +1,80 @@
+"""Limits of values, written with their types: ``order: PositiveCount``. Checks, messages, tables of docs read them."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+# Frequencies above these are none of a body.
+MOST_HZ = 1e12
+_NUMBERS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
+
+
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """``words`` for the values that pass a test, the test, and what a JSON schema says of it."""
+
+    words: str
+    passes: Callable[[Any], bool] = lambda _: True
+    schema: Mapping[str, object] = field(default_factory=dict)
+
+
+def number(words: str, **ends: float) -> Domain:
+    """A finite number within ``ge``, ``gt`` (low ends), ``le`` and ``lt`` (high ends), as far as they are given."""
+    low, above = ends.get("ge", -sys.float_info.max), ends.get("gt", -float("inf"))
+    high, below = ends.get("le", sys.float_info.max), ends.get("lt", float("inf"))
+    return Domain(
+        words,
+        lambda value: bool(low <= value <= high and above < value < below),
+        {_NUMBERS[end]: value for end, value in ends.items()},
+    )
+
+
+def text(words: str, pattern: str = ".", longest: int | None = None) -> Domain:
+    """A text in which ``pattern`` is found, no longer than ``longest``; by default any but the empty one."""
+    most = {} if longest is None else {"maxLength": longest}
+    # "$" of JSON is the end of a text, also where its last character ends a line.
+    found = re.compile(re.sub(r"\$$", r"\\Z", pattern), re.DOTALL)
+    return Domain(
+        words,
+        lambda value: found.search(value) is not None and len(value) <= (longest or len(value)),
+        {"pattern": pattern, **most} if pattern != "." else {"minLength": 1, **most},
+    )
+
+
+def length(words: str, least: int, most: int | None = None) -> Domain:
+    """A sequence of ``least`` values, or of any number from ``least`` to ``most`` (``sys.maxsize``: no upper limit)."""
+    top = least if most is None else most
+    schema = {"minItems": least} | ({} if top == sys.maxsize else {"maxItems": top})
+    return Domain(words, lambda value: least <= len(value) <= top, schema)
+
+
+def one_of(*names: str) -> Domain:
+    """One of some texts."""
+    return Domain(alternatives(names), lambda value: value in names, {"enum": list(names)})
+
+
+def alternatives(values: Sequence[object]) -> str:
+    """``"a", "b" or "c"``."""
+    quoted = [f'"{value}"' if isinstance(value, str) else str(value) for value in values]
+    return " or ".join([", ".join(quoted[:-1]), quoted[-1]] if quoted[1:] else quoted)
+
+
+Finite = Annotated[float, number("a number")]
+Positive = Annotated[float, number("a positive number", gt=0)]
+NotNegative = Annotated[float, number("a number, zero or more", ge=0)]
+# Parts and errors are relative: of a response, a stiffness, a mass.
+RelativeError = Annotated[float, number("a relative error between 0 and 1, such as 1e-3", gt=0, lt=1)]
+Part = Annotated[float, number("a part between 0 and 1", gt=0, lt=1)]
+DampingRatio = Annotated[
+    float, number("a part of critical damping from 0 to 1, such as 0.02 for 2 percent", ge=0, le=1)
+]
+DampingFloor = Annotated[float, number("a part of critical damping from 0 to below 1, such as 0.01", ge=0, lt=1)]
+PoissonRatio = Annotated[float, number("a number between -1 and 0.5", gt=-1, lt=0.5)]
+Hertz = Annotated[float, number(f"a frequency in Hz from 0 to {MOST_HZ:g}", ge=0, lt=MOST_HZ)]
+PositiveHertz = Annotated[float, number(f"a positive frequency in Hz below {MOST_HZ:g}", gt=0, lt=MOST_HZ)]
+Count = Annotated[int, number("an integer, zero or more", ge=0)]
+PositiveCount = Annotated[int, number("an integer, 1 or more", ge=1)]

@@ -1,0 +1,212 @@
+"""Bodies to a file, described in docs/schema.md: written whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from morembs.base import progress
+from morembs.base.errors import InputError
+from morembs.base.former_names import with_progress_argument
+from morembs.base.types import Floats
+from morembs.body import tables, vtkhdf
+from morembs.body.body import BODY, UNSYMMETRIC, Body
+from morembs.body.stored import INTERFACE
+from morembs.body.tables import BLOCK_BYTES, FORMAT, SKEW_PARTS
+from morembs.storage.checksums import GROUP
+from morembs.storage.safefile import one_file
+from morembs.version import VERSION
+
+if TYPE_CHECKING:
+    from morembs.body.part import Part
+    from morembs.body.stored import StoredBodies
+    from morembs.body.vtkhdf_series import Grid
+    from morembs.storage.writer import Writer
+
+
+def check_names(names: Sequence[str], what: str = "body") -> None:
+    """Check that ``names`` can name groups of a file.
+
+    Raises:
+        InputError: an empty name, one with a slash or a control character, or one that comes twice.
+    """
+    for name in names:
+        if not name.isprintable() or name.strip(".") == "" or "/" in name:
+            raise InputError(
+                f"{what} name {name!r} cannot be stored; take a name without slashes and control characters, "
+                "not empty and not only dots"
+            )
+        if list(names).count(name) > 1:
+            raise InputError(f"the {what} name {name!r} was given more than once; give each its own name")
+
+
+@with_progress_argument
+def write_body(
+    path: str | Path,
+    bodies: Sequence[Body],
+    *,
+    recipe: Mapping[str, object] | None = None,
+    provenance: Mapping[str, object] | None = None,
+    warnings: Sequence[str] = (),
+    block_bytes: int = BLOCK_BYTES,
+) -> Path:
+    """Write bodies of one part; an interrupted or failed run leaves the old file or none.
+
+    Holds one block of basis columns (``block_bytes``, at least one column) besides the bodies themselves.
+
+    Args:
+        recipe: what was asked for (the job); by default the source and the options of each body.
+        provenance: where the file comes from, any nested names and values; ``created`` and
+            ``morembs_version`` are added where they are missing. Nothing outside /provenance depends on it.
+        warnings: what the examination of the model and the bodies warned of, in addition to those of the model itself.
+
+    Raises:
+        InputError: no bodies, bodies of different parts, or names that cannot be stored.
+        OutputError: the file cannot be written (folder missing or read-only, disk full).
+
+    >>> write_body("bar.h5", [body]).name
+    'bar.h5'
+    """
+    # Not at the top: what reads does without.
+    from morembs.storage.writer import writing
+
+    if not isinstance(bodies, Sequence):
+        raise InputError(f"{type(bodies).__name__} was given; expected a list of bodies, such as [body]")
+    if not bodies:
+        raise InputError("there is no body to write; give at least one")
+    part = bodies[0].part
+    if any(body.part is not part for body in bodies):
+        raise InputError("bodies of different parts were given; write one file for each part")
+    check_names([body.name for body in bodies])
+    check_names([interface.name for interface in part.interfaces], "interface")
+    if recipe is None:
+        recipe = {"source": part.source, "bodies": {body.name: body.recipe for body in bodies}}
+    target = Path(path)
+    progress.stage(f"writing {target.name}")
+    # Checksums of /provenance apart, as nothing outside depends on it.
+    with writing(target, apart=["provenance"]) as out:
+        sentences = list(dict.fromkeys((*part.warnings, *warnings)))
+        out.rows("", tables.FILE, _shared(part, bodies, recipe) | {"warnings": sentences})
+        out.file.create_group("interfaces")
+        for interface in part.interfaces:
+            out.rows(f"interfaces/{interface.name}/", INTERFACE, interface, node_ids=part.node_ids[interface.nodes])
+        out.doing("the mesh for ParaView")
+        vtkhdf.write_grid(out.file.create_group("VTKHDF"), out.file["nodes/coordinates"], part.cells)
+        out.check()
+        for body in bodies:
+            _write_one(out, body, block_bytes)
+        stamp = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "morembs_version": VERSION}
+        given = {f"{key}_" if key == GROUP else key: value for key, value in (provenance or {}).items()}
+        out.tree("provenance", {**stamp, **given})
+    return target
+
+
+def _shared(part: Part, bodies: Sequence[Body], recipe: Mapping[str, object]) -> dict[str, object]:
+    """Values of everything that the bodies share, by the fields of ``tables.FILE``."""
+    from morembs.body.part import input_columns
+    from morembs.reducers.base import MODE_KINDS
+
+    index, component, node = input_columns(part.interfaces, part.columns, part.node_ids)
+    # Readers of version 1 take the transposed input matrix for the motions, those of version 2 where that is right also
+    # symmetric matrices for granted.
+    version = max(1 if body.reduced.symmetric else SKEW_PARTS if body.reduced.congruent else 2 for body in bodies)
+    return {
+        "format": FORMAT,
+        "format_version": version,
+        "unit_system": "SI",
+        "body_names": [body.name for body in bodies],
+        "mode_kinds": MODE_KINDS,
+        "recipe": recipe,
+        "interface_names": [interface.name for interface in part.interfaces],
+        "mass": part.mass,
+        "center_of_mass": part.center_of_mass,
+        "inertia": part.inertia,
+        "node_ids": part.nodes.ids,
+        "coordinates": part.nodes.xyz,
+        "input_interface": index,
+        "input_component": component,
+        "input_node_id": node,
+    }
+
+
+def _write_one(out: Writer, body: Body, block_bytes: int = BLOCK_BYTES) -> None:
+    """One body, its basis block by block, and its shapes for ParaView."""
+    from morembs.storage.writer import Columns
+
+    at, rows, count = f"bodies/{body.name}/", 3 * len(out.file["nodes/ids"]), len(body.mass_matrix)
+
+    def basis() -> Iterator[Floats]:
+        step = max(1, block_bytes // (8 * max(1, rows)))
+        for start in range(0, count, step):
+            stop = min(start + step, count)
+            yield body.basis(slice(start, stop))
+            progress.update(f"{body.name}: {stop} of {count} modes written")
+
+    table = BODY if body.reduced.symmetric else UNSYMMETRIC
+    out.rows(at, table, body, basis=Columns((rows, count), np.float64, basis()))
+    out.doing(f"mode shapes of {body.name} for ParaView")
+    modes = vtkhdf.shown_modes(body.reduced)
+    shown = body.frequencies_hz[body.rigid_count :][: modes.shape[1]]
+    vtkhdf.write_modes(out.file["VTKHDF"], body.name, out.file[f"{at}basis"], modes, shown, out.check)
+
+
+def write_stored(path: str | Path, bodies: StoredBodies, body: Body, source: Path) -> Path:
+    """Write the one ``body`` of ``bodies``, whose basis and cells are those of the file ``source``.
+
+    Holds one block of basis columns. What belongs to one load or one value (certificate, stress, static modes of
+    candidate loads, parameters) is left out.
+
+    Raises:
+        InputError: ``path`` is the source.
+        OutputError: the file cannot be written.
+    """
+    target = Path(path)
+    if one_file(target, source):
+        raise InputError(f"{target} would overwrite the body file itself; give another name")
+    # Not at the top: what reads does without.
+    from morembs.body.vtkhdf_series import read_grid
+    from morembs.storage.writer import writing
+
+    with writing(target, apart=["provenance"]) as out:
+        out.rows("", tables.FILE, _shared_again(bodies, body))
+        out.file.create_group("interfaces")
+        for name, interface in bodies.interfaces.items():
+            out.rows(f"interfaces/{name}/", INTERFACE, interface)
+        out.doing("the mesh for ParaView")
+        vtkhdf.write_grid(out.file.create_group("VTKHDF"), out.file["nodes/coordinates"], _cells(read_grid(source)))
+        _write_one(out, body)
+        stamp = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "morembs_version": VERSION}
+        out.tree("provenance", {**stamp, "source": source.name})
+    return target
+
+
+def _shared_again(bodies: StoredBodies, body: Body) -> Mapping[str, Any]:
+    """Values of everything but the body, by the fields of ``tables.FILE``."""
+    from morembs.reducers.base import MODE_KINDS
+
+    return vars(bodies) | {
+        "format": FORMAT,
+        "format_version": 1,
+        "unit_system": "SI",
+        "body_names": [body.name],
+        "mode_kinds": MODE_KINDS,
+        "interface_names": list(bodies.interfaces),
+    }
+
+
+def _cells(grid: Grid) -> list[vtkhdf.Cells]:
+    """The cells of a grid, in runs of one type."""
+    # No type has the code 0.
+    starts = np.flatnonzero(np.diff(grid.types.astype(np.int64), prepend=0))
+    ends = np.append(starts[1:], len(grid.types))
+    return [
+        vtkhdf.Cells(
+            vtk=int(grid.types[first]),
+            connectivity=grid.connectivity[grid.offsets[first] : grid.offsets[last]].reshape(last - first, -1),
+        )
+        for first, last in zip(starts.tolist(), ends.tolist(), strict=True)
+    ]

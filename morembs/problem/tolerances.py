@@ -1,0 +1,25 @@
+"""Tolerances and block sizes of problems."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ProblemTolerances:
+    """Quantities that decide, each with the line that derives or cites it."""
+
+    # Relative difference of limits of modes that are one limit: 45 eps.
+    same_limit: float = 1e-14
+    # Shift in the Sturm count of motions without energy, over the round-off in that of rigid motion.
+    mechanism_shift: float = 1e3
+
+    # Terms up to which round-off of their sum is that of a row of an assembled matrix: about 30 nodes.
+    row_terms: int = 100
+    # Inertia of a motion beside the others, over its own, that is none: the square of 1e-6.
+    dependent_motion: float = 1e-12
+    # Motion of a group over the largest one that is none: coordinates with nine digits.
+    still_motion: float = 1e-9
+
+
+TOL = ProblemTolerances()
