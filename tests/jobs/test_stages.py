@@ -10,7 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from morembs.app.cli import commands as cli
-from morembs.app.jobs.job import Job
+from morembs.app.jobs.job import Job, load_job
+from morembs.app.jobs.run import run_job
 from morembs.app.jobs.schema import JobTables
 from morembs.app.jobs.stages.body import BODIES
 from morembs.app.jobs.stages.stage import STAGES, JobStage, Work, in_order
@@ -65,3 +66,12 @@ def test_a_new_stage_is_checked_and_run(tmp_path: Path, monkeypatch: pytest.Monk
     assert "needs interfaces" in run(cli.app, ["check", str(job)]).stderr
     job = folder(tmp_path, {"output": 'path = "part.h5"\npicture = "part.png"', "model": 'mesh = "part.txt"'})
     assert "would overwrite the mesh" in run(cli.app, ["check", str(job)]).stderr
+
+
+def test_what_is_written_beside_the_body_file_counts_to_its_time(tmp_path: Path) -> None:
+    output = 'path = "part.h5"\npicture = "part.png"'
+    system = 'path = "part.npz"\ninputs = ["left:force:x"]\noutputs = ["right:displacement:x"]'
+    result = run_job(load_job(folder(tmp_path, {"output": output, "state_space": system})))
+    names = [stage.name for stage in result.stages]
+    assert names[-2:] == ["write", "draw"] and names.count("write") == 1
+    assert (tmp_path / "part.npz").exists()
