@@ -38,6 +38,7 @@ OUTSIDE = {
     "COUPLINGS",
     "SOLVERS",
     "FORMULATIONS",
+    "STAGES",
     "LARGE",
     "largest",
     "Shifted",

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 import morembs
 from morembs.app.cli.commands import app
 from morembs.app.jobs.assembly import assembly_of
-from morembs.app.jobs.inputs import interfaces_of
 from morembs.app.jobs.job import load_job
+from morembs.app.jobs.stages.couple import interfaces_of
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import BudgetError
 from morembs.body.file import StoredBodies, read_body, write_body

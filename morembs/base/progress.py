@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from morembs.base.memory import PeakMemory
@@ -100,6 +100,16 @@ class Stopwatch:
         yield
         seconds = time.perf_counter() - start
         self.stages.append(Stage(name=name, seconds=seconds, peak_memory_bytes=self._take()))
+
+    @contextmanager
+    def more(self) -> Iterator[None]:
+        """Count what happens inside the ``with`` to the last stage."""
+        self._take()
+        start = time.perf_counter()
+        yield
+        last, seconds = self.stages.pop(), time.perf_counter() - start
+        peak = max(last.peak_memory_bytes, self._take())
+        self.stages.append(replace(last, seconds=last.seconds + seconds, peak_memory_bytes=peak))
 
     def _take(self) -> int:
         peak = self.memory.take()

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
-from morembs.app.jobs.inputs import rotation_of
 from morembs.app.jobs.job import load_job
-from morembs.app.jobs.run import preload_of, run_job
+from morembs.app.jobs.run import run_job
+from morembs.app.jobs.stages.preload import preload_of
+from morembs.app.jobs.stages.spin import rotation_of
 from morembs.base.budget import Budget
 from morembs.base.errors import InputError
 from morembs.body.file import read_body

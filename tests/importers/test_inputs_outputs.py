@@ -13,8 +13,8 @@ import scipy.sparse as sp
 
 import morembs
 from morembs.app.jobs.import_job import ImportJob, run_import
-from morembs.app.jobs.inputs import interfaces_of
 from morembs.app.jobs.job import load_job
+from morembs.app.jobs.stages.couple import interfaces_of
 from morembs.base.errors import InputError
 from morembs.certificate.response import full_response, reduced_response
 from morembs.exporters.op4 import write_op4

@@ -9,9 +9,9 @@ import meshio
 import numpy as np
 import pytest
 
-from morembs.app.jobs.inputs import budget_of, solver_of
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
+from morembs.app.jobs.solver import budget_of, solver_of
 from morembs.base.errors import InputError
 from morembs.body.file import read_body
 from morembs.exporters.state_space import state_space

@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 
 from morembs.app.cli import app
 from morembs.app.jobs.check import check_job
-from morembs.app.jobs.inputs import mesh_of
 from morembs.app.jobs.job import load_job
-from morembs.app.jobs.parameters import parameters_of
+from morembs.app.jobs.stages.model import mesh_of
+from morembs.app.jobs.stages.parameters import parameters_of
 from morembs.base.errors import InputError
 from morembs.body.file import read_body
 from morembs.fem.assembly import assemble

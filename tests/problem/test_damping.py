@@ -8,7 +8,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.app.jobs.job import load_job
-from morembs.app.jobs.run import damping_of
+from morembs.app.jobs.stages.couple import damping_of
 from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body

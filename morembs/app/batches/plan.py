@@ -14,6 +14,7 @@ from functools import cached_property
 from pathlib import Path
 
 from morembs.app.batches.manifest import Ended, Manifest
+from morembs.app.jobs.files import results_of
 from morembs.app.jobs.job import Job, load_job
 from morembs.app.jobs.order import order_of
 from morembs.base.errors import InputError, MorembsError
@@ -65,7 +66,7 @@ class Part:
     @property
     def outputs(self) -> tuple[Path, ...]:
         """The files that the job writes."""
-        return tuple(self.loaded.results.values())
+        return tuple(results_of(self.loaded).values())
 
 
 def parts_of(given: Iterable[str | Path], changes: Sequence[str] = ()) -> tuple[Part, ...]:

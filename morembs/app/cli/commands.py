@@ -107,6 +107,7 @@ def compare(
 ) -> None:
     """Run jobs and set the reductions of each side by side: order, errors, time, memory."""
     from morembs.app.cli.report import print_contenders
+    from morembs.app.jobs.files import results_of
     from morembs.app.jobs.job import load_job
     from morembs.app.jobs.order import PICTURES
     from morembs.app.jobs.pareto import contenders, draw_contenders
@@ -121,7 +122,7 @@ def compare(
                 raise InputError(f"--picture {picture} was given; expected a name that ends in .png, .pdf or .svg")
             check_writable(picture)
         loaded = load_job(path, changes or ())
-        if picture is not None and any(one_file(picture, path) for path in loaded.results.values()):
+        if picture is not None and any(one_file(picture, path) for path in results_of(loaded).values()):
             raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
         if loaded.tables.certify is None and not any(reducer.certified_band for reducer in loaded.reducers.values()):
             raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")

@@ -25,9 +25,9 @@ from morembs.app.cli.tables import (
     titled,
     words,
 )
-from morembs.app.jobs.forecast import JobForecast
 from morembs.app.jobs.pareto import Contender
 from morembs.app.jobs.run import JobResult
+from morembs.app.jobs.stages.forecast import JobForecast
 from morembs.base.progress import duration_words
 from morembs.base.types import Floats
 from morembs.body import Body

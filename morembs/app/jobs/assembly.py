@@ -9,19 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.app.jobs.equations import equations_of_motion
-from morembs.app.jobs.inputs import (
-    certified_band,
-    damping_of,
-    inputs_of,
-    interfaces_of,
-    materials_of,
-    mesh_of,
-    reducers_of,
-    solver_of,
-    units_of,
-)
+from morembs.app.jobs.files import inputs_of, results_of
 from morembs.app.jobs.job import Job, load_job
 from morembs.app.jobs.schema import SubstructureTable
+from morembs.app.jobs.solver import solver_of
+from morembs.app.jobs.stages.certificate import certified_band
+from morembs.app.jobs.stages.couple import damping_of, interfaces_of
+from morembs.app.jobs.stages.model import materials_of, mesh_of
+from morembs.app.jobs.stages.reduction import reducers_of
 from morembs.base.budget import Budget
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
@@ -44,7 +39,7 @@ def assembly_of(job: Job, budget: Budget) -> AssembledModel:
         InputError: body files or jobs of parts that cannot be read, bodies that cannot be coupled, or couplings that
             leave a mechanism.
     """
-    units = units_of(job)
+    units = job.units
     force = units.stress * units.length**2
     linear, turning = [force / units.length] * 3, [force * units.length] * 3
     scale = np.array(linear + turning)
@@ -106,7 +101,7 @@ class _Maker:
             raise InputError(f"{self.where}: {error}") from error
 
     def _refuse_overwriting(self, job: Job) -> None:
-        for name, path in replace(job, attempt="").results.items():
+        for name, path in results_of(replace(job, attempt="")).items():
             for what, other in inputs_of(self.job).items():
                 if one_file(path, other):
                     raise InputError(f"{name} = {str(path)!r} would overwrite {what} of it")

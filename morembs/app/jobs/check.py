@@ -9,21 +9,23 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from morembs.app.jobs.equations import equations_of_motion
-from morembs.app.jobs.forecast import Cost, JobForecast, forecast_cost, least_memory, outlined, require_room_of_mesh
-from morembs.app.jobs.inputs import (
-    budget_of,
-    damping_of,
-    interfaces_of,
-    materials_of,
-    mesh_of,
-    prepare_output,
-    solver_of,
-    wants_modes,
-)
+from morembs.app.jobs.files import prepare_output
 from morembs.app.jobs.job import Job
-from morembs.app.jobs.model import matrices_of
-from morembs.app.jobs.preflight import model_warnings, preflight, require_room, shifted_of
 from morembs.app.jobs.run import count_elements
+from morembs.app.jobs.solver import budget_of, solver_of
+from morembs.app.jobs.stages.couple import damping_of, interfaces_of
+from morembs.app.jobs.stages.forecast import (
+    Cost,
+    JobForecast,
+    forecast_cost,
+    least_memory,
+    outlined,
+    require_room,
+    require_room_of_mesh,
+)
+from morembs.app.jobs.stages.model import ReadModel, materials_of, mesh_of
+from morembs.app.jobs.stages.preflight import model_warnings, preflight, shifted_of
+from morembs.app.jobs.stages.stage import asked, computes_modes
 from morembs.base import progress
 from morembs.base.budget import Budget
 from morembs.base.memory import available_bytes, resident_bytes
@@ -70,13 +72,11 @@ def _check(job: Job) -> JobForecast:
         return _check_file(job, solver, start)
     mesh = mesh_of(job)
     progress.stage("check elements")
-    require_room_of_mesh(job, mesh, materials, solver, start)
+    modes = computes_modes(job)
+    require_room_of_mesh(job, mesh, materials, solver, start, modes)
     graph = check_mesh(mesh, materials)
-    if job.tables.parameter:
-        # Not at the top: most jobs have no parameters.
-        from morembs.app.jobs.parameters import parameters_of
-
-        parameters_of(job, mesh)
+    for stage in asked(job):
+        stage.check_mesh(job, mesh)
     progress.stage("check interfaces")
     size = 3 * len(mesh.nodes)
     model = outlined(job, mesh, materials)
@@ -119,8 +119,9 @@ def _check(job: Job) -> JobForecast:
 def _check_file(job: Job, solver: LinearSolver, start: int) -> JobForecast:
     """Forecast for a model file, whose matrices are there."""
     with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget:
-        model = matrices_of(job, budget)
-        require_room(job, start, model.size, lambda: least_memory(job, model, solver, start))
+        reader = next(stage for stage in asked(job) if isinstance(stage, ReadModel))
+        model, modes = reader.matrices(job, budget), computes_modes(job)
+        require_room(job, start, model.size, modes, lambda: least_memory(job, model, solver, start, modes))
         progress.stage("examine")
         model = equations_of_motion(job, model)
         warnings = model_warnings(job, model, budget)
@@ -169,7 +170,7 @@ def _cost(
         solver,
         budget,
         start,
-        wants_modes(job),
+        computes_modes(job),
         list(shifted_of(job, facts).values()),
         job.tables.solver.workers,
     )

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.app.jobs.inputs import units_of
 from morembs.app.jobs.job import Job
 from morembs.base.errors import InputError
 from morembs.fem import FEModel
@@ -65,7 +64,7 @@ def _without_skew_parts(model: FEModel, unsymmetric: str) -> FEModel:
 
 def flows_of(job: Job, model: FEModel) -> list[tuple[NDArray[np.int64], Flow]]:
     """Rows of the nodes along each tube, in the order of its flow, and the flow in SI units."""
-    units = units_of(job)
+    units = job.units
     return [
         (
             _path_of(job, model, table.path),
@@ -88,7 +87,7 @@ def _path_of(job: Job, model: FEModel, text: str) -> NDArray[np.int64]:
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"[[flow]]: path = {text!r} cannot be read; expected a text of labels of nodes") from error
     elif not text.startswith("ids:"):
-        return select_nodes(model, text, length=units_of(job).length)
+        return select_nodes(model, text, length=job.units.length)
     try:
         numbers = np.array([int(label) for label in labels], dtype=np.int64)
     except (ValueError, OverflowError) as error:

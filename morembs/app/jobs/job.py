@@ -14,6 +14,7 @@ from morembs.app.jobs.schema import JobTables, ReduceTable
 from morembs.base.errors import InputError
 from morembs.base.key_tables import read_table
 from morembs.base.options import Text, pairs, read_options, readings
+from morembs.base.units import Units, parse_units
 from morembs.reducers import REDUCERS
 from morembs.reducers.base import Reducer
 from morembs.storage.attempts import attempt_at
@@ -52,30 +53,26 @@ class Job:
             raise InputError(f"the path {path[:100]!r} cannot be used ({error}); give another") from error
         return whole
 
-    def _result(self, path: str) -> Path:
+    def result(self, path: str) -> Path:
+        """The place of a file that the job writes, which the attempt writes beside it."""
         whole = self.resolve(path)
         return attempt_at(whole, self.attempt) if self.attempt else whole
 
     @property
+    def units(self) -> Units:
+        """The declared units."""
+        given = self.tables.model.units
+        return parse_units(given if isinstance(given, str) else given.values())
+
+    @property
     def output(self) -> Path:
         """The body file."""
-        return self._result(self.tables.output.path)
+        return self.result(self.tables.output.path)
 
     @property
     def picture(self) -> Path | None:
         """The picture, if one is wanted."""
-        return None if self.tables.output.picture is None else self._result(self.tables.output.picture)
-
-    @property
-    def state_space(self) -> Path | None:
-        """The file of a state space, if one is wanted."""
-        return None if self.tables.state_space is None else self._result(self.tables.state_space.path)
-
-    @property
-    def results(self) -> dict[str, Path]:
-        """The files that the job writes, by the words for each."""
-        named = {"[output] path": self.output, "[output] picture": self.picture, "[state_space] path": self.state_space}
-        return {name: path for name, path in named.items() if path is not None}
+        return None if self.tables.output.picture is None else self.result(self.tables.output.picture)
 
 
 def load_job(path: str | Path, changes: Sequence[str] = ()) -> Job:

@@ -14,18 +14,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from morembs.app.jobs.inputs import (
-    budget_of,
-    damping_of,
-    interfaces_of,
-    materials_of,
-    preload_of,
-    rotation_of,
-    solver_of,
-)
 from morembs.app.jobs.job import Job
-from morembs.app.jobs.model import model_of
 from morembs.app.jobs.picture import BODY_COLORS, save
+from morembs.app.jobs.solver import budget_of, solver_of
+from morembs.app.jobs.stages.couple import damping_of, interfaces_of
+from morembs.app.jobs.stages.model import materials_of
+from morembs.app.jobs.stages.preload import preload_of
+from morembs.app.jobs.stages.spin import rotation_of
+from morembs.app.jobs.stages.stage import MODEL, Work, asked, computes_modes, run_stages
 from morembs.base.errors import InputError
 from morembs.base.memory import PeakMemory, resident_bytes
 from morembs.base.progress import Progress, Stopwatch, listening
@@ -74,20 +70,30 @@ def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress | None
     Raises:
         MorembsError: input that cannot be used, or a model that nothing holds where complex modes are wanted.
     """
-    start, solver, materials = resident_bytes(), solver_of(job), materials_of(job)
+    start, solver = resident_bytes(), solver_of(job)
+    materials_of(job)  # faults of materials are told before the mesh is read
     with (
         listening(progress),
         limit_threads(job.tables.solver.threads),
         budget_of(job, solver) as budget,
         PeakMemory() as memory,
     ):
-        model, _ = model_of(job, solver, materials, budget, start, Stopwatch(memory))
+        work = Work(
+            job=job,
+            solver=solver,
+            budget=budget,
+            start=start,
+            watch=Stopwatch(memory),
+            counts_modes=computes_modes(job),
+        )
+        run_stages(work, asked(job), until=MODEL)
+        model = work[MODEL]
         interfaces, damping = interfaces_of(job, model), damping_of(job)
         problem = Problem(model, interfaces, solver=solver, damping=damping, budget=budget)
-        load, rotation = preload_of(job), rotation_of(job)
-        if load is not None:
+        rotation = rotation_of(job) if job.tables.spin is not None else None
+        if job.tables.preload is not None:
             with problem:
-                model = preloaded(problem, load).model
+                model = preloaded(problem, preload_of(job)).model
             problem = Problem(model, interfaces, solver=solver, damping=damping, budget=budget)
         with problem:
             if not complex_:

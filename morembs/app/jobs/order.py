@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-from morembs.app.jobs.inputs import inputs_of, mesh_of, sources_of
+from morembs.app.jobs.files import inputs_of, results_of
 from morembs.app.jobs.job import Job
+from morembs.app.jobs.stages.model import mesh_of
 from morembs.base.errors import InputError, MorembsError
 from morembs.body.tables import FORMAT
 from morembs.storage.contents import Place, own_files, place_of
@@ -62,7 +63,7 @@ def read_ahead(jobs: Sequence[Job]) -> None:
     """
     jobs = [job for job in jobs if not _why_no_files(job)]
     with own_files():
-        results = [path for job in jobs for path in job.results.values() if path.exists()]
+        results = [path for job in jobs for path in results_of(job).values() if path.exists()]
         drawn = {path for path in results if path.suffix in PICTURES and not path.is_symlink()}
         known = all(path in drawn or holds_format(path, FORMAT) for path in results)
     for job in () if known or len(jobs) < 2 else jobs:
@@ -74,7 +75,7 @@ def read_ahead(jobs: Sequence[Job]) -> None:
 def _why_no_files(job: Job) -> str:
     """Why a path of the job can be none; "" where all can."""
     try:
-        _ = job.output, job.results, inputs_of(job)
+        _ = job.output, results_of(job), inputs_of(job)
     except InputError as error:
         return str(error)
     return ""
@@ -82,7 +83,7 @@ def _why_no_files(job: Job) -> str:
 
 def _bodies(job: Job) -> set[Place]:
     """The body files that an assembly is made of."""
-    return {place_of(path) for path in sources_of(job)} if job.tables.substructure else set()
+    return {place_of(job.resolve(table.body)) for table in job.tables.substructure}
 
 
 def _clashes(jobs: Mapping[int, Job], bodies: Mapping[Place, int]) -> dict[int, str]:
@@ -94,7 +95,7 @@ def _clashes(jobs: Mapping[int, Job], bodies: Mapping[Place, int]) -> dict[int, 
             place = place_of(path)
             if place not in parts:
                 used.setdefault(place, []).append((key, name, None))
-        for name, path in job.results.items():
+        for name, path in results_of(job).items():
             used.setdefault(place_of(path), []).append((key, name, path))
     reasons: dict[int, str] = {}
     for uses in used.values():

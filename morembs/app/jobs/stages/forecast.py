@@ -7,17 +7,16 @@ factor and the dense columns of the modes.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import scipy.sparse as sp
 
-from morembs.app.jobs.inputs import interfaces_of, wants_modes
 from morembs.app.jobs.job import Job
-from morembs.app.jobs.preflight import LEAST_COUNT, LOADED_BYTES, RESTING_BYTES, require_room, resting_bytes
+from morembs.app.jobs.stages.couple import interfaces_of
 from morembs.base.budget import UNLIMITED, Budget, memory_that_leaves
-from morembs.base.errors import BudgetError
+from morembs.base.errors import BudgetError, enough_megabytes
 from morembs.fem import DofMap, FEModel, Mesh
 from morembs.fem.assembly import check_mesh, mass_warnings, stiffness_pattern
 from morembs.fem.interface import couple
@@ -27,7 +26,7 @@ from morembs.linalg.dynamic_stiffness import plan_at_shift
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.threads import blas_threads, measured_speed
-from morembs.linalg.statics import require_room_to_count
+from morembs.linalg.statics import COUNT_BYTES, COUNT_COLUMNS, require_room_to_count
 from morembs.problem.system import PROCESS_BYTES, worker_bytes
 from morembs.reducers.facts import Shifted
 
@@ -44,6 +43,10 @@ _SECONDS_PER_ENTRY = 1e-8
 _COMPLEX = 4
 # Resident memory of a rank of MPI without its part of a factor; measured.
 RANK_BYTES = 80_000_000
+# What stays resident of a job when all that can rest does: bytes, and columns as long as there are dofs; measured. Of
+# the bytes this much is there before modes are counted, and so much more takes the smallest count.
+RESTING_BYTES, RESTING_COLUMNS = 70_000_000, 12
+LOADED_BYTES, LEAST_COUNT = 16_000_000, 6_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,14 +222,47 @@ def _at_shifts(lower: Lower, shifted: Sequence[Shifted], solver: LinearSolver, w
     )
 
 
-def least_memory(job: Job, model: FEModel, solver: LinearSolver, start: int, K: sp.csr_array | None = None) -> int:
+def require_room(job: Job, start: int, dofs: int, modes: bool, least: Callable[[], int]) -> None:
+    """Refuse a memory budget that ``job`` with a model of ``dofs`` exceeds whatever it does.
+
+    Args:
+        start: resident memory of the process before any model was read.
+        modes: whether modes are computed, and so counted.
+        least: tells a budget that will do for the job.
+
+    Raises:
+        BudgetError: as said.
+    """
+    beside = resting_bytes(dofs)
+    if modes:
+        count = COUNT_BYTES + LEAST_COUNT + 8 * COUNT_COLUMNS * dofs
+        beside = max(beside, beside - RESTING_BYTES + LOADED_BYTES + count)
+    needed = start + beside
+    if job.memory is not None and job.memory < needed:
+        enough = max(needed, least())
+        raise BudgetError(
+            f"[solver]: memory = {job.memory / 1e6:.0f} MB is below what this program itself needs: {start / 1e6:.0f} "
+            f"MB before it reads a model, and {beside / 1e6:.0f} MB for what has to stay in memory of a job of this "
+            f"size; give at least {enough_megabytes(enough)} MB",
+            needed=enough,
+        )
+
+
+def resting_bytes(dofs: int) -> int:
+    """What a job with ``dofs`` keeps in memory even when all that can rest does."""
+    return RESTING_BYTES + RESTING_COLUMNS * 8 * dofs
+
+
+def least_memory(
+    job: Job, model: FEModel, solver: LinearSolver, start: int, modes: bool, K: sp.csr_array | None = None
+) -> int:
     """A budget that will do for the modes of ``job``, from the symbolic analysis of ``K`` (by default that of
-    ``model``); 0 where it has none. ``start`` as in ``forecast_cost``.
+    ``model``); 0 where it has none. ``start`` and ``modes`` as in ``forecast_cost``.
 
     Raises:
         InputError: interfaces that do not fit.
     """
-    if not wants_modes(job):
+    if not modes:
         return 0
     K = model.K if K is None else K
     T = abs(couple(model, interfaces_of(job, model)).T)
@@ -258,14 +294,16 @@ def outlined(job: Job, mesh: Mesh, materials: Sequence[Material]) -> FEModel:
     )
 
 
-def require_room_of_mesh(job: Job, mesh: Mesh, materials: Sequence[Material], solver: LinearSolver, start: int) -> None:
+def require_room_of_mesh(
+    job: Job, mesh: Mesh, materials: Sequence[Material], solver: LinearSolver, start: int, modes: bool
+) -> None:
     """As ``require_room``, for a model of ``mesh`` that is not assembled yet."""
 
     def least() -> int:
         pattern = stiffness_pattern(check_mesh(mesh, materials))
-        return least_memory(job, outlined(job, mesh, materials), solver, start, pattern)
+        return least_memory(job, outlined(job, mesh, materials), solver, start, modes, pattern)
 
-    require_room(job, start, 3 * len(mesh.nodes), least)
+    require_room(job, start, 3 * len(mesh.nodes), modes, least)
 
 
 def _matrices(K: sp.csr_array, lower: Lower, square: bool) -> int:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.app.jobs.inputs import damping_of, materials_of, units_of
 from morembs.app.jobs.job import Job
 from morembs.app.jobs.schema import ParameterTable
+from morembs.app.jobs.stages.couple import VARIED, damping_of
+from morembs.app.jobs.stages.model import MESH, materials_of
+from morembs.app.jobs.stages.stage import MODEL, JobStage, Work
+from morembs.app.jobs.stages.write import WRITTEN
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
@@ -24,6 +27,7 @@ from morembs.importers import read_mesh
 from morembs.parametric.added import with_preload
 from morembs.parametric.parameter import Parameter, Spring
 from morembs.parametric.regions import rows_of_set, young_of
+from morembs.parametric.steps import clear_steps
 from morembs.parametric.terms import VariedModel, varied_model
 from morembs.storage.csv_table import read_table
 
@@ -32,6 +36,45 @@ SAME = 1e-12
 # Tolerance of bodies where none is given.
 TOLERANCE = 1e-3
 COLUMNS = ("id", "dx", "dy", "dz")
+
+
+class Parameters(JobStage):
+    """The model of a mesh with its parameters, and that of nominal values."""
+
+    tables = ("parameter", "reduce")
+    needs = (MESH,)
+    gives = (MODEL, VARIED)
+
+    def is_asked(self, job: Job) -> bool:
+        return bool(job.tables.parameter)
+
+    def reads(self, job: Job) -> Mapping[str, Path]:
+        moves = {table.name: table.mesh or table.displacement for table in job.tables.parameter}
+        return {f"the morph of {name}": job.resolve(path) for name, path in moves.items() if path}
+
+    def check_mesh(self, job: Job, mesh: Mesh) -> None:
+        parameters_of(job, mesh)
+
+    def run(self, work: Work) -> None:
+        with work.watch.stage("assemble"):
+            varied = varied_of(work.job, work[MESH], materials_of(work.job), work.budget)
+            work.give(MODEL, varied.model(varied.box.nominal, work.budget))
+        work.give(VARIED, varied)
+
+
+class ParameterSteps(JobStage):
+    """The steps of an offline stage, which are no longer needed where its body is written."""
+
+    tables = ("parameter",)
+    needs = (WRITTEN,)
+    gives = (WRITTEN,)
+
+    def is_asked(self, job: Job) -> bool:
+        return bool(job.tables.parameter)
+
+    def run(self, work: Work) -> None:
+        with work.watch.more():
+            clear_steps(work[WRITTEN])
 
 
 def varied_of(job: Job, mesh: Mesh, materials: Sequence[Material], budget: Budget = UNLIMITED) -> VariedModel:
@@ -66,7 +109,7 @@ def parameters_of(job: Job, mesh: Mesh) -> tuple[Mesh, list[Parameter]]:
 
 
 def _parameter(job: Job, mesh: Mesh, table: ParameterTable, sets: tuple[str, ...]) -> Parameter:
-    units = units_of(job)
+    units = job.units
     scale = {"young": units.stress, "density": units.density, "alpha": 1 / units.time, "beta": units.time}.get(
         table.property, 1.0
     )
@@ -86,7 +129,7 @@ def _parameter(job: Job, mesh: Mesh, table: ParameterTable, sets: tuple[str, ...
 def _spring(job: Job, table: ParameterTable) -> Spring | None:
     if table.stiffness is None or table.interface is None:
         return None
-    units = units_of(job)
+    units = job.units
     along = units.mass / units.time**2
     scale = [along] * 3 + [along * units.length**2] * 3
     return Spring(
@@ -145,7 +188,7 @@ def _sets(job: Job, mesh: Mesh, table: ParameterTable) -> tuple[Mesh, tuple[str,
     sets = dict(mesh.element_sets)
     for name in given:
         if name.partition(":")[0] in NUMBERS and name not in sets:
-            sets[name] = _in_region(mesh, name, units_of(job).length, table.name)
+            sets[name] = _in_region(mesh, name, job.units.length, table.name)
     same = len(sets) == len(mesh.element_sets)
     return mesh if same else replace(mesh, element_sets=sets), tuple(given)
 
@@ -167,7 +210,7 @@ def _in_region(mesh: Mesh, text: str, length: float, parameter: str) -> tuple[In
 
 def _displacement(job: Job, mesh: Mesh, table: ParameterTable) -> Floats:
     """Displacement (n, 3) of the nodes in m per unit."""
-    units = units_of(job)
+    units = job.units
     if table.mesh is not None:
         path = job.resolve(table.mesh)
         other = read_mesh(path, units, dialect=job.tables.model.dialect)

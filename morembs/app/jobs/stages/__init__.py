@@ -1,0 +1,45 @@
+"""The stages of a job, one file each: a new one is one line here."""
+
+from __future__ import annotations
+
+from morembs.app.jobs.stages.body import Deliver
+from morembs.app.jobs.stages.certificate import Certify
+from morembs.app.jobs.stages.couple import Couple
+from morembs.app.jobs.stages.factor import FactorCost
+from morembs.app.jobs.stages.full_modes import FullModes
+from morembs.app.jobs.stages.model import Assemble, ReadMesh, ReadModel
+from morembs.app.jobs.stages.parameters import Parameters, ParameterSteps
+from morembs.app.jobs.stages.parts import Parts
+from morembs.app.jobs.stages.picture import DrawnShapes, Picture
+from morembs.app.jobs.stages.preload import PreloadStress
+from morembs.app.jobs.stages.reduction import Reduction
+from morembs.app.jobs.stages.response import Response
+from morembs.app.jobs.stages.spin import SpinMatrices, SpinModes
+from morembs.app.jobs.stages.stage import STAGES
+from morembs.app.jobs.stages.state_space import StateSpace
+from morembs.app.jobs.stages.unreduced import UnreducedParts
+from morembs.app.jobs.stages.write import WriteBody
+
+STAGES |= {
+    "mesh": ReadMesh(),
+    "model file": ReadModel(),
+    "bodies": Parts(),
+    "assembly": Assemble(),
+    "parameters": Parameters(),
+    "interfaces": Couple(),
+    "preload": PreloadStress(),
+    "unreduced parts": UnreducedParts(),
+    "spin": SpinMatrices(),
+    "reductions": Reduction(),
+    "certificates": Certify(),
+    "response": Response(),
+    "spin modes": SpinModes(),
+    "full modes": FullModes(),
+    "factor": FactorCost(),
+    "body": Deliver(),
+    "shapes": DrawnShapes(),
+    "body file": WriteBody(),
+    "picture": Picture(),
+    "state space": StateSpace(),
+    "steps": ParameterSteps(),
+}

@@ -1,0 +1,55 @@
+"""What is refused or warned of before a job factorises: one pass for ``check`` and for ``reduce``."""
+
+from __future__ import annotations
+
+from morembs.app.jobs.job import Job
+from morembs.app.jobs.stages.stage import asked
+from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.progress import duration_words
+from morembs.body.diagnostics.warnings import examined, examined_mesh
+from morembs.fem import FEModel
+from morembs.reducers import Facts
+from morembs.reducers.facts import Shifted
+
+# Interface degrees of freedom beyond which methods that follow all responses take minutes.
+MANY_INTERFACE_DOFS = 60
+
+
+def model_warnings(job: Job, model: FEModel, budget: Budget = UNLIMITED) -> tuple[str, ...]:
+    """Warnings about the model of ``job``: about its units where it is meshed, about its matrices where they came.
+
+    Raises:
+        InputError: matrices that no reduction takes.
+    """
+    if job.tables.model.mesh is None:
+        return examined(model, budget=budget)
+    return examined_mesh(model, job.units)
+
+
+def preflight(job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
+    """Warnings about what the reductions of ``job`` will cost; ``rigid`` is the number of rigid-body motions.
+
+    Raises:
+        InputError: whatever ``reduce`` would refuse after the factorisation, as far as it can be told before.
+    """
+    warnings = [warning for stage in asked(job) for warning in stage.check(job, facts, rigid)]
+    return (*_many_motions(job, facts), *warnings)
+
+
+def shifted_of(job: Job, facts: Facts) -> dict[str, Shifted]:
+    """What is factorised beside K, by the words for what asks for it."""
+    return {words: each for stage in asked(job) for words, found in stage.shifted(job, facts).items() for each in found}
+
+
+def _many_motions(job: Job, facts: Facts) -> list[str]:
+    if facts.inputs <= MANY_INTERFACE_DOFS:
+        return []
+    took = {words: took for stage in asked(job) for words, took in stage.followed_seconds(job, facts).items()}
+    if not took:
+        return []
+    words = ", ".join(f"{name} about {duration_words(seconds)}" for name, seconds in took.items())
+    return [
+        f"the responses to all {facts.inputs} interface degrees of freedom are followed, which takes long: {words} at "
+        "the speed of this machine now, within a factor of three. Give the interface a rigid or average coupling (6 "
+        'degrees of freedom), or take method = "craig-bampton" with interface_up_to_hz and no [certify]'
+    ]

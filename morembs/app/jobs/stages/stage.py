@@ -1,0 +1,189 @@
+"""What a stage of a job is, and the work that goes from stage to stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+
+from morembs.app.jobs.job import Job
+from morembs.base.budget import Budget
+from morembs.base.progress import Stopwatch
+from morembs.fem import FEModel, Mesh
+from morembs.linalg.sparse.solver import LinearSolver
+
+if TYPE_CHECKING:
+    from morembs.reducers import Facts
+    from morembs.reducers.facts import Shifted
+
+T = TypeVar("T")
+
+
+def unheard(_: str) -> None:
+    """The default for warnings: they are in the result too."""
+
+
+@dataclass(frozen=True)
+class Result(Generic[T]):
+    """The name of what one stage gives and others need."""
+
+    name: str
+
+
+MODEL: Result[FEModel] = Result("model")
+
+
+@dataclass(kw_only=True, eq=False)
+class Work:
+    """A job at work: its means, what its stages have given so far, and what there is to say of it.
+
+    ``start`` is the resident memory of the process before any model was read, ``counts_modes`` says whether modes are
+    computed. ``warnings`` are those of the job,
+    ``stored`` those that go into the body file, ``recipe`` is what stages add to the recipe of the file.
+    """
+
+    job: Job
+    solver: LinearSolver
+    budget: Budget
+    start: int
+    watch: Stopwatch
+    counts_modes: bool = False
+    warn: Callable[[str], None] = unheard
+    warnings: list[str] = field(default_factory=list)
+    stored: list[str] = field(default_factory=list)
+    recipe: dict[str, object] = field(default_factory=dict)
+    _given: dict[Result[Any], Any] = field(default_factory=dict)
+
+    def __getitem__(self, result: Result[T]) -> T:
+        value: T = self._given[result]
+        return value
+
+    def get(self, result: Result[T]) -> T | None:
+        """What was given under this name, None where no stage of the job gives it."""
+        return self._given.get(result)
+
+    def give(self, result: Result[T], value: T) -> None:
+        """Have a result for the stages that need it, in place of one that was there."""
+        self._given[result] = value
+
+    def close(self, kept: Sequence[Result[Any]] = ()) -> None:
+        """Close and forget the results that are not ``kept``, the latest first."""
+        for result in [each for each in reversed(self._given) if each not in kept]:
+            value = self._given.pop(result)
+            if hasattr(value, "__exit__"):
+                value.__exit__(None, None, None)
+
+    def tell(self, *sentences: str, stored: bool = True, heard: bool = True) -> None:
+        """Warnings of the job, ``heard`` at once or only in the result, and ``stored`` in its body file or not."""
+        for sentence in sentences if heard else ():
+            self.warn(sentence)
+        self.warnings += sentences
+        self.stored += sentences if stored else ()
+
+
+class JobStage:
+    """A stage of a job: all that is known of one feature. A new one is a file here and a line in ``STAGES``.
+
+    ``tables`` are the tables of the job that it reads. It runs after all stages that give what it ``needs``; a result
+    that it needs and ``gives`` it changes. Results in ``needs``
+    that no stage of a job gives are absent.
+    """
+
+    tables: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[Result[Any], ...]] = ()
+    gives: ClassVar[tuple[Result[Any], ...]] = ()
+
+    def is_asked(self, job: Job) -> bool:
+        """Whether the job has this stage."""
+        return True
+
+    def reads(self, job: Job) -> Mapping[str, Path]:
+        """The files that it reads, by the words for each."""
+        return {}
+
+    def writes(self, job: Job) -> Mapping[str, Path]:
+        """The files that it writes, by the words for each."""
+        return {}
+
+    def check_mesh(self, job: Job, mesh: Mesh) -> None:
+        """Refuse what does not fit the mesh of the job.
+
+        Raises:
+            InputError: as said.
+        """
+
+    def check(self, job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
+        """Warnings before anything is factorised; ``rigid`` is the number of rigid-body motions.
+
+        Raises:
+            InputError: what ``run`` would refuse, as far as it can be told.
+        """
+        return ()
+
+    def shifted(self, job: Job, facts: Facts) -> Mapping[str, Sequence[Shifted]]:
+        """What it factorises beside K, by the words for what asks for it."""
+        return {}
+
+    def followed_seconds(self, job: Job, facts: Facts) -> Mapping[str, float]:
+        """Time of what follows the responses to all interface degrees of freedom, by the words for it."""
+        return {}
+
+    def computes_modes(self, job: Job) -> bool:
+        """Whether it computes modes, which are counted."""
+        return False
+
+    def run(self, work: Work) -> None:
+        """Do the work and give its results."""
+
+
+# Filled where all stages are known, in the order in which a check asks them; they run as their results need each other.
+STAGES: dict[str, JobStage] = {}
+
+
+def asked(job: Job) -> list[JobStage]:
+    """The stages of a job."""
+    return [stage for stage in STAGES.values() if stage.is_asked(job)]
+
+
+def computes_modes(job: Job) -> bool:
+    """Whether any stage computes modes, which are counted."""
+    return any(stage.computes_modes(job) for stage in asked(job))
+
+
+def in_order(stages: Sequence[JobStage]) -> Iterator[JobStage]:
+    """Each stage after those whose results it needs; beyond that as they are given."""
+    left = list(stages)
+    while left:
+        ready = next((stage for stage in left if not any(_waits(stage, other) for other in left)), left[0])
+        left.remove(ready)
+        yield ready
+
+
+def _waits(stage: JobStage, other: JobStage) -> bool:
+    """Whether ``stage`` needs what ``other`` gives; a change does not come before what it needs of ``stage``."""
+    changes_later = not set(stage.gives).isdisjoint(other.needs)
+    return stage is not other and any(
+        result in other.gives and not (result in other.needs and changes_later) for result in stage.needs
+    )
+
+
+def run_stages(
+    work: Work, stages: Sequence[JobStage], kept: Sequence[Result[Any]] = (), until: Result[Any] | None = None
+) -> list[JobStage]:
+    """Run the stages, or those ``until`` a result is there; returns those that are left.
+
+    A result is closed and forgotten after the last stage that needs it, if it is not ``kept``.
+
+    Raises:
+        MorembsError: what a stage refuses.
+    """
+    left = list(in_order(stages))
+    try:
+        while left and (until is None or work.get(until) is None):
+            left.pop(0).run(work)
+            work.close([*kept, *(result for stage in left for result in stage.needs)])
+    except BaseException:
+        work.close()
+        raise
+    return left
