@@ -115,8 +115,10 @@ class Truth:
         if not self.model.free:
             return np.zeros((len(self.K), 0), dtype=Long)
         R = self.R / np.maximum(np.linalg.norm(self.R.astype(float), axis=0), 1e-300)
-        energies, U = np.linalg.eigh((R.T @ self.K @ R).astype(float) / np.abs(self.K).max().astype(float))
-        del energies
+        # Motions that held dofs leave nothing of cost no energy either, and are none.
+        _, sizes, V = np.linalg.svd(R.astype(float), full_matrices=False)
+        R = R @ V[sizes > 1e-9 * sizes[0]].T.astype(Long)
+        _, U = np.linalg.eigh((R.T @ self.K @ R).astype(float) / np.abs(self.K).max().astype(float))
         Z = R @ U[:, : self.model.free].astype(Long)
         return _orthonormal(Z, self.M)
 
