@@ -20,6 +20,8 @@ class ProblemTolerances:
     dependent_motion: float = 1e-12
     # Motion of a group over the largest one that is none: coordinates with nine digits.
     still_motion: float = 1e-9
+    # Entry of a rigid motion over its largest that is round-off of making it orthonormal: 45 eps.
+    still_row: float = 1e-14
 
 
 TOL = ProblemTolerances()

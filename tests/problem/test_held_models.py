@@ -335,3 +335,18 @@ def test_a_model_that_one_frame_at_the_origin_moves_has_the_motions_of_its_matri
         assert np.abs(K @ Z).max() < 1e-12 * np.abs(K).max()
         elastic = Krylov(shifts_hz=[0.0]).reduce(problem)
         assert elastic.order == 4
+
+
+def test_damping_of_a_guided_beam_leaves_its_free_motion_alone() -> None:
+    # Rows that stand still as the beam slides have the round-off of the rigid motion, and nothing that it cancels in.
+    for k, length in enumerate((0.3, 0.746438, 1.7, 41.0)):
+        xyz = line(2, length)
+        K, _ = beams(xyz, chain(2))
+        M = np.diag(RNG(k).uniform(0.3, 3.0, 2).repeat(6) * np.tile([1, 1, 1, 0.02, 0.03, 0.04], 2))
+        model = model_on(K, M, xyz, range(6), np.array([1, 4, 5, 7, 8, 9]))
+        model = replace(model, D=1e-5 * model.K)
+        problem = Problem(model, [make_interface(model, name="slide", nodes=np.arange(2), coupling="direct", components=[1])])
+        assert problem.rigid.shape[1] == 1
+        assert not problem.damps_rigid_motion
+        grounded = replace(model, D=model.D + sp.csr_array(np.diag([1e-3, 0, 0, 0, 0, 0])))
+        assert Problem(grounded, problem.interfaces).damps_rigid_motion
