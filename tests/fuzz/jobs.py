@@ -254,6 +254,14 @@ def _validity(job: Job, damping: str, extra: str) -> None:
     reasons = [drawn.why_not for drawn in job.reductions if drawn.why_not]
     if extra in ("spin", "preload") and job.truth.model.family != "mesh":
         reasons += ["stress of a model without elements"] if extra == "preload" else []
+    if extra == "spin" and job.truth.model.family == "beams":
+        reasons.append("spin of masses that turn")
+    if damping == "table" or "modal" in damping:
+        reasons += [
+            f"direct responses of {each.name} with modal damping"
+            for each in job.reductions
+            if "direct = true" in each.text
+        ]
     if "structural" in damping and methods & {"irka"}:
         reasons.append("irka refuses structural damping")
     job.valid, job.why_not = not reasons, "; ".join(reasons)

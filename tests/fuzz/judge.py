@@ -235,14 +235,23 @@ def _peak(truth: Truth, band: Floats, loss: float) -> float:
     low, high = band
     near = truth.hz[(truth.hz >= 0.8 * low) & (truth.hz <= 1.2 * high)][:12]
     count = 40 if truth.D is not None else 300
-    hz = np.clip(np.concatenate([np.linspace(low, high, count), near]), low, high)
-    best = 0.0
-    width = (high - low) / count
-    for _ in range(4):
-        size = np.sqrt((np.abs(truth.H(2 * np.pi * hz, loss)) ** 2).sum(axis=(1, 2))).astype(float)
-        best, at = max(best, float(size.max())), hz[int(size.argmax())]
-        hz, width = np.clip(np.linspace(at - width, at + width, 21), low, high), width / 8
+    hz = np.unique(np.clip(np.concatenate([np.linspace(low, high, count), near]), low, high))
+    size = _sizes(truth, hz, loss)
+    best, width = float(size.max()), (high - low) / count
+    # Peaks of nearly the same height are told apart only by a closer look at each.
+    around = np.maximum(np.append(size[1:], 0), np.append(0, size[:-1]))
+    for at in hz[(size >= around) & (size > 0.9 * best)]:
+        step = width
+        for _ in range(4):
+            closer = np.clip(np.linspace(at - step, at + step, 21), low, high)
+            size = _sizes(truth, closer, loss)
+            best, at, step = max(best, float(size.max())), closer[int(size.argmax())], step / 8
     return best
+
+
+def _sizes(truth: Truth, hz: Floats, loss: float) -> Floats:
+    """|H| (nf,)."""
+    return np.sqrt((np.abs(truth.H(2 * np.pi * hz, loss)) ** 2).sum(axis=(1, 2))).astype(float)
 
 
 def _whole(truth: Truth, body: Reduced, rng: np.random.Generator) -> Iterator[str]:
