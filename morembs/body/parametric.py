@@ -16,6 +16,7 @@ from morembs.body.body import MISSING, Body
 from morembs.body.parametric_parts import ParametricParts
 from morembs.body.stored import ByName, StoredBodies
 from morembs.parametric.model import ModelAt, Sensitivity
+from morembs.storage.lemma import Lemma
 
 if TYPE_CHECKING:
     from morembs.body.floating.frame import FloatingFrame
@@ -71,6 +72,11 @@ class ParametricBody:
     def box_bound(self) -> float:
         """Largest relative bound of the error over the band of all values that were sampled: no more than that."""
         return self.model.box_bound
+
+    @property
+    def proof(self) -> tuple[Lemma, ...]:
+        """The lemmas that bounds of the error rest on at all values; none without bounds."""
+        return self.model.proof
 
     def at(self, **values: float) -> BodyAt:
         """The body at named values; the others are nominal.
@@ -162,6 +168,11 @@ class BodyAt:
         """Bounds (nf,) of the Frobenius norm of the error of H in m/N, rotations times the radius of gyration; infinite
         where there is none. ``bound_kind`` says whether they are proven."""
         return self.model.bound(frequencies_hz)
+
+    @property
+    def proof(self) -> tuple[Lemma, ...]:
+        """The lemmas that ``bound`` rests on at these values."""
+        return self.model.proof
 
     @property
     def bound_kind(self) -> str:

@@ -62,6 +62,7 @@ class ParametricParts:
             "bound": model.bound,
             "box_bound": model.box_bound,
             "floor": model.floor,
+            "proof": {"lemmas": [asdict(lemma) for lemma in model.proof]} if model.proof else None,
             "law_K": model.law_K.factors,
             "law_M": model.law_M.factors,
         }
@@ -108,7 +109,8 @@ class ParametricParts:
 
 
 def _bound(laws: list[Law], values: dict[str, Any]) -> Any:
-    from morembs.parametric.bound import Cells, ParametricBound
+    from morembs.parametric.bound import ParametricBound
+    from morembs.parametric.proof import Cells
 
     return ParametricBound(law_K=laws[0], law_M=laws[1], cells=Cells(**values.pop("cells")), **values)
 

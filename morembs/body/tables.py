@@ -301,6 +301,8 @@ PARAMETRIC = Table((
         doc="largest bound over the band at all sampled values, relative to the envelope of the response: a maximum "
         "over samples"),
     Row("floor", "real", "", "damping ratio that box_bound gives to models without damping"),
+    Row("proof", "json", "", "lemmas that the bound rests on at all values", read=False,
+        when="where there is a bound; files of earlier versions lack it"),
 ), build=_parametric, parts=_parametric_parts)
 
 SPIN = Table((

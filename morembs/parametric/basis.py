@@ -32,6 +32,7 @@ from morembs.parametric.tolerances import TOL
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.responses.certified import floor_of
+from morembs.storage.lemma import PROVEN, kind_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -276,7 +277,7 @@ class GreedySearch:
         worst = self.worst(model, bound, np.vstack([self.training, fresh]))
         rigid = self.problem.rigid.shape[1]
         kinds = ("rigid",) * rigid + ("elastic",) * (self.deflated - rigid) + ("krylov",) * (high - self.deflated)
-        every = bound.cells.proven.all() and not any(self.damping(p).is_modal for p in self.training[:1])
+        proof = bound.proof(self.damping(self.training[0]))
         return ParametricBasis(
             V=multiply(self.space.columns(), T[:, :high], self.problem.budget),
             kinds=kinds,
@@ -288,7 +289,7 @@ class GreedySearch:
             factorisations=self.factorisations,
             counts=self.proofs.count,
             collected=whole,
-            kind="bound" if every else "estimate",
+            kind="bound" if kind_of(proof) == PROVEN else "estimate",
             floor=self.floor,
         )
 

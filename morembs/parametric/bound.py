@@ -57,35 +57,15 @@ from functools import cached_property
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
 from morembs.base.types import Floats
 from morembs.linalg.columns import symmetric
 from morembs.parametric.bound_at import BoundAt
 from morembs.parametric.law import LINEAR, SQUARE, Law
+from morembs.parametric.proof import Cells, proof_of
 from morembs.parametric.tolerances import TOL
 from morembs.problem.damping import Damping
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Cells:
-    """Parts of a box, ``low`` and ``high`` (c, P), with what holds on each: ``alpha`` (c,), K_SS(p) >= alpha K_SS(p_a)
-    at the moduli of p_a, and ``least`` (c,), Lam^ for the softest and heaviest values, in (rad/s)2. ``proven`` (c,) by
-    counts of eigenvalues, else estimated."""
-
-    low: Floats
-    high: Floats
-    alpha: Floats
-    least: Floats
-    proven: NDArray[np.bool_]
-
-    def at(self, p: Floats) -> tuple[float, float, bool]:
-        """alpha, Lam^ and whether they are proven at ``p`` (P,): of the best cell that holds it."""
-        here = np.flatnonzero(((p >= self.low) & (p <= self.high)).all(axis=1))
-        if not len(here):
-            return 0.0, 0.0, False
-        best = here[np.argmax(self.alpha[here])]
-        return float(self.alpha[best]), float(self.least[best]), bool(self.proven[best])
+from morembs.storage.lemma import Lemma
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -184,7 +164,7 @@ class ParametricBound:
         start = self.residual_B - KY @ static - MY[:, :soft] @ b[:soft] - MZ @ b_rigid
         off_start = self.rest_B + (eK @ size) @ np.abs(static) + (eM @ np.abs(Z)) @ np.abs(b_rigid)
         off_start += (eM @ size)[:soft] @ np.abs(b[:soft])
-        alpha_cell, least, proven = self.cells.at(p)
+        alpha_cell, least, _ = self.cells.at(p)
         unsure_K, unsure_M = (
             np.zeros((len(values),) * 2) if terms is None else Y.T @ np.tensordot(np.abs(theta), terms, 1) @ Y
             for theta, terms in ((theta_K, self.rounding_K), (theta_M, self.rounding_M))
@@ -221,7 +201,19 @@ class ParametricBound:
             soft=soft,
             unsure_K=unsure_K + self.eps / (1 - self.eps) * np.diag(values),
             unsure_M=unsure_M,
-            proven=proven and not damping.is_modal and self.rounding_K is not None,
+            proof=self.proof(damping, p),
+        )
+
+    def proof(self, damping: Damping, p: Floats | None = None) -> tuple[Lemma, ...]:
+        """The lemmas that the bound of a model with ``damping`` rests on: at the values ``p`` (P,), or at all."""
+        return proof_of(
+            self.cells,
+            damping,
+            p,
+            residual=self.residual_K.shape,
+            highest=self.highest,
+            eps=self.eps,
+            rounding=self.rounding_K is not None,
         )
 
     def _few(self, values: Floats, own: Floats, far: float) -> int:

@@ -10,6 +10,7 @@ from morembs.base.types import Complexes, Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.problem.damping import Damping
 from morembs.responses.residual_bound import numerator, slope
+from morembs.storage.lemma import PROVEN, Lemma, kind_of
 
 # Angles psi that are tried, in radians.
 ANGLES = np.radians([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
@@ -22,7 +23,7 @@ class BoundAt:
     (m + e, m + e) of the static residual and of those of the Ritz vectors in the dual norm, ``off_start`` (m,) and
     ``off`` (e,) what was cut of them; the first ``few`` are V_L, and K >= ``least`` M beside them. ``unsure_K``,
     ``unsure_M`` (e, e) limit the quadratic forms of what is not known of K and M. The static residual has the first
-    ``soft`` by their inertia."""
+    ``soft`` by their inertia. ``proof``: the lemmas that all this rests on."""
 
     values: Floats
     b: Floats
@@ -34,13 +35,13 @@ class BoundAt:
     damping: Damping
     unsure_K: Floats
     unsure_M: Floats
-    proven: bool
+    proof: tuple[Lemma, ...]
     soft: int = 0
 
     @property
     def kind(self) -> str:
         """ "bound" where all of it is proven in exact arithmetic, "estimate", or "none"."""
-        return "none" if not self.least > 0 else KINDS[0] if self.proven else KINDS[1]
+        return "none" if not self.least > 0 else KINDS[0] if kind_of(self.proof) == PROVEN else KINDS[1]
 
     def envelope(self, omega: Floats) -> Floats:
         """(nf,) sum of the sizes of all modal contributions to the scaled H at ``omega`` (nf,) in rad/s, in m/N."""

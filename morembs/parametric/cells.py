@@ -33,9 +33,9 @@ from morembs.linalg.dynamic_stiffness import constrained
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.parametric.bound import Cells
 from morembs.parametric.law import LINEAR, Law, bernstein
 from morembs.parametric.model import ParametricModel
+from morembs.parametric.proof import Cells
 from morembs.parametric.space import GlobalSpace
 from morembs.parametric.tolerances import TOL
 

@@ -25,6 +25,7 @@ from morembs.parametric.parameter import DAMPING, Box
 from morembs.parametric.terms import AffineProblem
 from morembs.parametric.tolerances import TOL
 from morembs.problem.damping import Damping
+from morembs.storage.lemma import Lemma
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,6 +60,11 @@ class ParametricModel:
     def highest_hz(self) -> float:
         """Upper end of the band that the basis was made for, infinite where that is not known."""
         return np.inf if self.bound is None else float(in_hz(self.bound.highest))
+
+    @property
+    def proof(self) -> tuple[Lemma, ...]:
+        """The lemmas that the bounds rest on at all of the box, with its nominal damping; none where it has none."""
+        return () if self.bound is None else self.bound.proof(self.damping)
 
     def matrices(self, p: Floats) -> tuple[Floats, Floats]:
         """K and M (..., n, n) at ``p`` (..., P)."""
@@ -163,6 +169,11 @@ class ModelAt:
         return model.bound.at(
             self.p, K=self.K, M=self.M, B=model.B * model.scale, rigid=model.rigid_at(self.p), damping=self.damping
         )
+
+    @property
+    def proof(self) -> tuple[Lemma, ...]:
+        """The lemmas that ``bound`` rests on at this value, none where it has no bound."""
+        return () if self.bound_at is None else tuple(self.bound_at.proof)
 
     @property
     def bound_kind(self) -> str:

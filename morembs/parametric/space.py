@@ -12,9 +12,10 @@ from morembs.linalg.columns import complement, dot, fix_signs, hstack, multiply_
 from morembs.linalg.congruence import weighted_row_sums
 from morembs.linalg.rigid import EPS, ROUND_OFF
 from morembs.linalg.statics import ConstrainedStatics
-from morembs.parametric.bound import Cells, ParametricBound, ratio
+from morembs.parametric.bound import ParametricBound, ratio
 from morembs.parametric.coordinates import LoadCoordinates, padded
 from morembs.parametric.model import ParametricModel
+from morembs.parametric.proof import Cells
 from morembs.parametric.terms import AffineProblem
 from morembs.parametric.tolerances import TOL
 from morembs.problem import Problem

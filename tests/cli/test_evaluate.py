@@ -2,6 +2,8 @@
 
 import csv
 import json
+from dataclasses import asdict
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -172,6 +174,21 @@ def test_bounds_are_a_column_for_each_frequency(proven, tmp_path):
             assert row["bound_kind"] == "bound"
         assert document["bound"] == pytest.approx(file["bound"][1].tolist(), rel=1e-9)
     assert "error of H at 10000 Hz, proven bound: " in run("evaluate", proven, "--at", "E_arm=2e11", "--bound", "1e4")
+
+
+def test_the_lemmas_of_the_bound_are_stored_printed_and_documented(path, proven):
+    proof = [asdict(lemma) for lemma in morembs.read_body(proven).bodies["parametric"].parametric.proof]
+    with h5py.File(proven) as file:
+        assert json.loads(file["bodies/parametric/parametric/proof"][()])["lemmas"] == proof
+    with h5py.File(path) as file:
+        assert "proof" not in file["bodies/some-basis/parametric"]
+    shown = run("info", proven, "--proof")
+    methods = (Path(__file__).parents[2] / "docs" / "methods.md").read_text()
+    assert "bounds of parametric at all values" in shown
+    for lemma in proof:
+        assert f"  {lemma['name']} (proven): {lemma['statement']}" in shown and f"\n### {lemma['name']}\n" in methods
+    (document,) = json.loads(run("info", proven, "--proof", "--json"))
+    assert document["bodies"]["parametric"]["bound_proof"] == proof
 
 
 def test_an_update_names_the_modes_above_the_band_of_the_bound(proven, tmp_path):

@@ -17,6 +17,7 @@ from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.reducers import ParametricReducer
 from morembs.responses.direct import elastic_states
+from morembs.storage.lemma import kind_of
 from tests.support.parametric import ARM, REST, STEEL, bracket, interfaces, longer
 
 BAND = [0.0, 12000.0]
@@ -156,3 +157,23 @@ def test_low_ritz_pairs_are_beside_exact_rigid_motion(problem, basis):
         # The only one in the band.
         true = there.elastic_modes(count=1).eigenvalues
     np.testing.assert_allclose(values[:1], true, rtol=1e-5)
+
+
+def test_the_bound_is_a_chain_of_lemmas_at_a_value_and_on_the_box(problem, basis):
+    names = ["cells-of-the-box", "parametric-residual", "interpolated-geometry", "damping", "round-off-of-terms"]
+    at, model = basis.model.at(problem.box.nominal), basis.model
+    for proof in (at.proof, model.proof):
+        assert [lemma.name for lemma in proof] == names and kind_of(proof) == "proven"
+    cells = model.bound.cells
+    assert model.proof[0].numbers["alpha"] == cells.alpha.min() and model.proof[0].numbers["cells"] == len(cells.low)
+    # What breaks a link is named by it, and makes an estimate of the whole.
+    unproven = replace(model.bound, cells=replace(cells, proven=np.zeros_like(cells.proven)))
+    for changed, link in (
+        (replace(model, bound=unproven), "cells-of-the-box"),
+        (replace(model, damping=Damping(modal=0.01)), "damping"),
+        (replace(model, bound=replace(model.bound, rounding_K=None)), "round-off-of-terms"),
+    ):
+        for proof in (changed.proof, changed.at(problem.box.nominal).proof):
+            assert [lemma.name for lemma in proof if lemma.kind == "estimate"] == [link]
+        assert changed.at(problem.box.nominal).bound_kind == "estimate"
+    assert replace(model, bound=None).proof == () and replace(model, bound=None).at(problem.box.nominal).proof == ()

@@ -6,10 +6,11 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.linalg.sparse.select import select_solver
-from morembs.parametric.bound import Cells, ParametricBound, ritz_pairs
+from morembs.parametric.bound import ParametricBound, ritz_pairs
 from morembs.parametric.cells import is_positive
 from morembs.parametric.coordinates import LoadCoordinates
 from morembs.parametric.law import LINEAR, ONE, Law
+from morembs.parametric.proof import Cells
 from morembs.problem.damping import Damping
 
 N, LOW, HIGH = 60, np.array([0.6, 0.6, 0.7]), np.array([1.8, 1.8, 1.5])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,8 @@ from morembs.body.stored import StoredBodies
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from morembs.body import Body
 
 SHOWN_FREQUENCIES = 10
 PROOFS = "docs/methods.md"
@@ -36,6 +39,8 @@ def show(file: str | Path, documents: list[dict[str, Any]] | None, proof: bool =
     diagnoses = stored_findings(stored)
     if documents is not None:
         documents.append(stored_json(str(file), stored, diagnoses))
+        for name, body in stored.bodies.items() if proof else ():
+            documents[-1]["bodies"][name]["bound_proof"] = bound_lemmas_of(body)
     else:
         with printing():
             print_stored(console(), str(file), stored, diagnoses)
@@ -125,26 +130,36 @@ def flat(certificate: Mapping[str, Any]) -> dict[str, Any]:
 
 def print_proofs(console: Console, stored: StoredBodies) -> None:
     """The lemmas that the limits of each body rest on, and where their proofs are."""
+
+    def say(text: str) -> None:
+        console.print(text, highlight=False, soft_wrap=True, markup=False)
+
     for name, body in stored.bodies.items():
         known = body.certificate
-        lemmas = [] if known is None else known.get("proof", [])
-        if not lemmas:
-            why = (
-                "has no certificate"
-                if known is None
-                else ("is certified without a proof: by samples alone, or by an earlier version; certify it again")
+        proofs = {f"limits of {name}": lemmas_of(body), f"bounds of {name} at all values": bound_lemmas_of(body)}
+        if known is None and not body.has_parameters:
+            say(f"proof: {name} has no certificate")
+        elif known is not None and not proofs[f"limits of {name}"]:
+            say(
+                f"proof: {name} is certified without a proof: by samples alone, or by an earlier version; "
+                "certify it again"
             )
-            console.print(f"proof: {name} {why}", highlight=False, soft_wrap=True, markup=False)
-            continue
-        console.print(f"proof: limits of {name}, each lemma by its section in {PROOFS}", highlight=False, markup=False)
-        for lemma in lemmas:
-            numbers = ", ".join(f"{key} = {value:.6g}" for key, value in lemma["numbers"].items())
-            console.print(
-                f"  {lemma['name']} ({lemma['kind']}): {lemma['statement']}\n    {numbers}",
-                highlight=False,
-                soft_wrap=True,
-                markup=False,
-            )
+        for what, lemmas in proofs.items():
+            if lemmas:
+                say(f"proof: {what}, each lemma by its section in {PROOFS}")
+            for lemma in lemmas:
+                numbers = ", ".join(f"{key} = {value:.6g}" for key, value in lemma["numbers"].items())
+                say(f"  {lemma['name']} ({lemma['kind']}): {lemma['statement']}\n    {numbers}".rstrip())
+
+
+def lemmas_of(body: Body) -> list[dict[str, Any]]:
+    """The lemmas of the certificate of a body."""
+    return [] if body.certificate is None else list(body.certificate.get("proof", []))
+
+
+def bound_lemmas_of(body: Body) -> list[dict[str, Any]]:
+    """The lemmas that bounds of a body with parameters rest on at all values."""
+    return [asdict(lemma) for lemma in body.parameters().model.proof] if body.has_parameters else []
 
 
 def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnosis]) -> None:
