@@ -380,11 +380,11 @@ def told(verdicts: list[Verdict]) -> int:
             sys.stdout.write(f"{name}: upper over dense {shown[0]}, over lower {shown[1]} ({len(clear)} bodies)\n")
     seconds = np.quantile([verdict.seconds for verdict in verdicts], (0.5, 1)).round(2).tolist()
     above = sum(verdict.above for verdict in verdicts)
-    exceeded = sum(verdict.above > 0 for verdict in verdicts)
+    exceeded, proven = sum(verdict.above > 0 for verdict in verdicts), sum(v.kind == "proven" for v in verdicts)
     endless = sum(not np.isfinite(verdict.upper).all() for verdict in verdicts)
     sys.stdout.write(
         f"{len(verdicts)} certificates, {above} values above a limit in {exceeded} of them, {endless} with a measure "
-        f"that has none, {seconds} s (median, largest), {sum(verdict.kind == 'proven' for verdict in verdicts)} proven\n"
+        f"that has none, {seconds} s (median, largest), {proven} proven\n"
     )
     return above
 
