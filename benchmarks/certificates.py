@@ -38,9 +38,9 @@ from morembs.reducers import Balanced, CraigBampton, FreeInterface, Gramian, Kry
 from morembs.reducers.base import ReducedModel
 from morembs.responses.certified import certified_reference
 from morembs.responses.clusters import damping_of_clusters
-from morembs.responses.layout import Layout
+from morembs.responses.layout import BlockIndex
 from morembs.responses.measures import MEASURES
-from morembs.responses.rational import Terms, squares
+from morembs.responses.rational import PoleResidueForm, squares
 
 DENSE, BESIDE = 20_000, 25
 # Samples are up to so much lower than the peaks between them, so that all maxima above this part of the highest count.
@@ -189,11 +189,11 @@ def dense_errors(
     loss = problem.damping.structural + 2 * reference.floor
     values, phi = exact_modes(problem.K.toarray(), problem.M.toarray(), problem.rigid.shape[1])
     b = (problem.B.T @ phi).T * problem.motion_scale
-    layout = Layout(b.shape[1], list(problem.coupling.columns.values()), symmetric=False)
+    layout = BlockIndex(b.shape[1], list(problem.coupling.columns.values()), symmetric=False)
     body, rows = body_response(reference, reduced, layout).terms, layout.rows(b, b)
     D = None if problem.D is None else phi.T @ problem.D.toarray() @ phi
     d = problem.damping.of_modes(values) if D is None else damping_of_clusters(values, D)[0]
-    modes = Terms.second_order(values * (1 + 1j * loss), d, rows)
+    modes = PoleResidueForm.second_order(values * (1 + 1j * loss), d, rows)
     full_terms = modes if D is None else dashpot_terms(values, D, b, layout)
     z = np.concatenate([terms.z.ravel() for terms in (full_terms, body)])
     beside = z.real[:, None] + np.maximum(np.abs(z.imag), 1e-9 * np.abs(z))[:, None] * np.linspace(-5, 5, BESIDE)
@@ -210,7 +210,7 @@ def dense_errors(
     return omega, np.stack([E / e, E / max(peak, H.max()), E / H], axis=1)
 
 
-def dashpot_terms(values: Floats, D: Floats, b: Floats, layout: Layout) -> Terms:
+def dashpot_terms(values: Floats, D: Floats, b: Floats, layout: BlockIndex) -> PoleResidueForm:
     """H of modes with the eigenvalues ``values`` (k,), coupled by ``D`` (k, k), and the loads ``b`` (k, m): its 2 k
     complex poles, each vector y with y' (2 mu + D) y = 1 (Lancaster 1966)."""
     k = len(values)
@@ -218,14 +218,14 @@ def dashpot_terms(values: Floats, D: Floats, b: Floats, layout: Layout) -> Terms
     Y = Y[:k]
     Y = Y / np.sqrt((Y * (2 * mu * Y + D @ Y)).sum(axis=0))
     c = Y.T @ b
-    return Terms.first_order(mu, layout.rows(c, c))
+    return PoleResidueForm.first_order(mu, layout.rows(c, c))
 
 
 def _is_top(H: Floats, at: int) -> bool:
     return bool(H[at] >= H[max(at - 1, 0)] and H[at] >= H[min(at + 1, len(H) - 1)])
 
 
-def _peak(terms: Terms, omega: Floats, top: int) -> float:
+def _peak(terms: PoleResidueForm, omega: Floats, top: int) -> float:
     """The largest response between the samples beside ``top``; there are others of near modes."""
     finer = np.linspace(omega[max(top - 1, 0)], omega[min(top + 1, len(omega) - 1)], 2001)
     top = int(np.linalg.norm(terms.at(finer), axis=1).argmax())

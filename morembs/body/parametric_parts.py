@@ -110,9 +110,9 @@ class ParametricParts:
 
 def _bound(laws: list[Law], values: dict[str, Any]) -> Any:
     from morembs.parametric.bound import ParametricBound
-    from morembs.parametric.proof import Cells
+    from morembs.parametric.proof import BoxCells
 
-    return ParametricBound(law_K=laws[0], law_M=laws[1], cells=Cells(**values.pop("cells")), **values)
+    return ParametricBound(law_K=laws[0], law_M=laws[1], cells=BoxCells(**values.pop("cells")), **values)
 
 
 def parametric_parts(

@@ -62,7 +62,7 @@ from morembs.base.types import Floats
 from morembs.linalg.columns import symmetric
 from morembs.parametric.bound_at import BoundAt
 from morembs.parametric.law import LINEAR, SQUARE, Law
-from morembs.parametric.proof import Cells, proof_of
+from morembs.parametric.proof import BoxCells, proof_of
 from morembs.parametric.tolerances import TOL
 from morembs.problem.damping import Damping
 from morembs.storage.lemma import Lemma
@@ -85,7 +85,7 @@ class ParametricBound:
     law_M: Law
     anchor: Floats
     soft: Floats
-    cells: Cells
+    cells: BoxCells
     residual_B: Floats
     residual_K: Floats
     residual_M: Floats
@@ -102,7 +102,7 @@ class ParametricBound:
     rounding_M: Floats | None = None
     rigid: Floats | None = None
 
-    def turned(self, T: Floats) -> ParametricBound:
+    def in_basis(self, T: Floats) -> ParametricBound:
         """The bound for the basis V ``T`` (n, k), whose span may be smaller."""
         parts = {name: getattr(self, name) for name in self.__dataclass_fields__}
         size = np.abs(T)

@@ -29,13 +29,13 @@ from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError, SingularMatrixError
 from morembs.base.types import Floats, Ints
 from morembs.linalg.columns import map_columns, symmetric
-from morembs.linalg.dynamic_stiffness import constrained
+from morembs.linalg.dynamic_stiffness import with_fixed_rows
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.parametric.law import LINEAR, Law, bernstein
 from morembs.parametric.model import ParametricModel
-from morembs.parametric.proof import Cells
+from morembs.parametric.proof import BoxCells
 from morembs.parametric.space import GlobalSpace
 from morembs.parametric.tolerances import TOL
 
@@ -142,7 +142,7 @@ class Proofs:
             values.append(least_ratio(self.space.stiffness_sum(problem.law_K(p)), self.space))
         return replace(cell, alpha=TOL.sampled_share * max(min(values), 0.0))
 
-    def least(self, cells: list[Cell], F: Floats, sigma: float, enough: float, *, proof: bool) -> Cells:
+    def least(self, cells: list[Cell], F: Floats, sigma: float, enough: float, *, proof: bool) -> BoxCells:
         """``cells`` with their Lam^ for W = M_a V ``F`` (n, k), as the reduced terms have it, or with ``proof``; those
         that have not ``enough`` are split, as K and M on halves are less apart."""
         space, problem = self.space, self.problem
@@ -159,7 +159,7 @@ class Proofs:
                 left[:0] = [replace(cell, low=low, high=high) for low, high in ends]
             else:
                 done.append((cell, value, held))
-        return Cells(
+        return BoxCells(
             low=np.array([cell.low for cell, _, _ in done]),
             high=np.array([cell.high for cell, _, _ in done]),
             alpha=np.array([cell.alpha for cell, _, _ in done]),
@@ -226,7 +226,7 @@ def is_positive(
     """Whether ``A`` + ``sigma`` W W', with ``rows`` held, has no negative eigenvalue, by a count of pivots."""
     lower = Lower.of(A, "a control matrix", regular=False)
     if rows is not None and len(rows):
-        lower = constrained(lower, rows)
+        lower = with_fixed_rows(lower, rows)
     counter = solver if solver.counts else select_solver(scratch=solver.scratch)
     try:
         if W is None:

@@ -18,7 +18,7 @@ from morembs.storage.lemma import ESTIMATE, PROVEN, Lemma
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Cells:
+class BoxCells:
     """Parts of a box, ``low`` and ``high`` (c, P), with what holds on each: ``alpha`` (c,), K_SS(p) >= alpha K_SS(p_a)
     at the moduli of p_a, and ``least`` (c,), Lam^ for the softest and heaviest values, in (rad/s)2. ``proven`` (c,) by
     counts of eigenvalues, else estimated."""
@@ -39,7 +39,7 @@ class Cells:
 
 
 def proof_of(
-    cells: Cells,
+    cells: BoxCells,
     damping: Damping,
     p: Floats | None,
     *,
@@ -65,7 +65,7 @@ def proof_of(
     )
 
 
-def _cells(cells: Cells, p: Floats | None) -> Lemma:
+def _cells(cells: BoxCells, p: Floats | None) -> Lemma:
     count, where = len(cells.low), "cells, which cover the box"
     alpha, least, proven = float(cells.alpha.min()), float(cells.least.min()), int(cells.proven.sum())
     if p is not None:

@@ -15,7 +15,7 @@ from morembs.linalg.statics import ConstrainedStatics
 from morembs.parametric.bound import ParametricBound, ratio
 from morembs.parametric.coordinates import LoadCoordinates, padded
 from morembs.parametric.model import ParametricModel
-from morembs.parametric.proof import Cells
+from morembs.parametric.proof import BoxCells
 from morembs.parametric.terms import AffineProblem
 from morembs.parametric.tolerances import TOL
 from morembs.problem import Problem
@@ -148,7 +148,7 @@ class GlobalSpace:
         return hstack(*self.V, budget=self.problem.budget)
 
     def bound(
-        self, cells: Cells, F: Floats, *, sigma: float, highest: float, soft: Floats, eps: float = 0.0
+        self, cells: BoxCells, F: Floats, *, sigma: float, highest: float, soft: Floats, eps: float = 0.0
     ) -> ParametricBound:
         """The bound for all columns; ``F`` (n, k) coordinates of the columns that are deflated."""
         q, problem = self.coordinates.size, self.problem

@@ -150,7 +150,7 @@ def static_error(problem: Problem, held: FixedInterfaceBody, modes: InterfaceMod
 
 
 def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceModes:
-    Psi, K = problem.internal.impose()
+    Psi, K = problem.internal.solve_constraint_modes()
     M = np.zeros_like(K)
     width = problem.budget.columns(len(Psi))
     for at in range(0, Psi.shape[1], width):

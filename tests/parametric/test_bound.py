@@ -10,7 +10,7 @@ from morembs.parametric.bound import ParametricBound, ritz_pairs
 from morembs.parametric.cells import is_positive
 from morembs.parametric.coordinates import LoadCoordinates
 from morembs.parametric.law import LINEAR, ONE, Law
-from morembs.parametric.proof import Cells
+from morembs.parametric.proof import BoxCells
 from morembs.problem.damping import Damping
 
 N, LOW, HIGH = 60, np.array([0.6, 0.6, 0.7]), np.array([1.8, 1.8, 1.5])
@@ -63,7 +63,7 @@ class Reduced:
         W, (K_soft, M_heavy) = M @ V[:, :k], self.full(soft)
         least = 0.97 * sl.eigvalsh(K_soft + sigma * W @ W.T, M_heavy)[0]
         assert is_positive(sp.csr_array(K_soft - least * M_heavy), select_solver(), W=W, sigma=sigma)
-        cells = Cells(
+        cells = BoxCells(
             low=LOW[None], high=HIGH[None], alpha=np.ones(1), least=np.array([least]), proven=np.array([True])
         )
         held = np.zeros((N, N))
@@ -191,7 +191,7 @@ def smaller(reduced, columns, seed=2):
     n = reduced.V.shape[1]
     T = np.hstack([np.eye(n, 1 + ELASTIC), np.random.default_rng(seed).standard_normal((n, columns))])
     small = Reduced.__new__(Reduced)
-    small.__dict__.update(reduced.__dict__, V=reduced.V @ T, bound=reduced.bound.turned(T))
+    small.__dict__.update(reduced.__dict__, V=reduced.V @ T, bound=reduced.bound.in_basis(T))
     return small
 
 
