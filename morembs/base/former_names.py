@@ -159,6 +159,15 @@ def accept_progress(plugin: type, **counts: int) -> None:
         setattr(plugin, name, _adapted(method, count, wants, positional))
 
 
+def accept_former_methods(plugin: type, **names: str) -> None:
+    """Take what ``plugin`` calls ``old`` for its method ``names[old]``, where it does not have that."""
+    for old, new in names.items():
+        if old in vars(plugin) and getattr(getattr(plugin, new), "__isabstractmethod__", False):
+            text = f"{old} of {plugin.__name__} is now called {new}; the old name goes with 1.0"
+            warnings.warn(text, DeprecationWarning, 3)
+            setattr(plugin, new, vars(plugin)[old])
+
+
 def _adapted(method: Callable[..., Any], count: int, wants: bool, positional: bool) -> Callable[..., Any]:
     @wraps(method)
     def call(*values: Any, **keys: Any) -> Any:
