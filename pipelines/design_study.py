@@ -69,7 +69,7 @@ def optimum(body: ParametricBody) -> OptimizeResult:
 
     def mass(x: Floats) -> tuple[float, Floats]:
         at = body.at(**sintered(x))
-        slopes = {name: along @ dM @ along / reference for name, dM in at.model.sensitivity(1).M.items()}
+        slopes = {name: along @ dM @ along / reference for name, dM in at.sensitivity(1).M.items()}
         return along @ at.M @ along / reference, chain(x, slopes)
 
     def slack(x: Floats) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,13 +78,14 @@ class ParametricBody:
         """The lemmas that bounds of the error rest on at all values; none without bounds."""
         return self.model.proof
 
-    def at(self, **values: float) -> BodyAt:
+    def at(self, **values: float) -> Evaluation:
         """The body at named values; the others are nominal.
 
         Raises:
             InputError: an unknown name, or a value outside its range.
         """
-        return BodyAt(self, self.model.at(self.model.box.point(values)))
+        at = self.model.at(self.model.box.point(values))
+        return Evaluation(parent=self, **{field.name: getattr(at, field.name) for field in fields(at)})
 
     def sensitivity(self, **values: float) -> Sensitivity:
         """Derivatives of the matrices, frequencies and responses at named values, exact for the reduced body.
@@ -92,7 +93,7 @@ class ParametricBody:
         Raises:
             InputError: as ``at``.
         """
-        return self.at(**values).model.sensitivity()
+        return self.at(**values).sensitivity()
 
     def update(
         self, measured: Measured, *, fixed: Sequence[str] = (), prior: Mapping[str, float] | None = None
@@ -103,7 +104,7 @@ class ParametricBody:
         return update(self.model, measured, fixed=fixed, prior=prior)
 
     def response(self, frequencies_hz: Floats, **values: float) -> tuple[Complexes, Floats]:
-        """Elastic part of H (nf, m, m), and bounds (nf,) of its error: see ``BodyAt.bound``.
+        """Elastic part of H (nf, m, m), and bounds (nf,) of its error: see ``ModelAt.bound``.
 
         Raises:
             InputError: as ``at``.
@@ -124,60 +125,16 @@ def _frame_of(known: FloatingFrame) -> dict[str, Any]:
     return {"kind": known.kind, "interfaces": known.interfaces, "origin": known.origin.tolist()}
 
 
-class BodyAt:
-    """A body at one value of its parameters: matrices (n, n) and what a body file has."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Evaluation(ModelAt):
+    """A parametric body evaluated at one value: the reduced model there, and the ``body`` that is made of it."""
 
-    def __init__(self, parent: ParametricBody, model: ModelAt) -> None:
-        self.parent, self.model = parent, model
+    parent: ParametricBody
 
     @property
     def values(self) -> dict[str, float]:
         """Values of all parameters by name."""
-        return dict(zip(self.parent.names, self.model.p.tolist(), strict=True))
-
-    @property
-    def M(self) -> Floats:
-        """Mass (n, n)."""
-        return self.model.M
-
-    @property
-    def K(self) -> Floats:
-        """Stiffness (n, n)."""
-        return self.model.K
-
-    @property
-    def D(self) -> Floats:
-        """Damping (n, n)."""
-        return self.model.D
-
-    @property
-    def B(self) -> Floats:
-        """Loads (n, m), the same at all values."""
-        return self.model.B
-
-    @property
-    def frequencies_hz(self) -> Floats:
-        """Elastic eigenfrequencies (e,)."""
-        return self.model.frequencies_hz
-
-    def response(self, frequencies_hz: Floats) -> Complexes:
-        """Elastic part of H (nf, m, m) at frequencies in Hz."""
-        return self.model.response(frequencies_hz)
-
-    def bound(self, frequencies_hz: Floats) -> Floats:
-        """Bounds (nf,) of the Frobenius norm of the error of H in m/N, rotations times the radius of gyration; infinite
-        where there is none. ``bound_kind`` says whether they are proven."""
-        return self.model.bound(frequencies_hz)
-
-    @property
-    def proof(self) -> tuple[Lemma, ...]:
-        """The lemmas that ``bound`` rests on at these values."""
-        return self.model.proof
-
-    @property
-    def bound_kind(self) -> str:
-        """ "bound" where ``bound`` is proven in exact arithmetic, "estimate" or "none"."""
-        return self.model.bound_kind
+        return dict(zip(self.parent.names, self.p.tolist(), strict=True))
 
     @cached_property
     def bodies(self) -> StoredBodies:
@@ -187,16 +144,16 @@ class BodyAt:
         floating, interfaces = None, source.interfaces
         if terms is not None and body.floating is not None:
             known = body.floating
-            floating = terms.frame(self.model, **_frame_of(known))
+            floating = terms.frame(self, **_frame_of(known))
             about = floating.integrals.center
             changed = {
                 "mass": floating.integrals.mass,
                 "center_of_mass": floating.origin + about,
                 "inertia": floating.integrals.about(about).inertia,
             }
-            places = {name: replace(i, point=terms.point(name, self.model)) for name, i in interfaces.items()}
+            places = {name: replace(i, point=terms.point(name, self)) for name, i in interfaces.items()}
             interfaces = ByName("interface", places)
-        rigid = np.zeros(self.model.rigid.shape[1])
+        rigid = np.zeros(self.rigid.shape[1])
         nominal: dict[str, Any] = dict.fromkeys(MISSING)
         here = replace(
             body,
@@ -230,7 +187,7 @@ class BodyAt:
         terms, known = self.parent.parts.frame, self.parent.stored.floating
         if terms is None or known is None:
             raise InputError(f"body {self.parent.stored.name} has no floating frame, whose derivatives were asked for")
-        return terms.derivatives(self.model, **_frame_of(known))
+        return terms.derivatives(self, **_frame_of(known))
 
     @property
     def body(self) -> Body:
@@ -239,9 +196,9 @@ class BodyAt:
 
     def _coordinates(self) -> Floats:
         """Places (N, 3) of the kept nodes."""
-        box, coordinates = self.model.model.box, self.parent.source.coordinates
+        box, coordinates = self.model.box, self.parent.source.coordinates
         for number in box.morphs:
-            t = self.model.p[number] - box.nominal[number]
+            t = self.p[number] - box.nominal[number]
             coordinates = coordinates + t * self.parent.parts.displacement[box.names[number]]
         return coordinates
 

@@ -90,7 +90,7 @@ class ParametricModel:
         values, Y = accurate_eigh(K, M)
         values[: rigid.shape[1]] = 0.0
         return ModelAt(
-            model=self, p=p, K=K, M=M, D=damping.matrix(M, K, Z), rigid=Z, damping=damping, values=values, Y=Y
+            model=self, p=p, K=K, M=M, D=damping.matrix(M, K, Z), rigid=Z, damping=damping, eigenvalues=values, Y=Y
         )
 
     def frequencies_hz(self, table: Floats, count: int) -> Floats:
@@ -121,7 +121,7 @@ class ParametricModel:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelAt:
     """The reduced model at one ``p`` (P,): ``K``, ``M``, ``D`` (n, n), M-orthonormal ``rigid`` motions (n, r), and the
-    eigenvalues ``values`` (n,) in (rad/s)2, rigid ones zero, with vectors ``Y`` (n, n)."""
+    ``eigenvalues`` (n,) in (rad/s)2, rigid ones zero, with vectors ``Y`` (n, n)."""
 
     model: ParametricModel
     p: Floats
@@ -130,7 +130,7 @@ class ModelAt:
     D: Floats
     rigid: Floats
     damping: Damping
-    values: Floats
+    eigenvalues: Floats
     Y: Floats
 
     @property
@@ -141,7 +141,7 @@ class ModelAt:
     @property
     def frequencies_hz(self) -> Floats:
         """Elastic eigenfrequencies (n - r,)."""
-        return np.asarray(eigenvalue_in_hz(self.values[self.rigid.shape[1] :]))
+        return np.asarray(eigenvalue_in_hz(self.eigenvalues[self.rigid.shape[1] :]))
 
     def response(self, frequencies_hz: Floats) -> Complexes:
         """Elastic part of H (nf, m, m) at frequencies in Hz, as ``full_response`` has that of the full model."""
@@ -156,7 +156,7 @@ class ModelAt:
         """Elastic vectors (n, e) and a_k (nf, e)."""
         r = self.rigid.shape[1]
         s = 2j * np.pi * np.atleast_1d(np.asarray(frequencies_hz, dtype=float))[:, None]
-        values = self.values[r:]
+        values = self.eigenvalues[r:]
         a = (1 + 1j * self.damping.structural) * values + s * self.damping.of_modes(values) + s * s
         return self.Y[:, r:], a
 
@@ -190,7 +190,7 @@ class ModelAt:
         of all without it."""
         box = self.model.box
         dK, dM = self.model.derivatives(self.p)
-        clusters = _clusters(self.values[self.rigid.shape[1] :])
+        clusters = _clusters(self.eigenvalues[self.rigid.shape[1] :])
         if count is not None:
             clusters = [cluster for cluster in clusters if cluster[0] < count]
         frequencies = {name: self._slopes(dK[j], dM[j], clusters) for j, name in enumerate(box.names)}
@@ -209,7 +209,7 @@ class ModelAt:
         r, result = self.rigid.shape[1], np.empty(clusters[-1][-1] + 1)
         for cluster in clusters:
             y = self.Y[:, r + cluster]
-            value = self.values[r + cluster].mean()
+            value = self.eigenvalues[r + cluster].mean()
             # f = sqrt(lam) / 2 pi.
             slope = np.linalg.eigvalsh(y.T @ (dK - value * dM) @ y)
             result[cluster] = slope / (4 * np.pi * np.sqrt(value))

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from morembs.body.parametric import BodyAt, ParametricBody
+    from morembs.body.parametric import Evaluation, ParametricBody
     from morembs.parametric.model import ModelAt
 
 app = typer.Typer()
@@ -93,7 +93,7 @@ def _refuse_mixed(at: str | None, table: Path | None, out: Path | None, sensitiv
 
 
 def _evaluate_one(
-    at: BodyAt, out: Path | None, count: int, at_hz: list[float], sensitivity: bool, as_json: bool
+    at: Evaluation, out: Path | None, count: int, at_hz: list[float], sensitivity: bool, as_json: bool
 ) -> None:
     # Not at the top: help needs no numbers.
     import numpy as np
@@ -109,7 +109,7 @@ def _evaluate_one(
     clustered: list[bool] = []
     in_band: list[bool] = []
     if sensitivity:
-        derived = at.model.sensitivity()
+        derived = at.sensitivity()
         slopes = {name: values[: len(hz)].tolist() for name, values in derived.frequencies_hz.items()}
         clustered, in_band = (flags[: len(hz)].tolist() for flags in (derived.clustered, derived.in_band))
     with printing(written):

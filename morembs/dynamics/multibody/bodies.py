@@ -127,7 +127,7 @@ class FlexibleBody(FloatingBody):
         elastic, elastic_rate: (n,) elastic coordinates and their rates at the start.
         stiffening: take the geometric stiffening of the frame. Its second-order displacements then act on inertia
             forces, gravity and interface displacements alike, so that energy is conserved.
-        derivatives: those of the frame by parameters, by name (``BodyAt.frame_derivatives``), for sensitivities.
+        derivatives: those of the frame by parameters, by name (``Evaluation.frame_derivatives``), for sensitivities.
 
     Raises:
         InputError: a singular mass matrix, wrong shapes, stiffening that the frame does not have.
