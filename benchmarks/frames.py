@@ -21,7 +21,7 @@ from morembs.body.floating.frame import floating_frame
 from morembs.body.floating.integrals import ShapeIntegrals
 from morembs.fem import FEModel
 from morembs.problem import Problem
-from morembs.reducers.base import ReducedModel, projected
+from morembs.reducers.base import ReducedModel
 
 Spec = dict[str, Any]
 OURS, OTHER = "morembs", "Exudyn"
@@ -73,7 +73,7 @@ def measure(spec: Spec, steel: Callable[[str, int], FEModel]) -> Row:
             return {"error": "not installed: pip install exudyn"}
     problem = Problem(model)
     V = polynomials(model.nodes.xyz, spec["shapes"])
-    M, K = projected(V, problem.M, problem.budget), projected(V, problem.K, problem.budget)
+    M, K = problem.space.project(V, problem.M), problem.space.project(V, problem.K)
     reduced = ReducedModel(
         name="polynomials",
         M=M,

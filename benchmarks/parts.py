@@ -137,9 +137,9 @@ def couple_beam(mesh: Any, folder: Path | None = None) -> Row:
         make_interface(model, name=name, nodes=np.flatnonzero(z == place), coupling="rigid")
         for name, place in (("start", z.min()), ("end", z.max()))
     ]
-    with Budget(scratch=folder, in_memory=None if folder is None else 0) as budget:
+    with Budget(scratch=folder, in_memory=None if folder is None else 0):
         start, used, before = time.perf_counter(), time.process_time(), os.times().system
-        with Problem(model, ends, budget=budget):
+        with Problem(model, ends):
             return {
                 "dofs": model.size,
                 "seconds": time.perf_counter() - start,

@@ -99,7 +99,7 @@ def measure(spec: Spec, steel: Callable[[str, int], FEModel]) -> Row:
     resident, start = resident_bytes(), time.perf_counter()
     folder = Path(spec["folder"])
     solver = select_solver(memory=MEMORY, scratch=folder)
-    with Budget(MEMORY, folder) as budget, Problem(model, solver=solver, budget=budget) as problem:
+    with Budget(MEMORY, folder), Problem(model, solver=solver) as problem:
         reduced = reducer.reduce(problem)
         middle = time.perf_counter()
         tables = reducer.switching(problem, reduced)

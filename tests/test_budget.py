@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
+from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,15 +18,19 @@ import pytest
 import scipy.sparse as sp
 
 from morembs.base import scratch as scratches
-from morembs.base.budget import Budget
+from morembs.base.budget import UNLIMITED, Budget, current_budget
 from morembs.base.errors import InputError, OutputError
 from morembs.base.scratch import ScratchFolder, free_bytes
 from morembs.base.types import Values
-from morembs.linalg.columns import dot, multiply_into, subtract
+from morembs.fem.interface import make_interface
 from morembs.linalg.congruence import congruence, magnitudes
 from morembs.linalg.lanczos import BlockLanczos
+from morembs.linalg.space import Columns, Space
+from morembs.problem import Problem, System
+from morembs.reducers import CraigBampton
 from tests.support.machine import has_memory
 from tests.support.matrices import brick, mass, random
+from tests.support.meshes import box, steel, where
 
 MB = 1 << 20
 
@@ -109,6 +115,8 @@ def test_large_arrays_live_in_a_file_without_a_name(tmp_path: Path, order: str) 
 
 REST = """
 import sys
+import threading
+from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
 import numpy as np
@@ -171,8 +179,8 @@ def test_products_read_few_columns_of_long_arrays_at_once(tmp_path: Path, monkey
 
     rng = np.random.default_rng(4)
     V, W = rng.standard_normal((5000, 30)), rng.standard_normal((5000, 3))
-    budget = Budget(memory=10_000_000, scratch=tmp_path)
-    assert dot(V.view(Seen), W, budget) == pytest.approx(V.T @ W, rel=1e-12) and widths == [7, 7, 7, 7, 2]
+    product = Columns(budget=Budget(memory=10_000_000, scratch=tmp_path)).dot(V.view(Seen), W)
+    assert product == pytest.approx(V.T @ W, rel=1e-12) and widths == [7, 7, 7, 7, 2]
 
 
 def test_a_full_disk_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -190,6 +198,8 @@ def test_a_full_disk_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 
 SCRATCH = """
 import sys
+import threading
+from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
 from morembs.base.scratch import ScratchFolder
@@ -246,6 +256,8 @@ def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
 
 CUT = """
 import os, sys
+import threading
+from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
 from morembs.base.scratch import ScratchFolder
@@ -318,7 +330,7 @@ def test_a_large_congruence_is_made_in_pieces() -> None:
     columns = np.concatenate([np.arange(n - 4), np.tile(n - 4 + np.arange(6), 4)])
     values = np.concatenate([np.ones(n - 4), random(24)])
     T = sp.csr_array((values, (rows, columns)), shape=(n, n + 2))
-    assert abs(congruence(T, A, Budget()) - T.T @ A @ T).max() < 1e-12
+    assert abs(congruence(T, A) - T.T @ A @ T).max() < 1e-12
 
 
 @pytest.mark.parametrize("in_files", [False, True])
@@ -335,7 +347,8 @@ def test_congruence_is_that_of_scipy(filed: Budget, in_files: bool) -> None:
         T[slave, kept : kept + masters] = rng.standard_normal((slaves, masters))
         T[np.flatnonzero(slave)[:2]] = 0.0
         T = sp.csr_array(T)
-        product = congruence(T, A, filed if in_files else Budget())
+        with filed.in_use() if in_files else nullcontext():
+            product = congruence(T, A)
         assert product.has_canonical_format and product.shape == (T.shape[1],) * 2
         expected = (T.T @ A @ T).toarray()
         np.testing.assert_allclose(product.toarray(), expected, rtol=0, atol=1e-13 * np.abs(expected).max())
@@ -351,7 +364,7 @@ def test_congruence_leaves_a_matrix_with_rows_in_any_order_as_it_was() -> None:
     A = sp.csr_array(brick(2))
     reverse = np.concatenate([np.arange(end - 1, begin - 1, -1) for begin, end in pairwise(A.indptr)])
     turned = sp.csr_array((A.data[reverse], A.indices[reverse], A.indptr), shape=A.shape)
-    product = congruence(sp.csr_array(sp.eye_array(A.shape[0])), turned, Budget())
+    product = congruence(sp.csr_array(sp.eye_array(A.shape[0])), turned)
     assert product.has_canonical_format and (abs(product - A).max(), abs(turned - A).max()) == (0, 0)
 
 
@@ -361,23 +374,24 @@ def test_products_of_tall_blocks_are_those_of_numpy(filed: Budget, rows: int, wi
     V = filed.empty((rows, width), order="F")
     V[:] = values = random(rows, width)
     W, C, Y = random(rows, 4, seed=5), random(width, 4), random(width, 3, seed=6)
-    np.testing.assert_allclose(dot(V, W, filed), values.T @ W, atol=1e-9)
+    columns = Columns(budget=filed)
+    np.testing.assert_allclose(columns.dot(V, W), values.T @ W, atol=1e-9)
     rest = W.copy()
-    subtract(V, C, rest, filed)
+    columns.subtract(V, C, rest)
     np.testing.assert_allclose(rest, W - values @ C, atol=1e-12)
     out = np.full((rows, 3), np.nan)
-    assert multiply_into(V, Y, out, filed) is out
+    assert columns.multiply_into(V, Y, out) is out
     np.testing.assert_allclose(out, values @ Y, atol=1e-12)
-    multiply_into(V, Y, V[:, :3], filed)
+    columns.multiply_into(V, Y, V[:, :3])
     np.testing.assert_allclose(V, np.hstack([values @ Y, values[:, 3:]]), atol=1e-12)
-    assert dot(V[:, :0], W).shape == (0, 4)
+    assert columns.dot(V[:, :0], W).shape == (0, 4)
     filed.close()
 
 
 def test_a_larger_krylov_space_keeps_the_relation(filed: Budget) -> None:
     """Op V = V T + W E' before and after, with W in the columns of the last block."""
     K, M = brick(3).toarray(), mass(brick(3))
-    lanczos = BlockLanczos(lambda F: np.linalg.solve(K, F), M, random(81, 4), capacity=12, budget=filed)
+    lanczos = BlockLanczos(lambda F: np.linalg.solve(K, F), Space(M, budget=filed), random(81, 4), capacity=12)
 
     def off() -> float:
         V, T = lanczos.V[:, : lanczos.size], lanczos.T[: lanczos.size, : lanczos.size]
@@ -396,3 +410,58 @@ def test_a_larger_krylov_space_keeps_the_relation(filed: Budget) -> None:
         assert off() < 1e-12
     assert lanczos.size == 24
     filed.close()
+
+
+def test_what_is_made_within_a_budget_keeps_it() -> None:
+    assert current_budget() is UNLIMITED
+    model = steel(box("hex8", (4, 1, 1), (0.4, 0.05, 0.03)))
+    with Budget(memory=10**12, widest=4) as outer:
+        with outer.in_use(), Budget(widest=8) as inner:
+            assert current_budget() is inner
+        assert current_budget() is outer
+        problem = Problem(model, [make_interface(model, name="end", nodes=where(model, 0, 0.4))])
+        others: list[Budget] = []
+        thread = threading.Thread(target=lambda: others.append(current_budget()))
+        thread.start()
+        thread.join()
+        # A thread has none of its own.
+        assert others == [UNLIMITED]
+    assert current_budget() is UNLIMITED
+    kept = [problem.budget, problem.space.budget, problem.stiffness.budget, problem.system.space.budget]
+    thread = threading.Thread(target=lambda: kept.append(problem.statics.budget))
+    thread.start()
+    thread.join()
+    with problem:
+        assert all(budget is outer for budget in kept) and problem.elastic.statics.space.budget is outer
+        reduced = CraigBampton(modes=2).reduce(problem)
+    with Problem(model, problem.interfaces) as free:
+        assert free.budget is not outer and free.budget.memory is None
+        expected = CraigBampton(modes=2).reduce(free)
+    np.testing.assert_allclose(reduced.K, expected.K, atol=1e-9 * np.abs(expected.K).max())
+
+
+def _of_worker(shared: tuple[System, None], s: complex) -> tuple[int | None, bool, bool]:
+    system = shared[0]
+    own = system.space.budget
+    return own.memory, own is system.stiffness.budget, current_budget() is own
+
+
+def test_a_worker_has_a_share_of_the_budget(tmp_path: Path) -> None:
+    model = steel(box("hex8", (4, 1, 1), (0.4, 0.05, 0.03)))
+    points = [1j * w for w in (10.0, 20.0, 30.0, 40.0)]
+    with (
+        Budget(memory=8 * 10**9, scratch=tmp_path),
+        Problem(model, [make_interface(model, name="end", nodes=where(model, 0, 0.4))], workers=2) as problem,
+        problem.system.worker_pool(None, points, workers=2, columns=6) as pool,
+    ):
+        assert pool.workers == 2
+        for memory, same, _ in pool.each(_of_worker, points):
+            assert memory is not None and 0 < memory < 8 * 10**9 and same
+
+
+def test_the_argument_of_before_works_and_warns() -> None:
+    model = steel(box("hex8", (4, 1, 1), (0.4, 0.05, 0.03)))
+    with pytest.warns(DeprecationWarning, match="budget of Problem goes with 1.0"):
+        problem = Problem(model, budget=Budget(widest=4))
+    assert problem.budget.widest == 4 == problem.space.budget.widest
+    problem.close()

@@ -311,7 +311,8 @@ def test_a_budget_that_the_parts_exceed_is_refused(tmp_path: Path) -> None:
     job = load_job(arm(tmp_path, [part := link(tmp_path), part]))
     model = assembly_of(job, UNLIMITED)
     with (
-        morembs.Problem(model, interfaces_of(job, model), budget=Budget(1_000_000, tmp_path)) as problem,
+        Budget(1_000_000, tmp_path),
+        morembs.Problem(model, interfaces_of(job, model)) as problem,
         pytest.raises(BudgetError, match=r"the matrices of the 2 unreduced parts take about \d MB"),
     ):
         morembs.Unreduced(problem)

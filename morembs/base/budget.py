@@ -11,9 +11,11 @@ import math
 import mmap
 import os
 import weakref
+from collections.abc import Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Self
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -60,10 +62,25 @@ def memory_that_leaves(room: int, used: int) -> int:
     return max(room + used, math.ceil((room + _SMALL) / _TIGHT))
 
 
+_CURRENT: ContextVar[tuple[Budget, ...]] = ContextVar("budgets", default=())
+
+
+def current_budget() -> Budget:
+    """The budget of the innermost ``with Budget(...)`` around this; without one there are no limits.
+
+    What needs one takes it where it is made, and keeps it after the block and in other threads.
+    """
+    stack = _CURRENT.get()
+    return stack[-1] if stack else UNLIMITED
+
+
 @with_old_names(rest="release_pages", relax="release_if_tight")
 @dataclass(eq=False)
 class Budget(Closing):
-    """What a process may use.
+    """What a process may use. A context manager: what is made inside keeps to it.
+
+    >>> with Budget(memory=4_000_000_000):
+    ...     problem = Problem(model, interfaces)
 
     ``memory`` in bytes for the whole process (None: no limit), ``scratch`` for its files (None: the temporary folder of
     the system). ``in_memory``: bytes of the largest array that stays in memory (None: chosen by ``memory``; 0 puts all
@@ -77,6 +94,23 @@ class Budget(Closing):
     _folder: ScratchFolder | None = field(default=None, repr=False)
     _mapped: list[_Mapped] = field(default_factory=list, repr=False)
     _count: int = field(default=0, repr=False)
+
+    def __enter__(self) -> Self:
+        _CURRENT.set((*_CURRENT.get(), self))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        _CURRENT.set(_CURRENT.get()[:-1])
+        self.close()
+
+    @contextlib.contextmanager
+    def in_use(self) -> Iterator[None]:
+        """Have what is made inside keep to this budget, which stays open."""
+        _CURRENT.set((*_CURRENT.get(), self))
+        try:
+            yield
+        finally:
+            _CURRENT.set(_CURRENT.get()[:-1])
 
     def left(self) -> int | None:
         """Bytes that may still be allocated; None without a limit."""
@@ -162,6 +196,12 @@ class Budget(Closing):
             if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):
                 mapped.madvise(mmap.MADV_DONTNEED)
         trim()
+
+    def room_for_factor(self) -> int | None:
+        """Bytes that a factorisation may take once all pages that can be released are; None without a limit."""
+        self.release_pages()
+        left = self.left()
+        return None if left is None else max(0, left)
 
     def release_if_tight(self) -> None:
         """``release_pages`` where the budget is nearly used up: for loops over large arrays."""

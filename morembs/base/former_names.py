@@ -137,6 +137,26 @@ def with_progress_argument(function: Callable[P, R]) -> Callable[P, R]:
     return accept
 
 
+def with_budget_argument(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorates a function that once took a ``budget``, by keyword: it warns, and works within that budget."""
+
+    @wraps(function)
+    def accept(*values: Any, **keys: Any) -> Any:
+        budget = keys.pop("budget", None)
+        if budget is None:
+            return function(*values, **keys)
+        name = function.__qualname__.removesuffix(".__init__")
+        warnings.warn(
+            f"budget of {name} goes with 1.0; call it inside `with morembs.base.budget.Budget(...):`",
+            DeprecationWarning,
+            2,
+        )
+        with budget.in_use():
+            return function(*values, **keys)
+
+    return accept
+
+
 def accept_progress(plugin: type, **counts: int) -> None:
     """Have methods of ``plugin`` called with ``counts[name]`` positional arguments where they still take ``progress``
     as well, and with ``progress`` where they no longer do."""

@@ -111,7 +111,8 @@ class StressOptions:
         """
         model, whole = problem.model, self.nodes in ("skin", "all")
         nodes = self.nodes if whole else select_nodes(model, self.nodes, length=self.length)
-        return stress_operator(model, nodes, elements=self.jump, budget=problem.budget)
+        with problem.budget.in_use():
+            return stress_operator(model, nodes, elements=self.jump)
 
 
 @dataclass(frozen=True, kw_only=True)

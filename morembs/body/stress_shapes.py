@@ -52,7 +52,8 @@ def stress_recovery(
     """
     model, budget = problem.model, problem.budget
     if operator is None:
-        operator = stress_operator(model, nodes, elements=jump, budget=budget)
+        with budget.in_use():
+            operator = stress_operator(model, nodes, elements=jump)
     dtype = np.float32 if single else np.float64
     rigid = np.array([kind == "rigid" for kind in reduced.mode_kind], dtype=bool)
 

@@ -12,7 +12,6 @@ from scipy.optimize import linear_sum_assignment
 from morembs.base.types import Floats, Ints
 from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.certificate.tolerances import TOL
-from morembs.linalg.columns import dot, map_columns
 from morembs.reducers.base import ReducedModel
 from morembs.responses.certified import CertifiedReference
 from morembs.responses.pencils import modes_of
@@ -65,9 +64,9 @@ def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
     energy = (b**2).sum(axis=1) / reference.values
     shapes = problem.shared(
         ("M times modes", reference.band_hz, reference.floor),
-        lambda: map_columns(lambda X: problem.M @ X, reference.vectors[:, :inside], problem.budget),
+        lambda: problem.space.map_columns(lambda X: problem.M @ X, reference.vectors[:, :inside]),
     )
-    seen = dot(shapes, reduced.V, problem.budget)
+    seen = problem.space.dot(shapes, reduced.V)
     partner, deviation, cross = _partners(reduced, seen, omega)
     mac, residue = np.zeros(inside), np.full(inside, np.nan)
     rigid = reduced.rigid_count

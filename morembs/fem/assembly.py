@@ -16,9 +16,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.base import progress
-from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.budget import current_budget
 from morembs.base.errors import InputError, nearest
-from morembs.base.former_names import with_progress_argument
+from morembs.base.former_names import with_budget_argument, with_progress_argument
 from morembs.base.types import Floats, Ints
 from morembs.fem.elements import TYPES, ElementType
 from morembs.fem.fe_model import DofMap, ElementBlock, FEModel, Mesh
@@ -50,10 +50,10 @@ def check_mesh(mesh: Mesh, materials: Sequence[Material]) -> sp.csr_array:
     return node_graph(mesh)
 
 
-def stiffness_pattern(graph: sp.csr_array, budget: Budget = UNLIMITED) -> sp.csr_array:
+def stiffness_pattern(graph: sp.csr_array) -> sp.csr_array:
     """Matrix (3 n, 3 n) of ones with the pattern of the stiffness on the node ``graph`` (n, n) of ``check_mesh``."""
-    indptr, indices = _scalar_pattern(graph, budget, full=True)
-    ones = budget.empty(len(indices))
+    indptr, indices = _scalar_pattern(graph, full=True)
+    ones = current_budget().empty(len(indices))
     ones[:] = 1.0
     K = sp.csr_array((ones, indices, indptr), shape=(3 * graph.shape[0],) * 2)
     K.has_canonical_format = True
@@ -61,13 +61,9 @@ def stiffness_pattern(graph: sp.csr_array, budget: Budget = UNLIMITED) -> sp.csr
 
 
 @with_progress_argument
+@with_budget_argument
 def assemble(
-    mesh: Mesh,
-    materials: Sequence[Material],
-    *,
-    mass_integration: str = "element",
-    seams: bool = False,
-    budget: Budget = UNLIMITED,
+    mesh: Mesh, materials: Sequence[Material], *, mass_integration: str = "element", seams: bool = False
 ) -> FEModel:
     """FE model of ``mesh`` (coordinates in m) with one material per element.
 
@@ -96,13 +92,11 @@ def assemble(
     if not seams:
         _refuse_gaps(mesh)
     graph = node_graph(mesh)
-    k_data, m_data = budget.empty(9 * graph.nnz), np.zeros(graph.nnz)
-    integrate(
-        mesh, materials, owner, graph, stiffness=k_data, mass=m_data, mass_integration=mass_integration, budget=budget
-    )
+    k_data, m_data = current_budget().empty(9 * graph.nnz), np.zeros(graph.nnz)
+    integrate(mesh, materials, owner, graph, stiffness=k_data, mass=m_data, mass_integration=mass_integration)
     if not all(np.isfinite(array.sum()) for array in (k_data, m_data)):
         raise InputError("stiffness or mass is not finite; check the coordinates, the material and the units")
-    K, M = stiffness_matrix(graph, k_data, budget), mass_matrix(graph, m_data, budget)
+    K, M = stiffness_matrix(graph, k_data), mass_matrix(graph, m_data)
     if mass_integration == "element" and any(block.mass == "row-sum" for block in mesh.blocks):
         M.eliminate_zeros()
     return FEModel(
@@ -128,7 +122,6 @@ def integrate(
     mass_integration: str = "element",
     chosen: Mapping[int, NDArray[np.bool_]] | None = None,
     weights: Callable[[ElementBlock, Ints], Floats] | None = None,
-    budget: Budget = UNLIMITED,
 ) -> None:
     """Add elements to the data of K (9 nnz) and of the scalar mass (nnz) on the ``graph`` of ``node_graph``.
 
@@ -160,7 +153,7 @@ def integrate(
                 place = 6 * start + 3 * at[part][:, :, None, :, None] + step + axes
                 np.add.at(stiffness, place.ravel(), K.ravel())
         done += len(rows)
-        budget.release_if_tight()
+        current_budget().release_if_tight()
         progress.update(f"assembled {done} of {total} elements")
 
 
@@ -180,9 +173,9 @@ def entries_of(
     return entries, np.sort(places.ravel())
 
 
-def stiffness_matrix(graph: sp.csr_array, k_data: Floats, budget: Budget = UNLIMITED) -> sp.csr_array:
+def stiffness_matrix(graph: sp.csr_array, k_data: Floats) -> sp.csr_array:
     """K (3 n, 3 n) of its data (9 nnz) on the ``graph`` (n, n), as ``integrate`` fills them."""
-    indptr, indices = _scalar_pattern(graph, budget, full=True)
+    indptr, indices = _scalar_pattern(graph, full=True)
     K = sp.csr_array((k_data, indices, indptr), shape=(3 * graph.shape[0],) * 2)
     K.has_canonical_format = True
     return K
@@ -297,12 +290,12 @@ def node_graph(mesh: Mesh) -> sp.csr_array:
     return sp.csr_array((numbers, graph.indices.astype(small), graph.indptr.astype(small)), shape=graph.shape)
 
 
-def _scalar_pattern(graph: sp.csr_array, budget: Budget, *, full: bool) -> tuple[Ints, Ints]:
+def _scalar_pattern(graph: sp.csr_array, *, full: bool) -> tuple[Ints, Ints]:
     """indptr and indices of the matrix with 3x3 blocks on ``graph``: full, or diagonal blocks b*I3."""
     blocks = np.diff(graph.indptr)
     width = 3 if full else 1
     indptr = np.concatenate([[0], np.cumsum(np.repeat(width * blocks, 3))]).astype(graph.indptr.dtype)
-    indices = budget.empty(int(indptr[-1]), graph.indices.dtype)
+    indices = current_budget().empty(int(indptr[-1]), graph.indices.dtype)
     for begin, end, start, local, row_length in _entries(graph):
         columns = 3 * graph.indices[begin:end]
         # The columns of a node block repeat in the three rows of its node.
@@ -327,10 +320,10 @@ def _entries(graph: sp.csr_array) -> Iterator[tuple[int, int, Ints, Ints, Ints]]
         first = last
 
 
-def mass_matrix(graph: sp.csr_array, m_data: Floats, budget: Budget = UNLIMITED) -> sp.csr_array:
+def mass_matrix(graph: sp.csr_array, m_data: Floats) -> sp.csr_array:
     """M = Ms (x) I3 (3 n, 3 n) of the data (nnz) of the scalar mass on the ``graph`` (n, n)."""
-    indptr, indices = _scalar_pattern(graph, budget, full=False)
-    data = budget.empty(3 * graph.nnz)
+    indptr, indices = _scalar_pattern(graph, full=False)
+    data = current_budget().empty(3 * graph.nnz)
     for begin, end, start, local, row_length in _entries(graph):
         for a in range(3):
             data[3 * start + a * row_length + local] = m_data[begin:end]

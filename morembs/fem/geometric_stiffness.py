@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.budget import current_budget
 from morembs.base.errors import InputError
+from morembs.base.former_names import with_budget_argument
 from morembs.base.types import Floats, Ints
 from morembs.fem.assembly import chunks, material_of_elements, node_graph
 from morembs.fem.elements import TYPES
@@ -46,7 +47,7 @@ class StressedMesh:
         owner = material_of_elements(mesh, materials)
         return cls(mesh=mesh, materials=tuple(materials), graph=node_graph(mesh), owner=owner)
 
-    def stiffness(self, U: Floats, budget: Budget = UNLIMITED) -> list[sp.csr_array]:
+    def stiffness(self, U: Floats) -> list[sp.csr_array]:
         """Scalar matrices (n, n), one for the stress of each column of the displacements ``U`` (3 n, k) in m.
 
         They share their pattern. Peak memory: the results and one chunk of about 50 MB times 2.
@@ -59,6 +60,7 @@ class StressedMesh:
             raise InputError(
                 f"displacements of shape {U.shape} were given; expected ({3 * len(xyz)}, k), x, y and z of every node"
             )
+        budget = current_budget()
         data = [budget.empty(graph.nnz) for _ in range(U.shape[1])]
         elasticity = np.stack([material.stiffness for material in self.materials])
         for block, rows in chunks(self.mesh):
@@ -81,15 +83,14 @@ class StressedMesh:
         return matrix
 
 
-def geometric_stiffness(
-    mesh: Mesh, materials: Sequence[Material], u: Floats, budget: Budget = UNLIMITED
-) -> sp.csr_array:
+@with_budget_argument
+def geometric_stiffness(mesh: Mesh, materials: Sequence[Material], u: Floats) -> sp.csr_array:
     """Scalar kg (n, n) in N/m of the stress under the displacements ``u`` (3 n,) in m: K_g = kg (x) I3.
 
     Raises:
         InputError: materials that do not fit the mesh, or ``u`` of another length.
     """
-    return StressedMesh.of(mesh, materials).stiffness(np.asarray(u, dtype=float)[:, None], budget)[0]
+    return StressedMesh.of(mesh, materials).stiffness(np.asarray(u, dtype=float)[:, None])[0]
 
 
 def stress_at_points(dN: Floats, u: Floats, C: Floats, added: Floats | None = None) -> Floats:

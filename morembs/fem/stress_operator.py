@@ -18,9 +18,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base import progress
-from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.budget import current_budget
 from morembs.base.errors import InputError
-from morembs.base.former_names import with_progress_argument
+from morembs.base.former_names import with_budget_argument, with_progress_argument
 from morembs.base.types import Floats, Ints, Reals
 from morembs.fem import assembly as fem
 from morembs.fem.elements import TYPES, ElementType
@@ -90,13 +90,9 @@ class SingleElements:
 
 
 @with_progress_argument
+@with_budget_argument
 def stress_operator(
-    model: FEModel,
-    nodes: str | Ints = "skin",
-    *,
-    elements: bool = False,
-    budget: Budget = UNLIMITED,
-    collected: int = COLLECTED,
+    model: FEModel, nodes: str | Ints = "skin", *, elements: bool = False, collected: int = COLLECTED
 ) -> StressOperator:
     """Operator at ``nodes``: "skin", "all" or rows of ``model.nodes``; ``elements`` adds that of single elements.
 
@@ -127,23 +123,24 @@ def stress_operator(
     n, alone, changed = len(mesh.nodes), None, any(formulation_of(block).change for block in mesh.blocks)
     if elements:
         G, point, element = of.single(_gradients, 3, n)
-        more = _stored(of.single(_additions, 6, 3 * n)[0], budget) if changed else None
+        more = _stored(of.single(_additions, 6, 3 * n)[0]) if changed else None
         single = StressOperator(
-            nodes=node[point], material=material[point], elasticity=C, gradient=_stored(G, budget), added=more
+            nodes=node[point], material=material[point], elasticity=C, gradient=_stored(G), added=more
         )
         alone = SingleElements(point=point, element=element, operator=single)
     return StressOperator(
         nodes=node,
         material=material,
         elasticity=C,
-        gradient=_stored(of.averaged(_gradients, 3, n), budget),
-        added=_stored(of.averaged(_additions, 6, 3 * n), budget) if changed else None,
+        gradient=_stored(of.averaged(_gradients, 3, n)),
+        added=_stored(of.averaged(_additions, 6, 3 * n)) if changed else None,
         elements=alone,
     )
 
 
-def _stored(matrix: sp.csr_array, budget: Budget) -> sp.csr_array:
+def _stored(matrix: sp.csr_array) -> sp.csr_array:
     """The same where the budget wants it."""
+    budget = current_budget()
     parts = tuple(budget.store(array) for array in (matrix.data, matrix.indices, matrix.indptr))
     return sp.csr_array(parts, shape=matrix.shape)
 

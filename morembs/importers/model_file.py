@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from morembs.base import progress
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError
-from morembs.base.former_names import with_progress_argument
+from morembs.base.former_names import with_budget_argument, with_progress_argument
 from morembs.base.types import Ints
 from morembs.fem import FEModel, Mesh
 from morembs.fem.constraints import RigidElement
@@ -96,7 +95,8 @@ def _version(model: FEModel) -> int:
     return 2 if model.equations else 1
 
 
-def read_model(path: str | Path, *, budget: Budget = UNLIMITED) -> FEModel:
+@with_budget_argument
+def read_model(path: str | Path) -> FEModel:
     """The model of a native file, bit by bit as it was written. Peak memory: that of the matrices.
 
     Raises:
@@ -106,7 +106,7 @@ def read_model(path: str | Path, *, budget: Budget = UNLIMITED) -> FEModel:
         raise InputError(
             f"{path} is a body file, the result of a reduction; expected a model file: give what morembs import wrote"
         )
-    return model_of(import_native(Path(path), budget=budget))
+    return model_of(import_native(Path(path)))
 
 
 def is_model_file(path: Path) -> bool:

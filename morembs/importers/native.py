@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.budget import current_budget
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.fem import DofMap, ElementBlock, Mesh, NamedColumns, Nodes
@@ -210,7 +210,7 @@ MODEL = Table(
 )
 
 
-def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
+def import_native(path: Path) -> Imported:
     """All that a native model file holds, in SI units. Peak memory: that of the matrices.
 
     Raises:
@@ -221,7 +221,7 @@ def import_native(path: Path, *, budget: Budget = UNLIMITED) -> Imported:
         TableCheck(path, file, "model file", CURE).table("", MODEL, {})
         values = read_rows(file, MODEL)
         dofs, source = DofMap(node=values["node"], component=values["component"]), values["source"]
-        matrices: dict[str, Any] = {name: _read_matrix(path, file, name, len(dofs.node), budget) for name in MATRICES}
+        matrices: dict[str, Any] = {name: _read_matrix(path, file, name, len(dofs.node)) for name in MATRICES}
         nodes = Nodes(ids=values["ids"], xyz=values["xyz"], sets=values["node_sets"])
         for name, rows in nodes.sets.items():
             _refuse_outside(path, rows, len(nodes), f"node set {name!r}")
@@ -261,13 +261,13 @@ def _named_columns(path: Path, values: Mapping[str, Any] | None, key: str, size:
         raise InputError(f"{path}: {key}: {error}; {CURE}") from error
 
 
-def _read_matrix(path: Path, file: Any, name: str, size: int, budget: Budget) -> sp.csr_array | None:
+def _read_matrix(path: Path, file: Any, name: str, size: int) -> sp.csr_array | None:
     group = file.get(f"matrices/{name}")
     if group is None:
         return None
     parts = []
     for part in ("data", "indices", "indptr"):
-        array = budget.empty(group[part].shape, group[part].dtype)
+        array = current_budget().empty(group[part].shape, group[part].dtype)
         if len(array):
             group[part].read_direct(array)
         parts.append(array)

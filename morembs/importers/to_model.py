@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.base.units import Units
@@ -32,9 +31,7 @@ from morembs.importers.nodes_and_dofs import nodes_and_dofs
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
 
 
-def model_of(
-    imported: Imported, units: Units | None = None, *, mass_integration: str = "element", budget: Budget = UNLIMITED
-) -> FEModel:
+def model_of(imported: Imported, units: Units | None = None, *, mass_integration: str = "element") -> FEModel:
     """Model in SI units of what a file holds in ``units`` (None: SI).
 
     Matrices of the file are taken as they are, real or complex, symmetric or not; without any the mesh is assembled
@@ -54,7 +51,7 @@ def model_of(
     if imported.K is not None:
         base = _from_matrices(imported, units)
     else:
-        base = _from_mesh(imported, touched, units, mass_integration, budget)
+        base = _from_mesh(imported, touched, units, mass_integration)
     model = base.model
     _refuse_missing_nodes(touched, len(base.row), imported.source)
     placed = imported.on_rows(base.row)
@@ -187,7 +184,7 @@ def _from_matrices(imported: Imported, units: Units) -> _Base:
     return _Base(model=model, row=np.arange(len(nodes)), notes=notes)
 
 
-def _from_mesh(imported: Imported, touched: Ints, units: Units, mass_integration: str, budget: Budget) -> _Base:
+def _from_mesh(imported: Imported, touched: Ints, units: Units, mass_integration: str) -> _Base:
     """The assembled mesh, nodes of elements first, then those ``touched`` by rigid and average elements and masses."""
     mesh = imported.mesh
     if mesh is None:
@@ -223,11 +220,7 @@ def _from_mesh(imported: Imported, touched: Ints, units: Units, mass_integration
     part = right_handed(part)
     part = replace(part, warnings=(*part.warnings, *_seams(imported, part, row)))
     model = assemble(
-        part,
-        materials_in_si(imported.materials, units),
-        mass_integration=mass_integration,
-        seams=imported.seams,
-        budget=budget,
+        part, materials_in_si(imported.materials, units), mass_integration=mass_integration, seams=imported.seams
     )
     for name in ("K", "M"):
         refuse_entries(imported.source, name, getattr(model, name))

@@ -25,10 +25,10 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.base import progress
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import SolverError
 from morembs.base.types import Floats, Values
-from morembs.linalg.columns import multiply_into, orthonormal, symmetric
+from morembs.linalg.columns import orthonormal, symmetric
+from morembs.linalg.space import Space
 
 # Directions of Z below this part of the largest are dropped: (1e-10)^2 is nothing in the Gramian.
 NEGLIGIBLE = 1e-10
@@ -76,7 +76,7 @@ def low_rank_gramian(
     *,
     tolerance: float = 1e-10,
     max_steps: int = 300,
-    budget: Budget = UNLIMITED,
+    space: Space | None = None,
     rows: int = ROWS,
 ) -> LowRankGramian:
     """Controllability Gramian of ``system`` under the loads ``F`` (N, m).
@@ -85,13 +85,13 @@ def low_rank_gramian(
     relative to F'K^-1 F, the static compliance; the iteration stops where the largest is below ``tolerance``.
     In this measure low frequencies count, and the many modes of a fine mesh that no load excites do not.
 
-    Peak memory: Z in ``budget`` (compressed whenever it fills its room, so many ``rows`` at a time), 96 columns or
-    4 blocks (N, m) of recent solutions twice, and about 12 blocks (N, m).
+    Peak memory: Z where ``space`` wants it (compressed whenever it fills its room, so many ``rows`` at a time), 96
+    columns or 4 blocks (N, m) of recent solutions twice, and about 12 blocks (N, m).
 
     Raises:
         SolverError: ``tolerance`` is not reached within ``max_steps`` shifts, or modes are not damped.
     """
-    iteration = _Iteration(system, F, budget, rows)
+    iteration = _Iteration(system, F, space or Space(system.M), rows)
     residual = 1.0
     while residual > tolerance:
         for p in iteration.next_shifts(tolerance):
@@ -112,7 +112,7 @@ def low_rank_gramian(
 class _Iteration:
     """The residual factor [f; g] and what was solved so far."""
 
-    def __init__(self, system: SecondOrder, F: Floats, budget: Budget, rows: int) -> None:
+    def __init__(self, system: SecondOrder, F: Floats, space: Space, rows: int) -> None:
         self.system = system
         self.f: Floats = np.zeros(F.shape)
         self.g = np.array(F, dtype=float)
@@ -123,7 +123,7 @@ class _Iteration:
         self.recent: list[Floats] = []
         self.shifts: list[complex] = []
         stiffness, mass = (np.sqrt(np.maximum(A.diagonal(), 0.0)) for A in (system.K, system.M))
-        self.factor = _Factor(stiffness, mass, max(FIRST_COLUMNS, 6 * F.shape[1]), budget, rows)
+        self.factor = _Factor(stiffness, mass, max(FIRST_COLUMNS, 6 * F.shape[1]), space, rows)
 
     def step(self, p: complex) -> float:
         """One shift (with its conjugate); returns the residual."""
@@ -208,10 +208,10 @@ def _stiffness(system: SecondOrder, Q: Floats) -> Floats:
 class _Factor:
     """The columns of Z, replaced by fewer, ``rows`` of them at a time, whenever they fill their room."""
 
-    def __init__(self, stiffness: Floats, mass: Floats, capacity: int, budget: Budget, rows: int) -> None:
-        self.stiffness, self.mass, self.budget, self.rows = stiffness, mass, budget, rows
+    def __init__(self, stiffness: Floats, mass: Floats, capacity: int, space: Space, rows: int) -> None:
+        self.stiffness, self.mass, self.space, self.rows = stiffness, mass, space, rows
         self.size = 0
-        self.Zp, self.Zv = (budget.empty((len(mass), capacity), order="F") for _ in range(2))
+        self.Zp, self.Zv = (space.budget.empty((len(mass), capacity), order="F") for _ in range(2))
 
     def append(self, Xp: Floats, Xv: Floats) -> None:
         width = Xp.shape[1]
@@ -222,7 +222,7 @@ class _Factor:
         self.Zp[:, self.size : self.size + width] = Xp
         self.Zv[:, self.size : self.size + width] = Xv
         self.size += width
-        self.budget.release_if_tight()
+        self.space.budget.release_if_tight()
 
     def compress(self) -> None:
         """Turn the columns onto the principal directions of Z and drop the negligible ones.
@@ -236,12 +236,12 @@ class _Factor:
                 rows = slice(first, first + self.rows)
                 rows_too = np.vstack([R, scale[rows, None] * Z[rows, : self.size]])
                 R = sl.qr(rows_too, mode="r", overwrite_a=True, check_finite=False)[0][: self.size]
-                self.budget.release_if_tight()
+                self.space.budget.release_if_tight()
         _, values, Y = sl.svd(R, full_matrices=False)
         keep = values > NEGLIGIBLE * values[0]
         kept = int(keep.sum())
         for Z in (self.Zp, self.Zv):
-            multiply_into(Z[:, : self.size], Y[keep].T, Z[:, :kept], self.budget)
+            self.space.multiply_into(Z[:, : self.size], Y[keep].T, Z[:, :kept])
         self.size = kept
 
     def columns(self) -> tuple[Floats, Floats]:
@@ -252,6 +252,6 @@ class _Factor:
     def _enlarge(self, capacity: int) -> None:
         for name in ("Zp", "Zv"):
             old = getattr(self, name)
-            new = self.budget.empty((len(old), capacity), order="F")
+            new = self.space.budget.empty((len(old), capacity), order="F")
             new[:, : self.size] = old[:, : self.size]
             setattr(self, name, new)

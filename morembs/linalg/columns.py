@@ -1,26 +1,20 @@
-"""Columns N x k, in memory or in files: products, orthonormalisation and complements, a block at a time.
+"""Columns N x k in memory: norms, orthonormalisation, symmetric parts. ``space`` has what works a block at a time.
 
 Columns are real or complex, and orthonormal in x^H M y (M None: the identity). Ranks are decided explicitly.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
-
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.types import Floats, Values
 
 # A column that keeps less than this part of its norm after orthogonalisation is dependent.
 DEPENDENT = 1e-10
 # Eigenvalues of a Gram matrix of unit columns below this are round-off.
 NOISE = 1e-14
-# Rows of an array that may lie in a file which are read at once, across all columns.
-_ROWS = 1 << 13
 
 
 def m_norms(W: Values, MW: Values) -> Floats:
@@ -28,136 +22,24 @@ def m_norms(W: Values, MW: Values) -> Floats:
     return np.asarray(np.sqrt(np.maximum(np.einsum("ij,ij->j", W.conj(), MW).real, 0.0)))
 
 
-def dot(V: Values, W: Values, budget: Budget = UNLIMITED) -> Values:
-    """V^H W, a block of columns of ``V`` at a time."""
-    parts = []
-    budget.release_if_tight()
-    for block in _blocks(V, budget):
-        parts.append(V[:, block].conj().T @ W)
-        budget.release_if_tight()
-    return np.vstack(parts) if parts else np.zeros((0, W.shape[1]))
-
-
-def subtract(V: Values, C: Values, W: Values, budget: Budget = UNLIMITED) -> None:
-    """W -= V C in place, a block of columns of ``V`` at a time."""
-    real = V.dtype == W.dtype == C.dtype == np.float64 and W.size > 0 and V.flags.f_contiguous
-    for block in _blocks(V, budget):
-        # Without an array for the product, where the BLAS can take it from W itself.
-        if real and W.flags.f_contiguous:
-            sl.blas.dgemm(-1.0, V[:, block], C[block], beta=1.0, c=W, overwrite_c=1)
-        elif real and W.flags.c_contiguous:
-            sl.blas.dgemm(-1.0, C[block], V[:, block], beta=1.0, c=W.T, trans_a=1, trans_b=1, overwrite_c=1)
-        else:
-            W -= V[:, block] @ C[block]
-        budget.release_if_tight()
-
-
-def multiply_into(V: Floats, Y: Floats, out: Floats, budget: Budget = UNLIMITED) -> Floats:
-    """V Y into ``out`` (N, k), which may be the first columns of ``V``: a block of rows at a time."""
-    budget.release_if_tight()
-    for first in range(0, len(V), _ROWS):
-        rows = slice(first, first + _ROWS)
-        out[rows] = V[rows] @ Y
-        budget.release_if_tight()
-    return out
-
-
-def multiply(V: Floats, Y: Floats, budget: Budget) -> Floats:
-    """V Y (N, k), where the budget wants it."""
-    return multiply_into(V, Y, budget.empty((len(V), Y.shape[1]), order="F"), budget)
-
-
-def hstack(*parts: Floats, budget: Budget) -> Floats:
-    """Columns of the ``parts`` (N, .) side by side, in memory or in a scratch file as the budget decides."""
-    V = budget.empty((len(parts[0]), sum(part.shape[1] for part in parts)), order="F")
-    at = 0
-    for part in parts:
-        V[:, at : at + part.shape[1]] = part
-        at += part.shape[1]
-        budget.release_if_tight()
-    return V
-
-
-def map_columns(
-    apply: Callable[[Values], Values],
-    F: Values | sp.csc_array,
-    budget: Budget,
-    dtype: Any = np.float64,
-    width: int | None = None,
-) -> Values:
-    """apply(F) (N, k) where the budget wants it, the columns of ``F`` (N, k) made dense ``width`` at a time, by default
-    as many as the budget has room for."""
-    X = budget.empty(F.shape, dtype, order="F")
-    width = budget.columns(F.shape[0]) if width is None else width
-    for at in range(0, F.shape[1], width):
-        X[:, at : at + width] = apply(dense(F[:, at : at + width]))
-        budget.release_if_tight()
-    return X
-
-
 def dense(C: Values | sp.csc_array) -> Values:
     """``C`` as a dense array."""
     return np.asarray(C if isinstance(C, np.ndarray) else C.toarray())
 
 
-def projected(V: Floats, A: sp.csr_array, budget: Budget, W: Floats | None = None) -> Floats:
-    """V' A V or ``W``' A V (n, n) of a symmetric ``A``, a block of columns of ``V`` (Nc, n) at a time."""
-    width = budget.columns(len(V))
-    test = V if W is None else W
-    parts = [dot(test, A @ V[:, at : at + width], budget) for at in range(0, V.shape[1], width)]
-    whole = np.hstack(parts) if parts else np.zeros((0, 0))
-    return symmetric(whole) if W is None else whole
-
-
-def symmetric(A: Floats) -> Floats:
-    """The symmetric part of ``A`` (n, n)."""
-    return np.asarray(0.5 * (A + A.T))
-
-
-def fix_signs(V: Floats, budget: Budget = UNLIMITED) -> Floats:
+def fix_signs(V: Floats) -> Floats:
     """``V`` with the first large entry of each column made positive, in place: equal input gives equal signs."""
     for column in V.T:
         size = np.abs(column)
         if len(size) and column[(size >= 0.99 * size.max()).argmax()] < 0:
             # Not np.negative with out: NumPy 2.4 gives wrong values for strided columns.
             column *= -1.0
-        budget.release_if_tight()
     return V
 
 
-def project_out(
-    V: Values | Sequence[Values], W: Values, M: sp.sparray, MW: Values | None = None, budget: Budget = UNLIMITED
-) -> Values:
-    """Take span(V) (M-orthonormal, in one or several blocks) out of ``W`` in place; returns the coefficients V^H M W.
-
-    Done twice, or what is left of ``W`` would keep the round-off of what was taken out. ``MW`` saves the first product
-    where it is known.
-    """
-    known = [V] if isinstance(V, np.ndarray) else [*V]
-    if not sum(Q.shape[1] for Q in known):
-        return np.zeros((0, W.shape[1]))
-    first = take_out(known, W, M @ W if MW is None else MW, budget)
-    return np.asarray(first + take_out(known, W, M @ W, budget))
-
-
-def complement(
-    V: Values | Sequence[Values], W: Values, M: sp.sparray, budget: Budget = UNLIMITED, *, passes: int = 1
-) -> Values:
-    """M-orthonormal columns of what ``W`` (overwritten) adds to the M-orthonormal ``V``, in one or several blocks."""
-    return split(V, W, M, budget, passes=passes)[1]
-
-
-def split(
-    V: Values | Sequence[Values], W: Values, M: sp.sparray, budget: Budget = UNLIMITED, *, passes: int = 1
-) -> tuple[Values, Values]:
-    """Coefficients V^H M W, and ``complement``; ``W`` becomes what V leaves of it."""
-    MW = M @ W
-    before = m_norms(W, MW)
-    coefficients = project_out(V, W, M, MW, budget)
-    Q = orthonormal(W, M, before, passes=passes)
-    # Scaling up what was small scaled up its part along V too.
-    project_out(V, Q, M, budget=budget)
-    return coefficients, orthonormal(Q, M, np.ones(Q.shape[1]), passes=passes)
+def symmetric(A: Floats) -> Floats:
+    """The symmetric part of ``A`` (n, n)."""
+    return np.asarray(0.5 * (A + A.T))
 
 
 def orthonormal(
@@ -231,21 +113,8 @@ def _by_gram(
     return Q, _weighted(Q, M) if MQ is None else MQ
 
 
-def take_out(known: Sequence[Values], W: Values, MW: Values, budget: Budget) -> Values:
-    """Take span(known) out of ``W`` in place, once, given M W; returns the coefficients."""
-    parts = [dot(Q, MW, budget) for Q in known]
-    for Q, C in zip(known, parts, strict=True):
-        subtract(Q, C, W, budget)
-    return parts[0] if len(parts) == 1 else np.vstack(parts)
-
-
 def _weighted(W: Values, M: sp.sparray | None) -> Values:
     return W if M is None else np.asarray(M @ W)
-
-
-def _blocks(V: Values, budget: Budget) -> list[slice]:
-    width = budget.read_at_once(len(V))
-    return [slice(first, first + width) for first in range(0, V.shape[1], width)]
 
 
 def without_rigid_motion(K: Floats, M: Floats, rigid: Floats) -> Floats:

@@ -17,7 +17,8 @@ import scipy.sparse as sp
 from morembs.base import progress
 from morembs.base.errors import InputError, SingularMatrixError, SolverError
 from morembs.base.types import Complexes, Floats
-from morembs.linalg.columns import complement, m_norms, orthonormal, symmetric
+from morembs.linalg.columns import m_norms, orthonormal, symmetric
+from morembs.linalg.space import Space
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Factorization, LinearSolver
 
@@ -183,7 +184,7 @@ def _more(pencil: _Pencil, V: Floats, count: int) -> Floats:
     for _ in range(2):
         X = pencil.factor.solve(pencil.M @ X)
         X /= m_norms(X, pencil.M @ X)
-    return complement(V, X, pencil.M)
+    return Space(pencil.M).complement(V, X)
 
 
 def _converged(pencil: _Pencil, V: Floats, count: int) -> tuple[ComplexModes, Floats]:
@@ -208,7 +209,7 @@ def _converged(pencil: _Pencil, V: Floats, count: int) -> tuple[ComplexModes, Fl
         if V.shape[1] + 2 * open_.sum() > max(WIDEST * wanted, 2 * wanted + 40):
             V = orthonormal(np.hstack([X.real, X.imag]), pencil.M)
         Z = Z[:, open_]
-        added = complement(V, np.hstack([Z.real, Z.imag]), pencil.M)
+        added = Space(pencil.M).complement(V, np.hstack([Z.real, Z.imag]))
         if not added.shape[1] or (stuck and len(history) > 5 * PATIENCE):
             break
         V = np.hstack([V, added])

@@ -9,14 +9,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.base.budget import Budget
+from morembs.base.budget import current_budget
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 
 _ENTRIES = 1 << 20
 
 
-def congruence(T: sp.csr_array, A: sp.csr_array, budget: Budget, *, skew: bool = False) -> sp.csr_array:
+def congruence(T: sp.csr_array, A: sp.csr_array, *, skew: bool = False) -> sp.csr_array:
     """T' A T (m, m) of a symmetric, or ``skew``, ``A`` (n, n), where T = [I 0; 0 R] but for the order of its rows.
 
     Rows of A that T keeps are copied, with the zeros they store: the unknowns of a node keep equal patterns.
@@ -25,6 +25,7 @@ def congruence(T: sp.csr_array, A: sp.csr_array, budget: Budget, *, skew: bool =
     Raises:
         InputError: ``T`` has another form.
     """
+    budget = current_budget()
     kept, slaves, R = _split(T)
     f, m = len(kept), R.shape[1]
     # Coupling of the kept rows with the masters, and of the masters with each other.

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.budget import current_budget
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError
 from morembs.base.types import Values
@@ -39,30 +39,29 @@ class DynamicStiffness(Closing):
         G: sp.csr_array | None = None,
         N: sp.csr_array | None = None,
         solver: LinearSolver,
-        budget: Budget = UNLIMITED,
         regular: bool = True,
     ) -> None:
-        self.solver, self.budget = solver, budget
-        stiffness = Lower.of(K, "the stiffness matrix", budget, regular=regular)
+        self.solver, self.budget = solver, current_budget()
+        stiffness = Lower.of(K, "the stiffness matrix", regular=regular)
         parts = [
-            Lower.of(A, what, budget, regular=False)
+            Lower.of(A, what, regular=False)
             for A, what in ((M, "the mass matrix"), (D, "the damping matrix"))
             if A is not None
         ]
         symmetric = len(parts)
         for A, what in ((G, "the gyroscopic matrix"), (N, "the circulatory matrix")):
             if A is not None:
-                whole = General.of(A, what, budget, regular=False)
+                whole = General.of(A, what, regular=False)
                 parts.append(Lower(whole.indptr, whole.indices, whole.skew))
         if any(part.n != stiffness.n for part in parts):
             raise InputError(
                 f"K, M and D have {[stiffness.n, *(part.n for part in parts)]} rows; expected equal numbers"
             )
-        places = [_places(stiffness, part, budget) for part in parts]
+        places = [_places(stiffness, part) for part in parts]
         if any((place < 0).any() for place in places):
             for part in parts:
-                stiffness = _widened(stiffness, part, budget)
-            places = [_places(stiffness, part, budget) for part in parts]
+                stiffness = _widened(stiffness, part)
+            places = [_places(stiffness, part) for part in parts]
         self.lower = stiffness
         added = [(place, part.data) for place, part in zip(places, parts, strict=True)]
         self._added, skew = added[:symmetric], added[symmetric:]
@@ -117,11 +116,16 @@ class DynamicStiffness(Closing):
             self._analyses[structure] = self.solver.with_memory(self.budget.left()).analyse(A, structure, what)
         return self._analyses[structure].factorize(A, what)
 
-    def for_worker(self, budget: Budget) -> DynamicStiffness:
-        """The same matrices under another budget and without any factor, for a process of its own."""
+    def for_worker(self) -> DynamicStiffness:
+        """The same matrices under the budget of here and without any factor, for a process of its own."""
         other = copy(self)
-        other.budget, other._analyses = budget, {}
+        other.budget, other._analyses = current_budget(), {}
         return other
+
+    def with_springs(self, rows: NDArray[np.int64]) -> Lower:
+        """K with springs of ``spring_stiffness`` to the ground at ``rows``."""
+        with self.budget.in_use():
+            return with_springs(self.lower, rows)
 
     def room_for_factor(self, structure: str) -> int:
         """Bytes that a factor of A(s) in memory takes at most, with the values of A(s), from a symbolic analysis."""
@@ -191,9 +195,9 @@ def spring_stiffness(A: Lower, rows: NDArray[np.int64]) -> Values:
     return np.where(diagonal[rows] != 0, diagonal[rows], np.abs(diagonal).max(initial=0.0) or 1.0)
 
 
-def with_springs(A: Lower, rows: NDArray[np.int64], budget: Budget = UNLIMITED) -> Lower:
+def with_springs(A: Lower, rows: NDArray[np.int64]) -> Lower:
     """``A`` with springs of ``spring_stiffness`` to the ground at ``rows``."""
-    data = budget.empty(A.nnz, A.data.dtype)
+    data = current_budget().empty(A.nnz, A.data.dtype)
     data[:] = A.data
     # The first entry of a column is its diagonal, as a stiffness has one in every row, or the mass.
     first = A.indptr[rows]
@@ -203,9 +207,10 @@ def with_springs(A: Lower, rows: NDArray[np.int64], budget: Budget = UNLIMITED) 
     return replace(A, data=data)
 
 
-def _widened(A: Lower, other: Lower, budget: Budget) -> Lower:
+def _widened(A: Lower, other: Lower) -> Lower:
     """``A`` with explicit zeros where only ``other`` has entries: these are few as a rule."""
-    missing = np.flatnonzero(_places(A, other, budget) < 0)
+    budget = current_budget()
+    missing = np.flatnonzero(_places(A, other) < 0)
     column = np.searchsorted(other.indptr, missing, side="right") - 1
     added = np.cumsum(np.bincount(column + 1, minlength=A.n + 1))
     size = A.nnz + len(missing)
@@ -227,8 +232,9 @@ def _rows_at_once(A: Lower) -> int:
     return max(1, int(_CHUNK * A.n / max(A.nnz, 1)))
 
 
-def _places(A: Lower, other: Lower, budget: Budget = UNLIMITED) -> Values:
+def _places(A: Lower, other: Lower) -> Values:
     """Where (nnz of other,) each entry of ``other`` lies in ``A``; -1 where it does not."""
+    budget = current_budget()
     place = budget.empty(other.nnz, A.indptr.dtype)
     rows = _rows_at_once(A)
     for first in range(0, A.n, rows):

@@ -18,6 +18,7 @@ from morembs.linalg.columns import dense, fix_signs, m_norms, symmetric
 from morembs.linalg.lanczos import BlockLanczos, largest
 from morembs.linalg.second_shift import first_look, keeps_two_factors, modes_below
 from morembs.linalg.slicing import SLICE, ShiftedInverse, sliced_modes
+from morembs.linalg.space import Space
 from morembs.linalg.statics import ConstrainedStatics, off_eigenvalues
 
 log = logging.getLogger(__name__)
@@ -112,7 +113,7 @@ def lowest_modes(
         values, vectors = sliced_modes(
             body, M, first.eigenvalues, first.vectors, count=count, below=below, per_slice=per_slice
         )
-        return Modes(eigenvalues=values, vectors=fix_signs(vectors, body.statics.budget), verified_below=below)
+        return Modes(eigenvalues=values, vectors=body.statics.space.fix_signs(vectors), verified_below=below)
     return _sparse(body, M, count, below, what, shifted)
 
 
@@ -207,7 +208,7 @@ def _sparse(
     block = _block(body, count)
     start = body.flexibility(M @ rng.standard_normal((M.shape[0], block)))
     capacity = min(3 * (count + 2) + 8 * block, M.shape[0] - body.count)
-    lanczos = BlockLanczos(body.flexibility, M, start, capacity=capacity, budget=body.statics.budget)
+    lanczos = BlockLanczos(body.flexibility, Space(M, budget=body.statics.budget), start, capacity=capacity)
     del start
     if keeps_two_factors(body) and (count > FEW or shifted is not None):
         cut = first_look(lanczos, count, what=what)
@@ -219,7 +220,7 @@ def _sparse(
         if shifted is not None and cut is not None:
             with shifted:
                 values, vectors = modes_below(lanczos, shifted, what=what)
-            vectors = fix_signs(vectors[:, :count], body.statics.budget)
+            vectors = body.statics.space.fix_signs(vectors[:, :count])
             held = max(shifted.sigma, below or 0.0) if len(values) == count else float(values[count])
             return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=held)
     return _counted(body, M, lanczos, count, below, what)
@@ -246,7 +247,7 @@ def _counted(
         true = count if below is not None else body.count_below(cut)
         log.info("Sturm count: %d %s below %.6g Hz, %d found", true, what, eigenvalue_in_hz(cut), counted)
         if counted == true:
-            vectors = fix_signs(Y[:, :count], body.statics.budget)
+            vectors = body.statics.space.fix_signs(Y[:, :count])
             held = float(cut) if counted == count else float(values[count])
             return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=held)
         wanted = max(wanted, true + 2)

@@ -15,12 +15,11 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.types import Floats
-from morembs.linalg.columns import complement, m_norms, multiply_into, project_out
+from morembs.linalg.columns import m_norms
+from morembs.linalg.space import Space
 
 # Singular values below this part of the largest are round-off.
 NEGLIGIBLE = 1e-12
@@ -63,18 +62,18 @@ class WeightedSVD:
 
 
 class StreamedSVD:
-    """SVD of snapshots of length N that arrive in blocks, in the inner product of the sparse SPD ``X`` (N, N).
+    """SVD of snapshots of length N that arrive in blocks, in the inner product of ``space``, a sparse SPD X (N, N).
 
     Every block is split by an orthogonalisation into its part in the known span and the rest, and the SVD of the
     small triangle of coefficients turns and truncates the basis (Brand 2006): the Gram matrix of the snapshots,
     which would square their condition, is never formed. At most ``capacity`` columns come in all.
-    Peak memory: min(capacity, N) columns of length N where ``budget`` wants them, and four times one block.
+    Peak memory: min(capacity, N) columns of length N where its budget wants them, and four times one block.
     """
 
-    def __init__(self, X: sp.sparray, capacity: int, budget: Budget = UNLIMITED) -> None:
-        self.X, self.budget = X, budget
-        n: int = X.shape[0]
-        self.V: Floats = budget.empty((n, min(capacity, n)), order="F")
+    def __init__(self, space: Space, capacity: int) -> None:
+        self.space, self.X = space, space.M
+        n: int = self.X.shape[0]
+        self.V: Floats = space.budget.empty((n, min(capacity, n)), order="F")
         self.sigma: Floats = np.zeros(0)
 
     @property
@@ -87,7 +86,7 @@ class StreamedSVD:
         r, X = len(self.sigma), self.X
         norms = m_norms(S, X @ S)
         largest = max(float(norms.max(initial=0.0)), float(self.sigma.max(initial=0.0)))
-        C = project_out(self.V[:, :r], S, X, budget=self.budget)
+        C = self.space.project_out(self.V[:, :r], S)
         rows, used = [C], r
         for _ in range(_PASSES):
             size = m_norms(S, X @ S)
@@ -96,14 +95,14 @@ class StreamedSVD:
             if not active.any() or not room:
                 break
             # Columns scaled up hold round-off of what was taken out before.
-            W = complement(self.V[:, :used], S[:, active] / size[active], X, self.budget)[:, :room]
-            rows.append(project_out(W, S, X))
+            W = self.space.complement(self.V[:, :used], S[:, active] / size[active])[:, :room]
+            rows.append(self.space.project_out(W, S))
             self.V[:, used : used + W.shape[1]] = W
             used += W.shape[1]
-            self.budget.release_if_tight()
+            self.space.budget.release_if_tight()
         left = np.zeros((used, r))
         np.fill_diagonal(left, self.sigma)
         U, sigma, _ = sl.svd(np.hstack([left, np.vstack(rows)]), full_matrices=False)
         keep = int((sigma > NEGLIGIBLE * sigma.max(initial=0.0)).sum())
-        multiply_into(self.V[:, :used], U[:, :keep], self.V[:, :keep], self.budget)
+        self.space.multiply_into(self.V[:, :used], U[:, :keep], self.V[:, :keep])
         self.sigma = sigma[:keep]

@@ -12,13 +12,12 @@ from collections.abc import Callable
 
 import numpy as np
 import scipy.linalg as sl
-import scipy.sparse as sp
 
 from morembs.base import progress
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import SolverError
 from morembs.base.types import Floats
-from morembs.linalg.columns import complement, m_norms, multiply, multiply_into, orthonormal_pair, symmetric, take_out
+from morembs.linalg.columns import m_norms, orthonormal_pair, symmetric
+from morembs.linalg.space import Space
 
 TOLERANCE = 1e-9
 MAX_STEPS = 400
@@ -31,30 +30,22 @@ ROUND_OFF, PASSES = 1e-8, 3
 class BlockLanczos:
     """Krylov space of ``flexibility(M .)`` that grows block by block.
 
-    Peak memory: ``capacity`` columns of length N, where ``budget`` wants them, and a few blocks.
+    Peak memory: ``capacity`` columns of length N, where the budget of ``space`` wants them, and a few blocks.
     """
 
     def __init__(
-        self,
-        flexibility: Callable[[Floats], Floats],
-        M: sp.sparray,
-        start: Floats,
-        *,
-        capacity: int,
-        seed: int = 1,
-        budget: Budget = UNLIMITED,
+        self, flexibility: Callable[[Floats], Floats], space: Space, start: Floats, *, capacity: int, seed: int = 1
     ) -> None:
         self.flexibility = flexibility
-        self.M = M
+        self.space, self.M = space, space.M
         self.block = start.shape[1]
         self.capacity = max(capacity, 3 * self.block)
         self.rng = np.random.default_rng(seed)
-        self.budget = budget
-        self.V = budget.empty((M.shape[0], self.capacity), order="F")
+        self.V = space.budget.empty((self.M.shape[0], self.capacity), order="F")
         self.T = np.zeros((self.capacity, self.capacity))
         self.size = 0
-        self.pending, self.M_pending = orthonormal_pair(start, M)
-        self.rest_vectors = np.zeros((M.shape[0], 0))
+        self.pending, self.M_pending = orthonormal_pair(start, self.M)
+        self.rest_vectors = np.zeros((self.M.shape[0], 0))
         self.rest = np.zeros((0, 0))
         self.last = slice(0, 0)
         # First column along which Op of the next block has a part; columns that are eigenvectors already.
@@ -74,12 +65,12 @@ class BlockLanczos:
         MW = self.M @ W
         norms = m_norms(W, MW)
         H = np.zeros((k + b, b))
-        H[self.near :] = take_out([self.V[:, self.near : k + b]], W, MW, self.budget)
+        H[self.near :] = self.space.take_out([self.V[:, self.near : k + b]], W, MW=MW)
         # What is left of W keeps the round-off of what was taken out, along all of V.
         for _ in range(PASSES):
             MW = self.M @ W
             G = W.T @ MW
-            again = take_out([self.V[:, : k + b]], W, MW, self.budget)
+            again = self.space.take_out([self.V[:, : k + b]], W, MW=MW)
             H += again
             if (np.abs(again) <= ROUND_OFF * norms).all():
                 break
@@ -105,7 +96,7 @@ class BlockLanczos:
             # Directions ran out (an invariant subspace): random ones keep looking for what it misses.
             missing = self.block - Q.shape[1]
             fresh = self.flexibility(self.M @ self.rng.standard_normal((W.shape[0], missing)))
-            Q = np.hstack([Q, complement([self.V[:, : self.size], Q], fresh, self.M, self.budget)])
+            Q = np.hstack([Q, self.space.complement([self.V[:, : self.size], Q], fresh)])
             MQ = self.M @ Q
         return Q, MQ
 
@@ -126,7 +117,7 @@ class BlockLanczos:
     def restart(self, keep: int) -> None:
         """Keep the ``keep`` best Ritz vectors and go on from them; none may be locked."""
         theta, Y, _ = self.ritz()
-        multiply_into(self.V[:, : self.size], Y[:, :keep], self.V[:, :keep], self.budget)
+        self.space.multiply_into(self.V[:, : self.size], Y[:, :keep], self.V[:, :keep])
         self.T[:] = 0.0
         self.T[range(keep), range(keep)] = theta[:keep]
         self.tail = self.tail @ Y[:, :keep]
@@ -150,12 +141,12 @@ class BlockLanczos:
     def store(self) -> None:
         """Put the blocks in use where the budget wants them, before something else needs the memory."""
         self.pending, self.M_pending, self.rest_vectors = (
-            self.budget.store(one) for one in (self.pending, self.M_pending, self.rest_vectors)
+            self.space.budget.store(one) for one in (self.pending, self.M_pending, self.rest_vectors)
         )
 
     def enlarge(self, capacity: int) -> None:
         """Make room for ``capacity`` columns."""
-        V, T = self.budget.empty((len(self.V), capacity), order="F"), np.zeros((capacity, capacity))
+        V, T = self.space.budget.empty((len(self.V), capacity), order="F"), np.zeros((capacity, capacity))
         V[:, : self.size], T[: self.size, : self.size] = self.V[:, : self.size], self.T[: self.size, : self.size]
         self.V, self.T, self.capacity = V, T, capacity
 
@@ -165,7 +156,7 @@ class BlockLanczos:
 
     def vectors(self, Y: Floats) -> Floats:
         """Columns V Y (N, j)."""
-        return multiply(self.V[:, : self.size], Y, self.budget)
+        return self.space.multiply(self.V[:, : self.size], Y)
 
 
 def largest(lanczos: BlockLanczos, count: int, *, what: str = "modes") -> tuple[Floats, Floats]:

@@ -17,9 +17,9 @@ from collections.abc import Callable
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.types import Values
-from morembs.linalg.columns import orthonormal, split
+from morembs.linalg.columns import orthonormal
+from morembs.linalg.space import Space
 
 Solve = Callable[[Values], Values]
 # Of orthonormalisations: blocks may have directions far below their others.
@@ -27,19 +27,19 @@ PASSES = 3
 
 
 class SecondOrderArnoldi:
-    """The space of ``M``, ``D`` (N, N) about ``shift``, started at ``start`` = A0^-1 F (N, p); grows with ``expand``.
+    """The Krylov space of M and ``D`` (N, N) about ``shift``, started at ``start`` = A0^-1 F (N, p).
+
+    M is that of ``space``. It grows with ``expand``.
 
     ``blocks`` are M-orthonormal, real if ``start`` and ``shift`` are, else complex (orthonormal in x^H M y).
     ``scale`` is a frequency in rad/s of the order of those of interest: blocks r_j scale^j are what is orthogonalised,
     so that the two halves of a pair have one unit. Peak memory: the blocks and four blocks more.
     """
 
-    def __init__(
-        self, M: sp.sparray, D: sp.sparray, start: Values, *, shift: complex, scale: float, budget: Budget = UNLIMITED
-    ) -> None:
-        self.M, self.D, self.scale, self.budget = M, D, scale, budget
+    def __init__(self, space: Space, D: sp.sparray, start: Values, *, shift: complex, scale: float) -> None:
+        self.space, self.M, self.D, self.scale = space, space.M, D, scale
         self.shift = complex(shift) if complex(shift).imag else complex(shift).real
-        Q = orthonormal(start, M, passes=PASSES)
+        Q = orthonormal(start, self.M, passes=PASSES)
         self.blocks: list[Values] = []
         self._add(Q)
         k = Q.shape[1]
@@ -66,7 +66,7 @@ class SecondOrderArnoldi:
         E = 2 * self.shift * (self.M @ newest) + self.D @ newest
         W = -solve(self.scale * E + self.scale**2 * (self.M @ before))
         del newest, before, E
-        coordinates, Q = split(self.blocks, W, self.M, self.budget, passes=PASSES)
+        coordinates, Q = self.space.split(self.blocks, W, passes=PASSES)
         coordinates = np.vstack([coordinates, Q.conj().T @ (self.M @ W)])
         self.deflated.append(W.shape[1] - Q.shape[1])
         self._add(Q)
@@ -92,8 +92,8 @@ class SecondOrderArnoldi:
         for block in self.blocks:
             total += block @ C[at : at + block.shape[1]]
             at += block.shape[1]
-            self.budget.release_if_tight()
+            self.space.budget.release_if_tight()
         return total
 
     def _add(self, Q: Values) -> None:
-        self.blocks.append(self.budget.store(np.asfortranarray(Q)))
+        self.blocks.append(self.space.budget.store(np.asfortranarray(Q)))

@@ -20,10 +20,11 @@ from morembs.base.closing import Closing
 from morembs.base.errors import SolverError
 from morembs.base.types import Floats, Ints
 from morembs.base.units import eigenvalue_in_hz
-from morembs.linalg.columns import dense, dot, map_columns, project_out, symmetric
+from morembs.linalg.columns import dense, symmetric
 from morembs.linalg.dynamic_stiffness import with_fixed_rows
 from morembs.linalg.lanczos import MAX_STEPS, TOLERANCE, BlockLanczos
-from morembs.linalg.statics import ConstrainedStatics, off_eigenvalues, room_for_factor, single_dof_rows
+from morembs.linalg.space import Space
+from morembs.linalg.statics import ConstrainedStatics, off_eigenvalues, single_dof_rows
 
 log = logging.getLogger(__name__)
 # Modes per slice, and columns of a Krylov block.
@@ -41,13 +42,13 @@ class ShiftedInverse(Closing):
         self.rows = None if body.mean_axes else single_dof_rows(body.C)
         if self.rows is not None:
             A = with_fixed_rows(A, self.rows)
-        solver = body.counter().with_memory(room_for_factor(body.statics.budget))
+        solver = body.counter().with_memory(body.statics.budget.room_for_factor())
         self.factor = solver.factorize(A, "symmetric", f"K - sigma M at {eigenvalue_in_hz(sigma):.6g} Hz")
         self.below = self.factor.negative_pivots()
         if body.mean_axes:
             self.below -= body.count
         elif self.rows is None:
-            self.X = map_columns(self.factor.solve, body.C, body.statics.budget)
+            self.X = body.statics.space.map_columns(self.factor.solve, body.C)
             S = dense(body.C.T @ self.X)
             # Scaled: constraints on displacements and on rotations differ by orders of magnitude.
             self.scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
@@ -140,19 +141,19 @@ def _slice(
 
     Those ``near`` the shift are taken out of the space; others seldom converge in it, and are left out then.
     """
-    M, budget = shifted.M, shifted.body.statics.budget
+    M, space = shifted.M, Space(shifted.M, budget=shifted.body.statics.budget)
     locked = known[:, near]
 
     def flexibility(F: Floats) -> Floats:
         U = shifted.apply(F)
-        project_out(locked, U, M, budget=budget)
+        space.project_out(locked, U)
         return U
 
     if not missing and limit <= shifted.sigma:
         return np.zeros(0), np.zeros((M.shape[0], 0))
     start = flexibility(M @ np.random.default_rng(6).standard_normal((M.shape[0], BLOCK)))
     room = M.shape[0] - shifted.body.count - locked.shape[1]
-    lanczos = BlockLanczos(flexibility, M, start, capacity=min(capacity + 4 * BLOCK, room), budget=budget, seed=8)
+    lanczos = BlockLanczos(flexibility, space, start, capacity=min(capacity + 4 * BLOCK, room), seed=8)
     for _ in range(MAX_STEPS):
         if lanczos.full():
             _make_room(lanczos, missing, room)
@@ -170,7 +171,7 @@ def _slice(
             right &= np.abs(theta) > np.abs(theta[~good]).max(initial=0.0)
             chosen = (good & (theta < 0)) | right
             new, V = values[chosen], lanczos.vectors(Y[:, chosen])
-            fresh = (dot(known, M @ V, budget) ** 2).sum(axis=0) < 0.5
+            fresh = (space.dot(known, M @ V) ** 2).sum(axis=0) < 0.5
             if int((new[fresh] < shifted.sigma).sum()) >= missing or not lanczos.pending.shape[1]:
                 return new[fresh], V[:, fresh]
     raise SolverError(f"the slice at {eigenvalue_in_hz(shifted.sigma):.6g} Hz did not converge in {MAX_STEPS} steps")

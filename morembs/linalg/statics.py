@@ -20,13 +20,14 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.budget import Budget, current_budget
 from morembs.base.closing import Closing
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
 from morembs.base.types import Floats, Ints
 from morembs.base.units import eigenvalue_in_hz
-from morembs.linalg.columns import DEPENDENT, m_norms, map_columns, symmetric
-from morembs.linalg.dynamic_stiffness import DynamicStiffness, spring_stiffness, with_fixed_rows, with_springs
+from morembs.linalg.columns import DEPENDENT, m_norms, symmetric
+from morembs.linalg.dynamic_stiffness import DynamicStiffness, spring_stiffness, with_fixed_rows
+from morembs.linalg.space import Columns
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
@@ -68,14 +69,19 @@ class Statics(Closing):
     def __init__(self, pencil: DynamicStiffness, Z: Floats, held: Floats | None = None) -> None:
         self.pencil, self.Z, self.held = pencil, Z, Z[:, :0] if held is None else held
         self.supports = support_dofs(Z)
-        supported = with_springs(pencil.lower, self.supports, pencil.budget) if Z.shape[1] else pencil.lower
-        solver = pencil.solver.with_near_null_space(Z).with_memory(room_for_factor(pencil.budget))
+        supported = pencil.with_springs(self.supports) if Z.shape[1] else pencil.lower
+        solver = pencil.solver.with_near_null_space(Z).with_memory(pencil.budget.room_for_factor())
         self.factor = solver.factorize(supported, "spd", what="the supported stiffness matrix")
 
     @property
     def budget(self) -> Budget:
         """The memory budget of the process."""
         return self.pencil.budget
+
+    @property
+    def space(self) -> Columns:
+        """Columns under that budget."""
+        return Columns(budget=self.budget)
 
     def columns(self, copies: int = 4, widest: int | None = None) -> int:
         """Columns to solve for at once where ``copies`` of them exist: each block reads a factor on disk as a whole."""
@@ -110,7 +116,7 @@ class ConstrainedStatics:
     def __init__(self, statics: Statics, C: Floats | sp.csc_array, what: str, *, mean_axes: bool = False) -> None:
         self.statics, self.C, self.mean_axes = statics, C, mean_axes
         Z = statics.Z
-        self.X = map_columns(statics.apply, C, statics.budget, width=statics.columns())
+        self.X = statics.space.map_columns(statics.apply, C, width=statics.columns())
         E = C.T @ self.X
         H = C.T @ Z
         # Motions that the constraints do not see at all, but for the round-off of others.
@@ -272,7 +278,7 @@ class ConstrainedStatics:
         pencil = self.statics.pencil
         A = pencil.shifted(sigma)
         rows = None if self.mean_axes else single_dof_rows(self.C)
-        solver = self.counter().with_memory(room_for_factor(pencil.budget))
+        solver = self.counter().with_memory(pencil.budget.room_for_factor())
         what = "K - sigma M"
         if self.mean_axes:
             return solver.negative_eigenvalues(A, what) - int(self.count)
@@ -280,7 +286,7 @@ class ConstrainedStatics:
             return solver.negative_eigenvalues(with_fixed_rows(A, rows), what)
         with solver.factorize(A, "symmetric", what) as factor:
             negative = factor.negative_pivots()
-            S = self.C.T @ map_columns(factor.solve, self.C, pencil.budget)
+            S = self.C.T @ self.statics.space.map_columns(factor.solve, self.C)
         scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
         return negative - int(np.count_nonzero(sl.eigvalsh(scale[:, None] * (S + S.T) * scale) < 0))
 
@@ -299,19 +305,11 @@ def off_eigenvalues(sigma: float, use: Callable[[float], Used], *, side: int = 1
     raise SolverError(f"many eigenfrequencies cluster at {eigenvalue_in_hz(sigma):.6g} Hz{words}")
 
 
-def room_for_factor(budget: Budget) -> int | None:
-    """Bytes that a factorisation may take once all pages that can be released are."""
-    budget.release_pages()
-    left = budget.left()
-    return None if left is None else max(0, left)
-
-
-def require_room_to_count(solver: LinearSolver, lower: Lower, room: int | None, budget: Budget = UNLIMITED) -> Forecast:
+def require_room_to_count(solver: LinearSolver, lower: Lower, room: int | None) -> Forecast:
     """What a Sturm count will need, refused now where it would be refused after hours of work.
 
     Args:
         room: bytes that may be allocated once all pages that can be released are; None for no limit.
-        budget: where the arrays are that were made before.
 
     Raises:
         BudgetError: the count has no room within the budget; the message says how much more it takes.
@@ -324,7 +322,7 @@ def require_room_to_count(solver: LinearSolver, lower: Lower, room: int | None, 
     try:
         return solver.with_memory(max(room - beside, 0)).inertia_forecast(lower)
     except BudgetError as error:
-        more = budget.raise_for(error.needed + beside - room)
+        more = current_budget().raise_for(error.needed + beside - room)
         raise BudgetError(
             f"the memory budget leaves {room / 1e6:.0f} MB for the Sturm count that proves the modes complete; it "
             f"needs {(error.needed + beside) / 1e6:.0f} MB: raise the budget by {enough_megabytes(more)} MB or more, "

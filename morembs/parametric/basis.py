@@ -18,7 +18,7 @@ from morembs.base import progress
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
-from morembs.linalg.columns import map_columns, multiply, symmetric
+from morembs.linalg.columns import symmetric
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.parametric.bound import ParametricBound, ratio, ritz_pairs
 from morembs.parametric.bound_at import BoundAt
@@ -208,10 +208,10 @@ class GreedySearch:
     def _responses(self, problem: Problem, before: int) -> Floats:
         """Low modes of ``problem`` and the first blocks of the Krylov space of its interface loads, static responses
         first: all from one factorisation."""
-        flexibility, M, budget = problem.elastic.flexibility, problem.M, problem.budget
-        X = map_columns(flexibility, problem.B.toarray() * self.problem.motion_scale, budget)
+        flexibility, space = problem.elastic.flexibility, problem.space
+        X = space.map_columns(flexibility, problem.B.toarray() * self.problem.motion_scale)
         blocks, least = TOL.load_blocks + before, (TOL.taken_up_to * (1 + 0.5 * before) * self.high) ** -2
-        lanczos = BlockLanczos(flexibility, M, X, capacity=min(TOL.mode_steps * X.shape[1], len(X)), budget=budget)
+        lanczos = BlockLanczos(flexibility, space, X, capacity=min(TOL.mode_steps * X.shape[1], len(X)))
         start = 0
         for step in range(TOL.mode_steps):
             if lanczos.full() or not lanczos.pending.shape[1]:
@@ -279,7 +279,7 @@ class GreedySearch:
         kinds = ("rigid",) * rigid + ("elastic",) * (self.deflated - rigid) + ("krylov",) * (high - self.deflated)
         proof = bound.proof(self.damping(self.training[0]))
         return ParametricBasis(
-            V=multiply(self.space.columns(), T[:, :high], self.problem.budget),
+            V=self.problem.space.multiply(self.space.columns(), T[:, :high]),
             kinds=kinds,
             model=replace(model, bound=bound),
             box_bound=worst.value,

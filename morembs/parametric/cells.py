@@ -25,11 +25,11 @@ import scipy.sparse.linalg as spl
 from numpy.typing import NDArray
 
 from morembs.base import progress
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError, SingularMatrixError
 from morembs.base.types import Floats, Ints
-from morembs.linalg.columns import map_columns, symmetric
+from morembs.linalg.columns import symmetric
 from morembs.linalg.dynamic_stiffness import with_fixed_rows
+from morembs.linalg.space import Columns
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
@@ -207,7 +207,8 @@ class Proofs:
     ) -> bool:
         """As the function of that name, and counted."""
         self.count += 1
-        return is_positive(A, self.problem.solver, rows, W=W, sigma=sigma, budget=self.problem.budget)
+        with self.problem.budget.in_use():
+            return is_positive(A, self.problem.solver, rows, W=W, sigma=sigma)
 
     def _words(self, low: Floats, high: Floats) -> str:
         names = self.problem.box.names
@@ -215,13 +216,7 @@ class Proofs:
 
 
 def is_positive(
-    A: sp.csr_array,
-    solver: LinearSolver,
-    rows: Ints | None = None,
-    *,
-    W: Floats | None = None,
-    sigma: float = 0.0,
-    budget: Budget = UNLIMITED,
+    A: sp.csr_array, solver: LinearSolver, rows: Ints | None = None, *, W: Floats | None = None, sigma: float = 0.0
 ) -> bool:
     """Whether ``A`` + ``sigma`` W W', with ``rows`` held, has no negative eigenvalue, by a count of pivots."""
     lower = Lower.of(A, "a control matrix", regular=False)
@@ -233,7 +228,7 @@ def is_positive(
             return counter.negative_eigenvalues(lower, "a control matrix") == 0
         with counter.factorize(lower, "symmetric", "a control matrix") as factor:
             negative = factor.negative_pivots()
-            X = map_columns(factor.solve, W, budget)
+            X = Columns().map_columns(factor.solve, W)
     except SingularMatrixError:
         return False
     S = symmetric(np.eye(W.shape[1]) / sigma + W.T @ X)

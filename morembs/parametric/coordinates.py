@@ -6,29 +6,25 @@ from collections.abc import Callable
 
 import numpy as np
 import scipy.linalg as sl
-import scipy.sparse as sp
 
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.types import Floats
-from morembs.linalg.columns import dot, m_norms, orthonormal, project_out, subtract, symmetric
+from morembs.linalg.columns import m_norms, orthonormal, symmetric
+from morembs.linalg.space import Space
 from morembs.parametric.tolerances import TOL
 
 
 class LoadCoordinates:
-    """Coordinates of loads in the norm f' G f, with the flexibility G = ``flexibility`` of ``K`` (Nc, Nc) on a subspace
-    where K is positive definite: an orthonormal basis of the motions G f grows with the loads.
+    """Coordinates of loads in the norm f' G f, with the flexibility G = ``flexibility`` of K (Nc, Nc) on a subspace
+    where K, the inner product of ``space``, is positive definite: an orthonormal basis of the motions G f grows with
+    the loads.
 
-    Peak memory: the basis, where ``budget`` wants it, and a block of loads (Casenave, Ern and Lelievre 2014).
+    Peak memory: the basis, where its budget wants it, and a block of loads (Casenave, Ern and Lelievre 2014).
     """
 
     def __init__(
-        self,
-        flexibility: Callable[[Floats], Floats],
-        K: sp.csr_array,
-        budget: Budget = UNLIMITED,
-        cut: float = TOL.dependent_column,
+        self, flexibility: Callable[[Floats], Floats], space: Space, cut: float = TOL.dependent_column
     ) -> None:
-        self.flexibility, self.K, self.budget, self.cut = flexibility, K, budget, cut
+        self.flexibility, self.space, self.K, self.cut = flexibility, space, space.M, cut
         self.basis: list[Floats] = []
 
     @property
@@ -40,18 +36,18 @@ class LoadCoordinates:
         """Coordinates (q, k) of ``loads`` (Nc, k), which join the basis, and norms (k,) of what is left out: below
         ``cut`` times ``scale`` (k,)."""
         Z = np.asfortranarray(self.flexibility(loads))
-        known = project_out(self.basis, Z, self.K, budget=self.budget)
+        known = self.space.project_out(self.basis, Z)
         G = symmetric(Z.T @ (self.K @ Z))
         values, U = sl.eigh(G / np.outer(scale, scale))
         good = values > self.cut**2
         new = np.zeros((0, Z.shape[1]))
         if good.any():
             Q = (Z / scale) @ (U[:, good] / np.sqrt(values[good]))
-            project_out(self.basis, Q, self.K, budget=self.budget)
+            self.space.project_out(self.basis, Q)
             Q = orthonormal(Q, self.K)
-            self.basis.append(self.budget.store(np.asfortranarray(Q)))
-            new = dot(Q, self.K @ Z)
-            subtract(Q, new, Z)
+            self.basis.append(self.space.budget.store(np.asfortranarray(Q)))
+            new = self.space.dot(Q, self.K @ Z)
+            self.space.subtract(Q, new, Z)
         return np.vstack([known, new]), m_norms(Z, self.K @ Z)
 
 

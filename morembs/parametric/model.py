@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
-from morembs.linalg.columns import projected, symmetric, without_rigid_motion
+from morembs.linalg.columns import symmetric, without_rigid_motion
 from morembs.linalg.eigen import accurate_eigh
 from morembs.parametric.law import Law
 from morembs.parametric.parameter import DAMPING, Box
@@ -274,9 +274,9 @@ def parametric_model(problem: AffineProblem, V: Floats, bound: Any = None, **mor
     Raises:
         SolverError: it does not span them.
     """
-    budget = problem.budget
+    space = problem.space
     K, M = (
-        np.array([projected(V, make(theta), budget) for theta in np.eye(len(law.factors))])
+        np.array([space.project(V, make(theta)) for theta in np.eye(len(law.factors))])
         for make, law in ((problem.stiffness_sum, problem.law_K), (problem.mass_sum, problem.law_M))
     )
     return ParametricModel(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.linalg.columns import complement, dot, fix_signs, hstack, multiply_into, symmetric
+from morembs.linalg.columns import symmetric
 from morembs.linalg.congruence import weighted_row_sums
 from morembs.linalg.rigid import EPS, ROUND_OFF
 from morembs.linalg.statics import ConstrainedStatics
@@ -31,7 +33,7 @@ class GlobalSpace:
     """
 
     def __init__(self, problem: AffineProblem, cut: float = TOL.dependent_column, loose: Problem | None = None) -> None:
-        self.problem, self.loose, budget = problem, loose, problem.budget
+        self.problem, self.loose = problem, loose
         self.K, statics = (problem.K, problem.statics) if loose is None else (loose.K, loose.statics)
         Nc = self.K.shape[0]
         self.supports = statics.supports
@@ -39,7 +41,7 @@ class GlobalSpace:
         held = sp.csc_array((np.ones(count), (self.supports, np.arange(count))), shape=(Nc, count))
         self.held = ConstrainedStatics(statics, held, "the supports") if count else None
         self.coordinates = LoadCoordinates(
-            self.held.flexibility if self.held is not None else statics.apply, self.K, budget, cut
+            self.held.flexibility if self.held is not None else statics.apply, replace(problem.space, M=self.K), cut
         )
         self.V: list[Floats] = []
         self._K: list[list[Floats]] = [[] for _ in problem.K_terms]
@@ -86,22 +88,22 @@ class GlobalSpace:
     def _rigid(self) -> Floats:
         """Coordinates (n, 6, 1 + morphs) of the rigid motions at all values."""
         problem, V, terms = self.problem, self.columns(), np.moveaxis(self.problem.rigid_terms, 2, 0)
-        return np.stack([dot(V, problem.M @ np.asfortranarray(R), problem.budget) for R in terms], axis=2)
+        return np.stack([problem.space.dot(V, problem.M @ np.asfortranarray(R)) for R in terms], axis=2)
 
     def add(self, X: Floats) -> int:
         """Number of columns that ``X`` (Nc, k), overwritten, adds."""
         problem = self.problem
-        X = complement(self.V, X, problem.M, problem.budget)
+        X = problem.space.complement(self.V, X)
         if not X.shape[1]:
             return 0
         Y = sl.eigh(symmetric(X.T @ (problem.K @ X)))[1]
-        multiply_into(X, Y, X, problem.budget)
-        self._append(fix_signs(X, problem.budget))
+        problem.space.multiply_into(X, Y, X)
+        self._append(problem.space.fix_signs(X))
         return int(X.shape[1])
 
     def _append(self, X: Floats) -> None:
-        problem, budget = self.problem, self.problem.budget
-        self.V.append(budget.store(X))
+        problem, space = self.problem, self.problem.space
+        self.V.append(space.budget.store(X))
         energy = np.sqrt(np.einsum("ij,ij->j", X, problem.K @ X).clip(0) + self.floor)
         every = (
             (problem.K_terms, self._K, self._K_parts, self._K_rest, energy),
@@ -113,14 +115,14 @@ class GlobalSpace:
         for size, weights, rounding, (terms, reduced, parts, rests, scale) in kinds:
             for q, A in enumerate(terms):
                 WX = np.asfortranarray(weights[q][:, None] * X)
-                rounding[q].append(np.vstack([dot(V, WX, budget) for V in self.V]))
+                rounding[q].append(np.vstack([space.dot(V, WX) for V in self.V]))
                 AX = np.asfortranarray(A @ X)
-                reduced[q].append(np.vstack([dot(V, AX, budget) for V in self.V]))
+                reduced[q].append(np.vstack([space.dot(V, AX) for V in self.V]))
                 # A term counts with its coefficient; polynomials are of order one.
                 C, rest = self.coordinates.of(AX, scale / size[q])
                 parts[q].append(C)
                 rests[q].append(rest)
-                budget.release_if_tight()
+                space.budget.release_if_tight()
 
     def reduced(self) -> ParametricModel:
         """The reduced model of all columns."""
@@ -145,7 +147,7 @@ class GlobalSpace:
 
     def columns(self) -> Floats:
         """V (Nc, n)."""
-        return hstack(*self.V, budget=self.problem.budget)
+        return self.problem.space.hstack(*self.V)
 
     def bound(
         self, cells: BoxCells, F: Floats, *, sigma: float, highest: float, soft: Floats, eps: float = 0.0

@@ -12,8 +12,8 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError
+from morembs.base.former_names import with_budget_argument
 from morembs.base.types import Floats
 from morembs.fem import FEModel, skew
 from morembs.fem.assembly import mass_matrix
@@ -41,20 +41,20 @@ class AffineProblem(Problem):
     (48, 48)
     """
 
+    @with_budget_argument
     def __init__(
         self,
         varied: VariedModel,
         interfaces: Sequence[Interface] = (),
         *,
         damping: Damping | None = None,
-        budget: Budget | None = None,
         model: FEModel | None = None,
         output: Path | None = None,
         **options: Any,
     ) -> None:
         nominal = varied.box.nominal
         bare, varied = varied, with_springs(varied, interfaces)
-        model = varied.model(nominal, budget or UNLIMITED) if model is None or varied is not bare else model
+        model = varied.model(nominal) if model is None or varied is not bare else model
         self.output = output
         self.varied, self.box, self.parameters = varied, varied.box, varied.parameters
         _refuse_bent(varied, interfaces)
@@ -65,7 +65,7 @@ class AffineProblem(Problem):
                     "or structural in [damping], or no such parameter"
                 )
         given = self.box.damping(damping or Damping(), nominal)
-        super().__init__(model, interfaces, damping=given, budget=budget, **options)
+        super().__init__(model, interfaces, damping=given, **options)
         self._bare = bare
         if "spring" in self.box.kinds:
             self._refuse_lost()
@@ -92,16 +92,18 @@ class AffineProblem(Problem):
 
     def stiffness_sum(self, theta: Floats) -> sp.csr_array:
         """sum_q theta_q K_q (Nc, Nc) for any coefficients (Q,)."""
-        return self._coupled(self.varied.stiffness_sum(theta, self.budget))
+        with self.budget.in_use():
+            return self._coupled(self.varied.stiffness_sum(theta))
 
     def mass_sum(self, theta: Floats) -> sp.csr_array:
         """sum_j theta_j M_j (Nc, Nc) for any coefficients (J,)."""
-        return self._coupled(mass_matrix(self.varied.graph, self.varied.mass.combined(theta), self.budget))
+        with self.budget.in_use():
+            return self._coupled(mass_matrix(self.varied.graph, self.varied.mass.combined(theta)))
 
     def _coupled(self, A: sp.csr_array) -> sp.csr_array:
         A.eliminate_zeros()
         T = self.coupling.T
-        return A if T.shape[0] == T.shape[1] else congruence(T, A, self.budget)
+        return A if T.shape[0] == T.shape[1] else congruence(T, A)
 
     @property
     def eps(self) -> float:
@@ -164,9 +166,8 @@ class AffineProblem(Problem):
         """
         if not (self.morphs and "spring" in self.box.kinds) or self.rigid.shape[1]:
             return None
-        free = Problem(
-            self._bare.model(self.box.nominal, self.budget), self.interfaces, solver=self.solver, budget=self.budget
-        )
+        with self.budget.in_use():
+            free = Problem(self._bare.model(self.box.nominal), self.interfaces, solver=self.solver)
         if free.rigid.shape[1] == 6:
             return free
         free.close()
@@ -187,8 +188,9 @@ class AffineProblem(Problem):
 
     def at(self, p: Floats, *, assembled: bool = False) -> Problem:
         """The problem at ``p`` (P,), K and M being sums of the terms, or ``assembled`` by direct integration."""
-        model = (self.varied.assembled if assembled else self.varied.model)(p, self.budget)
-        return Problem(model, self.interfaces_at(p), solver=self.solver, damping=self.damping_at(p), budget=self.budget)
+        with self.budget.in_use():
+            model = (self.varied.assembled if assembled else self.varied.model)(p)
+            return Problem(model, self.interfaces_at(p), solver=self.solver, damping=self.damping_at(p))
 
     def interfaces_at(self, p: Floats) -> tuple[Interface, ...]:
         """The interfaces at ``p`` (P,), which a morph moves along."""

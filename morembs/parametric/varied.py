@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.former_names import with_budget_argument
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel, Mesh
 from morembs.fem.assembly import (
@@ -108,10 +108,10 @@ class VariedModel:
             points = tuple(each if not used else end for each, used, end in zip(points, linear, ends, strict=True))
         return Law(factors=factors, points=points)
 
-    def stiffness_sum(self, theta: Floats, budget: Budget = UNLIMITED) -> sp.csr_array:
+    def stiffness_sum(self, theta: Floats) -> sp.csr_array:
         """sum_q theta_q K_q (N, N) for any coefficients (Q,)."""
         own = len(self.stiffness)
-        K = stiffness_matrix(self.graph, self.stiffness.combined(theta[:own]), budget)
+        K = stiffness_matrix(self.graph, self.stiffness.combined(theta[:own]))
         return self._with_added(K, theta[own:])
 
     def _with_added(self, K: sp.csr_array, theta: Floats) -> sp.csr_array:
@@ -131,10 +131,10 @@ class VariedModel:
             for region, E, rho in zip(self.regions, self.young.tolist(), self.density.tolist(), strict=True)
         )
 
-    def model(self, p: Floats, budget: Budget = UNLIMITED) -> FEModel:
+    def model(self, p: Floats) -> FEModel:
         """The model at ``p`` (P,) from the terms."""
-        K = self.stiffness_sum(self.law_K(p), budget)
-        M = mass_matrix(self.graph, self.mass.combined(self.mass.law(p)), budget)
+        K = self.stiffness_sum(self.law_K(p))
+        M = mass_matrix(self.graph, self.mass.combined(self.mass.law(p)))
         return replace(self.outline(p), K=K, M=M)
 
     def outline(self, p: Floats) -> FEModel:
@@ -153,14 +153,10 @@ class VariedModel:
             warnings=self.warnings,
         )
 
-    def assembled(self, p: Floats, budget: Budget = UNLIMITED) -> FEModel:
+    def assembled(self, p: Floats) -> FEModel:
         """The model at ``p`` (P,) by direct integration, of which the terms know nothing."""
         model = assemble(
-            self.morph.moved(p),
-            self.materials(p),
-            mass_integration=self.mass_integration,
-            seams=self.seams,
-            budget=budget,
+            self.morph.moved(p), self.materials(p), mass_integration=self.mass_integration, seams=self.seams
         )
         return replace(model, K=self._with_added(model.K, self.law_K(p)[len(self.stiffness) :]))
 
@@ -172,6 +168,7 @@ class VariedModel:
         return groups, volume_ratios(self.morph, chosen, lambda block: (_mass_rule(block, self.mass_integration),))
 
 
+@with_budget_argument
 def varied_model(
     mesh: Mesh,
     materials: Sequence[Material],
@@ -180,7 +177,6 @@ def varied_model(
     tolerance: float = 1e-3,
     mass_integration: str = "element",
     seams: bool = False,
-    budget: Budget = UNLIMITED,
 ) -> VariedModel:
     """Affine terms of ``mesh`` with ``materials``, those of parameters replaced.
 
@@ -201,7 +197,7 @@ def varied_model(
         TOL.stiffness_share * tolerance,
         (TOL.wanted_share if len(morph.which) == 1 else TOL.stiffness_share) * tolerance,
     )
-    make = _Maker(morph, graph, regions, mass_integration, budget)
+    make = _Maker(morph, graph, regions, mass_integration)
     return VariedModel(
         parameters=tuple(parameters),
         box=box,
@@ -231,11 +227,8 @@ def _mass_rule(block: ElementBlock, mass_integration: str) -> Rule:
 class _Maker:
     """Integrates the terms of groups of elements that the same parameters change."""
 
-    def __init__(
-        self, morph: Morph, graph: sp.csr_array, regions: Sequence[Material], mass_integration: str, budget: Budget
-    ) -> None:
+    def __init__(self, morph: Morph, graph: sp.csr_array, regions: Sequence[Material], mass_integration: str) -> None:
         self.morph, self.graph, self.regions, self.mass_integration = morph, graph, regions, mass_integration
-        self.budget = budget
         self.owner = material_of_elements(morph.mesh, regions)
 
     def terms(self, of_region: Ints, points: int, *, stiffness: bool) -> AffineTerms:
@@ -284,7 +277,6 @@ class _Maker:
             mass_integration=self.mass_integration,
             chosen=chosen,
             weights=weights,
-            budget=self.budget,
         )
         return data
 

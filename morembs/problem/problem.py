@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.base.budget import Budget
+from morembs.base.budget import UNLIMITED, Budget, current_budget
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError, MorembsError, SingularMatrixError, SolverError
-from morembs.base.former_names import with_progress_argument
+from morembs.base.former_names import with_budget_argument, with_progress_argument
 from morembs.base.progress import listener, listening
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
@@ -21,14 +21,15 @@ from morembs.fem.fe_model import has_places
 from morembs.fem.interface import Coupling, Interface, couple
 from morembs.fem.mass import mass_properties
 from morembs.fem.rigid_residual import share_of_other_geometry
-from morembs.linalg.columns import dense, map_columns
+from morembs.linalg.columns import dense
 from morembs.linalg.congruence import congruence, scaled_row_sums
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
 from morembs.linalg.rigid import decimal_precision, has_stiffness
+from morembs.linalg.space import Space
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
-from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_count, room_for_factor
+from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_count
 from morembs.problem.damping import Damping as Damping
 from morembs.problem.rigid_motions import need_factor, nodes_of_rows, rigid_motions, terms_in_rows
 from morembs.problem.system import System
@@ -66,6 +67,7 @@ class Problem(Closing):
     """
 
     @with_progress_argument
+    @with_budget_argument
     def __init__(
         self,
         model: FEModel,
@@ -73,13 +75,13 @@ class Problem(Closing):
         *,
         solver: LinearSolver | None = None,
         damping: Damping | None = None,
-        budget: Budget | None = None,
         workers: int = 1,
     ) -> None:
         self.model = model
         self.interfaces = tuple(interfaces)
         self.solver = solver if solver is not None else select_solver()
-        self.budget = budget if budget is not None else Budget(self.solver.memory, self.solver.scratch)
+        budget = current_budget()
+        self.budget = Budget(self.solver.memory, self.solver.scratch) if budget is UNLIMITED else budget
         self.damping = damping if damping is not None else Damping()
         if self.damping.structural and any(A is not None for A in (model.D, model.G, model.N)):
             raise InputError(
@@ -89,35 +91,33 @@ class Problem(Closing):
         # Modes that are computed where nobody listens are heard by whoever listens now.
         self.listener, self.workers = listener(), workers
         self.coupling: Coupling = couple(model, self.interfaces)
-        T = self.coupling.T
-        square = T.shape[0] == T.shape[1]
-        self.K, self.M = (A if square else congruence(T, A, self.budget) for A in (model.K, model.M))
-        self.D = model.D if model.D is None or square else congruence(T, model.D, self.budget)
-        self.G, self.N = (
-            A if A is None or square else congruence(T, A, self.budget, skew=True) for A in (model.G, model.N)
-        )
         self.B = self.coupling.B
-        self.budget.release_pages()
-        self.stiffness = DynamicStiffness(
-            self.K,
-            self.M,
-            self.D,
-            G=self.G,
-            N=self.N,
-            solver=self.solver,
-            budget=self.budget,
-            regular=has_places(model),
-        )
-        self.budget.release_pages()
+        with self.budget.in_use():
+            self._couple()
         if not need_factor(model, self.K):
             self._refuse_free_flutter()
         self._elastic: Modes | None = None
         self._fixed: Modes | None = None
         self._shared: dict[object, Any] = {}
 
+    def _couple(self) -> None:
+        """Make the matrices of the coupled dofs."""
+        model, T = self.model, self.coupling.T
+        square = T.shape[0] == T.shape[1]
+        self.K, self.M = (A if square else congruence(T, A) for A in (model.K, model.M))
+        self.D = model.D if model.D is None or square else congruence(T, model.D)
+        self.G, self.N = (A if A is None or square else congruence(T, A, skew=True) for A in (model.G, model.N))
+        self.budget.release_pages()
+        self.stiffness = DynamicStiffness(
+            self.K, self.M, self.D, G=self.G, N=self.N, solver=self.solver, regular=has_places(model)
+        )
+        self.space = Space(self.M)
+        self.budget.release_pages()
+
     @cached_property
     def _motions(self) -> tuple[Floats, Floats]:
-        return rigid_motions(self.model, self.coupling, self.K, self.M, self.solver, self.budget)
+        with self.budget.in_use():
+            return rigid_motions(self.model, self.coupling, self.K, self.M, self.solver)
 
     @property
     def rigid(self) -> Floats:
@@ -225,7 +225,7 @@ class Problem(Closing):
             damping=self.damping,
             damps_rigid_motion=self.damps_rigid_motion,
             stiffness=self.stiffness,
-            budget=self.budget,
+            space=self.space,
         )
 
     @cached_property
@@ -271,7 +271,7 @@ class Problem(Closing):
         Without a solution of its own where the body has been held at its interfaces before.
         """
         if "internal" not in self.__dict__:
-            return map_columns(self.elastic.flexibility, self.B, self.budget, width=self.statics.columns(5))
+            return self.space.map_columns(self.elastic.flexibility, self.B, width=self.statics.columns(5))
         known, width = self.internal.X, self.statics.columns(5)
         X = self.budget.empty(known.shape, order="F")
         for at in range(0, X.shape[1], width):
@@ -286,7 +286,8 @@ class Problem(Closing):
             BudgetError: as said.
         """
         if self.budget.memory is not None:
-            require_room_to_count(self.solver, self.stiffness.lower, room_for_factor(self.budget), self.budget)
+            with self.budget.in_use():
+                require_room_to_count(self.solver, self.stiffness.lower, self.budget.room_for_factor())
 
     def elastic_modes(self, *, count: int | None = None, below: float | None = None) -> Modes:
         """Free-free elastic modes: the lowest ``count`` or all up to ``below`` (rad/s)2; kept for later calls."""

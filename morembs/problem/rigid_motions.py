@@ -12,7 +12,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from morembs.base.budget import Budget
+from morembs.base.budget import current_budget
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel
@@ -34,7 +34,7 @@ def need_factor(model: FEModel, K: sp.csr_array) -> bool:
 
 
 def rigid_motions(
-    model: FEModel, coupling: Coupling, K: sp.csr_array, M: sp.csr_array, solver: LinearSolver, budget: Budget
+    model: FEModel, coupling: Coupling, K: sp.csr_array, M: sp.csr_array, solver: LinearSolver
 ) -> tuple[Floats, Floats]:
     """M-orthonormal bases of the rigid motions (Nc, r) that K leaves free of strain and (Nc, h) that it holds.
 
@@ -44,20 +44,20 @@ def rigid_motions(
         SolverError: a large model without places, of which K cannot be factorised.
     """
     Phi, massless = _independent_motions(coupling.R, M)
-    budget.release_pages()
+    current_budget().release_pages()
     # One matrix at a time has its pages in memory.
     size, last = terms_in_rows(model, coupling, model.K, Phi), max(decimal_precision(model.K.data), model.strained)
-    budget.release_pages()
+    current_budget().release_pages()
     rows = nodes_of_rows(model, coupling)
     free, held = rigid_null_space(K, Phi, size, rows, last)
     if massless.shape[1]:
         loose = rigid_null_space(K, massless, terms_in_rows(model, coupling, model.K, massless), rows, last)[0].shape[1]
         _refuse_massless(loose)
-    budget.release_pages()
+    current_budget().release_pages()
     if has_places(model):
         _refuse_free_parts(model, coupling, K, Phi, free.shape[1], last)
     else:
-        Z = null_space(K, solver.with_memory(budget.left()), last)
+        Z = null_space(K, solver.with_memory(current_budget().left()), last)
         if Z.shape[1] > free.shape[1]:
             free, held = Z, Phi[:, :0]
     return _orthonormal(free, M), _orthonormal(held, M)

@@ -18,8 +18,8 @@ from morembs.base.memory import resident_bytes
 from morembs.base.types import Floats, Values
 from morembs.base.units import in_hz
 from morembs.base.worker_pool import WorkerPool
-from morembs.linalg.columns import map_columns
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
+from morembs.linalg.space import Space
 from morembs.linalg.sparse.solver import STRUCTURES
 from morembs.problem.damping import Damping
 
@@ -54,7 +54,7 @@ class System:
     damping: Damping
     damps_rigid_motion: bool
     stiffness: DynamicStiffness
-    budget: Budget
+    space: Space
 
     def apply(self, s: complex, X: Values, *, transposed: bool = False) -> Values:
         """A(s) X (Nc, k), or A(s)' X, without proportional damping."""
@@ -79,7 +79,7 @@ class System:
                 ``BACKWARD_ERROR``.
         """
         c, at = self._undamped(s, damped)
-        self.budget.release_pages()
+        self.space.budget.release_pages()
         with self.stiffness.factorize(at) as factor:
 
             def solve(F: Values, *, transposed: bool = False) -> Values:
@@ -89,7 +89,7 @@ class System:
                     self._refuse_inaccurate(at, F, X, transposed)
                     return X
 
-                return self.elastic_part(map_columns(block, F, self.budget, factor.dtype))
+                return self.elastic_part(self.space.map_columns(block, F, dtype=factor.dtype))
 
             yield solve
 
@@ -129,7 +129,7 @@ class System:
 
         They share (system, ``others``). As many run as have room within the budget, ``workers`` at most.
         """
-        budget, workers = self.budget, max(1, min(workers, len(points)))
+        budget, workers = self.space.budget, max(1, min(workers, len(points)))
         share = None
         if budget.memory is not None and workers > 1:
             structures = [self.stiffness.structure_at(self._undamped(s, damped)[1]) for s in points]
@@ -151,7 +151,8 @@ class System:
         if workers == 1:
             return WorkerPool((self, others))
         own = Budget(share, budget.scratch, in_memory=budget.in_memory, widest=budget.widest)
-        there = replace(self, stiffness=self.stiffness.for_worker(own), budget=own)
+        with own.in_use():
+            there = replace(self, stiffness=self.stiffness.for_worker(), space=Space(self.M))
         return WorkerPool((there, others), workers, scratch=budget.scratch)
 
 

@@ -20,8 +20,8 @@ from morembs.base.limits import PositiveCount, RelativeError, one_of
 from morembs.base.types import Floats, Values
 from morembs.base.units import in_hz
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
-from morembs.linalg.columns import multiply, project_out, projected
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
+from morembs.linalg.space import Space
 from morembs.linalg.sparse.select import select_solver
 from morembs.problem import Damping, Problem, System
 from morembs.reducers.base import Basis, elastic_basis
@@ -62,7 +62,7 @@ class _Gramian:
         """Z C as columns (Nc, j)."""
         if self.reference is not None:
             return self.reference.vectors(Z @ C)
-        return multiply(Z, C, problem.budget)
+        return problem.space.multiply(Z, C)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,16 +158,16 @@ class Balanced(OfResponses):
                 _loads(problem),
                 tolerance=self.adi_tolerance,
                 max_steps=self.adi_steps,
-                budget=problem.budget,
+                space=problem.space,
             )
-        M, K, budget, (alpha, beta) = problem.M, problem.K, problem.budget, _rayleigh(problem)
+        M, K, space, (alpha, beta) = problem.M, problem.K, problem.space, _rayleigh(problem)
         Zp, Zv = gramian.Zp, gramian.Zv
-        Mpp, Mpv, Mvv = projected(Zp, M, budget), projected(Zv, M, budget, Zp), projected(Zv, M, budget)
+        Mpp, Mpv, Mvv = space.project(Zp, M), space.project(Zv, M, Zp), space.project(Zv, M)
         Dpp, Dpv = alpha * Mpp, alpha * Mpv
         if beta:
-            Dpp, Dpv = Dpp + beta * projected(Zp, K, budget), Dpv + beta * projected(Zv, K, budget, Zp)
+            Dpp, Dpv = Dpp + beta * space.project(Zp, K), Dpv + beta * space.project(Zv, K, Zp)
         if problem.D is not None:
-            Dpp, Dpv = Dpp + projected(Zp, problem.D, budget), Dpv + projected(Zv, problem.D, budget, Zp)
+            Dpp, Dpv = Dpp + space.project(Zp, problem.D), Dpv + space.project(Zv, problem.D, Zp)
         notes = {
             **notes,
             "gramian": "low-rank ADI over all frequencies",
@@ -295,7 +295,9 @@ def _damped_system(problem: Problem) -> Iterator[tuple[System, dict[str, object]
     elif solver is problem.solver:
         yield system, notes
         return
-    with DynamicStiffness(problem.K, problem.M, D, solver=solver, budget=problem.budget) as stiffness:
+    with problem.budget.in_use():
+        pencil = DynamicStiffness(problem.K, problem.M, D, solver=solver)
+    with pencil as stiffness:
         yield replace(system, stiffness=stiffness), notes
 
 
@@ -328,7 +330,7 @@ def _two_sided(
     W = gramian.lift(gramian.Zp, cut.left if cut.left is not None else cut.right, problem)
     V_velocity = None if cut.velocity is None else gramian.lift(gramian.Zv, cut.velocity, problem)
     for X in (right, W, *([] if V_velocity is None else [V_velocity])):
-        project_out(Z, X, M)
+        Space(M).project_out(Z, X)
     notes = {**notes, "stability": "all poles checked; this variant does not guarantee it at other orders"}
     return two_sided_basis(
         problem,

@@ -18,17 +18,7 @@ from morembs.base.summary import hertz, kinds_words, summarised
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz
 from morembs.fem.fe_model import STRUCTURAL, WITHOUT_MASS
-from morembs.linalg.columns import (
-    complement,
-    dot,
-    fix_signs,
-    hstack,
-    multiply,
-    multiply_into,
-    projected,
-    symmetric,
-    without_rigid_motion,
-)
+from morembs.linalg.columns import fix_signs, symmetric, without_rigid_motion
 from morembs.linalg.complex_modes import small_complex_modes
 from morembs.linalg.eigen import accurate_eigh
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
@@ -39,8 +29,8 @@ from morembs.responses.massless import massless_motions, massless_words
 if TYPE_CHECKING:
     import scipy.sparse as sp
 
-    from morembs.base.budget import Budget
     from morembs.fem.stress_operator import StressOperator
+    from morembs.linalg.space import Space
     from morembs.parametric.model import ParametricModel
     from morembs.reducers.switching_tables import StaticModeTables
 
@@ -295,28 +285,28 @@ class Reducer(ABC):
             raise SolverError(
                 f'method "{self.method}" gave a basis of {basis.V.shape[1]} columns and a stiffness {basis.K.shape}'
             )
-        V, budget = basis.V, problem.budget
+        V, space = basis.V, problem.space
         outputs = _interface_motions(basis, problem)
         if basis.W is None:
-            M = projected(V, problem.M, budget)
+            M = space.project(V, problem.M)
             _refuse_singular_mass(self.method, M, basis.kinds)
             K = without_rigid_motion(symmetric(basis.K), M, basis.rigid)
             B = outputs.T
         else:
             V_velocity = V if basis.V_velocity is None else basis.V_velocity
-            M, K = projected(V_velocity, problem.M, budget, basis.W), basis.K
+            M, K = space.project(V_velocity, problem.M, basis.W), basis.K
             B = np.asarray((problem.B.T @ basis.W).T)
         _refuse_wrong_stiffness(self.method, replace(basis, K=K), M, problem)
         # Velocities see the stiffness through their own basis.
-        slow = K if basis.V_velocity is None else projected(basis.V_velocity, problem.K, budget, basis.W)
+        slow = K if basis.V_velocity is None else space.project(basis.V_velocity, problem.K, basis.W)
         D = problem.damping.matrix(M, slow, basis.rigid, basis.W is None)
         if problem.D is not None:
-            D = D + projected(V if basis.V_velocity is None else basis.V_velocity, problem.D, budget, basis.W)
+            D = D + space.project(V if basis.V_velocity is None else basis.V_velocity, problem.D, basis.W)
         W = basis.W if problem.symmetric else V
         if problem.G is not None:
-            D = D + _skew_projected(V, problem.G, budget)
+            D = D + _skew_projected(space, V, problem.G)
         if problem.N is not None:
-            K = K + _skew_projected(V, problem.N, budget)
+            K = K + _skew_projected(space, V, problem.N)
         options = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
         structural = problem.damping.structural
         recipe = {"method": self.method, **options, **basis.notes, **({STRUCTURAL: structural} if structural else {})}
@@ -360,9 +350,9 @@ def _refuse_singular_mass(method: str, M: Floats, kinds: Sequence[str]) -> None:
         ) from error
 
 
-def _skew_projected(V: Floats, A: sp.csr_array, budget: Budget) -> Floats:
+def _skew_projected(space: Space, V: Floats, A: sp.csr_array) -> Floats:
     """V' A V (n, n) of a skew-symmetric ``A``, skew to the last bit."""
-    P = projected(V, A, budget, V)
+    P = space.project(V, A, V)
     return np.asarray(0.5 * (P - P.T))
 
 
@@ -388,9 +378,9 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
     scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.maximum(values, lowest), noise), np.finfo(float).tiny))
     # Signs that no structure of a basis has.
     x = Y @ (scale * np.where(np.arange(1, n + 1) ** 2 * 0.6180339887 % 1 < 0.5, -1.0, 1.0))
-    Vx = multiply_into(V, x[:, None], np.empty((len(V), 1)), problem.budget)
+    Vx = problem.space.multiply_into(V, x[:, None], np.empty((len(V), 1)))
     given = K @ x
-    true = dot(W, problem.K @ Vx, problem.budget)[:, 0]
+    true = problem.space.dot(W, problem.K @ Vx)[:, 0]
     off = float(np.linalg.norm(scale * (Y.T @ (true - given))))
     if not off <= TOL.stiffness_error * max(np.linalg.norm(scale * (Y.T @ given)), np.sqrt(n)):
         raise SolverError(
@@ -431,17 +421,17 @@ def elastic_basis(problem: Problem, X: Floats, kind: str, notes: Mapping[str, ob
 
     ``X`` (Nc, j) is overwritten; dependent columns are dropped. ``notes`` join the recipe of the body.
     """
-    V = complement(problem.rigid, X, problem.M, problem.budget)
+    V = problem.space.complement(problem.rigid, X)
 
     def stiffness(Y: Floats) -> Floats:
-        return projected(multiply(V, Y, problem.budget), problem.K, problem.budget)
+        return problem.space.project(problem.space.multiply(V, Y), problem.K)
 
-    values, Y = accurate_eigh(projected(V, problem.K, problem.budget), projected=stiffness)
-    multiply_into(V, Y, V, problem.budget)
-    V = fix_signs(V, problem.budget)
+    values, Y = accurate_eigh(problem.space.project(V, problem.K), projected=stiffness)
+    problem.space.multiply_into(V, Y, V)
+    V = problem.space.fix_signs(V)
     r, m = problem.rigid.shape[1], V.shape[1]
     return Basis(
-        V=hstack(problem.rigid, V, budget=problem.budget),
+        V=problem.space.hstack(problem.rigid, V),
         kinds=("rigid",) * r + (kind,) * m,
         K=np.diag(np.concatenate([np.zeros(r), values])),
         rigid=np.eye(r + m, r),
@@ -456,7 +446,7 @@ def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to:
     stiffness. In exact arithmetic they are K-orthogonal to the basis; columns that are nearly dependent
     are not, so their coupling is projected, not assumed to be zero. There are no more than the basis leaves room for.
     """
-    W = complement(orthogonal_to, W, problem.M, problem.budget)
+    W = problem.space.complement(orthogonal_to, W)
     W = W[:, : max(len(W) - basis.V.shape[1], 0)]
     if not W.shape[1]:
         return basis
@@ -469,7 +459,7 @@ def add_residual_modes(problem: Problem, basis: Basis, W: Floats, orthogonal_to:
     KW = problem.K @ W
     cross = basis.V.T @ KW
     return Basis(
-        V=hstack(basis.V, W, budget=problem.budget),
+        V=problem.space.hstack(basis.V, W),
         kinds=basis.kinds + ("attachment",) * W.shape[1],
         K=np.block([[basis.K, cross], [cross.T, W.T @ KW]]),
         rigid=np.vstack([basis.rigid, np.zeros((W.shape[1], basis.rigid.shape[1]))]),

@@ -148,7 +148,8 @@ def _operator(problem: Problem, rows: Ints) -> StressOperator:
         mesh=model.mesh,
         materials=model.materials,
     )
-    return stress_operator(whole, rows, budget=problem.budget)
+    with problem.budget.in_use():
+        return stress_operator(whole, rows)
 
 
 def chain(xyz: Floats, ids: Ints) -> Ints:

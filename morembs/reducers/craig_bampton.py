@@ -21,7 +21,6 @@ import scipy.linalg as sl
 
 from morembs.base.errors import InputError
 from morembs.base.limits import Count, PositiveHertz
-from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, add_residual_modes
 from morembs.reducers.families import OfModes, squared
@@ -87,7 +86,7 @@ class CraigBampton(OfModes):
         count = self._beside_inertia(inputs, "interface dof")
         fixed = problem.fixed_modes(count=count, below=below)
         constraint, condensed = problem.constraint_modes()
-        V = hstack(constraint, fixed.vectors, budget=problem.budget)
+        V = problem.space.hstack(constraint, fixed.vectors)
         constraint = V[:, :inputs]
         problem.keep_constraint_modes(constraint, condensed)
         basis = Basis(
@@ -123,7 +122,7 @@ class CraigBampton(OfModes):
                     "missing, and more under loads that vary within an interface"
                 )
             basis = Basis(
-                V=hstack(problem.rigid, few.vectors, fixed.vectors, budget=problem.budget),
+                V=problem.space.hstack(problem.rigid, few.vectors, fixed.vectors),
                 kinds=("rigid",) * r + ("characteristic",) * (k - r) + ("fixed-interface",) * m,
                 K=np.diag(np.concatenate([np.zeros(r), few.eigenvalues, fixed.eigenvalues])),
                 rigid=np.eye(k + m, r),

@@ -12,7 +12,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, add_residual_modes
 from morembs.reducers.families import OfModes
@@ -38,7 +37,7 @@ class FreeInterface(OfModes):
         Psi = problem.elastic.flexibility(problem.B.toarray())
         r, m = rigid.shape[1], Phi.shape[1]
         modes = Basis(
-            V=hstack(rigid, Phi, budget=problem.budget),
+            V=problem.space.hstack(rigid, Phi),
             kinds=("rigid",) * r + ("elastic",) * m,
             K=np.diag(np.concatenate([np.zeros(r), free.eigenvalues])),
             rigid=np.eye(r + m, r),

@@ -29,9 +29,10 @@ from morembs.base.errors import InputError
 from morembs.base.limits import PositiveCount, number, one_of
 from morembs.base.types import Floats
 from morembs.base.worker_pool import WorkerPool
-from morembs.linalg.columns import hstack, m_norms, map_columns, orthonormal, project_out
+from morembs.linalg.columns import m_norms, orthonormal
 from morembs.linalg.gramians import StreamedSVD, WeightedSVD, snapshot_factor
 from morembs.linalg.quadrature import gauss, modal_poles, resonant
+from morembs.linalg.space import Space
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.families import OfResponses
@@ -141,10 +142,10 @@ class Gramian(OfResponses):
 
     def _direct(self, problem: Problem, low: float, high: float, mu: float, notes: dict[str, object]) -> Floats:
         """Basis (Nc, n) from solutions of the full equations. Peak memory: 2 p points columns of length Nc."""
-        M, budget = problem.M, problem.budget
+        M, space = problem.M, problem.space
         damping = problem.damping
         F = elastic_part(problem, unit_loads(problem, self.inertia_loads))
-        G = map_columns(problem.elastic.flexibility, F, budget)
+        G = space.map_columns(problem.elastic.flexibility, F)
         scale = load_scale(problem.motion_scale, F, G)
         F *= scale
         G *= scale
@@ -163,11 +164,11 @@ class Gramian(OfResponses):
                     self._refuse_statics(U, G, X)
                 yield self._factor(U[None], np.array(points[k : k + 1]), weights[k : k + 1])
 
-        svd = StreamedSVD(X, 2 * F.shape[1] * len(omega), budget)
+        svd = StreamedSVD(replace(space, M=X), 2 * F.shape[1] * len(omega))
         with states_pool(problem, points, F) as pool:
             first, V = self._pod(snapshots(pool), G, X, svd, notes)
         notes |= {"quadrature_points": len(omega), "delta_1_per_s": delta}
-        return hstack(first, V, budget=budget)
+        return space.hstack(first, V)
 
     def _factor(self, U: NDArray[Any], s: NDArray[Any], weights: Floats) -> Floats:
         """Snapshot factor of the states ``U`` (ns, n, p) at ``s`` (ns,), or of their velocities."""
@@ -186,7 +187,7 @@ class Gramian(OfResponses):
         energy = 0.0
         for S in snapshots:
             energy += float((m_norms(S, X @ S) ** 2).sum())
-            project_out(first, S, X)
+            Space(X).project_out(first, S)
             svd.add(S)
         tail = np.sqrt(np.append(np.cumsum(svd.sigma[::-1] ** 2)[::-1], 0.0) / energy)
         fixed, most = first.shape[1], first.shape[1] + len(svd.sigma)

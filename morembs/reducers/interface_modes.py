@@ -23,7 +23,7 @@ from morembs.base.closing import Closing
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.base.units import eigenvalue_in_hz
-from morembs.linalg.columns import dot, fix_signs, multiply_into, project_out, symmetric
+from morembs.linalg.columns import symmetric
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
 from morembs.linalg.lanczos import BlockLanczos, largest
@@ -62,9 +62,8 @@ class FixedInterfaceBody(Closing):
         kept = np.setdiff1d(np.arange(problem.K.shape[0]), rows)
         self.rows = kept
         self.M = sp.csr_array(problem.M[kept][:, kept])
-        inner = DynamicStiffness(
-            sp.csr_array(problem.K[kept][:, kept]), self.M, solver=problem.solver, budget=problem.budget
-        )
+        with problem.budget.in_use():
+            inner = DynamicStiffness(sp.csr_array(problem.K[kept][:, kept]), self.M, solver=problem.solver)
         self.statics = Statics(inner, np.zeros((len(kept), 0)))
         C = sp.csc_array(sp.csr_array(problem.B[:, mixed])[kept])
         self.constrained = ConstrainedStatics(self.statics, C, "the interfaces")
@@ -142,7 +141,7 @@ def static_error(problem: Problem, held: FixedInterfaceBody, modes: InterfaceMod
         ]
     )
     whole = np.einsum("ij,ij->j", F, _flexibility(problem, held)(F))
-    kept = dot(modes.vectors, F, problem.budget)
+    kept = problem.space.dot(modes.vectors, F)
     known = np.einsum("ij,ij->j", kept, kept / modes.eigenvalues[:, None]) if len(kept) else np.zeros(len(whole))
     # A load that inertia alone balances, or that is zero, has no compliance to speak of.
     real = whole > 1e-10 * whole.max(initial=0.0)
@@ -154,7 +153,7 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
     M = np.zeros_like(K)
     width = problem.budget.columns(len(Psi))
     for at in range(0, Psi.shape[1], width):
-        M[:, at : at + width] = dot(Psi, problem.M @ Psi[:, at : at + width], problem.budget)
+        M[:, at : at + width] = problem.space.dot(Psi, problem.M @ Psi[:, at : at + width])
     r = problem.rigid.shape[1]
     # Rigid-body motion is known and goes out before the eigenvalues are computed, which it would blur.
     scale = 1.0 / np.sqrt(np.diag(M))
@@ -166,11 +165,11 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
     if below is not None:
         kept = int((values <= below * (1 + GAP)).sum())
     out = problem.budget.empty((len(Psi), kept), order="F")
-    V = multiply_into(Psi, scale[:, None] * (Q @ Y[:, :kept]), out, problem.budget)
-    project_out(problem.rigid, V, problem.M)
+    V = problem.space.multiply_into(Psi, scale[:, None] * (Q @ Y[:, :kept]), out)
+    problem.space.project_out(problem.rigid, V)
     return InterfaceModes(
         eigenvalues=values[:kept],
-        vectors=fix_signs(V, problem.budget),
+        vectors=problem.space.fix_signs(V),
         next_hz=float(eigenvalue_in_hz(values[kept])) if kept < len(values) else None,
     )
 
@@ -182,7 +181,7 @@ def _lowest(
     rng = np.random.default_rng(3)
     start = flexibility(problem.M @ rng.standard_normal((problem.K.shape[0], TOL.block_columns)))
     wanted = 4 * TOL.block_columns if count is None else count + 1
-    lanczos = BlockLanczos(flexibility, problem.M, start, capacity=_capacity(wanted, most), budget=problem.budget)
+    lanczos = BlockLanczos(flexibility, problem.space, start, capacity=_capacity(wanted, most))
     while True:
         theta, V = largest(lanczos, wanted, what="characteristic modes")
         values = 1.0 / theta
@@ -194,9 +193,9 @@ def _lowest(
         lanczos.enlarge(_capacity(wanted, most))
     kept = count if count is not None else int((values <= below * (1 + GAP)).sum()) if below is not None else wanted
     V = V[:, :kept]
-    project_out(problem.rigid, V, problem.M)
+    problem.space.project_out(problem.rigid, V)
     return InterfaceModes(
-        eigenvalues=values[:kept], vectors=fix_signs(V, problem.budget), next_hz=float(eigenvalue_in_hz(values[kept]))
+        eigenvalues=values[:kept], vectors=problem.space.fix_signs(V), next_hz=float(eigenvalue_in_hz(values[kept]))
     )
 
 

@@ -24,7 +24,6 @@ from morembs.base.errors import InputError, nearest
 from morembs.base.limits import MOST_HZ, Hertz, PositiveCount, number
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
-from morembs.linalg.columns import complement, dot, hstack, map_columns, multiply_into, projected
 from morembs.linalg.second_order_arnoldi import PASSES
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, Reducer, elastic_basis
@@ -248,9 +247,9 @@ class _LoadSpace:
         self.lost = [] if bends.all() else [f"{(~bends).sum()} of the {name} do not deform the body"]
         F = F[:, bends]
         if inertia:
-            F = hstack(F, inertia_loads(problem), budget=problem.budget)
+            F = problem.space.hstack(F, inertia_loads(problem))
             if counts:
-                G = map_columns(problem.elastic.flexibility, F, problem.budget)
+                G = problem.space.map_columns(problem.elastic.flexibility, F)
                 F *= load_scale(np.ones(int(bends.sum())), F, G)
         if not F.shape[1]:
             raise InputError(f"none of the {name} deforms the body; choose other interfaces")
@@ -267,9 +266,7 @@ class _LoadSpace:
 
     def add(self, block: Floats) -> int:
         """Join the columns of ``block`` to the space; returns how many were in it already."""
-        new = complement(
-            [self.problem.rigid, self.V], np.array(block, order="F"), self.problem.M, self.problem.budget, passes=PASSES
-        )
+        new = self.problem.space.complement([self.problem.rigid, self.V], np.array(block, order="F"), passes=PASSES)
         self._room[:, self.size : self.size + new.shape[1]] = new
         self.size += new.shape[1]
         return int(block.shape[1] - new.shape[1])
@@ -297,7 +294,7 @@ class _LoadSpace:
             return np.asarray(F)
         width = problem.budget.columns(len(V))
         blocks = [slice(at, min(at + width, self.size)) for at in range(0, self.size, width)]
-        A = np.hstack([dot(V, problem.system.apply(s, V[:, block]), problem.budget) for block in blocks])
+        A = np.hstack([problem.space.dot(V, problem.system.apply(s, V[:, block])) for block in blocks])
         y = np.linalg.solve(A, V.T @ F)
         rest: NDArray[Any] = np.array(F, dtype=y.dtype)
         for block in blocks:
@@ -314,7 +311,7 @@ class _LoadSpace:
             raise InputError(
                 f"order = {order} was given, but the shifts and moments give {self.size} columns; lower it, or add some"
             )
-        values, Y = sl.eigh(projected(self.V, self.problem.K, self.problem.budget))
+        values, Y = sl.eigh(self.problem.space.project(self.V, self.problem.K))
         load = Y.T @ (self.V.T @ self.F)
         top = top or float(np.sqrt(values[0]))
         mu = (0.5 * top) ** 2
@@ -324,11 +321,8 @@ class _LoadSpace:
             samples += [x.real / np.linalg.norm(x), x.imag / np.linalg.norm(x)]
         R = sl.qr(np.hstack(samples).T, mode="r")[0]
         directions = np.linalg.svd(R[: self.size])[2][:order].T
-        multiply_into(
-            self.V,
-            sl.qr(Y @ (directions / np.sqrt(values + mu)[:, None]), mode="economic")[0],
-            self._room[:, :order],
-            self.problem.budget,
+        self.problem.space.multiply_into(
+            self.V, sl.qr(Y @ (directions / np.sqrt(values + mu)[:, None]), mode="economic")[0], self._room[:, :order]
         )
         self.size = order
 
@@ -344,9 +338,9 @@ def _two_sided(problem: Problem, V: Floats, W: Floats, notes: dict[str, object])
         # The smaller space takes directions of the other one, which loses no moment.
         small, large = (V, W) if V.shape[1] < W.shape[1] else (W, V)
         missing = large.shape[1] - small.shape[1]
-        more = complement(small, np.array(large, order="F"), problem.M, problem.budget, passes=PASSES)[:, :missing]
+        more = problem.space.complement(small, np.array(large, order="F"), passes=PASSES)[:, :missing]
         notes["filled"] = f"{missing} columns of the {'outputs' if small is V else 'inputs'} serve both sides"
-        joined = hstack(small, more, budget=problem.budget)
+        joined = problem.space.hstack(small, more)
         V, W = (joined, W) if small is V else (V, joined)
     U, cosines, T = np.linalg.svd(W.T @ (problem.M @ V))
     if cosines[-1] < TOL.paired_cosine:

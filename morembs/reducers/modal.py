@@ -8,7 +8,6 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from morembs.base.limits import one_of
-from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 from morembs.reducers.base import Basis
 from morembs.reducers.families import OfModes
@@ -53,7 +52,7 @@ class Modal(OfModes):
             rigid, kind = problem.rigid, "elastic"
         r, m = rigid.shape[1], len(modes.eigenvalues)
         return Basis(
-            V=hstack(rigid, modes.vectors, budget=problem.budget),
+            V=problem.space.hstack(rigid, modes.vectors),
             kinds=("rigid",) * r + (kind,) * m,
             K=np.diag(np.concatenate([np.zeros(r), modes.eigenvalues])),
             rigid=np.eye(r + m, r),

@@ -10,7 +10,6 @@ import scipy.linalg as sl
 from morembs.base.errors import SolverError
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
-from morembs.linalg.columns import hstack, multiply, projected
 from morembs.problem import Problem
 from morembs.reducers.base import Basis
 from morembs.reducers.tolerances import TOL
@@ -35,26 +34,26 @@ def two_sided_basis(
     Raises:
         SolverError: the reduced model is unstable.
     """
-    Z, budget = problem.rigid, problem.budget
+    Z, space = problem.rigid, problem.space
     r, n = Z.shape[1], V.shape[1]
     velocity = V if V_velocity is None else V_velocity
-    mass = projected(velocity, problem.M, budget, W)
+    mass = space.project(velocity, problem.M, W)
     if np.linalg.eigvalsh(mass + mass.T).min(initial=1.0) <= 0:
         # The same equations, solved for the accelerations: simulations want a positive mass.
-        W = multiply(W, np.asarray(np.linalg.inv(mass).T, dtype=np.float64), budget)
-        mass = projected(velocity, problem.M, budget, W)
+        W = space.multiply(W, np.asarray(np.linalg.inv(mass).T, dtype=np.float64))
+        mass = space.project(velocity, problem.M, W)
     K = np.zeros((r + n, r + n))
-    K[r:, r:] = projected(V, problem.K, budget, W)
+    K[r:, r:] = space.project(V, problem.K, W)
     # Stiffness damping acts on the columns of velocities.
-    stiffness = K[r:, r:] if V_velocity is None else projected(V_velocity, problem.K, budget, W)
+    stiffness = K[r:, r:] if V_velocity is None else space.project(V_velocity, problem.K, W)
     D = problem.damping.matrix(mass, stiffness, np.zeros((n, 0)), symmetric=False)
     if problem.D is not None:
-        D = D + projected(velocity, problem.D, budget, W)
+        D = D + space.project(velocity, problem.D, W)
     refuse_unstable(mass, D, K[r:, r:], what, instead)
     return Basis(
-        V=hstack(Z, V, budget=budget),
-        W=hstack(Z, W, budget=budget),
-        V_velocity=None if V_velocity is None else hstack(Z, V_velocity, budget=budget),
+        V=space.hstack(Z, V),
+        W=space.hstack(Z, W),
+        V_velocity=None if V_velocity is None else space.hstack(Z, V_velocity),
         K=K,
         kinds=("rigid",) * r + (kind,) * n,
         rigid=np.eye(r + n, r),

@@ -21,7 +21,6 @@ from morembs.base import progress
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.base.types import Floats, Values
 from morembs.base.units import in_hz
-from morembs.linalg.columns import complement, map_columns
 from morembs.linalg.second_order_arnoldi import PASSES, SecondOrderArnoldi
 from morembs.problem import Problem, System
 from morembs.problem.system import Solve
@@ -73,13 +72,13 @@ class KrylovChain:
 
     def _arnoldi(self, solve: Callable[[Values], Values]) -> None:
         """The orthonormal block is the next right-hand side: raw powers would lose directions after a few blocks."""
-        M, budget = self.system.M, self.system.budget
+        M, space = self.system.M, self.system.space
         W = solve(M @ self.blocks[-1] if self.blocks else self.F)
         width = W.shape[1]
-        W = complement(self.blocks, W, M, budget, passes=PASSES)
+        W = space.complement(self.blocks, W, passes=PASSES)
         self.deflated.append(width - W.shape[1])
         self.F = np.zeros((0, 0))
-        self.blocks.append(budget.store(np.asfortranarray(W)))
+        self.blocks.append(space.budget.store(np.asfortranarray(W)))
 
     def _second_order(self, solve: Callable[[Values], Values]) -> None:
         system, D = self.system, self.system.velocity_matrix
@@ -88,12 +87,7 @@ class KrylovChain:
                 raise InputError("the second-order Krylov space needs a damping matrix; this model has none")
             start, self.F = solve(self.F), np.zeros((0, 0))
             self.space = SecondOrderArnoldi(
-                system.M,
-                D.T if self.transposed else D,
-                start,
-                shift=self.s,
-                scale=self._scale(start),
-                budget=system.budget,
+                system.space, D.T if self.transposed else D, start, shift=self.s, scale=self._scale(start)
             )
         else:
             self.space.expand(solve)
@@ -197,7 +191,7 @@ class ExpansionPoint:
             return
         if flexibility is None:
             raise SolverError("statics are solved with the factor of the problem, not by other processes")
-        yield lambda F, *, transposed=False: system.elastic_part(map_columns(flexibility, F, system.budget))
+        yield lambda F, *, transposed=False: system.elastic_part(system.space.map_columns(flexibility, F))
 
     def _refuse_near_eigenvalue(self, chain: KrylovChain) -> None:
         """A mode that drowns the others shows as a Rayleigh quotient next to the shift."""

@@ -17,14 +17,12 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.base import progress
-from morembs.base.budget import Budget
 from morembs.base.errors import InputError
 from morembs.base.limits import Domain, Positive, PositiveCount, one_of
 from morembs.base.types import Floats
 from morembs.fem import FEModel
 from morembs.fem.interface import Interface
 from morembs.fem.stress_operator import StressOperator
-from morembs.linalg.columns import dot, subtract
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, ReducedModel, Reducer
 from morembs.reducers.candidates import NORMALS, Candidates
@@ -187,7 +185,7 @@ def _constant_flexibility(problem: Problem, reduced: ReducedModel) -> Callable[[
             # The second time takes round-off of the solve out.
             if factor is None:
                 break
-            subtract(W, sl.cho_solve(factor, dot(W, problem.K @ X, problem.budget)), X, problem.budget)
+            problem.space.subtract(W, sl.cho_solve(factor, problem.space.dot(W, problem.K @ X)), X)
         return X, whole
 
     return static
@@ -201,7 +199,7 @@ def _tables(
     stress: Callable[[Floats], Floats] | None,
 ) -> StaticModeTables:
     """All tables, a block of candidates at a time; only the band's columns before the block stay."""
-    budget = problem.budget
+    space, budget = problem.space, problem.budget
     T, M, V, c, w = problem.coupling.T, problem.M, reduced.V, candidates.count, candidates.width()
     B = sp.csc_array(T.T @ candidates.loads)
     Bt = sp.csr_array(B.T)
@@ -211,7 +209,7 @@ def _tables(
     width = max(1, min(TOL.columns_at_once, budget.columns(size, copies=8), c))
     kept, before = budget.empty((size, w + width), order="F"), 0
     moving = M @ problem.coupling.R[:, :3]
-    on_stress = _StressTable(candidates, w, budget) if stress is not None else None
+    on_stress = _StressTable(candidates, w, problem) if stress is not None else None
     for first in range(0, c, width):
         last = min(first + width, c)
         old = min(first, w)
@@ -220,9 +218,9 @@ def _tables(
             _keep_last(kept, old, before)
         kept[:, old : old + last - first] = Psi
         MPsi = M @ Psi
-        coupling[:, first:last] = dot(V, MPsi, budget)
+        coupling[:, first:last] = space.dot(V, MPsi)
         gravity[first:last] = Psi.T @ moving
-        inner = dot(kept[:, : old + last - first], MPsi, budget)
+        inner = space.dot(kept[:, : old + last - first], MPsi)
         rows = np.asarray(Bt[first - old : last] @ Psi)
         _into_band(R, rows, first - old, first, w)
         _into_band(Q, inner, first - old, first, w)
@@ -283,12 +281,12 @@ def _into_band(table: Floats, rows: Floats, row_first: int, first: int, w: int) 
 class _StressTable:
     """Stress at each node of the candidates in its band, single precision."""
 
-    def __init__(self, candidates: Candidates, w: int, budget: Budget) -> None:
+    def __init__(self, candidates: Candidates, w: int, problem: Problem) -> None:
         self.count, nodes = candidates.count, len(candidates.rows)
         self.width = min(candidates.count, 2 * w + 1)
         starts = np.searchsorted(candidates.node, np.arange(nodes))
         self.first = np.clip(starts - w, 0, candidates.count - self.width).astype(np.int64)
-        self.values = budget.empty((nodes, 6, self.width), np.float32)
+        self.values = problem.budget.empty((nodes, 6, self.width), np.float32)
 
     def add(self, stress: Floats, first: int) -> None:
         """Stresses (nodes, 6, k) of candidates from ``first`` on."""

@@ -22,7 +22,6 @@ from morembs.base.limits import DampingFloor
 from morembs.base.summary import summarised, upwards
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
-from morembs.linalg.columns import dot, subtract
 from morembs.linalg.congruence import scaled_row_sums
 from morembs.linalg.eigen import GAP
 from morembs.problem import Problem
@@ -324,7 +323,7 @@ class _Build:
         b = Y.T @ (S @ g) * problem.motion_scale
         W = lanczos.rest_vectors
         KW = problem.K @ W
-        cross = dot(lanczos.V[:, : lanczos.size], KW, problem.budget)
+        cross = problem.space.dot(lanczos.V[:, : lanczos.size], KW)
         gram = W.T @ KW - cross.T @ np.linalg.solve(S, cross)
         tau = root(gram) @ Y[lanczos.last]
         w = np.linspace(*self.band, TOL.growth_samples)
@@ -404,7 +403,7 @@ class _Build:
         F = modes.b / problem.motion_scale
         if self.inertia:
             others = unit_loads(problem, inertia=True)[:, F.shape[1] :]
-            F = np.hstack([F, modes.Y.T @ dot(space.V, others, problem.budget)])
+            F = np.hstack([F, modes.Y.T @ problem.space.dot(space.V, others)])
         return F
 
     def _start(self, growth: ReferenceSpace, space: ReferenceBasis, modes: RitzModes) -> float:
@@ -413,7 +412,7 @@ class _Build:
         X, left = growth.statics
         lost = float(np.linalg.norm(left * problem.motion_scale)) * modes.softness.value
         X = X * problem.motion_scale
-        subtract(space.V, modes.Y @ (modes.b / modes.values[:, None]), X, problem.budget)
+        problem.space.subtract(space.V, modes.Y @ (modes.b / modes.values[:, None]), X)
         return float(np.sqrt(max((X * (problem.K @ X)).sum(), 0.0))) + lost
 
     def _doubts(self, growth: ReferenceSpace, modes: RitzModes, left: Residual, sigma: Floats) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from morembs.base import progress
 from morembs.base.errors import SolverError
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import in_hz
-from morembs.linalg.columns import complement, dot, hstack, multiply, orthonormal, projected, symmetric
+from morembs.linalg.columns import orthonormal, symmetric
 from morembs.linalg.eigen import accurate_eigh
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
 from morembs.problem import SOFTER, Problem
@@ -42,10 +42,10 @@ class DampedSpace:
         own = start[:, : F.shape[1]]
         self.scale = 1.0 / np.sqrt(np.maximum(np.einsum("ij,ij->j", F, own), np.finfo(float).tiny))
         own *= self.scale
-        space = SecondOrderArnoldi(problem.M, D, start, shift=0.0, scale=float(omega.max()), budget=problem.budget)
+        space = SecondOrderArnoldi(problem.space, D, start, shift=0.0, scale=float(omega.max()))
         for _ in range(TOL.damped_first_blocks - 1):
             space.expand(problem.elastic.flexibility)
-        self.V = hstack(*space.blocks, budget=problem.budget)
+        self.V = problem.space.hstack(*space.blocks)
 
     def until(self, omega: Floats, tolerance: float) -> tuple[Floats, Floats, Floats, Floats, float]:
         """(V (Nc, k), eigenvalues (k,), Y (k, k), D (k, k), error): grown until H is known to ``tolerance``.
@@ -62,7 +62,7 @@ class DampedSpace:
         with states_pool(self.problem, [1j * wanted[0]] * TOL.shifts_at_once, loads) as pool:
             while True:
                 values, Y, D = self._small()
-                F = Y.T @ dot(self.V, loads, self.problem.budget)
+                F = Y.T @ self.problem.space.dot(self.V, loads)
                 H = np.array([_response(w, values, D, F) for w in grid])
                 if visited:
                     change = np.abs(H - before).max(axis=(1, 2)) / np.abs(H).max(axis=(1, 2))
@@ -88,9 +88,9 @@ class DampedSpace:
             SolverError: no room for them, or none that are new, and an ``error`` above round-off.
         """
         problem, size = self.problem, self.V.shape[1]
-        fresh = complement([problem.rigid, self.V], solved, problem.M, problem.budget)
+        fresh = problem.space.complement([problem.rigid, self.V], solved)
         if fresh.shape[1] and size + fresh.shape[1] <= TOL.max_order:
-            self.V = hstack(self.V, fresh, budget=problem.budget)
+            self.V = problem.space.hstack(self.V, fresh)
             return True
         # Where nothing is left to add, the rest is the round-off of the direct solution.
         if good or (not fresh.shape[1] and error <= TOL.exhausted_error):
@@ -108,7 +108,7 @@ class DampedSpace:
         Raises:
             SolverError: the columns of V are not independent.
         """
-        K, M, D = (projected(self.V, A, self.problem.budget) for A in (self.problem.K, self.problem.M, self.D))
+        K, M, D = (self.problem.space.project(self.V, A) for A in (self.problem.K, self.problem.M, self.D))
         try:
             values, Y = modes(K, M)
         except np.linalg.LinAlgError as error:
@@ -120,16 +120,16 @@ class DampedSpace:
 
     def _sharpened(self) -> tuple[Floats, Floats, Floats]:
         """``_small`` with every eigenvalue known to the round-off of its own energy, not to that of the highest."""
-        problem, budget = self.problem, self.problem.budget
+        problem, space = self.problem, self.problem.space
 
         def stiffness(Y: Floats) -> Floats:
-            return projected(multiply(self.V, Y, budget), problem.K, budget)
+            return space.project(space.multiply(self.V, Y), problem.K)
 
         values, Y, D = self._small(partial(accurate_eigh, projected=stiffness))
-        width = budget.columns(len(self.V))
+        width = space.budget.columns(len(self.V))
         for at in range(0, len(values), width):
             some = slice(at, at + width)
-            X = multiply(self.V, Y[:, some], budget)
+            X = space.multiply(self.V, Y[:, some])
             values[some] = np.einsum("ij,ij->j", X, problem.K @ X) / np.einsum("ij,ij->j", X, problem.M @ X)
         return values, Y, D
 

@@ -15,7 +15,6 @@ from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Complexes, Floats, Values
 from morembs.base.units import in_hz
 from morembs.base.worker_pool import WorkerPool
-from morembs.linalg.columns import map_columns
 from morembs.problem import Damping, Problem, System
 from morembs.responses.tolerances import TOL
 
@@ -102,7 +101,7 @@ def seen(shared: tuple[System, Values], s: complex) -> Complexes:
 def elastic_statics(problem: Problem, F: Values, *, transposed: bool = False) -> Values:
     """Elastic displacements (Nc, p) under loads ``F`` (Nc, p), dense or sparse: of K + N, or of its transpose."""
     if problem.N is None:
-        return map_columns(problem.elastic.flexibility, F, problem.budget)
+        return problem.space.map_columns(problem.elastic.flexibility, F)
     with problem.system.inverse(0.0) as solve:
         return solve(F, transposed=transposed)
 

@@ -8,17 +8,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from morembs.base.types import Floats
-from morembs.linalg.columns import (
-    dot,
-    hstack,
-    m_norms,
-    multiply,
-    multiply_into,
-    orthonormal,
-    project_out,
-    subtract,
-    symmetric,
-)
+from morembs.linalg.columns import m_norms, orthonormal, symmetric
 from morembs.linalg.congruence import scaled_row_sums
 from morembs.linalg.eigen import Modes
 from morembs.problem import Problem
@@ -31,47 +21,47 @@ from morembs.responses.tolerances import TOL
 class ReferenceBasis:
     """Columns ``V`` (Nc, n), M-orthonormal: the Krylov space of the loads and the modes that it misses."""
 
-    def __init__(self, problem: Problem, space: ReferenceSpace, modes: Modes, everything: bool = False) -> None:
+    def __init__(self, problem: Problem, krylov: ReferenceSpace, modes: Modes, everything: bool = False) -> None:
         self.problem = problem
-        lanczos, K, M, budget = space.lanczos, problem.K, problem.M, problem.budget
+        lanczos, space, K, M = krylov.lanczos, problem.space, problem.K, problem.M
         V = lanczos.V[:, : lanczos.size]
-        seen = (dot(V, M @ modes.vectors, budget) ** 2).sum(axis=0)
+        seen = (space.dot(V, M @ modes.vectors) ** 2).sum(axis=0)
         missed = (1 - seen > (0.0 if everything else TOL.missed_mode**2)).nonzero()[0]
         X = np.array(modes.vectors[:, missed], order="F")
         for _ in range(2 if len(missed) else 0):
             # What soft modes have of rigid motion by round-off would be scaled up to a mode of its own.
-            project_out(problem.rigid, X, M, budget=budget)
-            project_out(V, X, M, budget=budget)
+            space.project_out(problem.rigid, X)
+            space.project_out(V, X)
             X = orthonormal(X, M, np.ones(X.shape[1]) if X.shape[1] == len(missed) else None)
-        self.V = V if not X.shape[1] else hstack(V, X, budget=budget)
-        cross, own = dot(V, K @ X, budget), X.T @ (K @ X)
-        self.stiffness = symmetric(np.block([[space.stiffness, cross], [cross.T, own]]))
+        self.V = V if not X.shape[1] else space.hstack(V, X)
+        cross, own = space.dot(V, K @ X), X.T @ (K @ X)
+        self.stiffness = symmetric(np.block([[krylov.stiffness, cross], [cross.T, own]]))
         # Of G M V these columns alone leave the space.
         self.rows = np.r_[np.arange(lanczos.last.start, lanczos.last.stop), lanczos.size + np.arange(X.shape[1])]
-        Z, residuals = np.array(lanczos.rest_vectors, order="F"), space.residuals[: lanczos.size]
+        Z, residuals = np.array(lanczos.rest_vectors, order="F"), krylov.residuals[: lanczos.size]
         if X.shape[1]:
-            solved, own = space.solves.flexibility(M @ X)
-            Z, residuals = np.hstack([Z, solved]), np.append(residuals, own + space.solves.inertia(X))
-        self.solves, self.residuals = space.solves, residuals
+            solved, own = krylov.solves.flexibility(M @ X)
+            Z, residuals = np.hstack([Z, solved]), np.append(residuals, own + krylov.solves.inertia(X))
+        self.solves, self.residuals = krylov.solves, residuals
         for _ in range(2):
-            subtract(self.V, np.asarray(np.linalg.solve(self.stiffness, dot(self.V, K @ Z, budget))), Z, budget)
+            space.subtract(self.V, np.asarray(np.linalg.solve(self.stiffness, space.dot(self.V, K @ Z))), Z)
         self.Z, self.forces = Z, K @ Z
         self.root = root(Z.T @ self.forces)
 
     def modes(self, Y: Floats, values: Floats, k: int, highest: float) -> RitzModes:
         """Ritz vectors V ``Y`` (n, n) with ``values`` (n,), the first ``k`` of them for frequencies up to ``highest``
         rad/s as sharp as round-off in K allows."""
-        problem, budget, K, M = self.problem, self.problem.budget, self.problem.K, self.problem.M
-        U = multiply(self.V, Y[:, :k], budget)
+        problem, space, K, M = self.problem, self.problem.space, self.problem.K, self.problem.M
+        U = space.multiply(self.V, Y[:, :k])
         # Couplings that the small eigenproblem leaves, in parts of the highest eigenvalue, would hide light damping.
-        turn = sl.eigh(symmetric(dot(U, K @ U, budget)), symmetric(dot(U, M @ U, budget)))[1]
-        multiply_into(U, turn, U, budget)
+        turn = sl.eigh(symmetric(space.dot(U, K @ U)), symmetric(space.dot(U, M @ U)))[1]
+        space.multiply_into(U, turn, U)
         MU = M @ U
         norms = m_norms(U, MU)
         U, MU = U / norms, MU / norms
         Y = np.hstack([Y[:, :k] @ turn, Y[:, k:]])
         KU = K @ U
-        coupled = np.hstack([dot(U, KU, budget), dot(self.V, KU, budget).T @ Y[:, k:]])
+        coupled = np.hstack([space.dot(U, KU), space.dot(self.V, KU).T @ Y[:, k:]])
         values = np.concatenate([np.diag(coupled), values[k:]])
         # Few rows of V, which may lie in a file.
         rows = np.unique(problem.B.indices)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from morembs.base.types import Floats
-from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 from morembs.responses.tolerances import TOL
 
@@ -13,7 +12,7 @@ from morembs.responses.tolerances import TOL
 def unit_loads(problem: Problem, inertia: bool = False) -> Floats:
     """Unit interface loads (Nc, p) and the inertia loads behind them, if wanted."""
     B = problem.B.toarray()
-    return hstack(B, inertia_loads(problem), budget=problem.budget) if inertia else B
+    return problem.space.hstack(B, inertia_loads(problem)) if inertia else B
 
 
 def elastic_part(problem: Problem, F: Floats) -> Floats:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Complexes, Floats
-from morembs.linalg.columns import dot, hstack, multiply, orthonormal_pair, projected, take_out
+from morembs.linalg.columns import orthonormal_pair
 from morembs.linalg.eigen import accurate_eigh
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.problem import SOFTER, Problem
@@ -95,7 +95,7 @@ class ModalReference:
 
     def vectors(self, C: Floats) -> Floats:
         """Columns (Nc, j) in coupled dofs of the modal coordinates ``C`` (k, j)."""
-        return multiply(self.V[:, : len(self.Y)], self.Y @ C, self.problem.budget)
+        return self.problem.space.multiply(self.V[:, : len(self.Y)], self.Y @ C)
 
 
 def reference_model(
@@ -153,7 +153,7 @@ def _damped(problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, 
         values=values,
         D=seen,
         damping=problem.damping,
-        F=Y.T @ dot(V, F, problem.budget),
+        F=Y.T @ problem.space.dot(V, F),
         inputs=problem.B.shape[1],
         V=V,
         Y=Y,
@@ -187,7 +187,7 @@ class ReferenceSpace:
         start = self.statics[0]
         if inertia:
             others = problem.elastic.flexibility(F[:, self.inputs :])
-            start = hstack(start, others, budget=problem.budget)
+            start = problem.space.hstack(start, others)
         self.scale = np.sqrt(np.maximum(np.einsum("ij,ij->j", F, start), 0.0))
         if not (self.scale > 0).all():
             raise InputError("an interface degree of freedom does not deform the body; check the interfaces")
@@ -195,7 +195,7 @@ class ReferenceSpace:
         M = problem.M
         self.room = M.shape[0] - problem.rigid.shape[1]
         self.lanczos = BlockLanczos(
-            self._solved, M, start, capacity=min(TOL.first_order, self.room), seed=3, budget=problem.budget
+            self._solved, problem.space, start, capacity=min(TOL.first_order, self.room), seed=3
         )
         # G F = V g in the first block of V.
         self.loads = self.lanczos.M_pending.T @ start
@@ -288,19 +288,19 @@ class ReferenceSpace:
         problem, V = self.problem, self.lanczos.V[:, : self.lanczos.size]
 
         def stiffness(Y: Floats) -> Floats:
-            return projected(multiply(V, Y, problem.budget), problem.K, problem.budget)
+            return problem.space.project(problem.space.multiply(V, Y), problem.K)
 
         values, Y = accurate_eigh(self.stiffness, projected=stiffness)
-        F = Y.T @ dot(V, unit_loads(problem, self.inertia), problem.budget)
+        F = Y.T @ problem.space.dot(V, unit_loads(problem, self.inertia))
         return replace(reference, values=values, Y=Y, F=F, error=error)
 
     def _clean(self) -> None:
         """Take rigid-body motion out of the next block: it was round-off before the block was scaled up."""
-        lanczos, M, budget = self.lanczos, self.problem.M, self.problem.budget
+        lanczos, M = self.lanczos, self.problem.M
         Q, MQ = lanczos.pending, lanczos.M_pending
         known = [self.problem.rigid, lanczos.V[:, : lanczos.size]]
         for _ in range(2):
-            out = float(np.abs(take_out(known, Q, MQ, budget)).max(initial=0.0))
+            out = float(np.abs(self.problem.space.take_out(known, Q, MQ)).max(initial=0.0))
             if out > TOL.no_change:
                 MQ = M @ Q
             if out < TOL.large_change:
@@ -315,7 +315,7 @@ class ReferenceSpace:
         lanczos, known = self.lanczos, self.stiffness
         self.problem.budget.release_if_tight()
         new = lanczos.V[:, lanczos.last]
-        columns = dot(lanczos.V[:, : lanczos.size], self.problem.K @ new, self.problem.budget)
+        columns = self.problem.space.dot(lanczos.V[:, : lanczos.size], self.problem.K @ new)
         self.stiffness = np.zeros((lanczos.size, lanczos.size))
         self.stiffness[: len(known), : len(known)] = known
         self.stiffness[:, lanczos.last] = columns
@@ -365,7 +365,7 @@ class ReferenceSpace:
         lanczos, values, Y = self.lanczos, reference.values, reference.Y
         V, W, T = lanczos.V[:, : lanczos.size], lanczos.rest_vectors, lanczos.T[: lanczos.size, : lanczos.size]
         KW = self.problem.K @ W
-        cross = dot(V, KW, self.problem.budget)
+        cross = self.problem.space.dot(V, KW)
         energy = np.block([[self.stiffness, cross], [cross.T, W.T @ KW]])
         # What f y makes of the residual: T f y inside of the space and the rest behind it.
         TY = np.vstack([T @ Y, Y[lanczos.last]])

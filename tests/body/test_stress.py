@@ -410,7 +410,7 @@ def test_correction_in_slow_motion(rod):
 def test_a_small_memory_budget_changes_nothing(rod):
     """Scratch files and few columns give what memory gives."""
     model, interfaces = rod.problem.model, rod.problem.interfaces
-    with Budget(10**12, in_memory=0, widest=4) as budget, Problem(model, interfaces, budget=budget) as problem:
+    with Budget(10**12, in_memory=0, widest=4), Problem(model, interfaces) as problem:
         again = stress_recovery(problem, rod.reduced)
         for name in ("stress", "correction"):
             a, b = getattr(again, name), getattr(rod.recovery, name)

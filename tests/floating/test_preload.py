@@ -214,7 +214,7 @@ def test_a_budget_changes_nothing(tmp_path):
         free = preloaded(problem, pulled(EULER)).model.K
     with Budget(1, tmp_path) as budget:
         budget.memory = 10**9
-        with Problem(model, interfaces, solver=select_solver(), budget=budget) as problem:
+        with Problem(model, interfaces, solver=select_solver()) as problem:
             assert np.abs(preloaded(problem, pulled(EULER)).model.K - free).max() < 1e-13 * np.abs(free).max()
 
 

@@ -406,7 +406,7 @@ def test_blocks_and_groups_change_nothing(tmp_path):
     matrices = []
     # All loads at once; and one by one with few columns, as there is no memory left.
     for memory in (None, 1):
-        with Problem(model, interfaces, budget=Budget(None, tmp_path, in_memory=1 << 30)) as problem:
+        with Budget(None, tmp_path, in_memory=1 << 30), Problem(model, interfaces) as problem:
             reduced = Krylov(shifts_hz=[0.0, 200.0]).reduce(problem)
             frame = floating_frame(problem, reduced, kind="tangent", interfaces=["root"])
             problem.budget.memory = memory

@@ -4,7 +4,8 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.linalg.columns import complement, orthonormal, project_out
+from morembs.linalg.columns import orthonormal
+from morembs.linalg.space import Space
 
 
 def test_directions_that_keep_less_than_a_part_of_their_length_go_also_where_all_columns_have_a_share():
@@ -17,8 +18,8 @@ def test_directions_that_keep_less_than_a_part_of_their_length_go_also_where_all
     turn = np.linalg.qr(rng.standard_normal((7, 7)))[0]
     # Of the known direction there is a thousandth that is not known.
     mixed = np.hstack([new, known[:, :1] + 1e-3 * rng.standard_normal((60, 1))]) @ turn
-    assert complement(known, mixed.copy(), M).shape[1] == 7
-    project_out(known, mixed, M)
+    assert Space(M).complement(known, mixed.copy()).shape[1] == 7
+    Space(M).project_out(known, mixed)
     kept = orthonormal(mixed, M, np.ones(7), least=np.sqrt(0.5))
     assert kept.shape[1] == 6
     np.testing.assert_allclose(kept.T @ (M @ kept), np.eye(6), atol=1e-13)

@@ -77,7 +77,7 @@ def test_a_missing_mode_is_noticed_and_found(square_bar, exact, monkeypatch):
     Under a budget, where modes are counted behind the eigensolver.
     """
     calls = []
-    with Problem(square_bar, budget=Budget(memory=4 * 2**30)) as problem:
+    with Budget(memory=4 * 2**30), Problem(square_bar) as problem:
 
         def blind(lanczos, count, **rest):
             theta, Y = largest(lanczos, count + 1, **rest)
@@ -135,7 +135,7 @@ def test_restarted_lanczos_finds_the_same(square_bar, exact):
     with Problem(square_bar) as problem:
         random = np.random.default_rng(0).standard_normal((problem.M.shape[0], 8))
         start = problem.elastic.flexibility(problem.M @ random)
-        lanczos = BlockLanczos(problem.elastic.flexibility, problem.M, start, capacity=44)
+        lanczos = BlockLanczos(problem.elastic.flexibility, problem.space, start, capacity=44)
         theta, _ = largest(lanczos, 20)
         assert lanczos.V.shape[1] == 44
         assert 1 / theta == pytest.approx(exact[0][:20], rel=1e-9)

@@ -5,10 +5,10 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.base.budget import Budget
 from morembs.base.errors import InputError
 from morembs.linalg.gramians import StreamedSVD, WeightedSVD, snapshot_factor
 from morembs.linalg.quadrature import gauss, modal_poles, resonant, trapezoid
+from morembs.linalg.space import Space
 
 RATIOS = np.array([1e-3, 1e-2, 2e-2, 5e-3, 1e-2, 3e-2])
 VALUES = (2 * np.pi * np.array([20.0, 33.0, 33.5, 70.0, 180.0, 400.0])) ** 2
@@ -86,7 +86,7 @@ def test_streamed_decompositions_are_that_of_all_snapshots(blocks):
     X = sp.diags_array(metric).tocsr()
     S = decaying(n, 60, rng)
     exact = sl.svd(np.sqrt(metric)[:, None] * S, compute_uv=False)
-    streams = (StreamedSVD(X, 60, Budget()), WeightedSVD(metric))
+    streams = (StreamedSVD(Space(X), 60), WeightedSVD(metric))
     for svd in streams:
         for part in np.array_split(S, blocks, axis=1):
             svd.add(part.copy())
@@ -104,7 +104,7 @@ def test_more_snapshots_than_dimensions_fill_the_space():
     rng = np.random.default_rng(4)
     A = rng.standard_normal((12, 12))
     X = A @ A.T + 12 * np.eye(12)
-    svd = StreamedSVD(sp.csr_array(X), 60)
+    svd = StreamedSVD(Space(sp.csr_array(X)), 60)
     S = rng.standard_normal((12, 60))
     for part in np.array_split(S, 12, axis=1):
         svd.add(part.copy())
@@ -120,7 +120,7 @@ def test_what_is_left_out_is_the_tail_of_the_singular_values():
     X = K + 4.0 * np.eye(n)
     omega, weights = gauss(0.5, 4.0, 7)
     U = np.array([np.linalg.solve(K * (1 + 0.02j * w) - w**2 * np.eye(n), B.astype(complex)) for w in omega])
-    svd = StreamedSVD(sp.csr_array(X), 28)
+    svd = StreamedSVD(Space(sp.csr_array(X)), 28)
     for k in range(len(omega)):
         svd.add(snapshot_factor(U[k : k + 1], weights[k : k + 1]))
     for order in (1, 3, 8):

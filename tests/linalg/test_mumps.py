@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.base.progress import listening
 from morembs.linalg.sparse import mumps, mumps_library, ordering
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
 from morembs.linalg.sparse.mumps_codes import Job
@@ -245,11 +246,11 @@ def test_an_interrupt_of_the_wait_leaves_nothing_behind(on_disk: Any, job: int) 
         def update(self, text: str) -> None:
             raise KeyboardInterrupt
 
-    solver = _watched(type(on_disk), slow)(out_of_core=True, scratch=on_disk.scratch, progress=Impatient())
+    solver = _watched(type(on_disk), slow)(out_of_core=True, scratch=on_disk.scratch)
     # Without the collector, which would hide a folder that nobody closed.
     gc.disable()
     try:
-        with pytest.raises(KeyboardInterrupt):
+        with listening(Impatient()), pytest.raises(KeyboardInterrupt):
             solver.factorize(brick(6), "spd")
         assert not list(on_disk.scratch.iterdir()) and not freed.is_set()
         ended.set()

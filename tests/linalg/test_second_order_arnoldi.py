@@ -7,6 +7,7 @@ import scipy.sparse as sp
 
 from morembs.linalg.columns import orthonormal
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
+from morembs.linalg.space import Space
 
 N = 300
 
@@ -32,7 +33,7 @@ def grown(s0, blocks, loads=None):
     def solve(X):
         return sl.lu_solve(factor, X)
 
-    space = SecondOrderArnoldi(sp.csr_array(M), sp.csr_array(D), solve(F), shift=s0, scale=300.0)
+    space = SecondOrderArnoldi(Space(sp.csr_array(M)), sp.csr_array(D), solve(F), shift=s0, scale=300.0)
     for _ in range(blocks - 1):
         space.expand(solve)
     return space
@@ -105,7 +106,7 @@ def test_blocks_that_hardly_differ_from_the_space_are_orthogonal_to_it():
     factor = sl.lu_factor(K)
     rest = F[:, :1] + 1e-6 * F
     start = X[:, 5:8] + 1e-3 * rest / np.linalg.norm(rest, axis=0)
-    space = SecondOrderArnoldi(sp.csr_array(M), D, start, shift=0.0, scale=1000.0)
+    space = SecondOrderArnoldi(Space(sp.csr_array(M)), D, start, shift=0.0, scale=1000.0)
     for _ in range(3):
         space.expand(lambda G: sl.lu_solve(factor, G))
     Q = np.hstack(space.blocks)
@@ -119,7 +120,7 @@ def test_a_small_system_is_spanned_and_the_chain_ends():
     A = rng.standard_normal((3, 6, 6))
     M, D, K = (sp.csr_array(a @ a.T + 6 * np.eye(6)) for a in A)
     factor = sl.lu_factor(K.toarray())
-    space = SecondOrderArnoldi(M, D, sl.lu_solve(factor, np.eye(6)[:, :3]), shift=0.0, scale=1.0)
+    space = SecondOrderArnoldi(Space(M), D, sl.lu_solve(factor, np.eye(6)[:, :3]), shift=0.0, scale=1.0)
     for _ in range(6):
         if not space.finished:
             space.expand(lambda X: sl.lu_solve(factor, X))

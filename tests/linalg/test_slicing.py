@@ -147,7 +147,7 @@ def test_no_more_modes_than_masses(memory: int | None) -> None:
     left = K[np.ix_(inner, inner)] - K[np.ix_(inner, ~inner)] @ np.linalg.solve(
         K[np.ix_(~inner, ~inner)], K[np.ix_(~inner, inner)]
     )
-    with Problem(model, budget=Budget(memory=memory)) as problem:
+    with Budget(memory=memory), Problem(model) as problem:
         modes = lowest_modes(problem.elastic, problem.M, count=18, by_lapack=False)
         np.testing.assert_allclose(modes.eigenvalues, np.linalg.eigvalsh(left), rtol=1e-9)
         with pytest.raises(InputError, match="only 18 degrees of freedom with mass"):

@@ -20,6 +20,7 @@ import pytest
 import scipy.sparse as sp
 
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.base.progress import listening
 from morembs.linalg.sparse import cholmod, cholmod_library, umfpack
 from morembs.linalg.sparse.cholmod import Cholmod
 from morembs.linalg.sparse.interruptible import ForeignObject
@@ -462,7 +463,8 @@ def test_calls_give_results_errors_and_news() -> None:
 
     held = Held()
     assert held.call(divmod, 7, 2) == (3, 1)
-    assert held.call(heard.wait, PATIENCE, progress=Listener(), news="factorising")
+    with listening(Listener()):
+        assert held.call(heard.wait, PATIENCE, news="factorising")
     with pytest.raises(ValueError, match="wrong"):
         held.call(fail)
     assert all(re.fullmatch(r"factorising \d+ s", text) for text in news), news

@@ -5,6 +5,7 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from morembs.linalg.space import Space
 from morembs.linalg.sparse.select import select_solver
 from morembs.parametric.bound import ParametricBound, ritz_pairs
 from morembs.parametric.cells import is_positive
@@ -68,7 +69,7 @@ class Reduced:
         )
         held = np.zeros((N, N))
         held[1:, 1:] = np.linalg.inv(K[1:, 1:])
-        coordinates = LoadCoordinates(lambda F: held @ F, sp.csr_array(K))
+        coordinates = LoadCoordinates(lambda F: held @ F, Space(sp.csr_array(K)))
         B, rest_B = coordinates.of(self.B, np.ones(3))
         parts = [[coordinates.of(A @ V, np.ones(n)) for A in terms] for terms in (self.K_terms, self.M_terms)]
 

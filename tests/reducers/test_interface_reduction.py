@@ -176,9 +176,9 @@ def test_a_direct_face_beside_an_average_and_a_rigid_one():
 def test_a_budget_changes_nothing(tmp_path):
     model, results = wide_bar(2), []
     for memory in (None, 10**9):
-        with Budget(memory, tmp_path) as budget:
+        with Budget(memory, tmp_path):
             solver = select_solver(memory=memory, scratch=tmp_path)
-            with Problem(model, faces(model), solver=solver, budget=budget) as problem:
+            with Problem(model, faces(model), solver=solver) as problem:
                 results.append(elastic(CraigBampton(modes=5, interface_modes=10).reduce(problem)))
     assert results[1] == pytest.approx(results[0], rel=1e-9)
 

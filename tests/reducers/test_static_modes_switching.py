@@ -131,7 +131,7 @@ def test_streaming_in_blocks_changes_nothing(width):
         plain = StaticModesSwitching(base_options={"modes": 4}, candidates=candidates, directions=[2, 0], stress=True)
         reduced = plain.reduce(problem)
         all_pairs = plain.switching(problem, reduced)
-    with Problem(model, budget=Budget(widest=width)) as problem:
+    with Budget(widest=width), Problem(model) as problem:
         reduced = plain.reduce(problem)
         banded = StaticModesSwitching(
             base_options={"modes": 4}, candidates=candidates, directions=[2, 0], stress=True, band=2

@@ -17,7 +17,6 @@ from morembs.app.jobs.stages.certificate import certified_band
 from morembs.app.jobs.stages.couple import damping_of, interfaces_of
 from morembs.app.jobs.stages.model import materials_of, mesh_of
 from morembs.app.jobs.stages.reduction import reducers_of
-from morembs.base.budget import Budget
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.body.file import StoredBodies, read_body
@@ -32,7 +31,7 @@ from morembs.storage.safefile import one_file
 NOT_PLAIN = ("substructure", "parameter", "preload", "spin")
 
 
-def assembly_of(job: Job, budget: Budget) -> AssembledModel:
+def assembly_of(job: Job) -> AssembledModel:
     """The bodies of the job as one model, in SI units; a file that serves for several parts is read once.
 
     Raises:
@@ -45,7 +44,7 @@ def assembly_of(job: Job, budget: Budget) -> AssembledModel:
     scale = np.array(linear + turning)
     tables = job.tables.substructure
     files = {table.body: read_body(job.resolve(table.body)) for table in tables}
-    makers = {table.job: _Maker(job, table.job, budget) for table in tables if table.job is not None}
+    makers = {table.job: _Maker(job, table.job) for table in tables if table.job is not None}
     if makers and certified_band(job) is None:
         raise InputError(
             "[[substructure]] job was given, and there is no certificate to measure against the unreduced parts; add "
@@ -85,7 +84,7 @@ def assembly_of(job: Job, budget: Budget) -> AssembledModel:
 class _Maker:
     """The job ``path`` that made a body of the assembly ``job``, and the problem that it reduced."""
 
-    def __init__(self, job: Job, path: str, budget: Budget) -> None:
+    def __init__(self, job: Job, path: str) -> None:
         self.where = f"[[substructure]] job = {path!r}"
         try:
             self.job = load_job(job.resolve(path))
@@ -96,7 +95,7 @@ class _Maker:
                     "it is: leave job out"
                 )
             self._refuse_overwriting(job)
-            self.problem = self._problem(job, budget)
+            self.problem = self._problem(job)
         except InputError as error:
             raise InputError(f"{self.where}: {error}") from error
 
@@ -106,16 +105,16 @@ class _Maker:
                 if one_file(path, other):
                     raise InputError(f"{name} = {str(path)!r} would overwrite {what} of it")
 
-    def _problem(self, job: Job, budget: Budget) -> Problem:
+    def _problem(self, job: Job) -> Problem:
         own = self.job
         if own.tables.model.file is not None:
-            model = equations_of_motion(own, read_model(own.resolve(own.tables.model.file), budget=budget))
+            model = equations_of_motion(own, read_model(own.resolve(own.tables.model.file)))
         else:
             rule = own.tables.model.mass_integration
-            model = assemble(mesh_of(own), materials_of(own), mass_integration=rule, budget=budget)
+            model = assemble(mesh_of(own), materials_of(own), mass_integration=rule)
         # That of the part: another one may turn modes of one frequency.
         solver = solver_of(own).with_memory(solver_of(job).memory)
-        return Problem(model, interfaces_of(own, model), damping=damping_of(own), solver=solver, budget=budget)
+        return Problem(model, interfaces_of(own, model), damping=damping_of(own), solver=solver)
 
     def basis(self, bodies: StoredBodies, table: SubstructureTable) -> Callable[[], Floats]:
         """What reduces the problem again, for bodies whose file does not keep all displacements."""

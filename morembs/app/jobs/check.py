@@ -27,7 +27,6 @@ from morembs.app.jobs.stages.model import ReadModel, materials_of, mesh_of
 from morembs.app.jobs.stages.preflight import model_warnings, preflight, shifted_of
 from morembs.app.jobs.stages.stage import asked, computes_modes
 from morembs.base import progress
-from morembs.base.budget import Budget
 from morembs.base.memory import available_bytes, resident_bytes
 from morembs.base.progress import Progress, listening
 from morembs.base.scratch import free_bytes
@@ -95,8 +94,8 @@ def _check(job: Job) -> JobForecast:
             "the parts one by one",
         )
     progress.stage("analyse")
-    with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget:
-        cost = _cost(job, facts, stiffness_pattern(graph, budget), abs(coupling.T), solver, budget, start)
+    with limit_threads(job.tables.solver.threads), budget_of(job, solver):
+        cost = _cost(job, facts, stiffness_pattern(graph), abs(coupling.T), solver, start)
         told, seconds = cost.told(), _reduction_seconds(job, facts, cost)
     x, y, z = np.ptp(mesh.nodes.xyz, axis=0).tolist()
     return JobForecast(
@@ -118,15 +117,15 @@ def _check(job: Job) -> JobForecast:
 
 def _check_file(job: Job, solver: LinearSolver, start: int) -> JobForecast:
     """Forecast for a model file, whose matrices are there."""
-    with limit_threads(job.tables.solver.threads), budget_of(job, solver) as budget:
+    with limit_threads(job.tables.solver.threads), budget_of(job, solver):
         reader = next(stage for stage in asked(job) if isinstance(stage, ReadModel))
-        model, modes = reader.matrices(job, budget), computes_modes(job)
+        model, modes = reader.matrices(job), computes_modes(job)
         require_room(job, start, model.size, modes, lambda: least_memory(job, model, solver, start, modes))
         progress.stage("examine")
         model = equations_of_motion(job, model)
-        warnings = model_warnings(job, model, budget)
+        warnings = model_warnings(job, model)
         interfaces = interfaces_of(job, model)
-        with Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget) as problem:
+        with Problem(model, interfaces, solver=solver, damping=damping_of(job)) as problem:
             facts, coupling = ProblemSummary.of(problem), problem.coupling
             # Nothing is factorised here.
             rigid = 0 if need_factor(model, problem.K) else problem.rigid.shape[1]
@@ -136,7 +135,7 @@ def _check_file(job: Job, solver: LinearSolver, start: int) -> JobForecast:
         # Coordinates that are rigid motions have no stiffness; what holds them while it is factorised has an entry.
         held = sp.diags_array((model.K.diagonal() == 0).astype(float))
         cost = _cost(
-            job, facts, sp.csr_array(model.K + held) if held.data.any() else model.K, coupling.T, solver, budget, start
+            job, facts, sp.csr_array(model.K + held) if held.data.any() else model.K, coupling.T, solver, start
         )
         told, seconds = cost.told(), _reduction_seconds(job, facts, cost)
     matrices = [A for name in MATRICES if (A := getattr(model, name)) is not None]
@@ -158,9 +157,7 @@ def _check_file(job: Job, solver: LinearSolver, start: int) -> JobForecast:
     )
 
 
-def _cost(
-    job: Job, facts: ProblemSummary, K: sp.csr_array, T: sp.csr_array, solver: LinearSolver, budget: Budget, start: int
-) -> Cost:
+def _cost(job: Job, facts: ProblemSummary, K: sp.csr_array, T: sp.csr_array, solver: LinearSolver, start: int) -> Cost:
     """Cost of the factors of ``job``, for the stiffness of its model, or its pattern, and the coupling."""
     columns = facts.coupling.B.shape[1] + max(reducer.mode_count for reducer in job.reducers.values())
     return forecast_cost(
@@ -168,7 +165,6 @@ def _cost(
         T,
         max(columns, job.tables.check.full_modes),
         solver,
-        budget,
         start,
         computes_modes(job),
         list(shifted_of(job, facts).values()),

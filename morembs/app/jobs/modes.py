@@ -72,29 +72,17 @@ def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress | None
     """
     start, solver = resident_bytes(), solver_of(job)
     materials_of(job)  # faults of materials are told before the mesh is read
-    with (
-        listening(progress),
-        limit_threads(job.tables.solver.threads),
-        budget_of(job, solver) as budget,
-        PeakMemory() as memory,
-    ):
-        work = Work(
-            job=job,
-            solver=solver,
-            budget=budget,
-            start=start,
-            watch=Stopwatch(memory),
-            counts_modes=computes_modes(job),
-        )
+    with listening(progress), limit_threads(job.tables.solver.threads), budget_of(job, solver), PeakMemory() as memory:
+        work = Work(job=job, solver=solver, start=start, watch=Stopwatch(memory), counts_modes=computes_modes(job))
         run_stages(work, asked(job), until=MODEL)
         model = work[MODEL]
         interfaces, damping = interfaces_of(job, model), damping_of(job)
-        problem = Problem(model, interfaces, solver=solver, damping=damping, budget=budget)
+        problem = Problem(model, interfaces, solver=solver, damping=damping)
         rotation = rotation_of(job) if job.tables.spin is not None else None
         if job.tables.preload is not None:
             with problem:
                 model = preloaded(problem, preload_of(job)).model
-            problem = Problem(model, interfaces, solver=solver, damping=damping, budget=budget)
+            problem = Problem(model, interfaces, solver=solver, damping=damping)
         with problem:
             if not complex_:
                 return _real(problem, count)

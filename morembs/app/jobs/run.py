@@ -81,20 +81,9 @@ def run_job(job: Job, progress: Progress | None = None, warn: Callable[[str], No
     prepare_output(job)
     solver = solver_of(job)
     materials_of(job)  # faults of materials are told before the mesh is read
-    with (
-        listening(progress),
-        limit_threads(job.tables.solver.threads),
-        budget_of(job, solver) as budget,
-        PeakMemory() as memory,
-    ):
+    with listening(progress), limit_threads(job.tables.solver.threads), budget_of(job, solver), PeakMemory() as memory:
         work = Work(
-            job=job,
-            solver=solver,
-            budget=budget,
-            start=start,
-            watch=Stopwatch(memory),
-            counts_modes=computes_modes(job),
-            warn=warn,
+            job=job, solver=solver, start=start, watch=Stopwatch(memory), counts_modes=computes_modes(job), warn=warn
         )
         with keeping_ledger() as ledger:
             left = run_stages(work, asked(job), RESULTS, until=MODEL)

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError
+from morembs.base.former_names import with_budget_argument
 from morembs.base.types import Floats
 from morembs.base.units import Units
 from morembs.body.diagnostics import matrices
@@ -42,7 +42,6 @@ class _Case:
     D: sp.csr_array | None
     nodes: Nodes | None
     dofs: DofMap | None
-    budget: Budget
     findings: list[Finding] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
 
@@ -51,6 +50,7 @@ class _Case:
         return Names(nodes=self.nodes, dofs=self.dofs)
 
 
+@with_budget_argument
 def examine(
     K: sp.sparray,
     M: sp.sparray,
@@ -65,7 +65,6 @@ def examine(
     declared: Units | None = None,
     solver: LinearSolver | None = None,
     up_to_hz: float | None = None,
-    budget: Budget = UNLIMITED,
 ) -> Diagnosis:
     """What is wrong with a model, and what it is.
 
@@ -89,7 +88,7 @@ def examine(
         InputError: something that is not a matrix.
     """
     units = units if units is not None else Units()
-    case = _opened(K, M, D, nodes, dofs, mesh, budget)
+    case = _opened(K, M, D, nodes, dofs, mesh)
     if isinstance(case, Diagnosis):
         return case
     _matrices(case)
@@ -115,7 +114,6 @@ def examine(
             expected=case.facts.get("free_motions"),
             parts=case.facts["parts"],
             rounding=_rounding(case),
-            budget=budget,
         )
         case.findings += of_modes
         case.facts |= facts
@@ -175,13 +173,7 @@ def _refuse_shape(A: Any, name: str) -> None:
 
 
 def _opened(
-    K: sp.sparray,
-    M: sp.sparray,
-    D: sp.sparray | None,
-    nodes: Nodes | None,
-    dofs: DofMap | None,
-    mesh: Mesh | None,
-    budget: Budget,
+    K: sp.sparray, M: sp.sparray, D: sp.sparray | None, nodes: Nodes | None, dofs: DofMap | None, mesh: Mesh | None
 ) -> _Case | Diagnosis:
     """The case, or what is so wrong with it that nothing more can be said."""
     named: dict[str, Any] = {name: A for name, A in (("K", K), ("M", M), ("D", D)) if name != "D" or A is not None}
@@ -206,7 +198,7 @@ def _opened(
         findings += matrices.values(ready[name], name, Names(nodes=nodes, dofs=dofs))
     if any(finding.severity == "error" for finding in findings):
         return _hopeless(*findings)
-    case = _Case(K=ready["K"], M=ready["M"], D=ready.get("D"), nodes=nodes, dofs=dofs, budget=budget, findings=findings)
+    case = _Case(K=ready["K"], M=ready["M"], D=ready.get("D"), nodes=nodes, dofs=dofs, findings=findings)
     case.facts |= {"dofs": N} | ({} if nodes is None else {"nodes": len(nodes)})
     return case
 
@@ -223,7 +215,7 @@ def _matrices(case: _Case) -> None:
             continue
         whole, findings = matrices.symmetry(A, name, case.names)
         setattr(case, name, whole)
-        case.findings += findings + matrices.definiteness(whole, name, case.names, case.budget)
+        case.findings += findings + matrices.definiteness(whole, name, case.names)
 
 
 def _ordered(case: _Case) -> None:

@@ -12,7 +12,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.budget import current_budget
 from morembs.base.types import Floats, Ints
 from morembs.body.diagnostics.findings import Finding, Names, listed
 from morembs.linalg.congruence import magnitudes
@@ -165,7 +165,7 @@ def _largest(A: sp.csr_array, row: Ints, column: Ints) -> tuple[Floats, Floats]:
     return largest[row], largest[column]
 
 
-def definiteness(A: sp.csr_array, name: str, names: Names, budget: Budget = UNLIMITED) -> list[Finding]:
+def definiteness(A: sp.csr_array, name: str, names: Names) -> list[Finding]:
     """Proofs that a symmetric ``A`` is indefinite: its diagonal, 2 by 2 minors, a few steps of Lanczos."""
     severity = "warning" if name == "D" else "error"
     d = A.diagonal()
@@ -186,7 +186,7 @@ def definiteness(A: sp.csr_array, name: str, names: Names, budget: Budget = UNLI
         sentence = f"{WORDS[name]} is indefinite: {what} at {words}"
         cure = "take out Lagrange multipliers (eliminate the constraints)" if (d[rows] == 0).any() else _CURES[name]
         return [Finding(code="indefinite", severity=severity, sentence=sentence, cure=cure, where=labels)]
-    quotient, x = lowest(A, budget)
+    quotient, x = lowest(A)
     if quotient >= -NEGATIVE:
         return []
     worst = np.flatnonzero(np.abs(x) > 0.3 * np.abs(x).max())
@@ -202,7 +202,7 @@ _CURES = {
 }
 
 
-def lowest(A: sp.csr_array, budget: Budget = UNLIMITED) -> tuple[float, Floats]:
+def lowest(A: sp.csr_array) -> tuple[float, Floats]:
     """Upper bound of the lowest eigenvalue of S A S, S = |diag A|^-1/2, and its vector (N,), by Lanczos steps.
 
     Peak memory: 17 columns of length N.
@@ -211,7 +211,7 @@ def lowest(A: sp.csr_array, budget: Budget = UNLIMITED) -> tuple[float, Floats]:
     S = _scale(A)
     S[A.diagonal() == 0] = 0.0
     steps = min(STEPS, n)
-    V = budget.empty((n, steps), order="F")
+    V = current_budget().empty((n, steps), order="F")
     q = np.random.default_rng(4).standard_normal(n) * (S > 0)
     q /= max(float(np.linalg.norm(q)), np.finfo(float).tiny)
     diagonal, beside = [], []

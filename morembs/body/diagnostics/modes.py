@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import MorembsError
 from morembs.base.types import Bools, Floats, Ints
 from morembs.body.diagnostics.findings import Finding, Names, listed
@@ -15,6 +14,7 @@ from morembs.body.diagnostics.matrices import WORDS
 from morembs.fem import DofMap, Nodes, rigid_motion
 from morembs.fem.rigid_residual import motion
 from morembs.linalg.lanczos import BlockLanczos
+from morembs.linalg.space import Space
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 
@@ -39,7 +39,6 @@ def mode_findings(
     expected: int | None,
     parts: int,
     rounding: float = 0.0,
-    budget: Budget = UNLIMITED,
 ) -> tuple[list[Finding], dict[str, Any]]:
     """Zero-energy motions beyond the ``expected`` rigid ones, and how many modes to expect.
 
@@ -52,7 +51,7 @@ def mode_findings(
     heavy = M.diagonal() > 0
     sigma = max(SHIFT, 10 * rounding) * float((K.diagonal()[heavy] / M.diagonal()[heavy]).max())
     try:
-        values, Z = _lowest(K, M, sigma, solver, budget)
+        values, Z = _lowest(K, M, sigma, solver)
         zeros = int((values < 0.1 * sigma).sum())
         elastic = values[zeros:]
         # Half way on a logarithmic scale no eigenvalue is near the shift; Lanczos may not have room for all zeros.
@@ -89,15 +88,13 @@ def _below(K: sp.csr_array, M: sp.csr_array, sigma: float, solver: LinearSolver)
     return solver.negative_eigenvalues(sp.csr_array(K - sigma * M), "K - sigma M")
 
 
-def _lowest(
-    K: sp.csr_array, M: sp.csr_array, sigma: float, solver: LinearSolver, budget: Budget
-) -> tuple[Floats, Floats]:
+def _lowest(K: sp.csr_array, M: sp.csr_array, sigma: float, solver: LinearSolver) -> tuple[Floats, Floats]:
     """Estimates of the lowest eigenvalues (k,), those that are good, and the vectors (N, z) without energy."""
     block = min(BLOCK, max(1, K.shape[0] // 3))
     with solver.factorize(sp.csr_array(K + sigma * M), "spd", what="K + sigma M") as factor:
         rng = np.random.default_rng(12)
         start = factor.solve(M @ rng.standard_normal((K.shape[0], block)))
-        lanczos = BlockLanczos(factor.solve, M, start, capacity=min(block * STEPS, K.shape[0]), seed=12, budget=budget)
+        lanczos = BlockLanczos(factor.solve, Space(M), start, capacity=min(block * STEPS, K.shape[0]), seed=12)
         while not lanczos.full() and lanczos.pending.shape[1] and lanczos.size + block <= K.shape[0]:
             lanczos.expand()
     theta, Y, residual = lanczos.ritz()

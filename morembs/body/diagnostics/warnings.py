@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.units import Units
 from morembs.body.diagnostics.doctor import examine
 from morembs.body.diagnostics.elements import double_elements, open_seams
@@ -20,9 +19,7 @@ from morembs.linalg.congruence import congruence
 _SUSPECTED = ("parts", "node-mapping")
 
 
-def diagnosis_of(
-    model: FEModel, *, deep: bool = False, declared: Units | None = None, budget: Budget = UNLIMITED
-) -> Diagnosis:
+def diagnosis_of(model: FEModel, *, deep: bool = False, declared: Units | None = None) -> Diagnosis:
     """What is wrong with a model (SI, of an input in the units ``declared``); rigid elements are eliminated before.
 
     What its import warned of stands among the findings.
@@ -33,21 +30,19 @@ def diagnosis_of(
     if model.dependent is not None:
         free = np.flatnonzero(model.dependent.owner < 0)
         T = sp.csr_array(model.dependent.S[:, free])
-        K, M = (congruence(T, A, budget) for A in (K, M))
-        D = None if D is None else congruence(T, D, budget)
+        K, M = (congruence(T, A) for A in (K, M))
+        D = None if D is None else congruence(T, D)
         dofs = DofMap(node=dofs.node[free], component=dofs.component[free])
     if not np.ptp(model.nodes.xyz, axis=0).any():
         # All in one point: matrices without a place in space.
-        diagnosis = examine(K, M, D, deep=deep, budget=budget)
+        diagnosis = examine(K, M, D, deep=deep)
     else:
-        diagnosis = examine(
-            K, M, D, model.nodes, dofs, model.mesh, model.materials, deep=deep, declared=declared, budget=budget
-        )
+        diagnosis = examine(K, M, D, model.nodes, dofs, model.mesh, model.materials, deep=deep, declared=declared)
     of_import = tuple(Finding(code="import", severity="warning", sentence=sentence) for sentence in model.warnings)
     return Diagnosis(findings=(*of_import, *diagnosis.findings), facts=diagnosis.facts)
 
 
-def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = UNLIMITED) -> tuple[str, ...]:
+def examined(model: FEModel, *, declared: Units | None = None) -> tuple[str, ...]:
     """Warnings of the cheap examination of a model (SI), one sentence each; none where nothing looks wrong.
 
     Units are among them: numbers that no solid has, and the system that they look like. ``declared`` are the units
@@ -60,7 +55,7 @@ def examined(model: FEModel, *, declared: Units | None = None, budget: Budget = 
     ()
     """
     refuse_complex(model)
-    diagnosis = diagnosis_of(model, declared=declared, budget=budget)
+    diagnosis = diagnosis_of(model, declared=declared)
     Diagnosis(findings=tuple(finding for finding in diagnosis.errors if finding.code not in _SUSPECTED)).refuse_errors()
     refuse_unsymmetric(model)
     mapped = tuple(finding for finding in diagnosis.errors if finding.code == "node-mapping")

@@ -236,27 +236,27 @@ def floating_frame(
     >>> floating_frame(problem, reduced, kind="chord", interfaces=["LEFT", "RIGHT"]).count
     12
     """
-    from morembs.linalg.columns import dot, multiply
 
     check_frame(kind, interfaces, list(problem.coupling.frame_columns))
     reason = why_not_floating(problem, reduced)
     if reason:
         raise InputError(reason)
-    budget, coupling, r = problem.budget, problem.coupling, RIGID_MOTIONS
+    space, coupling, r = problem.space, problem.coupling, RIGID_MOTIONS
     Y = reduced.modes()[1][:, r:]
     center = problem.mass_properties[1]
     H = np.eye(6)
     H[:3, 3:] = skew(center - coupling.pole)
     R = coupling.R @ H
     rigid = _coordinates(problem, reduced, R)
-    elastic = multiply(reduced.V, Y, budget)
-    motions = dot(coupling.frames.toarray(), elastic, budget) if coupling.frame_columns else np.zeros((0, Y.shape[1]))
+    elastic = space.multiply(reduced.V, Y)
+    motions = space.dot(coupling.frames.toarray(), elastic) if coupling.frame_columns else np.zeros((0, Y.shape[1]))
     points = {interface.name: interface.point for interface in problem.interfaces}
     markers = {
         name: InterfaceMarker(point=points[name] - center, motion=motions[at])
         for name, at in coupling.frame_columns.items()
     }
-    integrals, note = shape_integrals(problem.model, _on_model(problem, elastic), center, budget)
+    with problem.budget.in_use():
+        integrals, note = shape_integrals(problem.model, _on_model(problem, elastic), center)
     return frame_about(
         reduced.K,
         reduced.D,
@@ -351,14 +351,14 @@ def _coordinates(problem: Problem, reduced: ReducedModel, R: Floats) -> Floats:
     """Reduced coordinates (nr, 6) of rigid motions ``R`` (Nc, 6) that the basis holds."""
     import scipy.linalg as sl
 
-    from morembs.linalg.columns import dot
-
     # Unit diagonal: coordinates of different units would spoil the factor.
     scale = 1.0 / np.sqrt(np.diag(reduced.M))
     factor = sl.cho_factor(reduced.M * np.outer(scale, scale))
     coordinates = np.zeros((reduced.order, R.shape[1]))
     rest = R
     for _ in range(2):
-        coordinates += scale[:, None] * sl.cho_solve(factor, scale[:, None] * dot(reduced.V, problem.M @ rest))
+        coordinates += scale[:, None] * sl.cho_solve(
+            factor, scale[:, None] * problem.space.dot(reduced.V, problem.M @ rest)
+        )
         rest = R - reduced.V @ coordinates
     return coordinates

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.budget import current_budget
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.fem import FEModel, frozen_numbers, rigid_motion, skew
@@ -22,7 +23,6 @@ from morembs.fem import FEModel, frozen_numbers, rigid_motion, skew
 if TYPE_CHECKING:
     import scipy.sparse as sp
 
-    from morembs.base.budget import Budget
 
 # Levi-Civita symbol.
 PERMUTATION = np.array([[[(a - b) * (b - c) * (c - a) / 2 for c in range(3)] for b in range(3)] for a in range(3)])
@@ -161,7 +161,7 @@ def _by_pairs(C: Floats) -> Floats:
     return np.stack([C[..., a, a] if a == b else C[..., a, b] + C[..., b, a] for a, b in PAIRS], axis=-1)
 
 
-def shape_integrals(model: FEModel, shapes: Floats, origin: Floats, budget: Budget) -> tuple[ShapeIntegrals, str]:
+def shape_integrals(model: FEModel, shapes: Floats, origin: Floats) -> tuple[ShapeIntegrals, str]:
     """Integrals of ``shapes`` (N, n) in the dofs of ``model``, and a note where they are not exact.
 
     Where every node moves with one mass along x, y and z (solids) all follow from the scalar mass matrix. Other
@@ -175,6 +175,7 @@ def shape_integrals(model: FEModel, shapes: Floats, origin: Floats, budget: Budg
     at = [np.flatnonzero(dofs[:, a] >= 0) for a in range(3)]
     Ct, x_phi, phi_phi = np.zeros((n, 3)), np.zeros((3, 3, n)), np.zeros((3, 3, n, n))
     weighted = Ms @ np.column_stack([np.ones(len(x)), x])
+    budget = current_budget()
     width = budget.columns(len(x), widest=WIDEST)
     for first in range(0, n, width):
         block = slice(first, min(first + width, n))

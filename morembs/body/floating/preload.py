@@ -20,7 +20,7 @@ import scipy.sparse as sp
 
 from morembs.base import progress
 from morembs.base.arguments import LARGEST, in_range, refuse_out_of_range
-from morembs.base.budget import Budget
+from morembs.base.budget import current_budget
 from morembs.base.errors import InputError, nearest
 from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats, Ints
@@ -195,7 +195,8 @@ def _stiffened(
     if model.mesh is None:
         raise InputError("preload: geometric stiffness needs the elements of the model")
     progress.update("preload: geometric stiffness")
-    kg = StressedMesh.of(model.mesh, model.materials).stiffness(u[:, None], problem.budget)[0]
+    with problem.budget.in_use():
+        kg = StressedMesh.of(model.mesh, model.materials).stiffness(u[:, None])[0]
     L, left_out = coupling_stiffness(problem, turning)
     if left_out:
         notes["preload_left_out"] = left_out
@@ -215,7 +216,8 @@ def _stiffened(
             "more; lower the load"
         )
     notes["preload_critical_factor"] = f"above {FAR:g}" if factor is None else factor
-    K = _sum(model.K, kg, extra, problem.budget)
+    with problem.budget.in_use():
+        K = _sum(model.K, kg, extra)
     return Preloaded(model=replace(model, K=K), displacements=u, critical_factor=factor, notes=notes)
 
 
@@ -271,12 +273,13 @@ def _together(*parts: sp.coo_array) -> sp.csr_array:
     return total
 
 
-def _sum(K: sp.csr_array, kg: sp.csr_array, extra: sp.csr_array, budget: Budget) -> sp.csr_array:
+def _sum(K: sp.csr_array, kg: sp.csr_array, extra: sp.csr_array) -> sp.csr_array:
     """K + kg (x) I3 + extra with the zeros they store, a piece of rows at a time."""
     # An assembled K has the pattern of kg (x) I3, filled up to blocks.
     alike = K.nnz == 9 * kg.nnz and np.array_equal(np.diff(K.indptr)[::3], 3 * np.diff(kg.indptr))
     room = K.nnz + extra.nnz + (0 if alike else 3 * kg.nnz)
     index = np.int32 if room < np.iinfo(np.int32).max else np.int64
+    budget = current_budget()
     data, indices = budget.empty(room), budget.empty(room, index)
     indptr, used = np.zeros(K.shape[0] + 1, dtype=index), 0
     for first in range(0, kg.shape[0], PIECE):

@@ -126,9 +126,8 @@ def spinning(problem: Problem, rotation: Rotation) -> Spin:
     state = static_state(problem, turning @ (turning @ x), none, rotation.held, "the held interfaces of [spin]")
     Kg, warnings = _stress_stiffness(problem, rotation, np.asarray(T @ state.u), state.turning)
     square = T.shape[0] == T.shape[1]
-    C, S, Kg = (
-        A if square else congruence(T, A, problem.budget, skew=skew) for A, skew in ((C, True), (S, False), (Kg, False))
-    )
+    with problem.budget.in_use():
+        C, S, Kg = (A if square else congruence(T, A, skew=skew) for A, skew in ((C, True), (S, False), (Kg, False)))
     return Spin(C=C, S=S, Kg=Kg, elongation=state.u, rotation=rotation, warnings=warnings)
 
 
@@ -161,7 +160,8 @@ def _stress_stiffness(
             "spin changes them",
         )
     progress.update("spin: geometric stiffness")
-    kg = StressedMesh.of(model.mesh, model.materials).stiffness(u[:, None], problem.budget)[0]
+    with problem.budget.in_use():
+        kg = StressedMesh.of(model.mesh, model.materials).stiffness(u[:, None])[0]
     L, left_out = coupling_stiffness(problem, turning)
     Kg = sp.csr_array(sp.kron(kg, sp.eye_array(3), format="csr") + L)
     return Kg, (f"the centrifugal stiffness lacks {left_out}",) if left_out else ()

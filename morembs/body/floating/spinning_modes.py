@@ -15,7 +15,6 @@ from morembs.base.types import Floats
 from morembs.body.floating.spin import ReducedSpin, whirl_modes
 from morembs.body.floating.spinning import Spin
 from morembs.body.floating.static_state import held_columns
-from morembs.linalg.columns import complement, dot, hstack, multiply, projected
 from morembs.linalg.complex_modes import ComplexModes, complex_modes
 from morembs.linalg.statics import single_dof_rows
 from morembs.problem import Damping, Problem
@@ -121,15 +120,15 @@ def with_spin(
     """
     if not reduced.symmetric or not reduced.is_projection:
         raise InputError("[spin] needs a one-sided reduction, whose matrices are symmetric; take another method")
-    speeds, budget = sorted(full), problem.budget
+    speeds, space = sorted(full), problem.space
     chosen = sorted({speeds[0], speeds[len(speeds) // 2], speeds[-1]})
     larger = _enriched(problem, reduced, _parts([full[speed] for speed in chosen]))
     held = held_columns(problem, spin.rotation.held) if spin.rotation.held else sp.csc_array((problem.K.shape[0], 0))
-    C = dot(larger.V, np.asarray(spin.C @ larger.V), budget)
+    C = space.dot(larger.V, np.asarray(spin.C @ larger.V))
     small = ReducedSpin(
         C=0.5 * (C - C.T),
-        S=projected(larger.V, spin.S, budget),
-        Kg=projected(larger.V, spin.Kg, budget),
+        S=space.project(larger.V, spin.S),
+        Kg=space.project(larger.V, spin.Kg),
         held=np.asarray(held.T @ larger.V),
         elongation=spin.elongation,
         axis=np.asarray(spin.rotation.axis, dtype=float) / np.linalg.norm(spin.rotation.axis),
@@ -152,17 +151,17 @@ def _parts(modes: Sequence[ComplexModes]) -> Floats:
 
 def _enriched(problem: Problem, reduced: ReducedModel, X: Floats) -> ReducedModel:
     """``reduced`` with what span(X) (Nc, j) adds to its basis."""
-    budget, V, n = problem.budget, reduced.V, reduced.order
-    Q = multiply(V, np.linalg.inv(np.linalg.cholesky(reduced.M)).T, budget)
-    added = complement(Q, X, problem.M, budget)
-    whole = hstack(V, added, budget=budget)
-    M, K = projected(whole, problem.M, budget), projected(whole, problem.K, budget)
+    space, V, n = problem.space, reduced.V, reduced.order
+    Q = space.multiply(V, np.linalg.inv(np.linalg.cholesky(reduced.M)).T)
+    added = space.complement(Q, X)
+    whole = space.hstack(V, added)
+    M, K = space.project(whole, problem.M), space.project(whole, problem.K)
     # What the method knows exactly stays as it is.
     M[:n, :n], K[:n, :n] = reduced.M, reduced.K
     rigid = np.linalg.lstsq(whole.T @ (problem.M @ whole), whole.T @ (problem.M @ problem.rigid), rcond=None)[0]
     D = problem.damping.matrix(M, K, rigid)
     if problem.D is not None:
-        D = D + projected(whole, problem.D, budget)
+        D = D + space.project(whole, problem.D)
     C = np.hstack([reduced.C, np.asarray(problem.B.T @ added)])
     kinds = (*reduced.mode_kind, *("elastic",) * added.shape[1])
     return replace(reduced, V=whole, M=M, K=K, D=D, B=C.T, C=C, mode_kind=kinds)

@@ -24,7 +24,6 @@ from morembs.body.floating.link_stiffness import Links
 from morembs.body.floating.stiffening import Envelope, Stiffening
 from morembs.fem import FEModel
 from morembs.fem.geometric_stiffness import StressedMesh
-from morembs.linalg.columns import dot
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 
@@ -89,7 +88,8 @@ def geometric_stiffening(
     for first in range(0, len(loaded), group):
         some = loaded[first : first + group]
         U = problem.coupling.T @ problem.elastic.flexibility(loads.F[:, some])
-        kg = stressed.stiffness(U, problem.budget)
+        with problem.budget.in_use():
+            kg = stressed.stiffness(U)
         turning = links.turning(U, loads.inertial[:, some], loads.wrench[:, some])
         del U
         P = _projected(problem, reduced.V, kg)
@@ -162,8 +162,8 @@ def _group(problem: Problem, entries: int) -> int:
 
 def _projected(problem: Problem, V: Floats, kg: list[sp.csr_array]) -> Floats:
     """V' T' (kg (x) I3) T V (k, nr, nr) for each of the k scalar matrices, a block of columns at a time."""
-    T, budget, order = problem.coupling.T, problem.budget, V.shape[1]
-    width = budget.columns(len(V), copies=2 * len(kg) + 2, widest=COLUMNS)
+    T, space, order = problem.coupling.T, problem.space, V.shape[1]
+    width = space.budget.columns(len(V), copies=2 * len(kg) + 2, widest=COLUMNS)
     P = np.empty((len(kg), order, order))
     for first in range(0, order, width):
         X = np.ascontiguousarray(T @ V[:, first : first + width])
@@ -173,9 +173,9 @@ def _projected(problem: Problem, V: Floats, kg: list[sp.csr_array]) -> Floats:
         Y = np.empty((len(V), len(kg) * w))
         for place, matrix in enumerate(kg):
             Y[:, place * w : (place + 1) * w] = T.T @ (matrix @ by_node).reshape(-1, w)
-        product = dot(V, Y, budget)
+        product = space.dot(V, Y)
         P[:, :, first : first + w] = product.reshape(order, len(kg), w).transpose(1, 0, 2)
-        budget.release_if_tight()
+        space.budget.release_if_tight()
     return P
 
 

@@ -77,13 +77,12 @@ class Unreduced(Closing):
             raise InputError(f"the unreduced parts have a damping matrix; {reason}")
         firsts = [0, *accumulate(len(part.placed.xyz) for part in self._parts)]
         own = np.concatenate([first + np.arange(len(body.xyz)) for first, body in zip(firsts, placed, strict=False)])
-        with listening(given.listener):
+        with listening(given.listener), given.budget.in_use():
             self.problem = Problem(
                 whole,
                 [replace(interface, nodes=own[interface.nodes]) for interface in given.interfaces],
                 solver=given.solver,
                 damping=given.damping,
-                budget=given.budget,
                 workers=given.workers,
             )
 

@@ -19,8 +19,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from morembs.base.arguments import checked
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError, nearest
+from morembs.base.former_names import with_budget_argument
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.rotation_vectors import curvature, shortened, tangents, turned
 from morembs.dynamics.nonlinear.total_lagrangian import SaintVenantKirchhoff
@@ -60,8 +60,9 @@ class NonlinearSolid:
             small rotations only.
     """
 
-    def __init__(self, model: FEModel, interfaces: Sequence[Interface] = (), budget: Budget = UNLIMITED) -> None:
-        self.elements = SaintVenantKirchhoff(model, budget)
+    @with_budget_argument
+    def __init__(self, model: FEModel, interfaces: Sequence[Interface] = ()) -> None:
+        self.elements = SaintVenantKirchhoff(model)
         self.model, self.interfaces = model, {interface.name: interface for interface in interfaces}
         if len(self.interfaces) < len(interfaces):
             raise InputError("two interfaces have the same name; give each its own name")

@@ -15,8 +15,9 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.budget import Budget, current_budget
 from morembs.base.errors import InputError, SolverError
+from morembs.base.former_names import with_budget_argument
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel
 from morembs.fem.assembly import chunks, material_of_elements, node_graph, stiffness_pattern
@@ -55,13 +56,14 @@ class SaintVenantKirchhoff:
             elements whose formulation is one of small strains.
     """
 
-    def __init__(self, model: FEModel, budget: Budget = UNLIMITED) -> None:
+    @with_budget_argument
+    def __init__(self, model: FEModel) -> None:
         if model.mesh is None or not model.materials or not model.dofs.is_solid:
             raise InputError(
                 "the model has no mesh of solid elements with materials, or more than the displacements of its nodes; "
                 "expected what morembs.fem.assembly.assemble gives. Large displacements need the elements themselves"
             )
-        self._model, self.mesh, self.budget, self.X = model, model.mesh, budget, model.nodes.xyz
+        self._model, self.mesh, self.budget, self.X = model, model.mesh, current_budget(), model.nodes.xyz
         self._owner = material_of_elements(self.mesh, model.materials)
         self._stiffness = np.stack([material.stiffness for material in model.materials])
         self._graph = node_graph(self.mesh)
@@ -70,9 +72,9 @@ class SaintVenantKirchhoff:
         self._rules = {id(block): _rule(block) for block in self.mesh.blocks}
         self.points = sum(len(self._rules[id(block)].weights) * len(block.ids) for block in self.mesh.blocks)
 
-    def __reduce__(self) -> tuple[type[SaintVenantKirchhoff], tuple[FEModel, Budget]]:
+    def __reduce__(self) -> tuple[type[SaintVenantKirchhoff], tuple[FEModel], dict[str, Budget]]:
         # What belongs to a block is found by its identity, which another process does not share.
-        return SaintVenantKirchhoff, (self._model, self.budget)
+        return SaintVenantKirchhoff, (self._model,), {"budget": self.budget}
 
     def _chunks(self) -> Iterator[_Chunk]:
         first = 0
@@ -165,7 +167,8 @@ class SaintVenantKirchhoff:
     @cached_property
     def pattern(self) -> tuple[Ints, Ints]:
         """indptr and indices of the tangent, blocks of 3 x 3 on the node graph."""
-        whole = stiffness_pattern(self._graph, self.budget)
+        with self.budget.in_use():
+            whole = stiffness_pattern(self._graph)
         return whole.indptr, whole.indices
 
     def _elements(self, chunk: _Chunk, x: Floats, stress: Floats | None) -> Floats:

@@ -13,8 +13,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
+from morembs.base import progress
 from morembs.base.errors import SolverError
-from morembs.base.progress import SILENT, Progress
 from morembs.linalg.sparse.tolerances import TOL
 
 T = TypeVar("T")
@@ -45,11 +45,11 @@ class ForeignObject(ABC):
         if not self.abandoned:
             self._free()
 
-    def call(self, function: Callable[..., T], *args: object, progress: Progress = SILENT, news: str = "") -> T:
+    def call(self, function: Callable[..., T], *args: object, news: str = "") -> T:
         """``function(*args)``.
 
         Args:
-            progress: told ``news`` and the seconds so far, twice a second.
+            news: told to the listener with the seconds so far, twice a second; nothing without it.
 
         Raises:
             SolverError: a call before was abandoned.
@@ -66,7 +66,8 @@ class ForeignObject(ABC):
         try:
             worker.start()
             while not job.done.wait(TOL.news_seconds):
-                progress.update(f"{news} {time.perf_counter() - start:.0f} s".strip())
+                if news:
+                    progress.update(f"{news} {time.perf_counter() - start:.0f} s")
         except BaseException:
             self.abandoned = job.abandon() and worker.ident is not None
             raise

@@ -12,13 +12,12 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar, final
 
 import numpy as np
 
 from morembs.base.errors import BudgetError, SolverError
-from morembs.base.progress import SILENT, Progress
 from morembs.base.types import Values
 from morembs.linalg.sparse.interruptible import ForeignObject
 from morembs.linalg.sparse.solver import Analysis, Factorization, FactorStats, Forecast, LinearSolver
@@ -109,8 +108,7 @@ class Session(ForeignObject):
         Raises:
             SolverError: a call before was interrupted.
         """
-        progress = self.solver.progress if self._news else SILENT
-        return self.call(function, *args, progress=progress, news=self._news)
+        return self.call(function, *args, news=self._news)
 
     @final
     def analyse(self, A: Lower) -> Forecast:
@@ -241,8 +239,6 @@ class SessionFactor(Factorization):
 @dataclass(frozen=True, kw_only=True)
 class SessionSolver(LinearSolver):
     """A solver by its ``session``, whose ``library`` is the one that is found here, or the reason why there is none."""
-
-    progress: Progress = field(default=SILENT, compare=False, repr=False)
 
     session: ClassVar[type[Session]]
     library: ClassVar[Callable[..., Any]] = staticmethod(lambda: None)

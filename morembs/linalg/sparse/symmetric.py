@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.budget import current_budget
 from morembs.base.errors import InputError, SingularMatrixError
 from morembs.base.types import Values
 from morembs.linalg.sparse.tolerances import TOL
@@ -46,12 +46,10 @@ class Lower:
         return zlib.crc32(buffers[1], zlib.crc32(buffers[0]))
 
     @classmethod
-    def of(
-        cls, A: sp.sparray | Lower, what: str = "the matrix", budget: Budget = UNLIMITED, regular: bool = True
-    ) -> Lower:
+    def of(cls, A: sp.sparray | Lower, what: str = "the matrix", *, regular: bool = True) -> Lower:
         """Lower triangle of ``A``, which is checked; ``regular`` False lets it have rows of nothing but zero.
 
-        Peak memory: the triangle itself, where ``budget`` wants it, and a piece of it.
+        Peak memory: the triangle itself, where the budget wants it, and a piece of it.
 
         Raises:
             InputError: not square, empty, not symmetric, or values that are not finite.
@@ -72,7 +70,7 @@ class Lower:
             A = sp.csr_array(A.T if isinstance(A, sp.csc_array) else A, copy=True)
             A.sum_duplicates()
         _check_values(A, what, regular)
-        counts = np.zeros(A.shape[0] + 1, dtype=np.int64)
+        budget, counts = current_budget(), np.zeros(A.shape[0] + 1, dtype=np.int64)
         for first, row, keep in _upper(A):
             local = np.bincount(row[keep] - first)
             counts[first + 1 : first + 1 + len(local)] = local
@@ -181,9 +179,7 @@ class General(Lower):
     skew: Values
 
     @classmethod
-    def of(
-        cls, A: sp.sparray | Lower, what: str = "the matrix", budget: Budget = UNLIMITED, regular: bool = True
-    ) -> General:
+    def of(cls, A: sp.sparray | Lower, what: str = "the matrix", *, regular: bool = True) -> General:
         """Both parts of ``A`` (n, n). Peak memory: some three times that of ``A``.
 
         Raises:

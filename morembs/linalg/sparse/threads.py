@@ -81,10 +81,10 @@ def _measured(threads: int) -> Speed:
 
 
 def shortest_time(
-    job: Callable[[], object], budget: float = TOL.speed_seconds, clock: Callable[[], float] = time.perf_counter
+    job: Callable[[], object], seconds: float = TOL.speed_seconds, clock: Callable[[], float] = time.perf_counter
 ) -> float:
-    """Shortest of the times in seconds that ``job`` takes, run until the ``budget`` is used up."""
-    best, end = float("inf"), clock() + budget
+    """Shortest of the times in seconds that ``job`` takes, run for so many ``seconds`` in all."""
+    best, end = float("inf"), clock() + seconds
     while True:
         start = clock()
         job()

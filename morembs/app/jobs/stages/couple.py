@@ -33,7 +33,7 @@ class Couple(JobStage):
 
     def run(self, work: Work) -> None:
         job, model = work.job, work[MODEL]
-        work.tell(*model_warnings(job, model, work.budget))
+        work.tell(*model_warnings(job, model))
         with work.watch.stage("couple"):
             work.give(INTERFACES, interfaces_of(job, model))
             problem = coupled(work, model, work.get(VARIED))
@@ -44,12 +44,7 @@ class Couple(JobStage):
 def coupled(work: Work, model: FEModel, varied: VariedModel | None) -> Problem:
     """The problem of ``model`` with the interfaces that are there."""
     job = work.job
-    options: dict[str, Any] = {
-        "damping": damping_of(job),
-        "solver": work.solver,
-        "budget": work.budget,
-        "workers": job.tables.solver.workers,
-    }
+    options: dict[str, Any] = {"damping": damping_of(job), "solver": work.solver, "workers": job.tables.solver.workers}
     if varied is None:
         return Problem(model, work[INTERFACES], **options)
     # Not at the top: most jobs have no parameters.

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 
 from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.couple import interfaces_of
-from morembs.base.budget import UNLIMITED, Budget, memory_that_leaves
+from morembs.base.budget import current_budget, memory_that_leaves
 from morembs.base.errors import BudgetError, enough_megabytes
 from morembs.fem import DofMap, FEModel, Mesh
 from morembs.fem.assembly import check_mesh, mass_warnings, stiffness_pattern
@@ -148,7 +148,6 @@ def forecast_cost(
     T: sp.csr_array,
     columns: int,
     solver: LinearSolver,
-    budget: Budget,
     start: int,
     modes: bool,
     shifted: Sequence[ShiftedFactorisations] = (),
@@ -166,9 +165,10 @@ def forecast_cost(
         SolverError: no method fits into the budget.
     """
     square = T.shape[0] == T.shape[1]
-    lower = Lower.of(K if square else congruence(T, K, budget), budget=budget)
+    lower = Lower.of(K if square else congruence(T, K))
     n, matrices = lower.n, _matrices(K, lower, square)
     del K
+    budget = current_budget()
     room = None if budget.memory is None else budget.memory - start - resting_bytes(n)
     # What reduce loads and keeps later is not there yet when it looks at this.
     first = None if room is None else room + RESTING_BYTES - LOADED_BYTES
@@ -269,7 +269,7 @@ def least_memory(
     K = model.K if K is None else K
     T = abs(couple(model, interfaces_of(job, model)).T)
     square = T.shape[0] == T.shape[1]
-    lower = Lower.of(K if square else congruence(T, K, UNLIMITED))
+    lower = Lower.of(K if square else congruence(T, K))
     count = 0
     try:
         require_room_to_count(solver, lower, 0)

@@ -13,7 +13,6 @@ from morembs.app.jobs.job import Job
 from morembs.app.jobs.schema import MaterialTable
 from morembs.app.jobs.stages.forecast import least_memory, require_room, require_room_of_mesh
 from morembs.app.jobs.stages.stage import MODEL, JobStage, Result, Work
-from morembs.base.budget import Budget
 from morembs.base.errors import InputError
 from morembs.base.units import Units
 from morembs.fem import FEModel, Mesh
@@ -57,7 +56,7 @@ class Assemble(JobStage):
     def run(self, work: Work) -> None:
         rule = work.job.tables.model.mass_integration
         with work.watch.stage("assemble"):
-            model = assemble(work[MESH], materials_of(work.job), mass_integration=rule, budget=work.budget)
+            model = assemble(work[MESH], materials_of(work.job), mass_integration=rule)
         work.give(MODEL, model)
 
 
@@ -76,14 +75,14 @@ class ReadModel(JobStage):
         tables = [flow.path for flow in given.flow if flow.path.endswith(".csv")]
         return files | {f"the path of [[flow]] {path}": job.resolve(path) for path in tables}
 
-    def matrices(self, job: Job, budget: Budget) -> FEModel:
+    def matrices(self, job: Job) -> FEModel:
         """The model as it stands in its file."""
-        return read_model(job.resolve(job.tables.model.file or ""), budget=budget)
+        return read_model(job.resolve(job.tables.model.file or ""))
 
     def run(self, work: Work) -> None:
         job = work.job
         with work.watch.stage("read"):
-            model = self.matrices(job, work.budget)
+            model = self.matrices(job)
         require_room(
             job,
             work.start,

@@ -15,7 +15,6 @@ from morembs.app.jobs.stages.couple import VARIED, damping_of
 from morembs.app.jobs.stages.model import MESH, materials_of
 from morembs.app.jobs.stages.stage import MODEL, JobStage, Work
 from morembs.app.jobs.stages.write import WRITTEN
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.body.floating.preload import Preload, Preloaded
@@ -57,8 +56,8 @@ class Parameters(JobStage):
 
     def run(self, work: Work) -> None:
         with work.watch.stage("assemble"):
-            varied = varied_of(work.job, work[MESH], materials_of(work.job), work.budget)
-            work.give(MODEL, varied.model(varied.box.nominal, work.budget))
+            varied = varied_of(work.job, work[MESH], materials_of(work.job))
+            work.give(MODEL, varied.model(varied.box.nominal))
         work.give(VARIED, varied)
 
 
@@ -77,7 +76,7 @@ class ParameterSteps(JobStage):
             clear_steps(work[WRITTEN])
 
 
-def varied_of(job: Job, mesh: Mesh, materials: Sequence[Material], budget: Budget = UNLIMITED) -> VariedModel:
+def varied_of(job: Job, mesh: Mesh, materials: Sequence[Material]) -> VariedModel:
     """The model of the job with its parameters.
 
     Raises:
@@ -91,7 +90,6 @@ def varied_of(job: Job, mesh: Mesh, materials: Sequence[Material], budget: Budge
         parameters,
         tolerance=min(float(x) for x in tolerances if isinstance(x, int | float)),
         mass_integration=job.tables.model.mass_integration,
-        budget=budget,
     )
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.model import ReadModel
-from morembs.base.budget import Budget
 from morembs.fem import FEModel
 
 
@@ -25,8 +24,8 @@ class Parts(ReadModel):
         bodies = {"a body" if not number else f"a body {number + 1}": file for number, file in files}
         return bodies | {f"the job of part {table.name}": job.resolve(table.job) for table in tables if table.job}
 
-    def matrices(self, job: Job, budget: Budget) -> FEModel:
+    def matrices(self, job: Job) -> FEModel:
         # Not at the top: most jobs have a mesh.
         from morembs.app.jobs.assembly import assembly_of
 
-        return assembly_of(job, budget)
+        return assembly_of(job)

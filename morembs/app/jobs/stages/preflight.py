@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.stage import asked
-from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.progress import duration_words
 from morembs.body.diagnostics.warnings import examined, examined_mesh
 from morembs.fem import FEModel
@@ -15,14 +14,14 @@ from morembs.reducers.problem_summary import ShiftedFactorisations
 MANY_INTERFACE_DOFS = 60
 
 
-def model_warnings(job: Job, model: FEModel, budget: Budget = UNLIMITED) -> tuple[str, ...]:
+def model_warnings(job: Job, model: FEModel) -> tuple[str, ...]:
     """Warnings about the model of ``job``: about its units where it is meshed, about its matrices where they came.
 
     Raises:
         InputError: matrices that no reduction takes.
     """
     if job.tables.model.mesh is None:
-        return examined(model, budget=budget)
+        return examined(model)
     return examined_mesh(model, job.units)
 
 

@@ -42,7 +42,7 @@ class PreloadStress(JobStage):
                 from morembs.app.jobs.stages.parameters import stressed
 
                 varied = stressed(varied, work[MODEL], preload, found)
-                model = varied.model(varied.box.nominal, work.budget)
+                model = varied.model(varied.box.nominal)
                 work.give(VARIED, varied)
             work.give(MODEL, model)
             work.give(PROBLEM, coupled(work, model, varied))

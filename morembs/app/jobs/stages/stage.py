@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from morembs.app.jobs.job import Job
-from morembs.base.budget import Budget
 from morembs.base.progress import Stopwatch
 from morembs.fem import FEModel, Mesh
 from morembs.linalg.sparse.solver import LinearSolver
@@ -45,7 +44,6 @@ class Work:
 
     job: Job
     solver: LinearSolver
-    budget: Budget
     start: int
     watch: Stopwatch
     counts_modes: bool = False
