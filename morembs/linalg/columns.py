@@ -14,13 +14,7 @@ import scipy.sparse as sp
 
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.types import Floats, Values
-
-# A column that keeps less than this part of its norm after orthogonalisation is dependent.
-DEPENDENT = 1e-10
-# Eigenvalues of a Gram matrix of unit columns below this are round-off.
-NOISE = 1e-14
-# Rows of an array that may lie in a file which are read at once, across all columns.
-_ROWS = 1 << 13
+from morembs.linalg.tolerances import TOL
 
 
 def m_norms(W: Values, MW: Values) -> Floats:
@@ -55,8 +49,8 @@ def subtract(V: Values, C: Values, W: Values, budget: Budget = UNLIMITED) -> Non
 def multiply_into(V: Floats, Y: Floats, out: Floats, budget: Budget = UNLIMITED) -> Floats:
     """V Y into ``out`` (N, k), which may be the first columns of ``V``: a block of rows at a time."""
     budget.release_if_tight()
-    for first in range(0, len(V), _ROWS):
-        rows = slice(first, first + _ROWS)
+    for first in range(0, len(V), TOL.product_rows):
+        rows = slice(first, first + TOL.product_rows)
         out[rows] = V[rows] @ Y
         budget.release_if_tight()
     return out
@@ -118,7 +112,7 @@ def fix_signs(V: Floats, budget: Budget = UNLIMITED) -> Floats:
     """``V`` with the first large entry of each column made positive, in place: equal input gives equal signs."""
     for column in V.T:
         size = np.abs(column)
-        if len(size) and column[(size >= 0.99 * size.max()).argmax()] < 0:
+        if len(size) and column[(size >= TOL.large_entry * size.max()).argmax()] < 0:
             # Not np.negative with out: NumPy 2.4 gives wrong values for strided columns.
             column *= -1.0
         budget.release_if_tight()
@@ -167,7 +161,7 @@ def orthonormal(
     gram: Values | None = None,
     *,
     passes: int = 1,
-    least: float = DEPENDENT,
+    least: float = TOL.dependent_column,
 ) -> Values:
     """Basis of the columns of ``W`` (n, k), orthonormal in x^H M y; dependent columns are dropped.
 
@@ -199,7 +193,7 @@ def orthonormal_pair(
     gram: Values | None = None,
     *,
     MW: Values | None = None,
-    least: float = DEPENDENT,
+    least: float = TOL.dependent_column,
 ) -> tuple[Values, Values]:
     """``orthonormal`` in one pass, and M times it; ``MW`` is M W where that is known."""
     if gram is None:
@@ -223,10 +217,10 @@ def _by_gram(
         if G is None:
             MQ = _weighted(Q, M)
             G = Q.conj().T @ MQ
-        if not Q.shape[1] or np.abs(G - np.eye(len(G))).max() < 1e-14 * len(G):
+        if not Q.shape[1] or np.abs(G - np.eye(len(G))).max() < TOL.orthonormality * len(G):
             break
         values, U = sl.eigh(0.5 * (G + G.conj().T))
-        good = values > max(NOISE, least**2) * values[-1]
+        good = values > max(TOL.gram_noise, least**2) * values[-1]
         Q, MQ, G = Q @ (U[:, good] / np.sqrt(values[good])), None, None
     return Q, _weighted(Q, M) if MQ is None else MQ
 

@@ -24,11 +24,12 @@ from morembs.fem.rigid_residual import share_of_other_geometry
 from morembs.linalg.columns import dense, map_columns
 from morembs.linalg.congruence import congruence, scaled_row_sums
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
-from morembs.linalg.eigen import GAP, Modes, lowest_modes
+from morembs.linalg.eigen import Modes, lowest_modes
 from morembs.linalg.rigid import resists, written
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_count, room_for_factor
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem.damping import Damping as Damping
 from morembs.problem.rigid_motions import need_factor, nodes_of_rows, rigid_motions, terms_in_rows
 from morembs.problem.system import System
@@ -330,7 +331,9 @@ class Problem(Closing):
         enough = known is not None and (
             (count is not None and len(known.eigenvalues) >= count)
             # The limit of the last call comes back as it was given to the eigensolver, up to round-off.
-            or (below is not None and known.verified_below >= below * (1 + GAP) * (1 - TOL.same_limit))
+            or (
+                below is not None and known.verified_below >= below * (1 + LINALG.eigenvalue_gap) * (1 - TOL.same_limit)
+            )
         )
         if known is not None and enough:
             return known
@@ -444,5 +447,6 @@ class Problem(Closing):
 
 def _cut(modes: Modes, count: int | None, below: float | None) -> Modes:
     if count is None:
-        count = int((modes.eigenvalues <= below * (1 + GAP)).sum()) if below is not None else len(modes.eigenvalues)
+        most = np.inf if below is None else below * (1 + LINALG.eigenvalue_gap)
+        count = int((modes.eigenvalues <= most).sum())
     return modes.first(count)

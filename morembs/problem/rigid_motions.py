@@ -19,9 +19,10 @@ from morembs.fem import FEModel
 from morembs.fem.fe_model import SCALAR, has_places
 from morembs.fem.interface import Coupling
 from morembs.linalg.congruence import cancelling
-from morembs.linalg.null_space import DENSE, groups_of, null_space
+from morembs.linalg.null_space import groups_of, null_space
 from morembs.linalg.rigid import free_in_groups, strain_free, written
 from morembs.linalg.sparse.solver import LinearSolver
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem.tolerances import TOL
 
 # Part of the radius of gyration below which places of nodes say nothing of the size of a model.
@@ -30,7 +31,8 @@ COMPACT = 1e-3
 
 def need_factor(model: FEModel, K: sp.csr_array) -> bool:
     """Whether the motions of ``K`` show in a factorisation only: many coordinates without places that are coupled."""
-    return not has_places(model) and K.shape[0] > DENSE and int(np.bincount(groups_of(K)[1]).max()) > DENSE
+    most = LINALG.dense_rows
+    return not has_places(model) and K.shape[0] > most and int(np.bincount(groups_of(K)[1]).max()) > most
 
 
 def rigid_motions(

@@ -25,7 +25,7 @@ from morembs.base.limits import MOST_HZ, Hertz, PositiveCount, number
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
 from morembs.linalg.columns import complement, dot, hstack, map_columns, multiply_into, projected
-from morembs.linalg.second_order_arnoldi import PASSES
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, Reducer, elastic_basis
 from morembs.reducers.facts import Facts, Shifted
@@ -268,7 +268,11 @@ class _LoadSpace:
     def add(self, block: Floats) -> int:
         """Join the columns of ``block`` to the space; returns how many were in it already."""
         new = complement(
-            [self.problem.rigid, self.V], np.array(block, order="F"), self.problem.M, self.problem.budget, passes=PASSES
+            [self.problem.rigid, self.V],
+            np.array(block, order="F"),
+            self.problem.M,
+            self.problem.budget,
+            passes=LINALG.krylov_passes,
         )
         self._room[:, self.size : self.size + new.shape[1]] = new
         self.size += new.shape[1]
@@ -344,7 +348,8 @@ def _two_sided(problem: Problem, V: Floats, W: Floats, notes: dict[str, object])
         # The smaller space takes directions of the other one, which loses no moment.
         small, large = (V, W) if V.shape[1] < W.shape[1] else (W, V)
         missing = large.shape[1] - small.shape[1]
-        more = complement(small, np.array(large, order="F"), problem.M, problem.budget, passes=PASSES)[:, :missing]
+        more = complement(small, np.array(large, order="F"), problem.M, problem.budget, passes=LINALG.krylov_passes)
+        more = more[:, :missing]
         notes["filled"] = f"{missing} columns of the {'outputs' if small is V else 'inputs'} serve both sides"
         joined = hstack(small, more, budget=problem.budget)
         V, W = (joined, W) if small is V else (V, joined)

@@ -22,7 +22,8 @@ from morembs.base.errors import BudgetError, InputError, SingularMatrixError, So
 from morembs.base.types import Floats, Values
 from morembs.base.units import in_hz
 from morembs.linalg.columns import complement, map_columns
-from morembs.linalg.second_order_arnoldi import PASSES, SecondOrderArnoldi
+from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem import Problem, System
 from morembs.problem.system import Solve
 from morembs.reducers.tolerances import TOL
@@ -76,7 +77,7 @@ class KrylovChain:
         M, budget = self.system.M, self.system.budget
         W = solve(M @ self.blocks[-1] if self.blocks else self.F)
         width = W.shape[1]
-        W = complement(self.blocks, W, M, budget, passes=PASSES)
+        W = complement(self.blocks, W, M, budget, passes=LINALG.krylov_passes)
         self.deflated.append(width - W.shape[1])
         self.F = np.zeros((0, 0))
         self.blocks.append(budget.store(np.asfortranarray(W)))

@@ -18,7 +18,7 @@ from morembs.fem.constraints import DependentDofs
 from morembs.fem.fe_model import SCALAR
 from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.linalg.congruence import cancelling
-from morembs.linalg.rigid import CLEAR, EPS
+from morembs.linalg.tolerances import TOL as LINALG
 
 REDUCED = "certificates of an assembly are against the bodies that were assembled, whose own errors are not in them"
 TURNING = (
@@ -139,7 +139,7 @@ def _strained(model: FEModel) -> float:
     force = np.abs(S.T @ (K @ (S @ R))).max(axis=1)
     left = float(np.divide(force, size, out=np.zeros_like(force), where=size > 0).max(initial=0.0))
     # Stiff springs feel the last digit of a place, which is larger far from the origin.
-    return CLEAR * (left + EPS * float(np.abs(model.nodes.xyz).max()) / radius)
+    return LINALG.clear_support * (left + LINALG.roundoff * float(np.abs(model.nodes.xyz).max()) / radius)
 
 
 def _dependent(model: FEModel, placed: Sequence[Placed]) -> DependentDofs | None:

@@ -26,7 +26,8 @@ from morembs.linalg.dynamic_stiffness import plan_at_shift
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.threads import blas_threads, measured_speed
-from morembs.linalg.statics import COUNT_BYTES, COUNT_COLUMNS, require_room_to_count
+from morembs.linalg.statics import require_room_to_count
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem.system import PROCESS_BYTES, worker_bytes
 from morembs.reducers.facts import Shifted
 
@@ -235,7 +236,7 @@ def require_room(job: Job, start: int, dofs: int, modes: bool, least: Callable[[
     """
     beside = resting_bytes(dofs)
     if modes:
-        count = COUNT_BYTES + LEAST_COUNT + 8 * COUNT_COLUMNS * dofs
+        count = LINALG.count_bytes + LEAST_COUNT + 8 * LINALG.count_columns * dofs
         beside = max(beside, beside - RESTING_BYTES + LOADED_BYTES + count)
     needed = start + beside
     if job.memory is not None and job.memory < needed:
