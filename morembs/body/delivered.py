@@ -15,7 +15,7 @@ from morembs.body.curve_check import Curve
 from morembs.body.diagnostics.findings import MOTIONS
 from morembs.body.floating.frame import FloatingFrame
 from morembs.body.stored import StoredBodies
-from morembs.body.tables import SKEW_PARTS
+from morembs.body.tables import FormatVersion
 from morembs.fem import rigid_motion
 from morembs.fem.fe_model import SCALAR, STRUCTURAL, WITHOUT_MASS
 
@@ -183,7 +183,7 @@ def _of_stored(body: Body, file: StoredBodies) -> Delivered:
 def _meant_symmetric(body: Body, file: StoredBodies) -> bool:
     """Whether matrices have to be symmetric: skew parts are in files of version 3 only, elsewhere they are damage."""
     return bool(np.array_equal(body.input_matrix.T, body.output_matrix)) and (
-        file.format_version < SKEW_PARTS or body.symmetric
+        file.format_version < FormatVersion.SKEW_PARTS or body.symmetric
     )
 
 

@@ -15,14 +15,12 @@ from morembs.body.body import BODY
 from morembs.body.floating.frame import FRAMES
 from morembs.body.stored import INTERFACE
 from morembs.body.tables import FILE
+from morembs.body.tolerances import TOL
 from morembs.fem.elements import FACES, TYPES
 from morembs.fem.fe_model import SCALAR
 from morembs.fem.interface import COUPLINGS
 from morembs.storage.table import KINDS
 from morembs.storage.table_check import TableCheck, refuse_not_finite
-
-# By how much axes may miss a rotation.
-ORTHONORMAL = 1e-6
 
 
 def check_file(path: Path, file: Any) -> None:
@@ -85,7 +83,7 @@ class _Check(TableCheck):
         axes = np.asarray(self.file[f"{at}axes"][()], dtype=float)
         with np.errstate(all="ignore"):
             off = float(np.abs(axes @ axes.T - np.eye(3)).max())
-        if not off < ORTHONORMAL or np.linalg.det(axes) < 0:
+        if not off < TOL.axes_error or np.linalg.det(axes) < 0:
             raise self.refuse(f"{at}axes", f"is no rotation (A A' - I = {off:.1e})", "orthonormal rows, right-handed")
 
     def frame(self, at: str, interfaces: Sequence[str]) -> None:

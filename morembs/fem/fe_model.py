@@ -19,14 +19,11 @@ from morembs.fem.arrays import frozen
 from morembs.fem.constraints import AverageElement, DependentDofs, Equations, RigidElement
 from morembs.fem.material import Material
 from morembs.fem.named_columns import NamedColumns
+from morembs.fem.tolerances import TOL
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
 
-# Matrices that came as text differ from their transposes by round-off.
-SYMMETRIC = 1e-8
-# Coordinates and entries beyond this are damage: volumes and sums of products would overflow.
-LARGEST = 1e75
 # Stiffness, mass, damping, gyroscopic and circulatory matrix.
 MATRICES = ("K", "M", "D", "G", "N")
 # The component of dofs that are no motion of a node.
@@ -100,7 +97,7 @@ class Mesh:
     ``warnings`` say in a sentence each what a model assembled from the mesh will have otherwise than its source.
 
     Raises:
-        InputError: coordinates beyond ``LARGEST``.
+        InputError: coordinates beyond ``TOL.largest_number``.
 
     >>> mesh
     Mesh: nodes 20; elements 4 hex8; node sets LEFT, RIGHT; source bar
@@ -233,7 +230,7 @@ class FEModel:
 
     Raises:
         InputError: matrices of another shape or of something else than numbers, G that is not skew-symmetric, or
-            coordinates beyond ``LARGEST``.
+            coordinates beyond ``TOL.largest_number``.
 
     >>> model
     FEModel: dofs 60; nodes 20; elements 4; matrices K, M; source bar
@@ -288,7 +285,7 @@ class FEModel:
                 continue
             rest, size = abs(A + A.T), float(np.abs(A.data).max(initial=0.0))
             largest = float(rest.max()) if rest.nnz else 0.0
-            if largest > SYMMETRIC * size:
+            if largest > TOL.asymmetry * size:
                 if name == "G":
                     i, j = (int(index[0]) for index in (rest == largest).nonzero())
                     raise InputError(
@@ -335,13 +332,13 @@ def refuse_far(nodes: Nodes, source: str) -> None:
     """Refuse coordinates with whose volumes and moments of inertia nothing can be computed; unknown ones (NaN) pass.
 
     Raises:
-        InputError: coordinates beyond ``LARGEST``.
+        InputError: coordinates beyond ``TOL.largest_number``.
     """
-    far = np.flatnonzero((np.abs(nodes.xyz) > LARGEST).any(axis=1))
+    far = np.flatnonzero((np.abs(nodes.xyz) > TOL.largest_number).any(axis=1))
     if len(far):
         raise InputError(
             f"{source}: node {nodes.ids[far[0]]} is at {nodes.xyz[far[0]].tolist()}; the file is damaged, or the "
-            f"units are wrong; expected coordinates up to {LARGEST:g}"
+            f"units are wrong; expected coordinates up to {TOL.largest_number:g}"
         )
 
 
@@ -468,4 +465,4 @@ def _unsymmetric(A: sp.csr_array) -> float:
     z = np.random.default_rng(60).standard_normal(A.shape[0])
     largest = max(abs(float(A.data.max(initial=0.0))), abs(float(A.data.min(initial=0.0))))
     difference = float(np.abs(A @ z - A.T @ z).max(initial=0.0))
-    return difference / largest if difference > SYMMETRIC * largest else 0.0
+    return difference / largest if difference > TOL.asymmetry * largest else 0.0

@@ -36,12 +36,8 @@ from morembs.problem.system import System
 from morembs.problem.tolerances import TOL
 
 Shared = TypeVar("Shared")
-# Round-off adds up at random: part of its bound that is seen as a rule.
-AS_A_RULE = 0.1
 # Key of the constraint modes among the solutions that reducers share.
 CONSTRAINT = "constraint modes"
-# Part of a static motion or of the stiffness of a mode that round-off may take.
-LOST = 1e-3
 SOFTER = (
     "make stiff links and penalty springs softer (a thousand times the stiffness of what they join is rigid enough) or "
     "replace them by rigid couplings, or leave a soft support to the simulation"
@@ -339,14 +335,14 @@ class Problem(Closing):
             return known
         with listening(listener() or self.listener):
             modes = lowest_modes(body, self.M, count=count, below=below, what=what)
-        off = AS_A_RULE * self.uncertainty(modes)
-        lost = np.flatnonzero(off > LOST * modes.eigenvalues)
+        off = TOL.usual_roundoff * self.uncertainty(modes)
+        lost = np.flatnonzero(off > TOL.lost_digits * modes.eigenvalues)
         if len(lost):
             k = int(lost[np.argmax(off[lost] / np.maximum(modes.eigenvalues[lost], np.finfo(float).tiny))])
             raise SolverError(
                 f"round-off in the stiffness matrix hides {len(lost)} of the {what}: that at "
                 f"{modes.frequencies_hz[k]:.6g} Hz has a stiffness of {modes.eigenvalues[k]:.3g} (rad/s)2, known to "
-                f"{off[k]:.1e} only (needed {LOST:.0e} of it); {SOFTER}"
+                f"{off[k]:.1e} only (needed {TOL.lost_digits:.0e} of it); {SOFTER}"
             )
         return modes
 
@@ -374,10 +370,10 @@ class Problem(Closing):
         change = statics.apply(statics.supported(held)) - held
         # The motions are M-orthonormal.
         lost = float(np.sqrt(np.linalg.norm(change.T @ (self.M @ change), 2)))
-        if not lost <= LOST:
+        if not lost <= TOL.lost_digits:
             raise SolverError(
                 f"the body is held so softly that its static motion on the supports comes out wrong by {lost:.1e} "
-                f"(needed {LOST:.0e}): round-off of the stiff parts hides its digits; {SOFTER}"
+                f"(needed {TOL.lost_digits:.0e}): round-off of the stiff parts hides its digits; {SOFTER}"
             )
 
     def _refuse_other_geometry(self) -> None:

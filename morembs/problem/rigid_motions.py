@@ -25,9 +25,6 @@ from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem.tolerances import TOL
 
-# Part of the radius of gyration below which places of nodes say nothing of the size of a model.
-COMPACT = 1e-3
-
 
 def need_factor(model: FEModel, K: sp.csr_array) -> bool:
     """Whether the motions of ``K`` show in a factorisation only: many coordinates without places that are coupled."""
@@ -93,7 +90,7 @@ def _independent_motions(R: Floats, M: sp.csr_array) -> tuple[Floats, Floats]:
     inertia = np.abs(np.diag(R.T @ (M @ R)))
     gyration = float(np.sqrt(inertia[3:].sum() / inertia[:3].sum())) if inertia[:3].any() else 0.0
     # Where all nodes follow one frame, its place alone is left of theirs, perhaps the origin.
-    radius = radius if radius > COMPACT * gyration else gyration
+    radius = radius if radius > TOL.compact_radius * gyration else gyration
     R = R / np.repeat([1.0, radius or 1.0], 3)
     G = R.T @ (M @ R)
     # Eigenvectors of the inertia are independent motions also where some vanish (all nodes on a line).

@@ -31,7 +31,8 @@ from morembs.linalg.columns import (
 )
 from morembs.linalg.complex_modes import small_complex_modes
 from morembs.linalg.eigen import graded_modes
-from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
+from morembs.problem import SOFTER, Problem
+from morembs.problem.tolerances import TOL as PROBLEM
 from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.tolerances import TOL
 from morembs.responses.massless import massless_motions, massless_words
@@ -399,11 +400,11 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
         )
     if not coupled:
         return
-    lost = AS_A_RULE * eps * np.einsum("ij,ij->j", np.abs(Y), np.abs(K) @ np.abs(Y))
+    lost = PROBLEM.usual_roundoff * eps * np.einsum("ij,ij->j", np.abs(Y), np.abs(K) @ np.abs(Y))
     # Rigid motion has no stiffness: what is there is lost.
     lost[:r] = np.maximum(lost[:r], np.abs(values[:r]))
     size = np.maximum(values, TOL.rigid_frequency**2 * lowest)
-    if not (lost <= LOST * size).all():
+    if not (lost <= PROBLEM.lost_digits * size).all():
         k = int(np.argmax(lost / size))
         what = (
             f"its mode {k - r + 1}"
@@ -412,7 +413,7 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
         )
         raise SolverError(
             f"round-off in the reduced stiffness hides {what}: it amounts to {lost[k]:.1e} (rad/s)2 of {size[k]:.1e} "
-            f"(allowed {LOST:.0e} of it); {SOFTER}"
+            f"(allowed {PROBLEM.lost_digits:.0e} of it); {SOFTER}"
         )
 
 

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from morembs.base import progress
 from morembs.base.errors import InputError, nearest
-from morembs.base.limits import MOST_HZ, Hertz, PositiveCount, number
+from morembs.base.limits import Hertz, PositiveCount, number
+from morembs.base.tolerances import TOL as BASE
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
 from morembs.linalg.columns import complement, dot, hstack, map_columns, multiply_into, projected
@@ -34,7 +35,7 @@ from morembs.reducers.shifts import Wanted, expansion_point, grow_at_once
 from morembs.reducers.tolerances import TOL
 from morembs.responses.loads import elastic_part, inertia_loads, load_scale
 
-Rate = Annotated[float, number("a positive number in 1/s", gt=0, lt=MOST_HZ)]
+Rate = Annotated[float, number("a positive number in 1/s", gt=0, lt=BASE.largest_hz)]
 
 
 @dataclass(frozen=True, kw_only=True)

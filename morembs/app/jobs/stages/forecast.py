@@ -28,7 +28,8 @@ from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.threads import blas_threads, measured_speed
 from morembs.linalg.statics import require_room_to_count
 from morembs.linalg.tolerances import TOL as LINALG
-from morembs.problem.system import PROCESS_BYTES, worker_bytes
+from morembs.problem.system import worker_bytes
+from morembs.problem.tolerances import TOL as PROBLEM
 from morembs.reducers.facts import Shifted
 
 # Bytes of a stored entry of K or M, and of the triangle with the places of M in it.
@@ -219,7 +220,7 @@ def _at_shifts(lower: Lower, shifted: Sequence[Shifted], solver: LinearSolver, w
         kept=largest.kept,
         here=max(here, default=0),
         seconds=seconds,
-        **({"processes": running, "each": each, "beside": PROCESS_BYTES} if running > 1 else {}),
+        **({"processes": running, "each": each, "beside": PROBLEM.process_bytes} if running > 1 else {}),
     )
 
 
