@@ -26,10 +26,18 @@ if TYPE_CHECKING:
 
 # Stiffness, mass, damping, gyroscopic and circulatory matrix.
 MATRICES = ("K", "M", "D", "G", "N")
-# The component of dofs that are no motion of a node.
-SCALAR = 6
 # Keys of the recipe of a body: its loss factor, and motions of interfaces that no mass follows.
 STRUCTURAL, WITHOUT_MASS = "structural_damping", "without_mass"
+
+
+class Component:
+    """Codes of components in dof maps, and in files of models and bodies.
+
+    0 to 2 are displacements along x, y, z and 3 to 5 rotations about them.
+    """
+
+    # No motion of a node.
+    SCALAR = 6
 
 
 @checked
@@ -164,7 +172,7 @@ class DofMap:
         return len(self.node)
 
     def _facts(self) -> dict[str, object]:
-        turns, scalars = int(self.turning.sum()), int((self.component == SCALAR).sum())
+        turns, scalars = int(self.turning.sum()), int((self.component == Component.SCALAR).sum())
         return {
             "displacements": len(self) - turns - scalars,
             "rotations": turns,
@@ -175,17 +183,17 @@ class DofMap:
     @property
     def turning(self) -> NDArray[np.bool_]:
         """(N,) which dofs are rotations."""
-        return np.asarray((self.component > 2) & (self.component < SCALAR))
+        return np.asarray((self.component > 2) & (self.component < Component.SCALAR))
 
     def table(self, nodes: int) -> Ints:
         """Dof (nodes, 7) of each node and component, -1 where there is none; of several scalars of a node the last."""
-        table = np.full((nodes, SCALAR + 1), -1, dtype=np.int64)
+        table = np.full((nodes, Component.SCALAR + 1), -1, dtype=np.int64)
         table[self.node, self.component] = np.arange(len(self))
         return table
 
     def twice(self) -> Ints:
         """Codes 6 node + component of dofs that are there more than once, each once; scalars may share a node."""
-        placed = self.component < SCALAR
+        placed = self.component < Component.SCALAR
         codes = np.sort(6 * self.node[placed] + self.component[placed])
         return np.unique(codes[1:][codes[1:] == codes[:-1]])
 
@@ -324,7 +332,7 @@ class FEModel:
 
 def has_places(model: FEModel) -> bool:
     """Whether dofs are motions of nodes at different places; all others are abstract coordinates."""
-    xyz = model.nodes.xyz[model.dofs.node[model.dofs.component < SCALAR]]
+    xyz = model.nodes.xyz[model.dofs.node[model.dofs.component < Component.SCALAR]]
     return bool(len(xyz) and np.ptp(xyz, axis=0).any())
 
 
@@ -416,7 +424,7 @@ def rigid_motion(xyz: Floats, component: Ints) -> Floats:
     moves = component < 3
     R[moves, component[moves]] = 1.0
     R[moves, 3:] = -skew(xyz[moves])[np.arange(int(moves.sum())), component[moves]]
-    turns = (component > 2) & (component < SCALAR)
+    turns = (component > 2) & (component < Component.SCALAR)
     R[turns, component[turns]] = 1.0
     return R
 

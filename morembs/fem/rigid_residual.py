@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base.types import Bools, Floats
-from morembs.fem.fe_model import SCALAR, DofMap, Nodes, rigid_motion, skew
+from morembs.fem.fe_model import Component, DofMap, Nodes, rigid_motion, skew
 from morembs.fem.tolerances import TOL
 from morembs.linalg.congruence import cancelling
 
@@ -50,7 +50,7 @@ def motion(nodes: Nodes, dofs: DofMap) -> tuple[Floats, Floats, float]:
 def residual(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> Residual:
     """K R, each row against the largest of its six sums of magnitudes."""
     R, center, length = motion(nodes, dofs)
-    force, size = K @ R, cancelling(K, R, dofs.component == SCALAR).max(axis=1)
+    force, size = K @ R, cancelling(K, R, dofs.component == Component.SCALAR).max(axis=1)
     ratio = np.divide(np.abs(force), size[:, None], out=np.zeros_like(force), where=size[:, None] > 0)
     return Residual(center=center, length=length, R=R, force=force, ratio=ratio)
 

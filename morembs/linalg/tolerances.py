@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
+
+from morembs.linalg.sparse.tolerances import TOL as SPARSE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -11,7 +12,7 @@ class LinalgTolerances:
     """Quantities that decide, each with the line that derives or cites it."""
 
     # Unit round-off of double precision, eps.
-    roundoff: float = sys.float_info.epsilon
+    roundoff: float = SPARSE.roundoff
 
     # --- Columns
     # Norm that a column keeps after orthogonalisation, as a part of it, below which it depends on others: five
@@ -209,8 +210,8 @@ class LinalgTolerances:
     support_flexibility: float = 1e-4
     # Columns of the model's length beside a Sturm count.
     count_columns: int = 50
-    # Bytes for buffers of the libraries beside a Sturm count.
-    count_bytes: int = 60_000_000
+    # Bytes for buffers of the libraries beside a Sturm count: those beside a factor.
+    count_bytes: int = SPARSE.bytes_beside_factor
     # Parts by which a shift is moved off an eigenvalue, one after the other: far above round-off, up to the
     # width of a cluster.
     shift_nudges: tuple[float, ...] = (0.0, 1e-8, 1e-7, 1e-6)

@@ -16,7 +16,7 @@ from morembs.base.budget import Budget
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel
-from morembs.fem.fe_model import SCALAR, has_places
+from morembs.fem.fe_model import Component, has_places
 from morembs.fem.interface import Coupling
 from morembs.linalg.congruence import cancelling
 from morembs.linalg.null_space import groups_of, null_space
@@ -69,7 +69,7 @@ def terms_in_rows(model: FEModel, coupling: Coupling, A: sp.csr_array, Phi: Floa
     number of terms, and so do these sums.
     """
     T = sp.csc_array(abs(coupling.T))
-    size = T.T @ cancelling(A, T @ np.abs(Phi), model.dofs.component == SCALAR)
+    size = T.T @ cancelling(A, T @ np.abs(Phi), model.dofs.component == Component.SCALAR)
     terms = T.astype(bool).T @ np.diff(A.indptr).astype(float)
     growth = np.where(np.diff(T.indptr) > 1, np.sqrt(np.maximum(terms / TOL.row_terms, 1.0)), 1.0)
     return np.asarray(size * growth[:, None])

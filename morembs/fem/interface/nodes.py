@@ -9,7 +9,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel, rigid_motion
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 from morembs.fem.interface.base import Interface
 from morembs.fem.tolerances import TOL
 
@@ -43,7 +43,7 @@ def all_dofs(model: FEModel, interface: Interface) -> Ints:
     if model.dofs.component.max(initial=0) < 3:
         return displacements
     here = np.isin(model.dofs.node, interface.nodes)
-    return np.flatnonzero(here & (model.dofs.component < SCALAR))
+    return np.flatnonzero(here & (model.dofs.component < Component.SCALAR))
 
 
 def loads_on(model: FEModel, dofs: Ints, values: Floats) -> sp.csc_array:
