@@ -38,23 +38,24 @@ class LinalgTolerances:
     # Eigenvalue over the highest one below which LAPACK loses digits: its error is eps of the highest, which leaves
     # ten digits here.
     soft_eigenvalue: float = 1e-6
-    # Error of Ritz values over their size at which they are taken.
+    # Residual of Ritz values over their size at which they are taken: vectors have nine digits, values more.
     ritz_residual: float = 1e-9
     # Distance of neighbouring eigenvalues over their size below which they are one cluster, in which a Sturm count has
     # no shift: a thousand times their error.
     eigenvalue_gap: float = 1e-6
-    # Modes of a large model above which the limit is a mistake, no reduction.
+    # Modes of a large model above which the limit is a mistake, no reduction: a dense body of 32 MB a matrix.
     most_modes: int = 2000
     # Times that modes which the count finds missing are looked for. Not measured: each adds those that are missing.
     count_attempts: int = 4
-    # Modes of a slice. Not measured: a space of twice as many columns and those of a block is made for them.
+    # Modes of a slice. Not measured: its space has twice as many columns, and four blocks.
     slice_modes: int = 120
     # Columns of a Krylov block in a slice: as many as for many modes with a factor in memory.
     slice_block: int = 12
     # Part of the modes of a slice that are to lie below its shift. Not measured: a little more than half, as those
     # above it are taken only where they converge.
     slice_part_below: float = 0.55
-    # Part of a Krylov space that the modes below a shift may need before it is enlarged: less is left for its growth.
+    # Part of a Krylov space that modes below a shift may need before it is enlarged. Not measured: 30 % is left for
+    # its growth.
     needed_part: float = 0.7
     # Slices that are worth their factors: more than 400 modes up to a limit are found slice by slice.
     least_slices: float = 400 / slice_modes
@@ -64,11 +65,11 @@ class LinalgTolerances:
     wide_block: int = 32
     # Columns of such a block where there are as many modes: no wider.
     widest_block: int = 64
-    # Blocks that exist at once.
+    # Blocks that exist at once while a block is solved for and made orthonormal.
     block_copies: int = 8
 
     # --- Block Lanczos
-    # Steps before the iteration is given up.
+    # Steps before the iteration is given up. Not measured: 3200 columns and more, as blocks have eight at least.
     lanczos_steps: int = 400
     # Growth of the space between two looks at its Ritz values, whose small eigenproblem costs more than the growth.
     ritz_growth: float = 1.05
@@ -81,11 +82,11 @@ class LinalgTolerances:
     rough_residual: float = 0.03
     # Residual of Ritz values that gain nothing more at the second shift: 450 eps.
     settled_residual: float = 1e-13
-    # Part of the residual that is allowed at the second shift, where an error weighs more than at zero.
+    # Part of the residual that is allowed at the second shift, where an error weighs more than at zero. Not measured.
     shifted_residual_part: float = 0.1
     # Multiple of a factor that the machine has memory for where two are kept: another one, its workspace, all else.
     factor_room: int = 6
-    # Times that the space is doubled before a mode that the count finds is given up.
+    # Times that the space is doubled before a mode that the count finds is given up. Not measured: four times as wide.
     space_doublings: int = 2
 
     # --- Complex modes
@@ -93,13 +94,13 @@ class LinalgTolerances:
     complex_residual: float = 1e-8
     # The same where round-off of stiff parts allows no more; its square is 1e-10.
     stalled_complex_residual: float = 1e-5
-    # Steps without halving the residual after which it is stalled.
+    # Steps without halving the residual after which it is stalled. Not measured.
     stalled_complex_steps: int = 3
-    # Modes that are followed beyond those that are wanted.
+    # Modes that are followed beyond those that are wanted, so that a gap behind these is seen.
     complex_modes_beyond: int = 4
     # Columns of the space for each mode at which it is begun anew: five complex vectors of each.
     complex_columns_per_mode: int = 10
-    # Steps before the iteration is given up.
+    # Steps before the iteration is given up. Not measured: it is stalled long before where it does not converge.
     complex_steps: int = 60
     # Imaginary part of an eigenvalue over its size that is zero: the mode does not oscillate. Not measured:
     # 5e6 eps, far above the error of LAPACK.
@@ -116,15 +117,16 @@ class LinalgTolerances:
     krylov_passes: int = 3
     # Singular value of snapshots over the largest that is round-off; a Gramian has its square, 1e-24.
     dropped_snapshot: float = 1e-12
-    # Passes in which the columns that an earlier pass took for dependent are scaled up and tried again.
+    # Passes in which the columns that an earlier pass took for dependent are scaled up and tried again. Not measured:
+    # one sees seven digits, and twelve are kept.
     snapshot_passes: int = 4
     # Direction of a factor Z over the largest that is dropped: its square, 1e-20, is nothing in the Gramian Z Z'.
     dropped_direction: float = 1e-10
-    # Residual of a Lyapunov equation over its loads, in static compliance.
+    # Residual of a Lyapunov equation over its loads, in static compliance: ten digits of a Gramian are five of a state.
     adi_residual: float = 1e-10
     # Shifts before the iteration is given up: lightly damped modes take about one each.
     adi_steps: int = 300
-    # Shifts that are used before the residual is projected again.
+    # Shifts that are used before the residual is projected again. Not measured.
     adi_shifts_at_once: int = 3
     # Columns of the latest solutions that it is projected on: a lightly damped mode is hit only once its Ritz value is
     # accurate to the width of its resonance.
@@ -137,7 +139,7 @@ class LinalgTolerances:
     undamped_mode: float = 1e-9
     # Columns of Z that there is room for at first; it doubles where it is full.
     adi_first_columns: int = 256
-    # Rows of Z that are handled at once.
+    # Rows of Z that are handled at once: 67 MB of 256 columns.
     adi_rows: int = 1 << 15
 
     # --- Integrals
@@ -154,7 +156,7 @@ class LinalgTolerances:
     zero_eigenvalue: float = 8 * roundoff
     # Shift of groups beyond LAPACK: far above round-off, far below eigenvalues of motions that have energy.
     null_space_shift: float = 1e-9
-    # Steps of subspace iteration, each of which damps these by shift / eigenvalue.
+    # Steps of subspace iteration, each of which damps these by shift / eigenvalue: 1e-12 for a thousand shifts.
     null_space_steps: int = 4
     # Columns that it begins with: six rigid motions and two more.
     null_space_columns: int = 8
@@ -164,7 +166,7 @@ class LinalgTolerances:
     strain_roundoff: float = 16 * roundoff
     # Force over the level of round-off from which it is a support.
     clear_support: float = 4.0
-    # Entry over its own terms that is round-off of zero.
+    # Entry over its own terms that is round-off of zero, which assembled bodies reach.
     cancelled_force: float = 3 * roundoff
     # Force over what cancels that numbers of few digits, and coordinates of few digits, leave at most: six digits.
     few_digits: float = 1e-6
@@ -176,25 +178,25 @@ class LinalgTolerances:
     largest_residual: float = 10 * usual_residual
     # Digits that decimal numbers are looked for with: in more than 14 most numbers are decimal by chance.
     decimal_digits: tuple[int, ...] = (12, 13, 14)
-    # Part of the entries that have no more digits, at least.
+    # Part of the entries that have no more digits, at least: one of a hundred may be computed.
     decimal_share: float = 0.99
-    # Part of the entries that have no fewer, at least.
+    # Part of the entries that have no fewer, at least: nine of ten random numbers do not end in zero.
     full_decimal_share: float = 0.5
-    # Entries that are looked at.
+    # Entries that are looked at: a sample of them, 32 kB.
     decimal_samples: int = 4096
-    # Different entries that there must be.
+    # Different entries that there must be. Not measured: fewer may be round by chance.
     least_decimals: int = 4
-    # Part of a held motion that round-off may mix into a free one.
+    # Part of a held motion that round-off may mix into a free one: five digits are left.
     mixed_motion: float = 1e-5
 
     # --- Statics
-    # Error of unit interface displacements that is refused.
+    # Error of unit interface displacements that is refused: six digits are left.
     imposed_error: float = 1e-6
     # The same before any refinement, beyond which the condensed stiffness has lost too much.
     first_imposed_error: float = 1e-5
     # The same that is not refined any more.
     exact_imposed_error: float = 1e-9
-    # Steps of refinement.
+    # Steps of refinement. Not measured: the count of the first look and three corrections.
     refinement_steps: int = 4
     # Part of the energy of a soft motion that the condensed stiffness may miss: half of that in a frequency.
     lost_energy: float = 1e-5
@@ -206,9 +208,10 @@ class LinalgTolerances:
     unseen_motion: float = 1e-13
     # Eigenvalue of the scaled constraints over the largest of constraints that depend on each other: 450 eps.
     dependent_constraint: float = 1e-13
-    # Size of an interface motion on its flexibility, over that of its rigid part, below which it is a support.
+    # Size of an interface motion by its flexibility, over that by its rigid part, below which it is a support. Not
+    # measured: the square of it in energy, 1e-8, is the root of eps.
     support_flexibility: float = 1e-4
-    # Columns of the model's length beside a Sturm count.
+    # Columns of the model's length beside a Sturm count: the blocks of the eigensolver that wait.
     count_columns: int = 50
     # Bytes for buffers of the libraries beside a Sturm count: those beside a factor.
     count_bytes: int = SPARSE.bytes_beside_factor

@@ -13,13 +13,13 @@ class DiagnosticTolerances:
     # --- Findings
     # Labels that a sentence names.
     shown_labels: int = 5
-    # Labels that are kept with a finding.
+    # Labels that are kept with a finding, in reports of some 10 kB.
     kept_labels: int = 1000
-    # Motion over the largest one by which a finding names its place.
+    # Motion over the largest one by which a finding names its place. Not measured.
     named_motion: float = 0.3
 
     # --- Entries of matrices
-    # Rows that are handled at a time.
+    # Rows that are handled at a time: 80 entries of each are 21 MB.
     rows_at_once: int = 1 << 15
     # Difference of two entries, and of two products with a random vector, over what cancels: nine printed digits.
     same_entry: float = 1e-9
@@ -33,29 +33,29 @@ class DiagnosticTolerances:
     invariant_space: float = 1e-12
     # Difference of two rows over the sum of their entries that is round-off: 4500 eps.
     equal_rows: float = 1e-12
-    # Pairs of rows that are compared entry by entry.
+    # Pairs of rows that are compared entry by entry: as many as a finding keeps.
     compared_pairs: int = 1000
 
     # --- Mass
     # Difference of the masses along x, y and z, and mass between them, over the mass.
     isotropic_mass: float = 1e-4
-    # Difference of the mass of M from that of the mesh, over it.
+    # Difference of the mass of M from that of the mesh, over it: curved sides and lumping change it by less.
     geometry_mass: float = 1e-3
-    # Distance of the center of mass from the box of the nodes, over its diagonal.
+    # Distance of the center of mass from the box of the nodes, over its diagonal: point masses may have arms.
     center_outside: float = 0.1
     # Negative second moment of the mass, over the trace of the inertia, that is round-off of printed numbers.
     negative_inertia: float = 1e-6
 
     # --- Nodes and dofs
-    # Distance of nodes at one place over the size of the model.
+    # Distance of nodes at one place over the size of the model: coordinates with six digits.
     coincident_nodes: float = 1e-6
-    # Part of the dofs with a residual above which other orders of the dofs are tried.
+    # Part of the dofs with a residual above which other orders of the dofs are tried: supports are on fewer.
     many_dofs: float = 0.05
-    # Rows on which they are tried.
+    # Rows on which they are tried: a share of 5 % is known to 0.4 % by them.
     order_rows: int = 3000
     # Force over what cancels below which it comes from soft mounts: in a wrong order most does not cancel.
     wrong_order: float = 1e-3
-    # Part of the dofs that have a residual, at most, after a change that explains it.
+    # Part of the dofs with a residual that still have one, at most, after a change that explains it. Not measured.
     explained_share: float = 0.1
     # Residual of a row, over its size, with a factor on the rotations that does not explain it.
     unexplained_row: float = 1e-4
@@ -69,7 +69,8 @@ class DiagnosticTolerances:
     # --- Rigid motion
     # Numbers of the largest dense system in the search for nodes with wrong coordinates: 32 MB.
     dense_numbers: int = 4_000_000
-    # Part of the dofs that fit the geometry with half the diagonal, at least, where it counts twice.
+    # Part of the dofs that fit the geometry with half the diagonal, at least, where it counts twice: the others may
+    # carry supports.
     halved_share: float = 0.95
     # Force under displacement, over the largest under rotation, that is none: coordinates are wrong, not supports.
     no_displacement_force: float = 1e-3
@@ -89,7 +90,7 @@ class DiagnosticTolerances:
     # --- Modes
     # Shift over the largest K_ii / M_ii: far below elastic modes of sound parts, far above round-off.
     shift: float = 1e-12
-    # Columns of a Krylov block.
+    # Columns of a Krylov block: the six rigid motions and two more.
     block_columns: int = 8
     # Blocks of the space: with the first about 50 solves.
     krylov_blocks: int = 7
@@ -101,9 +102,9 @@ class DiagnosticTolerances:
     same_motion: float = 1e-4
     # Singular value over the largest of rigid motions that a patch of nodes does not tell apart.
     dependent_motion: float = 1e-9
-    # Patches that are tried for a piece.
+    # Patches that are tried for a piece. Not measured.
     piece_tries: int = 30
-    # Pieces that are looked for.
+    # Pieces that are looked for. Not measured: a mechanism of more has its largest ones named.
     most_pieces: int = 6
 
     # --- Units
