@@ -41,7 +41,7 @@ OUTSIDE = {
     "STAGES",
     "LARGE",
     "largest",
-    "Shifted",
+    "ShiftedInverse",
 }
 REPLACING = {"setattr", "delattr", "setitem", "delitem"}
 

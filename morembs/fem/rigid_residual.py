@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from morembs.base.types import Bools, Floats
 from morembs.fem.fe_model import Component, DofMap, Nodes, rigid_motion, skew
 from morembs.fem.tolerances import TOL
-from morembs.linalg.congruence import cancelling
+from morembs.linalg.congruence import abs_products
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +50,7 @@ def motion(nodes: Nodes, dofs: DofMap) -> tuple[Floats, Floats, float]:
 def residual(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> Residual:
     """K R, each row against the largest of its six sums of magnitudes."""
     R, center, length = motion(nodes, dofs)
-    force, size = K @ R, cancelling(K, R, dofs.component == Component.SCALAR).max(axis=1)
+    force, size = K @ R, abs_products(K, R, dofs.component == Component.SCALAR).max(axis=1)
     ratio = np.divide(np.abs(force), size[:, None], out=np.zeros_like(force), where=size[:, None] > 0)
     return Residual(center=center, length=length, R=R, force=force, ratio=ratio)
 

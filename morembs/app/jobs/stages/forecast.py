@@ -30,7 +30,7 @@ from morembs.linalg.statics import require_room_to_count
 from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem.system import worker_bytes
 from morembs.problem.tolerances import TOL as PROBLEM
-from morembs.reducers.facts import Shifted
+from morembs.reducers.problem_summary import ShiftedFactorisations
 
 # Bytes of a stored entry of K or M, and of the triangle with the places of M in it.
 _ENTRY, _TRIANGLE = 12, 12
@@ -153,7 +153,7 @@ def forecast_cost(
     budget: Budget,
     start: int,
     modes: bool,
-    shifted: Sequence[Shifted] = (),
+    shifted: Sequence[ShiftedFactorisations] = (),
     workers: int = 1,
 ) -> Cost:
     """Cost of reducing with a stiffness of the pattern of ``K`` (N, N) in coupled dofs of ``T`` (N, Nc).
@@ -202,7 +202,9 @@ def forecast_cost(
     return Cost(plan=plan, choice=choice, columns=dense, peak=peak, seconds=_seconds(plan), shift=shift)
 
 
-def _at_shifts(lower: Lower, shifted: Sequence[Shifted], solver: LinearSolver, workers: int, left: int | None) -> Shift:
+def _at_shifts(
+    lower: Lower, shifted: Sequence[ShiftedFactorisations], solver: LinearSolver, workers: int, left: int | None
+) -> Shift:
     """What ``shifted`` takes on up to ``workers`` processes that have ``left`` bytes together (None: no limit)."""
     if not shifted:
         return Shift()
