@@ -22,16 +22,15 @@ from numpy.typing import ArrayLike
 
 from morembs.base.errors import InputError, shown
 from morembs.base.limits import Domain, alternatives
+from morembs.base.tolerances import TOL
 
 Target = TypeVar("Target", bound=Callable[..., Any])
 ARRAY_LIKE = frozenset(get_args(ArrayLike))
-# Size of a load, a speed or a place in SI units, of which products of four, times a stiffness, are finite numbers.
-LARGEST = 1e60
 
 
 def in_range(value: float) -> bool:
     """Whether a number is finite, and not so large that the products it goes into are not."""
-    return abs(value) <= LARGEST
+    return abs(value) <= TOL.largest_value
 
 
 def refuse_out_of_range(what: str, values: Iterable[float]) -> None:
@@ -42,7 +41,7 @@ def refuse_out_of_range(what: str, values: Iterable[float]) -> None:
     """
     for value in values:
         if not in_range(value):
-            raise InputError(f"{what} = {value} was given; expected a finite number, {LARGEST:g} at most")
+            raise InputError(f"{what} = {value} was given; expected a finite number, {TOL.largest_value:g} at most")
 
 
 def checked(target: Target) -> Target:

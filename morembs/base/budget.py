@@ -25,25 +25,8 @@ from morembs.base.errors import OutputError
 from morembs.base.former_names import with_old_names
 from morembs.base.memory import resident_bytes, trim
 from morembs.base.scratch import ScratchFolder
+from morembs.base.tolerances import TOL
 from morembs.base.types import Values
-
-# Arrays below this size are not worth a file; where the budget is nearly used up those below the second are not.
-_SMALL, _SMALLEST = 16_000_000, 1_000_000
-# Part of the budget that arrays may take in memory before they go to files.
-_IN_MEMORY = 0.02
-# Part of what is left that one block of columns may take.
-_BLOCK_SHARE = 0.25
-# The same where every block costs as much as a pass over a file, so that blocks are to be wide.
-_WIDE_SHARE = 0.6
-_WIDEST = 256
-# Part of the whole budget that columns of an array in a file may take which a product reads at once, and most of them.
-_READ_SHARE, _MOST_READ = 0.03, 64
-# Less than this part of the budget left is tight.
-_TIGHT = 0.3
-
-
-# Where the system cannot reserve space on a disk, zeros are written, so many bytes at once.
-_ZEROS = 1 << 22
 
 
 @dataclass(frozen=True)
@@ -58,8 +41,9 @@ class _Mapped:
 
 def memory_that_leaves(room: int, used: int) -> int:
     """Memory under which ``room`` bytes are left of a process that has ``used`` ones beside arrays, whatever arrays of
-    ``_SMALLEST`` bytes or more it has: the last that stays in memory takes what is left from ``_TIGHT`` of it."""
-    return max(room + used, math.ceil((room + _SMALL) / _TIGHT))
+    ``TOL.tight_array_bytes`` bytes or more it has: the last that stays in memory takes what is left from
+    ``TOL.tight_share`` of it."""
+    return max(room + used, math.ceil((room + TOL.array_bytes) / TOL.tight_share))
 
 
 _CURRENT: ContextVar[tuple[Budget, ...]] = ContextVar("budgets", default=())
@@ -90,7 +74,7 @@ class Budget(Closing):
     memory: int | None = None
     scratch: Path | None = None
     in_memory: int | None = None
-    widest: int = _WIDEST
+    widest: int = TOL.most_columns
     _folder: ScratchFolder | None = field(default=None, repr=False)
     _mapped: list[_Mapped] = field(default_factory=list, repr=False)
     _count: int = field(default=0, repr=False)
@@ -131,12 +115,14 @@ class Budget(Closing):
         left, widest = self.left(), min(self.widest, self.widest if widest is None else widest)
         if left is None:
             return widest
-        width = int((_WIDE_SHARE if wide else _BLOCK_SHARE) * max(left, 0) / (8 * n * copies))
+        width = int((TOL.wide_block_share if wide else TOL.block_share) * max(left, 0) / (8 * n * copies))
         return max(4, min(widest, width if wide else 1 << max(width, 1).bit_length() - 1))
 
     def read_at_once(self, n: int) -> int:
         """How many columns of length ``n`` a product reads at once, whatever is in memory by then."""
-        return _MOST_READ if self.memory is None else max(4, min(_MOST_READ, int(_READ_SHARE * self.memory / (8 * n))))
+        if self.memory is None:
+            return TOL.most_read_columns
+        return max(4, min(TOL.most_read_columns, int(TOL.read_share * self.memory / (8 * n))))
 
     def empty(self, shape: int | tuple[int, ...], dtype: DTypeLike = np.float64, order: str = "C") -> Values:
         """An array of zeros or of nothing in particular, in memory or in a scratch file.
@@ -177,7 +163,9 @@ class Budget(Closing):
         if self.memory is None:
             return math.inf
         memory, used = self.memory + more, resident_bytes() if resident is None else resident
-        return _SMALLEST if memory - used < _TIGHT * memory else max(_SMALL, _IN_MEMORY * memory)
+        if memory - used < TOL.tight_share * memory:
+            return TOL.tight_array_bytes
+        return max(TOL.array_bytes, TOL.array_share * memory)
 
     def store(self, array: Values) -> Values:
         """``array``, or a copy of it in a scratch file where the budget wants that."""
@@ -206,7 +194,7 @@ class Budget(Closing):
     def release_if_tight(self) -> None:
         """``release_pages`` where the budget is nearly used up: for loops over large arrays."""
         left = self.left()
-        if left is not None and self._mapped and left < _TIGHT * (self.memory or 0):
+        if left is not None and self._mapped and left < TOL.tight_share * (self.memory or 0):
             self.release_pages()
 
     def close(self) -> None:
@@ -250,7 +238,7 @@ def _reserve(file: BinaryIO, size: int) -> None:
     if hasattr(os, "posix_fallocate"):
         os.posix_fallocate(file.fileno(), 0, size)
         return
-    zeros = bytes(min(size, _ZEROS))
+    zeros = bytes(min(size, TOL.zeros_at_once))
     for first in range(0, size, len(zeros)):
         file.write(zeros[: size - first])
     file.flush()

@@ -5,8 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-# Characters of a value that a message quotes.
-_MOST_QUOTED = 60
+from morembs.base.tolerances import TOL
 
 
 class MorembsError(Exception):
@@ -71,7 +70,7 @@ class OverwriteError(MorembsError):
 def shown(value: object) -> str:
     """A value as a message quotes it."""
     text = " ".join(repr(value).split())
-    return text if len(text) <= _MOST_QUOTED else text[: _MOST_QUOTED - 3] + "..."
+    return text if len(text) <= TOL.quoted_characters else text[: TOL.quoted_characters - 3] + "..."
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

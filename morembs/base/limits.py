@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
-# Frequencies above these are none of a body.
-MOST_HZ = 1e12
+from morembs.base.tolerances import TOL
+
 _NUMBERS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
 
 
@@ -74,7 +74,9 @@ DampingRatio = Annotated[
 ]
 DampingFloor = Annotated[float, number("a part of critical damping from 0 to below 1, such as 0.01", ge=0, lt=1)]
 PoissonRatio = Annotated[float, number("a number between -1 and 0.5", gt=-1, lt=0.5)]
-Hertz = Annotated[float, number(f"a frequency in Hz from 0 to {MOST_HZ:g}", ge=0, lt=MOST_HZ)]
-PositiveHertz = Annotated[float, number(f"a positive frequency in Hz below {MOST_HZ:g}", gt=0, lt=MOST_HZ)]
+Hertz = Annotated[float, number(f"a frequency in Hz from 0 to {TOL.largest_hz:g}", ge=0, lt=TOL.largest_hz)]
+PositiveHertz = Annotated[
+    float, number(f"a positive frequency in Hz below {TOL.largest_hz:g}", gt=0, lt=TOL.largest_hz)
+]
 Count = Annotated[int, number("an integer, zero or more", ge=0)]
 PositiveCount = Annotated[int, number("an integer, 1 or more", ge=1)]

@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self, cast
 
 from morembs.base.errors import InputError
+from morembs.base.tolerances import TOL
 
 if TYPE_CHECKING:
     import psutil
@@ -21,9 +22,6 @@ try:
     import resource
 except ImportError:  # Windows, whose own figure is taken
     resource = None  # type: ignore[assignment]
-
-# How often the resident memory is looked at, in seconds: pages come at a few GB/s at most, so that not many are missed.
-_PERIOD = 0.01
 
 
 def resident_bytes() -> int:
@@ -132,7 +130,7 @@ class PeakMemory:
             self._seen = max(self._seen, now)
 
     def _watch(self) -> None:
-        while not self._end.wait(_PERIOD):
+        while not self._end.wait(TOL.memory_seconds):
             self._look()
 
     def __enter__(self) -> Self:

@@ -121,4 +121,5 @@ def duration_words(seconds: float) -> str:
     """``40 s``, ``12 min``, ``1.8 h``."""
     if seconds < 90:
         return f"{max(seconds, 1):.0f} s"
+    # Minutes up to 90 of them.
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -130,7 +130,7 @@ def _abandoned(folder: Path) -> bool:
         return _free(mark)
     if fcntl is None:
         return False
-    if not re.fullmatch(_DRAWN, folder.name[-9:]) or stat.S_IMODE(folder.stat().st_mode) != 0o700:
+    if not re.fullmatch(_DRAWN, folder.name[-9:]) or stat.S_IMODE(folder.stat().st_mode) != stat.S_IRWXU:
         return False  # somebody else's
     new = mark.with_suffix(".new")
     if new.exists() and _free(new):
@@ -195,7 +195,7 @@ def _lock(folder: Path) -> int | None:
     """Open handle of the mark of ``folder``, locked until it is closed or the process ends; None without locks."""
     # It gets its name when it is locked, so that nobody ever sees it free.
     new = (folder / _OWNER).with_suffix(".new")
-    handle = os.open(new, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+    handle = os.open(new, os.O_RDWR | os.O_CREAT | os.O_EXCL, stat.S_IRUSR | stat.S_IWUSR)
     try:
         if fcntl is None:
             os.write(handle, _process(os.getpid()))

@@ -20,10 +20,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-# One request may arrive twice, as from ``timeout``; what comes later than this is a second request. Seconds.
-_SAME = 1.0
-# How long after it was dropped an exception is raised again, in seconds.
-_AGAIN = 0.05
+from morembs.base.tolerances import TOL
+
 # SIGHUP is none of Windows, nor is the timer.
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 _HAS_TIMER = hasattr(signal, "setitimer")
@@ -73,7 +71,7 @@ def heeded(*, ends: bool = False, clock: Callable[[], float] = time.monotonic) -
             _asked.append((number, now))
             if ends:
                 end_with(128 + number)
-        elif now - _asked[0][1] >= _SAME:
+        elif now - _asked[0][1] >= TOL.same_request_seconds:
             os._exit(128 + _asked[0][0])
         else:
             return
@@ -83,14 +81,14 @@ def heeded(*, ends: bool = False, clock: Callable[[], float] = time.monotonic) -
     def dropped(what: Any) -> None:
         # A library may have made an error of its own of the exception.
         if _asked and _stops(what.exc_value):
-            _set_timer(_AGAIN)
+            _set_timer(TOL.raise_again_seconds)
         else:
             drop(what)
 
     def printed(kind: type[BaseException], error: BaseException, trace: Any) -> None:
         # Cython prints what it drops before it says so.
         if _asked and _stops(error):
-            _set_timer(_AGAIN)
+            _set_timer(TOL.raise_again_seconds)
         else:
             show(kind, error, trace)
 

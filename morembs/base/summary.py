@@ -15,10 +15,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.base.tolerances import TOL
+
 Class = TypeVar("Class", bound=type)
-WIDTH = 100
-# How many frequencies are shown, and how much of a text.
-SHOWN, LONGEST = 3, 70
 
 
 def summarised(kind: Class) -> Class:
@@ -30,8 +29,8 @@ def summarised(kind: Class) -> Class:
 
 def hertz(frequencies: NDArray[np.float64]) -> str:
     """``120.5, 377.1, 412 ... Hz``."""
-    shown = ", ".join(f"{f:,.4g}" for f in frequencies[:SHOWN])
-    return f"{shown}{' ...' * (len(frequencies) > SHOWN)} Hz" if shown else "none"
+    shown = ", ".join(f"{f:,.4g}" for f in frequencies[: TOL.shown_values])
+    return f"{shown}{' ...' * (len(frequencies) > TOL.shown_values)} Hz" if shown else "none"
 
 
 def kinds_words(kinds: Collection[str]) -> str:
@@ -47,6 +46,7 @@ def upwards(value: float) -> str:
     shown = f"{value:.1e}"
     if float(shown) < value:
         digits, power = shown.split("e")
+        # One more in the last digit that is shown.
         shown = f"{float(digits) + 0.1:.1f}e{power}"
     return shown
 
@@ -68,7 +68,7 @@ def _facts(instance: Any) -> Mapping[str, object]:
 
 def _words(value: Any) -> str:
     """A value in a few words: the shape of an array, how many a collection holds."""
-    if isinstance(value, np.ndarray) and value.size <= SHOWN and value.dtype.kind in "if":
+    if isinstance(value, np.ndarray) and value.size <= TOL.shown_values and value.dtype.kind in "if":
         return str([float(f"{v:.4g}") for v in value.ravel()])
     if hasattr(value, "shape") and not isinstance(value, np.generic):
         return f"{'×'.join(map(str, value.shape))} numbers"
@@ -76,8 +76,9 @@ def _words(value: Any) -> str:
         return f"{value:.6g}"
     if isinstance(value, str):
         # The end of a path says more than its beginning.
-        return value if len(value) <= LONGEST else f"...{value[-LONGEST:]}"
-    if isinstance(value, Collection) and (len(value) > SHOWN or not all(isinstance(v, str | int) for v in value)):
+        return value if len(value) <= TOL.text_characters else f"...{value[-TOL.text_characters :]}"
+    most = TOL.shown_values
+    if isinstance(value, Collection) and (len(value) > most or not all(isinstance(v, str | int) for v in value)):
         return f"{len(value)} of them"
     if isinstance(value, Collection):
         return ", ".join(map(str, value)) or "none"
@@ -97,7 +98,7 @@ def _text(instance: Any) -> str:
     facts = "; ".join(f"{name} {words}" for name, words in _shown(instance).items())
     whole = " ".join(f"{type(instance).__name__}: {facts}".split())
     lines = textwrap.wrap(
-        whole, WIDTH, max_lines=2, subsequent_indent="    ", placeholder=" ...", break_on_hyphens=False
+        whole, TOL.text_columns, max_lines=2, subsequent_indent="    ", placeholder=" ...", break_on_hyphens=False
     )
     return "\n".join(lines)
 

@@ -36,17 +36,11 @@ from morembs.base.errors import InputError, MorembsError, OutputError, SolverErr
 from morembs.base.memory import peak_memory_bytes
 from morembs.base.python_warnings import speak_plainly
 from morembs.base.scratch import PrivateFolder, ScratchFolder, remove_abandoned
+from morembs.base.tolerances import TOL
 
 log = logging.getLogger(__name__)
 Work = Callable[[Any, Any], Any]
-# Arrays below this size go with the message.
-_SMALLEST = 100_000
-# How long idle processes may take to leave, in seconds.
-_PATIENCE = 10.0
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-# Folders of the temporary folder beyond this many bytes leave no room for the name of a socket, 104 bytes on macOS:
-# /morembs-12345678/pymp-12345678/listener-12345678 takes 49.
-_LONGEST = 54
 _sockets: list[PrivateFolder] = []
 _METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 
@@ -65,7 +59,7 @@ class _Packer(pickle.Pickler):
         self._written: dict[int, str] = {}
 
     def persistent_id(self, value: Any) -> str | None:
-        if type(value) not in (np.ndarray, np.memmap) or value.nbytes < _SMALLEST or value.dtype.hasobject:
+        if type(value) not in (np.ndarray, np.memmap) or value.nbytes < TOL.message_bytes or value.dtype.hasobject:
             return None
         if not value.flags.forc:
             return None
@@ -209,7 +203,7 @@ class WorkerPool(Closing):
         for worker in self._crew:
             worker.channel.close()
         for worker in self._crew:
-            worker.process.join(_PATIENCE)
+            worker.process.join(TOL.leaving_seconds)
         self._kill()
         self._limits.__exit__(None, None, None)
 
@@ -265,7 +259,7 @@ class WorkerPool(Closing):
         return done
 
     def _ended(self, worker: _Worker) -> SolverError:
-        worker.process.join(_PATIENCE)
+        worker.process.join(TOL.leaving_seconds)
         code, number = worker.process.exitcode, self._crew.index(worker) + 1
         how = f"by signal {-code}" if code is not None and code < 0 else f"with exit code {code}"
         why = "maybe for want of memory; take fewer workers, or give [solver] a memory budget"
@@ -329,7 +323,9 @@ def _without_main(needed: bool) -> Iterator[None]:
 def _socket_apart() -> Iterator[None]:
     """The socket of the process that workers are copied from goes to a private folder, which lives as long as this
     process: the next run removes it where this one is killed."""
-    place = next((each for each in (tempfile.gettempdir(), "/tmp") if len(os.fsencode(each)) <= _LONGEST), "/tmp")
+    place = next(
+        (each for each in (tempfile.gettempdir(), "/tmp") if len(os.fsencode(each)) <= TOL.folder_bytes), "/tmp"
+    )
     if _METHOD != "forkserver" or _sockets or not os.access(place, os.W_OK):
         yield
         return

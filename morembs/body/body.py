@@ -17,6 +17,7 @@ from morembs.body.floating.frame import FloatingFrame
 from morembs.body.floating.ranking import RankedTerm
 from morembs.body.floating.spin import ReducedSpin
 from morembs.body.recovery_shapes import RECOVERY, Recovery, recovery_parts
+from morembs.body.tolerances import TOL
 from morembs.body.view import Viewed, refuse_no_modes
 from morembs.fem.fe_model import STRUCTURAL
 from morembs.storage.table import Later, Row, Table, dataset, table_of
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     from morembs.reducers.base import ReducedModel
     from morembs.reducers.switching_tables import StaticModeTables
 
-# Part of the largest entry by which round-off may make the matrices of a file differ from their transposes.
-SYMMETRIC = 1e-9
 # Why a body has no value for a field that is read later.
 MISSING = {
     "switching": 'has no static modes of candidate loads; reduce with method = "static-modes-switching"',
@@ -245,7 +244,7 @@ class Body(Viewed):
         """Whether all matrices are symmetric: one-sided, without gyroscopic and circulatory terms."""
         both = self.stiffness_matrix, self.damping_matrix
         return self._one_sided and all(
-            np.abs(A - A.T).max(initial=0.0) <= SYMMETRIC * np.abs(A).max(initial=0.0) for A in both
+            np.abs(A - A.T).max(initial=0.0) <= TOL.asymmetry * np.abs(A).max(initial=0.0) for A in both
         )
 
     @property

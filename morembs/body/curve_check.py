@@ -9,11 +9,7 @@ import numpy as np
 
 from morembs.base.types import Floats
 from morembs.body.diagnostics.findings import Finding
-
-# Frequencies of the curve that are computed again, spread over the band.
-SAMPLES = 3
-# Difference of the size of H; change of K, of itself, that round-off and solvers leave; step that measures its effect.
-AGREES, NEAR, NUDGE = 1e-5, 1e-6, 1e-8
+from morembs.body.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,7 +40,7 @@ def curve_findings(
         M, D, K = (E.T @ A @ E for A in (M, D, K))
         B, C = E.T @ B, C @ E
     B, C = B * curve.scale, curve.scale[:, None] * C
-    picked = np.unique(np.linspace(0, len(curve.size) - 1, SAMPLES).astype(int))
+    picked = np.unique(np.linspace(0, len(curve.size) - 1, TOL.curve_samples).astype(int))
 
     def size(w: float, factor: float) -> float:
         A = (1 + 1j * curve.structural) * factor * K + 1j * w * D - w**2 * M
@@ -54,8 +50,8 @@ def curve_findings(
     for w, held in zip(2 * np.pi * curve.frequencies_hz[picked], curve.size[picked], strict=True):
         with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
             found = size(w, 1.0)
-            near = abs(found - size(w, 1.0 + NUDGE)) / NUDGE
-            off += abs(found - held) > AGREES * held + NEAR * near
+            near = abs(found - size(w, 1.0 + TOL.stiffness_step)) / TOL.stiffness_step
+            off += abs(found - held) > TOL.curve_difference * held + TOL.stiffness_change * near
     if 2 * off <= len(picked):
         return []
     sentence = "the body does not respond as its certificate shows: M, D, K, B or C are others"

@@ -15,9 +15,9 @@ from morembs.body.curve_check import Curve
 from morembs.body.diagnostics.findings import MOTIONS
 from morembs.body.floating.frame import FloatingFrame
 from morembs.body.stored import StoredBodies
-from morembs.body.tables import SKEW_PARTS
+from morembs.body.tables import FormatVersion
 from morembs.fem import rigid_motion
-from morembs.fem.fe_model import SCALAR, STRUCTURAL, WITHOUT_MASS
+from morembs.fem.fe_model import STRUCTURAL, WITHOUT_MASS, Component
 
 if TYPE_CHECKING:
     from morembs.body.part import Part
@@ -78,7 +78,7 @@ def delivered(body: ReducedModel | Body, part: Part | StoredBodies | None) -> De
 def _of_body(body: Body, part: Part) -> Delivered:
     r = body.reduced
     certificate = body.certificate
-    frame, motion = np.full((r.B.shape[1], 6), np.nan), np.full(r.B.shape[1], SCALAR)
+    frame, motion = np.full((r.B.shape[1], 6), np.nan), np.full(r.B.shape[1], Component.SCALAR)
     names = [""] * r.B.shape[1]
     place = {int(label): row for row, label in enumerate(part.nodes.ids.tolist())}
     for interface in part.interfaces:
@@ -87,7 +87,7 @@ def _of_body(body: Body, part: Part) -> Delivered:
         points = np.tile(interface.point, (len(motions), 1))
         points[rows >= 0] = _points(part.node_ids[rows[rows >= 0]], place, part.nodes.xyz)
         # Generalised forces do work on motions that the points do not tell: their rows stay unknown.
-        told = motions < SCALAR
+        told = motions < Component.SCALAR
         motion[columns] = motions
         frame[columns[told]] = rigid_motion(points[told], motions[told])
         for column, which in zip(columns.tolist(), motions.tolist(), strict=True):
@@ -141,7 +141,7 @@ def _of_stored(body: Body, file: StoredBodies) -> Delivered:
         points.append(at)
         names.append(f"{name} {MOTIONS[motion]}")
     frame = rigid_motion(np.array(points).reshape(-1, 3), file.input_component)
-    frame[file.input_component == SCALAR] = np.nan
+    frame[file.input_component == Component.SCALAR] = np.nan
     M, K, B, C = body.mass_matrix, body.stiffness_matrix, body.input_matrix, body.output_matrix
     return Delivered(
         M=M,
@@ -183,7 +183,7 @@ def _of_stored(body: Body, file: StoredBodies) -> Delivered:
 def _meant_symmetric(body: Body, file: StoredBodies) -> bool:
     """Whether matrices have to be symmetric: skew parts are in files of version 3 only, elsewhere they are damage."""
     return bool(np.array_equal(body.input_matrix.T, body.output_matrix)) and (
-        file.format_version < SKEW_PARTS or body.symmetric
+        file.format_version < FormatVersion.SKEW_PARTS or body.symmetric
     )
 
 
@@ -191,7 +191,7 @@ def _curve(
     hz: Floats, size: Floats, floor: float, motion: Ints, structural: float, mass: float, inertia: Floats
 ) -> Curve | None:
     """The curve of a certificate with the damping ``floor``; None where it is not known what lengths rotations have."""
-    turning, square = (motion > 2) & (motion < SCALAR), float(np.trace(inertia)) / (2 * mass)
+    turning, square = (motion > 2) & (motion < Component.SCALAR), float(np.trace(inertia)) / (2 * mass)
     if turning.any() and not square > 0:
         return None
     scale = np.where(turning, np.sqrt(max(square, 0.0)), 1.0)

@@ -18,19 +18,13 @@ from morembs.body.curve_check import curve_findings
 from morembs.body.delivered import Delivered, delivered
 from morembs.body.diagnostics.findings import Diagnosis, Finding, sentences
 from morembs.body.frame_check import frame_findings
-from morembs.body.rigid_check import ROUND_OFF, eigh, rigid_findings, scale
+from morembs.body.rigid_check import eigh, rigid_findings, scale
 from morembs.body.stored import StoredBodies
+from morembs.body.tolerances import TOL
 
 if TYPE_CHECKING:
     from morembs.body import Body, Part
     from morembs.reducers.base import ReducedModel
-
-# Difference of two entries against the diagonal; negative part of an eigenvalue of the scaled matrix.
-SYMMETRIC, NEGATIVE = 1e-9, 1e-8
-# Frequencies of the body against those that come with it.
-FREQUENCY = 1e-6
-# Sum of effective masses below which a note says so.
-EFFECTIVE = 0.8
 
 
 def check_delivery(body: ReducedModel | Body, part: Part | StoredBodies | None = None) -> Diagnosis:
@@ -99,7 +93,7 @@ def _symmetry(given: Delivered, findings: list[Finding]) -> None:
         findings.append(Finding(code=code, severity="note", sentence=sentence, cure=cure))
     r = given.rigid_count
     if not _congruent(given) and max(np.abs(given.K[:r]).max(initial=0.0), np.abs(given.K[:, :r]).max(initial=0.0)) > (
-        SYMMETRIC * np.abs(given.K).max(initial=0.0)
+        TOL.asymmetry * np.abs(given.K).max(initial=0.0)
     ):
         sentence = f"K has entries on the {r} rigid motions, which are the first coordinates of a body of two bases"
         findings.append(Finding(code="grounded", severity="error", sentence=sentence, cure="write it again"))
@@ -108,7 +102,7 @@ def _symmetry(given: Delivered, findings: list[Finding]) -> None:
             continue
         size = np.maximum(np.outer(scale(A), scale(A)), np.finfo(float).tiny)
         off = np.abs(A - A.T) / size
-        if off.max(initial=0.0) > SYMMETRIC:
+        if off.max(initial=0.0) > TOL.asymmetry:
             i, j = np.unravel_index(int(off.argmax()), off.shape)
             sentence = f"{name} is not symmetric: entries ({i + 1}, {j + 1}) are {A[i, j]:.6g} and {A[j, i]:.6g}"
             findings.append(Finding(code="not-symmetric", severity="error", sentence=sentence, cure="write it again"))
@@ -123,9 +117,9 @@ def _definite(given: Delivered, findings: list[Finding], facts: dict[str, Any]) 
         s[s == 0] = 1.0
         lowest = float(np.linalg.eigvalsh(0.5 * (A + A.T) / np.outer(s, s)).min(initial=1.0))
         facts[f"lowest_of_scaled_{name}"] = lowest
-        if name != "M" and lowest < -NEGATIVE and _round_off(A, given):
+        if name != "M" and lowest < -TOL.negative_eigenvalue and _round_off(A, given):
             continue
-        if lowest < -NEGATIVE or (name == "M" and lowest <= 0):
+        if lowest < -TOL.negative_eigenvalue or (name == "M" and lowest <= 0):
             what = "positive definite" if name == "M" else "positive semidefinite"
             cure = "it feeds energy into a simulation; check the damping" if name == "D" else "check the full matrix"
             sentence = f"{name} of the reduced body is not {what} (lowest scaled eigenvalue {lowest:.2e})"
@@ -149,7 +143,7 @@ def _round_off(A: Floats, given: Delivered) -> bool:
     values, squares = (np.linalg.eigvalsh(0.5 * (X + X.T) / np.outer(m, m)) for X in (A, given.K))
     # Dashpots between nodes that move as one leave a D of round-off alone: critical damping is what it is measured by.
     size = np.sqrt(np.abs(squares).max(initial=0.0)) if A is given.D else 0.0
-    return bool(values.min(initial=0.0) > -ROUND_OFF * max(np.abs(values).max(initial=0.0), size))
+    return bool(values.min(initial=0.0) > -TOL.roundoff_eigenvalue * max(np.abs(values).max(initial=0.0), size))
 
 
 def _modes(given: Delivered) -> tuple[Floats, Floats]:
@@ -188,7 +182,8 @@ def _frequencies(given: Delivered, values: Floats, Y: Floats, findings: list[Fin
         findings.append(Finding(code="held", severity="warning", sentence=sentence, cure=cure))
     elastic = slice(given.rigid_count, None)
     squares = (2 * np.pi * given.hz) ** 2
-    slack = 2 * FREQUENCY * np.maximum(values, 0.0) + ROUND_OFF * np.abs(values).max(initial=0.0)
+    largest = np.abs(values).max(initial=0.0)
+    slack = 2 * TOL.frequency_error * np.maximum(values, 0.0) + TOL.roundoff_eigenvalue * largest
     if given.hz.shape != hz.shape or not (np.abs(squares - values) <= slack)[elastic].all():
         sentence = "the frequencies that come with the body are not those of its matrices"
         findings.append(Finding(code="frequencies", severity="error", sentence=sentence, cure="write it again"))
@@ -200,7 +195,7 @@ def _frequencies(given: Delivered, values: Floats, Y: Floats, findings: list[Fin
     # What round-off may take off a mode, eps abs(y)' abs(K) abs(y), in the body and in the model.
     size = np.abs(Y[:, known])
     lost = 2 * np.finfo(float).eps * np.einsum("ij,ij->j", size, np.abs(given.K) @ size) / (2 * np.pi) ** 2
-    low = np.flatnonzero(reduced**2 + lost < (full * (1 - FREQUENCY)) ** 2)
+    low = np.flatnonzero(reduced**2 + lost < (full * (1 - TOL.frequency_error)) ** 2)
     if len(low):
         k = int(low[0])
         sentence = (
@@ -215,7 +210,7 @@ def _effective(given: Delivered, rigid: Floats, findings: list[Finding], facts: 
     """Effective masses of the modes with all interface degrees of freedom fixed (Clough and Penzien 1975)."""
     s = np.maximum(np.abs(given.C).max(axis=1, keepdims=True), np.finfo(float).tiny)
     _, sizes, rows = np.linalg.svd(given.C / s)
-    N = rows[np.count_nonzero(sizes > 1e-12 * sizes.max()) :].T
+    N = rows[np.count_nonzero(sizes > TOL.dependent_motion * sizes.max()) :].T
     if not N.shape[1]:
         facts |= {"fixed_hz": np.zeros(0), "effective_mass": np.zeros((0, 6)), "effective_mass_share": np.zeros(6)}
         return
@@ -225,7 +220,7 @@ def _effective(given: Delivered, rigid: Floats, findings: list[Finding], facts: 
     share = (taken**2).sum(axis=0) / whole
     facts["fixed_hz"] = np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)
     facts["effective_mass"], facts["effective_mass_share"] = taken**2, share
-    if share[:3].min() < EFFECTIVE:
+    if share[:3].min() < TOL.effective_mass:
         words = ", ".join(f"{value:.0%}" for value in share[:3])
         sentence = f"modes with fixed interfaces carry {words} of the mass along x, y, z"
         cure = "if loads come from moving interfaces, keep more modes; mass at the interfaces is not in this sum"
@@ -238,7 +233,7 @@ def _damping(given: Delivered, values: Floats, Y: Floats, findings: list[Finding
     omega = np.sqrt(np.maximum(values[elastic], np.finfo(float).tiny))
     ratios = np.einsum("in,ij,jn->n", Y[:, elastic], given.D, Y[:, elastic]) / (2 * omega)
     facts["damping_ratios"] = ratios
-    if len(ratios) and ratios.min() < -1e-12:
+    if len(ratios) and ratios.min() < -TOL.negative_damping:
         k = int(ratios.argmin())
         sentence = (
             f"elastic mode {k + 1} at {omega[k] / (2 * np.pi):.4g} Hz has a negative damping ratio of {ratios[k]:.3g}"
@@ -252,7 +247,7 @@ def _damping(given: Delivered, values: Floats, Y: Floats, findings: list[Finding
         findings.append(Finding(code="damping", severity="note", sentence=sentence))
     rigid = Y[:, : given.rigid_count]
     per_second = np.einsum("in,ij,jn->n", rigid, given.D, rigid)
-    if len(per_second) and len(omega) and np.abs(per_second).max() > 1e-9 * omega[0]:
+    if len(per_second) and len(omega) and np.abs(per_second).max() > TOL.rigid_damping * omega[0]:
         sentence = f"damping slows rigid-body motion (up to {np.abs(per_second).max():.3g} 1/s)"
         cure = "leave out damping that is proportional to mass, unless the ground is meant"
         findings.append(Finding(code="grounded-damping", severity="warning", sentence=sentence, cure=cure))

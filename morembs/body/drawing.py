@@ -16,11 +16,8 @@ from numpy.typing import NDArray
 
 from morembs.base.types import Floats
 from morembs.body.shapes import Shapes
+from morembs.body.tolerances import TOL
 
-# Largest displacement drawn, as a part of the longest side of the body.
-EXAGGERATION = 0.07
-# Slant of the view against the flat side of the body, degrees upwards and sideways.
-TILT, TURN = 28.0, -18.0
 COLORS = mpl.colormaps["viridis"]
 LIGHT = np.array([-0.35, 0.55, 0.76])  # from above left, in the frame of the picture
 REST_COLOR = "#dcdfe3"
@@ -38,7 +35,7 @@ def viewed_axes(points: Floats) -> Floats:
     axes = axes * np.sign(axes[np.arange(3), np.abs(axes).argmax(axis=1)])[:, None]
     if np.linalg.det(axes) < 0:
         axes[1] = -axes[1]
-    up, side = np.radians(TILT), np.radians(TURN)
+    up, side = np.radians(TOL.view_tilt), np.radians(TOL.view_turn)
     about_x = np.array([[1, 0, 0], [0, np.cos(up), -np.sin(up)], [0, np.sin(up), np.cos(up)]])
     about_y = np.array([[np.cos(side), 0, np.sin(side)], [0, 1, 0], [-np.sin(side), 0, np.cos(side)]])
     return np.asarray(about_x @ about_y @ axes)
@@ -49,6 +46,7 @@ def draw_shapes(figure: Figure | SubFigure, shapes: Shapes) -> None:
     count = len(shapes.motion)
     rows = 1 if count == 1 else 2
     axes = figure.subplots(rows, -(-count // rows), squeeze=False)
+    # Parts of the figure: the tenth on the right is for the scale of colors.
     figure.subplots_adjust(left=0.02, right=0.90, top=0.90, bottom=0.03, wspace=0.04, hspace=0.16)
     for number, panel in enumerate(axes.ravel()):
         panel.set_axis_off()
@@ -57,6 +55,7 @@ def draw_shapes(figure: Figure | SubFigure, shapes: Shapes) -> None:
             # A place for the title saves Matplotlib from laying out the axes, which are not shown, to find one.
             panel.set_title(f"mode {number + 1}: {shapes.frequencies_hz[number]:,.1f} Hz", y=1.0)
     _mark_interfaces(axes[0, 0], shapes)
+    # Left and lower edge, width and height, in the middle of that tenth.
     colors = figure.add_axes((0.925, 0.14, 0.012, 0.64))
     bar = figure.colorbar(ScalarMappable(cmap=COLORS), cax=colors, ticks=[0, 0.5, 1])
     bar.set_label("displacement / largest")
@@ -72,7 +71,7 @@ def draw_first(figure: Figure, shapes: Shapes) -> None:
 
 def _draw_mode(panel: Axes, shapes: Shapes, number: int) -> None:
     points, frame = _seen(shapes)
-    largest = EXAGGERATION * float(np.ptp(points, axis=0).max())
+    largest = TOL.drawn_displacement * float(np.ptp(points, axis=0).max())
     motion = shapes.motion[number] @ frame.T
     size = np.linalg.norm(motion, axis=1)
     # Which way a mode points has no meaning: its largest motion goes upwards or to the viewer.
@@ -108,6 +107,7 @@ def _paint(panel: Axes, points: Floats, triangles: NDArray[np.int64], size: Floa
     if size is None:
         colors = np.tile(to_rgba(REST_COLOR), (3 * len(order), 1))
     else:
+        # Faces that are seen edge-on keep 62 % of their color.
         shade = 0.62 + 0.38 * np.clip(normal[order] @ (LIGHT / np.linalg.norm(LIGHT)), 0, 1)
         colors = np.asarray(COLORS(size[triangles[order]].ravel()))
         colors[:, :3] *= np.repeat(shade, 3)[:, None]

@@ -10,7 +10,7 @@ from morembs.body.body import Body
 from morembs.body.delivery_check import refuse_unsound, stored_findings
 from morembs.body.stored import BodyFile, StoredBodies
 from morembs.body.stored_check import check_file
-from morembs.body.tables import FORMAT, FORMAT_VERSION
+from morembs.body.tables import FORMAT, FormatVersion
 from morembs.body.write import check_names, write_body
 from morembs.storage.checksums import Checksums
 
@@ -64,4 +64,4 @@ def _parametric(source: BodyFile, body: Body) -> ParametricBody:
     return ParametricBody(source.path, source.content, body, body.parameters())
 
 
-__all__ = ["FORMAT", "FORMAT_VERSION", "StoredBodies", "check_names", "read_body", "write_body"]
+__all__ = ["FORMAT", "FormatVersion", "StoredBodies", "check_names", "read_body", "write_body"]

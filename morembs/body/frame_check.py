@@ -7,9 +7,7 @@ import numpy as np
 from morembs.base.types import Floats
 from morembs.body.delivered import Delivered
 from morembs.body.diagnostics.findings import Finding
-
-# Difference against what cancels in a product.
-AGREES = 1e-6
+from morembs.body.tolerances import TOL
 
 
 def frame_findings(given: Delivered) -> list[Finding]:
@@ -55,4 +53,4 @@ def _size(X: Floats, A: Floats) -> Floats:
 
 
 def _agree(held: Floats, follows: Floats, scale: Floats) -> bool:
-    return held.shape == follows.shape and bool((np.abs(held - follows) <= AGREES * scale).all())
+    return held.shape == follows.shape and bool((np.abs(held - follows) <= TOL.frame_difference * scale).all())

@@ -15,15 +15,13 @@ from morembs.base.types import Complexes, Floats
 from morembs.body.body import MISSING, Body
 from morembs.body.parametric_parts import ParametricParts
 from morembs.body.stored import ByName, StoredBodies
+from morembs.body.tolerances import TOL
 from morembs.parametric.model import ModelAt, Sensitivity
 from morembs.storage.lemma import Lemma
 
 if TYPE_CHECKING:
     from morembs.body.floating.frame import FloatingFrame
     from morembs.parametric.update import Measured, Updated
-
-# Difference of the nominal matrices, which are computed in two ways, against the largest entry.
-AGREES = 1e-9
 
 
 class ParametricBody:
@@ -42,7 +40,8 @@ class ParametricBody:
         self.model = replace(parts.model, B=body.input_matrix)
         nominal = self.model.at(self.model.box.nominal)
         for name, found, held in (("K", nominal.K, body.stiffness_matrix), ("M", nominal.M, body.mass_matrix)):
-            if held.shape != found.shape or not np.abs(found - held).max() <= AGREES * np.abs(held).max():
+            allowed = TOL.nominal_difference * np.abs(held).max()
+            if held.shape != found.shape or not np.abs(found - held).max() <= allowed:
                 raise InputError(
                     f"{path}: {name} of the parameters of body {body.name!r} is not that of the body at nominal "
                     "values; the file was damaged or changed after it was written, write it again"

@@ -18,15 +18,9 @@ import numpy as np
 from morembs.base.types import Floats, Ints
 from morembs.body.delivered import Delivered
 from morembs.body.diagnostics.findings import MOTIONS, Finding, listed
+from morembs.body.tolerances import TOL
 from morembs.fem import skew
 from morembs.fem.mass import mass_properties
-
-# Against the largest eigenvalue, in units of the mass.
-ROUND_OFF = 1e-12
-# Energy of rigid motion as a frequency, against the first elastic one: warning and error.
-SOFT, GROUNDED = 1e-2, 0.1
-# Mass, centre (per radius of gyration) and inertia of the body against those of the model.
-MASS = 1e-6
 
 
 def scale(A: Floats) -> Floats:
@@ -55,15 +49,16 @@ def rigid_coordinates(given: Delivered, Y: Floats) -> dict[str, Floats]:
         # alone is round-off, which must not decide: the six motions give it all.
         K = given.K if given.rigid_count < len(given.K) else given.M
         # Coordinates without stiffness are measured by their mass: whether they turn or move, in large or small units.
-        softest = ROUND_OFF * float((np.abs(np.diag(K)) / np.diag(given.M)).max())
+        softest = TOL.roundoff_eigenvalue * float((np.abs(np.diag(K)) / np.diag(given.M)).max())
         s = 1 / scale(K + softest * np.diag(np.diag(given.M)))
         A, G = s[:, None] * K * s, C * s
         g = np.abs(G).max(axis=1, keepdims=True)
         border = np.block([[A, (G / g).T], [G / g, np.zeros((6, 6))]])
         rhs = np.vstack([np.zeros((len(A), 6)), R / g])
-        ways["stiffness"] = s[:, None] * np.linalg.lstsq(border, rhs, rcond=1e-15)[0][: len(A)]
+        ways["stiffness"] = s[:, None] * np.linalg.lstsq(border, rhs, rcond=TOL.least_squares_cutoff)[0][: len(A)]
     moved = C @ Y[:, :6]
-    if np.linalg.cond(moved / np.maximum(np.abs(moved).max(axis=1, keepdims=True), np.finfo(float).tiny)) < 1e12:
+    size = np.maximum(np.abs(moved).max(axis=1, keepdims=True), np.finfo(float).tiny)
+    if np.linalg.cond(moved / size) < TOL.unclear_condition:
         ways["eigenvectors"] = Y[:, :6] @ np.linalg.solve(moved, R)
     return ways
 
@@ -85,7 +80,7 @@ def _reference(given: Delivered) -> Ints | None:
         left = np.linalg.norm(scaled, axis=1)
         chosen[k] = np.argmax(left)
         sizes[k] = left[chosen[k]]
-        if sizes[k] < 1e-8 * sizes[0] or not sizes[k] > 0:
+        if sizes[k] < TOL.dependent_support * sizes[0] or not sizes[k] > 0:
             return None
         direction = scaled[chosen[k]] / sizes[k]
         scaled -= np.outer(scaled @ direction, direction)
@@ -117,7 +112,7 @@ def rigid_findings(
         d = np.sqrt(np.maximum(np.diag(modal), np.finfo(float).tiny))
         hz = float(np.sqrt(max(eigh(energy / np.outer(d, d), modal / np.outer(d, d))[0][-1], 0.0)) / (2 * np.pi))
         facts["rigid_hz"][way] = hz
-        if first and hz > SOFT * first:
+        if first and hz > TOL.soft_ground * first:
             _ground(given, way, centred, hz, first, findings)
         _mass(given, way, q, findings, facts)
     if given.frame is not None and "geometry" in ways:
@@ -127,7 +122,7 @@ def rigid_findings(
 
 def _ground(given: Delivered, way: str, q: Floats, hz: float, first: float, findings: list[Finding]) -> None:
     energy = 0.5 * np.diag(q.T @ given.K @ q)
-    motions = np.flatnonzero(energy > 1e-3 * energy.max())
+    motions = np.flatnonzero(energy > TOL.named_energy * energy.max())
     sentence = (
         f"rigid motion (by {way}) strains the body: it would vibrate at {hz:.4g} Hz, the first elastic mode is at "
         f"{first:.4g} Hz; most energy {energy.max():.4g} J per unit motion, in "
@@ -136,7 +131,7 @@ def _ground(given: Delivered, way: str, q: Floats, hz: float, first: float, find
     findings.append(
         Finding(
             code="grounded",
-            severity="error" if hz > GROUNDED * first else "warning",
+            severity="error" if hz > TOL.hard_ground * first else "warning",
             sentence=sentence,
             cure="look for springs to the ground in the model, or for interface points that are not where K has them",
             where=tuple(MOTIONS[k] for k in motions),
@@ -156,13 +151,13 @@ def _mass(given: Delivered, way: str, q: Floats, findings: list[Finding], facts:
         "centre of mass": float(np.linalg.norm(center - given.center)) / radius,
         "inertia": float(np.abs(inertia - given.inertia).max() / np.abs(given.inertia).max()),
     }
-    wrong = {name: value for name, value in off.items() if value > MASS}
+    wrong = {name: value for name, value in off.items() if value > TOL.mass_error}
     if wrong:
         words = ", ".join(f"{name} by {value:.1e}" for name, value in wrong.items())
         both = f"mass {mass:.6g} and {given.mass:.6g} kg"
         sentence = f"rigid motion (by {way}) has another mass than the model: {words} ({both})"
         cure = "check units, the mass matrix, and that body and model belong together"
-        severity = "error" if max(wrong.values()) > 1e-3 else "warning"
+        severity = "error" if max(wrong.values()) > TOL.wrong_mass else "warning"
         findings.append(Finding(code="mass", severity=severity, sentence=sentence, cure=cure, where=tuple(wrong)))
 
 
@@ -176,7 +171,7 @@ def _interfaces_follow(given: Delivered, q: Floats, findings: list[Finding]) -> 
     size = np.array([1.0] * 3 + [length] * 3)
     turning = np.linalg.norm(given.frame[:, :3], axis=1) < 0.5
     size = np.where(turning[:, None], size / length, size)
-    bad = np.flatnonzero((np.abs(moved - given.frame) > 1e-6 * size).any(axis=1))
+    bad = np.flatnonzero((np.abs(moved - given.frame) > TOL.interface_motion * size).any(axis=1))
     if len(bad):
         labels = tuple(given.motions[row] for row in bad.tolist())
         sentence = f"{len(bad)} interface degrees of freedom do not follow rigid motion of the body: {listed(labels)}"

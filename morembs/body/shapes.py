@@ -9,14 +9,13 @@ import numpy as np
 
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
+from morembs.body.tolerances import TOL
 from morembs.body.vtkhdf_series import Grid, View
 from morembs.fem import ElementBlock, Mesh, Nodes
 from morembs.fem.elements import FACES, TYPES
 from morembs.fem.surface import outer_faces
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
-
-SHOWN_MODES = 4
 
 
 @summarised
@@ -40,7 +39,7 @@ def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:
     """The lowest elastic eigenmodes of ``reduced`` on the skin; None if it has none, or the model no elements."""
     mesh = problem.model.mesh
     values, Y = reduced.modes()
-    shown = slice(reduced.rigid_count, reduced.rigid_count + SHOWN_MODES)
+    shown = slice(reduced.rigid_count, reduced.rigid_count + TOL.drawn_modes)
     if mesh is None or not len(values[shown]):
         return None
     triangles = _triangles(outer_faces(mesh))

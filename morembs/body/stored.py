@@ -17,7 +17,7 @@ from morembs.base.former_names import renamed
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
 from morembs.body.body import BODY, Body
-from morembs.body.tables import FILE, FORMAT, FORMAT_VERSION
+from morembs.body.tables import FILE, FORMAT, FormatVersion
 from morembs.fem.interface import Interface
 from morembs.storage.checksums import GROUP, Checksums
 from morembs.storage.hdf5 import reading_format
@@ -111,7 +111,7 @@ class BodyFile:
 
     def opened(self) -> AbstractContextManager[Any]:
         """The open file."""
-        return reading_format(self.path, "a body file", FORMAT, FORMAT_VERSION)
+        return reading_format(self.path, "a body file", FORMAT, FormatVersion.LATEST)
 
     def load(self, file: Any) -> StoredBodies:
         """Everything in the open file, which ``check_file`` has seen, but what bodies read later."""

@@ -15,14 +15,12 @@ from morembs.body.body import BODY
 from morembs.body.floating.frame import FRAMES
 from morembs.body.stored import INTERFACE
 from morembs.body.tables import FILE
+from morembs.body.tolerances import TOL
 from morembs.fem.elements import FACES, TYPES
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 from morembs.fem.interface import COUPLINGS
 from morembs.storage.table import KINDS
 from morembs.storage.table_check import TableCheck, refuse_not_finite
-
-# By how much axes may miss a rotation.
-ORTHONORMAL = 1e-6
 
 
 def check_file(path: Path, file: Any) -> None:
@@ -40,8 +38,8 @@ def check_file(path: Path, file: Any) -> None:
     check.within("inputs/interface_index", 0, len(interfaces) - 1, ", places in /interface_names")
     generalised = np.array([f"interfaces/{name}/forces" in file for name in interfaces], dtype=bool)
     forces = generalised[np.asarray(file["inputs/interface_index"][()], dtype=np.int64)]
-    check.within("inputs/component", 0, SCALAR - 1, where=~forces)
-    check.within("inputs/component", SCALAR, SCALAR, ", of generalised forces", where=forces)
+    check.within("inputs/component", 0, Component.SCALAR - 1, where=~forces)
+    check.within("inputs/component", Component.SCALAR, Component.SCALAR, ", of generalised forces", where=forces)
     check.positive("mass_properties/mass")
     for name in bodies:
         at = f"bodies/{name}/"
@@ -81,11 +79,13 @@ class _Check(TableCheck):
                 "defines it (an entry point morembs.couplings)"
             )
         forces = f"{at}forces" in self.file
-        self.within(f"{at}components", SCALAR if forces else 0, SCALAR if forces else SCALAR - 1)
+        self.within(
+            f"{at}components", Component.SCALAR if forces else 0, Component.SCALAR if forces else Component.SCALAR - 1
+        )
         axes = np.asarray(self.file[f"{at}axes"][()], dtype=float)
         with np.errstate(all="ignore"):
             off = float(np.abs(axes @ axes.T - np.eye(3)).max())
-        if not off < ORTHONORMAL or np.linalg.det(axes) < 0:
+        if not off < TOL.axes_error or np.linalg.det(axes) < 0:
             raise self.refuse(f"{at}axes", f"is no rotation (A A' - I = {off:.1e})", "orthonormal rows, right-handed")
 
     def frame(self, at: str, interfaces: Sequence[str]) -> None:

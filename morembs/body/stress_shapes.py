@@ -17,13 +17,11 @@ from morembs.base import progress
 from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats, Ints, Reals
 from morembs.body.recovery_shapes import Recovery
+from morembs.body.tolerances import TOL
 from morembs.fem.stress_operator import StressOperator, stress_operator
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 from morembs.responses.loads import static_response
-
-# Columns of length N that one block of shapes costs, in addition to the gradients at the points.
-_COPIES = 6
 
 
 @with_progress_argument
@@ -94,7 +92,7 @@ def _missed(
     jump = None if elements is None else shapes_of(loads, elements.operator)
     frames = problem.coupling.frames
     motions = np.empty((frames.shape[1], loads))
-    width = budget.columns(len(static), copies=_COPIES)
+    width = budget.columns(len(static), copies=TOL.gradient_copies)
     for at in range(0, loads, width):
         some = slice(at, at + width)
         block = static[:, some] - reduced.V @ q[:, some]
@@ -151,7 +149,7 @@ def stress_shapes(
     if T.shape[0] > rows:
         # Other dofs come behind those of the nodes; a part of a sparse matrix is a copy.
         T = T[:rows]
-    width = budget.columns(T.shape[0] + 8 * len(operator.nodes), copies=_COPIES)
+    width = budget.columns(T.shape[0] + 8 * len(operator.nodes), copies=TOL.gradient_copies)
     for at in range(0, X.shape[1], width):
         u = np.asarray(T @ X[:, at : at + width])
         values[:, at : at + width] = operator.strain(u) if strain else operator.stress(u)

@@ -53,7 +53,7 @@ def _certificate_parts(certificate: Certificate) -> Mapping[str, Any]:
     limits = {name: (limit.lower, limit.upper, limit.at_hz) for name, limit in certificate.limits.items()}
     more = {name: getattr(certificate, name) for name in ("bound_kind", "absolute_error")}
     proof = {"lemmas": [asdict(lemma) for lemma in certificate.proof]} if certificate.proof else None
-    return vars(certificate) | more | {"limits": limits, "proof": proof, "version": CERTIFICATE_VERSION}
+    return vars(certificate) | more | {"limits": limits, "proof": proof, "version": FormatVersion.CERTIFICATE}
 
 
 def _parametric(**values: Any) -> ParametricParts:
@@ -75,13 +75,23 @@ def _switching(**values: Any) -> StaticModeTables:
 
 
 FORMAT = "morembs-body"
-FORMAT_VERSION = 3
-# Of files with gyroscopic and circulatory matrices.
-SKEW_PARTS = 3
-# Columns of a basis that are in memory at a time.
-BLOCK_BYTES = 16 * 2**20
-# 2: limits hold at every frequency of a band; files without a version have errors at samples.
-CERTIFICATE_VERSION = 2
+
+
+class FormatVersion:
+    """Versions of the format ``morembs-body``."""
+
+    # Transposed input matrices are output matrices, and all matrices are symmetric.
+    PLAIN = 1
+    # Output matrices of their own.
+    TWO_BASES = 2
+    # Gyroscopic and circulatory matrices.
+    SKEW_PARTS = 3
+    # The latest that is read.
+    LATEST = SKEW_PARTS
+    # Of certificates: limits hold at every frequency of a band; without a version there are errors at samples.
+    CERTIFICATE = 2
+
+
 _OLD = "files of earlier versions lack it"
 _MAYBE = "may be absent"
 

@@ -45,6 +45,7 @@ class Viewed(ABC):
                 f'{view.body} has no elastic modes or no elements to show them on; keep nodes = "all" or "skin" of a '
                 "model with elements"
             )
+        # Inches, at 100 dots each.
         figure = Figure(figsize=(10.0, 4.7), dpi=100)
         draw_shapes(figure, shapes)
         return figure

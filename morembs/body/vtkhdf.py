@@ -4,21 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from morembs.base.types import Floats, Ints
+from morembs.body.tolerances import TOL
 
 if TYPE_CHECKING:
     from morembs.reducers.base import ReducedModel
 
-VTK_VERTEX = 1
-# ParaView 5.11 refuses any other number; 1.0 has all that a static grid needs.
-VERSION = (1, 0)
-SHOWN_MODES = 20
-# Rows of a basis that are in memory at a time.
-BLOCK_BYTES = 8 * 2**20
+
+class CellType(IntEnum):
+    """Cell types of VTK (vtkCellType.h)."""
+
+    VERTEX = 1
+
+
+class GridVersion:
+    """Versions of VTKHDF."""
+
+    # ParaView 5.11 refuses any other number; it has all that a static grid needs.
+    STATIC = (1, 0)
+    # Temporal data came with it.
+    TEMPORAL = (2, 0)
+
+
+VTK_VERTEX = CellType.VERTEX
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,7 +47,7 @@ def write_grid(group: Any, points: Any, cells: Sequence[Cells]) -> None:
     group["Points"] = points
     n_cells = sum(len(c.connectivity) for c in cells)
     n_links = sum(c.connectivity.size for c in cells)
-    write_head(group, VERSION, len(points), n_cells, n_links)
+    write_head(group, GridVersion.STATIC, len(points), n_cells, n_links)
     connectivity = group.create_dataset("Connectivity", (n_links,), np.int64)
     offsets = group.create_dataset("Offsets", (n_cells + 1,), np.int64)
     types = group.create_dataset("Types", (n_cells,), np.uint8)
@@ -65,11 +78,11 @@ def shown_modes(reduced: ReducedModel) -> Floats:
     The sign is that of the largest coordinate, which is made positive (the first one of equals).
     """
     _, vectors = reduced.modes()
-    X: Floats = vectors[:, reduced.rigid_count : reduced.rigid_count + SHOWN_MODES]
+    X: Floats = vectors[:, reduced.rigid_count : reduced.rigid_count + TOL.vtk_modes]
     if not X.size:
         return X
     size = np.abs(X)
-    first = np.argmax(size > (1 - 1e-6) * size.max(axis=0), axis=0)
+    first = np.argmax(size > (1 - TOL.equal_coordinate) * size.max(axis=0), axis=0)
     return np.asarray(X * np.sign(X[first, np.arange(X.shape[1])]))
 
 
@@ -93,7 +106,7 @@ def write_modes(
     ]
     if count:
         group.create_dataset(f"FieldData/{name}_frequencies_hz", data=frequencies_hz)
-    step = max(1, BLOCK_BYTES // (24 * max(1, len(modes))))
+    step = max(1, TOL.vtk_block_bytes // (24 * max(1, len(modes))))
     for start in range(0, n_nodes if count else 0, step):
         stop = min(start + step, n_nodes)
         # Column by column, as the columns are the pieces on the disk.

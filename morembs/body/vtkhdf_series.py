@@ -19,14 +19,11 @@ from morembs.base import progress
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.body.recovery_shapes import Recovery, read_recovery
-from morembs.body.vtkhdf import write_head
+from morembs.body.vtkhdf import GridVersion, write_head
 from morembs.storage.checksums import Checksums
 from morembs.storage.hdf5 import reading
 from morembs.storage.storable import text
 from morembs.storage.writer import writing
-
-# Temporal data came with 2.0.
-VERSION = (2, 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -130,7 +127,7 @@ def write_series(
     with writing(target, sealed=False) as out:
         out.doing("the mesh")
         group = out.file.create_group("VTKHDF")
-        write_head(group, VERSION, n, len(grid.types), len(grid.connectivity))
+        write_head(group, GridVersion.TEMPORAL, n, len(grid.types), len(grid.connectivity))
         for name, values in vars(grid).items():
             group.create_dataset(name.capitalize(), data=values)
         _write_steps(group, times, fields, n)

@@ -16,9 +16,10 @@ from morembs.base.types import Floats
 from morembs.body import tables, vtkhdf
 from morembs.body.body import BODY, UNSYMMETRIC, Body
 from morembs.body.stored import INTERFACE
-from morembs.body.tables import BLOCK_BYTES, FORMAT, SKEW_PARTS
+from morembs.body.tables import FORMAT, FormatVersion
 from morembs.storage.checksums import GROUP
 from morembs.storage.safefile import one_file
+from morembs.storage.tolerances import TOL as STORAGE
 from morembs.version import VERSION
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ def write_body(
     recipe: Mapping[str, object] | None = None,
     provenance: Mapping[str, object] | None = None,
     warnings: Sequence[str] = (),
-    block_bytes: int = BLOCK_BYTES,
+    block_bytes: int = STORAGE.block_bytes,
 ) -> Path:
     """Write bodies of one part; an interrupted or failed run leaves the old file or none.
 
@@ -113,7 +114,14 @@ def _shared(part: Part, bodies: Sequence[Body], recipe: Mapping[str, object]) ->
     index, component, node = input_columns(part.interfaces, part.columns, part.node_ids)
     # Readers of version 1 take the transposed input matrix for the motions, those of version 2 where that is right also
     # symmetric matrices for granted.
-    version = max(1 if body.reduced.symmetric else SKEW_PARTS if body.reduced.congruent else 2 for body in bodies)
+    version = max(
+        FormatVersion.PLAIN
+        if body.reduced.symmetric
+        else FormatVersion.SKEW_PARTS
+        if body.reduced.congruent
+        else FormatVersion.TWO_BASES
+        for body in bodies
+    )
     return {
         "format": FORMAT,
         "format_version": version,
@@ -133,7 +141,7 @@ def _shared(part: Part, bodies: Sequence[Body], recipe: Mapping[str, object]) ->
     }
 
 
-def _write_one(out: Writer, body: Body, block_bytes: int = BLOCK_BYTES) -> None:
+def _write_one(out: Writer, body: Body, block_bytes: int = STORAGE.block_bytes) -> None:
     """One body, its basis block by block, and its shapes for ParaView."""
     from morembs.storage.writer import Columns
 

@@ -17,7 +17,7 @@ from morembs.base.types import Floats
 from morembs.body.body import Body
 from morembs.body.stored import StoredBodies
 from morembs.exporters.read_back import ReadBack, frequencies_between
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 from morembs.problem.damping import frequency_domain_only
 from morembs.storage.safefile import looked_at
 
@@ -131,7 +131,7 @@ class ExportContext:
     def lost(self, held: Collection[str]) -> tuple[str, ...]:
         """Notes on what this body has and a target that holds ``held`` (keys of LOSSES) leaves behind."""
         floating, body = self.body.floating, self.body
-        scalar = self.source.input_interface[self.source.input_component == SCALAR]
+        scalar = self.source.input_interface[self.source.input_component == Component.SCALAR]
         names = [name for at, name in enumerate(self.source.interfaces) if at in scalar]
         has = {
             "damping": bool(np.any(body.damping_matrix if floating is None else floating.De)),

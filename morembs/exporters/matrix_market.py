@@ -14,7 +14,7 @@ from scipy.io import mmwrite
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import reduced_matrices, second_order
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 from morembs.importers.matrix_market import read_matrix_market
 from morembs.storage.safefile import replacing_all
 
@@ -65,6 +65,6 @@ class MatrixMarketExporter(Exporter):
         ):
             where = "" if node < 0 else f" node {node}"
             name = names[index].encode("ascii", "replace").decode().replace("\n", " ")
-            motion = "generalised force" if component == SCALAR else f"component {component + 1}"
+            motion = "generalised force" if component == Component.SCALAR else f"component {component + 1}"
             lines.append(f"\n column {len(lines) + 1}: {name}{where} {motion}")
         return "".join(lines)

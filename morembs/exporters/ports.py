@@ -13,7 +13,7 @@ from morembs.body.body import Body
 from morembs.body.part import input_columns
 from morembs.body.stored import StoredBodies
 from morembs.fem import Nodes
-from morembs.fem.fe_model import SCALAR, rigid_motion
+from morembs.fem.fe_model import Component, rigid_motion
 from morembs.fem.interface import Interface
 
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
@@ -45,7 +45,7 @@ class Port:
 
     def unit(self, quantity: str) -> str:
         """SI unit; generalised forces are in N, their motions in m."""
-        return UNITS[quantity][2 < self.component < SCALAR]
+        return UNITS[quantity][2 < self.component < Component.SCALAR]
 
 
 def ports_of_file(source: StoredBodies) -> tuple[Port, ...]:
@@ -79,9 +79,9 @@ def _ports(
     ports: list[Port] = []
     for index, component, node in rows:
         name, point, forces = parts[index]
-        scalars = sum(port.interface == name and port.component == SCALAR for port in ports)
+        scalars = sum(port.interface == name and port.component == Component.SCALAR for port in ports)
         words = forces[scalars : scalars + 1] or (str(scalars + 1),)
-        word = COMPONENTS[component] if component != SCALAR else words[0]
+        word = COMPONENTS[component] if component != Component.SCALAR else words[0]
         ports.append(Port(interface=name, component=component, word=word, node=node, point=xyz.get(node, point)))
     return tuple(ports)
 

@@ -16,7 +16,7 @@ from morembs.body.body import Body
 from morembs.body.stored import StoredBodies
 from morembs.exporters.base import ExportContext
 from morembs.exporters.read_back import SecondOrder
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 from morembs.linalg.columns import symmetric
 
 # Ratio of singular values of C, rows scaled to one, below which interface degrees of freedom depend on each other.
@@ -105,8 +105,10 @@ def on_interfaces(
                 'has no matrix for that; keep at least one elastic mode, or export to "op4" or "matrix-market"'
             )
     refuse_two_sided(body)
-    if (source.input_component == SCALAR).any():
-        name = list(source.interfaces)[source.input_interface[np.flatnonzero(source.input_component == SCALAR)[0]]]
+    if (source.input_component == Component.SCALAR).any():
+        name = list(source.interfaces)[
+            source.input_interface[np.flatnonzero(source.input_component == Component.SCALAR)[0]]
+        ]
         raise InputError(
             f"interface {name!r} has generalised forces (columns of B or C), which belong to no node of this target; "
             'export to "op4" or "matrix-market"'

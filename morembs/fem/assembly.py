@@ -26,10 +26,8 @@ from morembs.fem.formulations import Formulation, Geometry, element_mass, formul
 from morembs.fem.material import Material
 from morembs.fem.middle_nodes import mesh_in_order
 from morembs.fem.surface import seam_faces
+from morembs.fem.tolerances import TOL
 
-CHUNK_BYTES = 48_000_000
-# Numbers at once where arrays are walked through: they stay in the cache.
-PIECE = 1 << 17
 MASS_INTEGRATION = ("element", "exact", "reduced")
 
 
@@ -265,7 +263,7 @@ def chunks(mesh: Mesh, chosen: Mapping[int, NDArray[np.bool_]] | None = None) ->
         kind = TYPES[block.type]
         points = len(kind.rule(kind.stiffness_order).weights)
         per_element = 8 * (2 * 6 * 3 * kind.n_nodes * points + 2 * 9 * kind.n_nodes**2)
-        size = max(1, CHUNK_BYTES // per_element)
+        size = max(1, TOL.element_bytes // per_element)
         rows = np.arange(len(block.ids)) if chosen is None else np.flatnonzero(chosen[id(block)])
         for start in range(0, len(rows), size):
             yield block, rows[start : start + size]
@@ -312,7 +310,7 @@ def _entries(graph: sp.csr_array) -> Iterator[tuple[int, int, Ints, Ints, Ints]]
     ends = graph.indptr[1:].astype(np.int64)
     first = 0
     while first < len(ends):
-        last = max(int(np.searchsorted(ends, graph.indptr[first] + PIECE, side="right")), first + 1)
+        last = max(int(np.searchsorted(ends, graph.indptr[first] + TOL.numbers_at_once, side="right")), first + 1)
         begin, end = int(graph.indptr[first]), int(ends[last - 1])
         lengths = np.diff(graph.indptr[first : last + 1]).astype(np.int64)
         start = graph.indptr[first:last].astype(np.int64).repeat(lengths)
@@ -350,7 +348,7 @@ def _stiffness(
     # C = L L', so that B' C B = (L'B)'(L'B) is one product of a matrix with itself.
     roots = np.linalg.cholesky(constants).transpose(0, 2, 1)
     _, nq, k, _ = whole.here.dN.shape
-    size = max(1, PIECE // (18 * nq * k))
+    size = max(1, TOL.numbers_at_once // (18 * nq * k))
     for first in range(0, len(x), size):
         part = slice(first, first + size)
         here = Geometry(whole.here.dN[part], whole.here.dV[part])

@@ -23,7 +23,7 @@ Order = int | tuple[int, int] | str
 IRONS, STROUD = "irons", "stroud"
 
 
-def _with_edges(corners: Sequence[Sequence[float]], edges: tuple[tuple[int, int], ...]) -> Floats:
+def _with_edges(corners: Sequence[Sequence[float]], edges: Sequence[tuple[int, int]]) -> Floats:
     corner = np.array(corners, dtype=float)
     return np.vstack([corner, *[(corner[[a]] + corner[[b]]) / 2 for a, b in edges]])
 
@@ -33,12 +33,15 @@ _QUAD = [[0, 0], [1, 0], [1, 1], [0, 1]]
 _TET = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
 _HEX = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
 _WEDGE = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]]
-_TRI_EDGES = ((0, 1), (1, 2), (2, 0))
-_QUAD_EDGES = ((0, 1), (1, 2), (2, 3), (3, 0))
-_TET_EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
-_HEX_EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
+# Corners of the edges by shape, in the order of VTK.
+_EDGES = {
+    "tri": ((0, 1), (1, 2), (2, 0)),
+    "quad": ((0, 1), (1, 2), (2, 3), (3, 0)),
+    "tet": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
+    "hex": ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)),
+}
 _HEX_CENTERS = [[0, 0.5, 0.5], [1, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 1, 0.5], [0.5, 0.5, 0], [0.5, 0.5, 1]]
-_HEX20 = _with_edges(_HEX, _HEX_EDGES)
+_HEX20 = _with_edges(_HEX, _EDGES["hex"])
 _TET_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
 _HEX_FACES = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
 WEDGE_EDGES = ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5))
@@ -147,19 +150,23 @@ def _quadrature(domain: type, order: Order) -> tuple[Floats, Floats]:
 def _irons() -> tuple[Floats, Floats]:
     inner, outer = np.sqrt(19 / 30), np.sqrt(19 / 33)
     points = np.vstack([inner * np.eye(3), -inner * np.eye(3), outer * (2 * np.array(_HEX, dtype=float) - 1)])
+    # Irons 1971: 320 / 361 for the six points on the axes, 121 / 361 for the eight on the diagonals, of a volume of 8.
     return (points + 1) / 2, np.repeat([320 / 361, 121 / 361], [6, 8]) / 8
 
 
 def _stroud() -> tuple[Floats, Floats]:
     root = np.sqrt(15)
     corners = np.vstack([np.zeros(3), np.eye(3)])
+    # Weights of the middle, 16 / 135, of two sets of four and of the six points below (Stroud 1971).
     points, weights = [np.full((1, 3), 0.25)], [16 / 135]
     for sign in (1, -1):
         a = (7 - sign * root) / 34
         points.append(a + (1 - 4 * a) * corners)
+        # Rational numbers and sqrt(15) make the rule exact for all polynomials of degree five.
         weights += [(2665 + sign * 14 * root) / 37800] * 4
     c = (5 - root) / 20
     points.append(np.array([c + (0.5 - 2 * c) * (corners[i] + corners[j]) for i, j in combinations(range(4), 2)]))
+    # 20 / 378 for each of the six; all weights are parts of the volume, 1 / 6.
     return np.vstack(points), np.array(weights + [20 / 378] * 6) / 6
 
 
@@ -173,10 +180,10 @@ FACES: dict[str, ElementType] = {
     face.name: face
     for face in (
         _face("tri3", "skfem.ElementTriP1", np.array(_TRI, dtype=float), 5, 2),
-        _face("tri6", "skfem.ElementTriP2", _with_edges(_TRI, _TRI_EDGES), 22, 6),
+        _face("tri6", "skfem.ElementTriP2", _with_edges(_TRI, _EDGES["tri"]), 22, 6),
         _face("quad4", "skfem.ElementQuad1", np.array(_QUAD, dtype=float), 9, 3),
-        _face("quad8", "skfem.ElementQuadS2", _with_edges(_QUAD, _QUAD_EDGES), 23, 7),
-        _face("quad9", "skfem.ElementQuad2", np.vstack([_with_edges(_QUAD, _QUAD_EDGES), [[0.5, 0.5]]]), 28, 7),
+        _face("quad8", "skfem.ElementQuadS2", _with_edges(_QUAD, _EDGES["quad"]), 23, 7),
+        _face("quad9", "skfem.ElementQuad2", np.vstack([_with_edges(_QUAD, _EDGES["quad"]), [[0.5, 0.5]]]), 28, 7),
     )
 }
 
@@ -208,7 +215,7 @@ TYPES: dict[str, ElementType] = {
     kind.name: kind
     for kind in (
         _solid("tet4", "skfem.ElementTetP1", np.array(_TET, dtype=float), 10, (1, 2), _TET_FACES, ("tri3",) * 4),
-        _solid("tet10", "skfem.ElementTetP2", _with_edges(_TET, _TET_EDGES), 24, (2, 4), _TET_FACES, ("tri6",) * 4),
+        _solid("tet10", "skfem.ElementTetP2", _with_edges(_TET, _EDGES["tet"]), 24, (2, 4), _TET_FACES, ("tri6",) * 4),
         _solid("hex8", "skfem.ElementHex1", np.array(_HEX, dtype=float), 12, (3, 5), _HEX_FACES, ("quad4",) * 6),
         _solid("hex20", "skfem.ElementHexS2", _HEX20, 25, (5, 5), _HEX_FACES, ("quad8",) * 6),
         _solid(

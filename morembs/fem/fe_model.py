@@ -19,20 +19,25 @@ from morembs.fem.arrays import frozen
 from morembs.fem.constraints import AverageElement, DependentDofs, Equations, RigidElement
 from morembs.fem.material import Material
 from morembs.fem.named_columns import NamedColumns
+from morembs.fem.tolerances import TOL
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
 
-# Matrices that came as text differ from their transposes by round-off.
-SYMMETRIC = 1e-8
-# Coordinates and entries beyond this are damage: volumes and sums of products would overflow.
-LARGEST = 1e75
 # Stiffness, mass, damping, gyroscopic and circulatory matrix.
 MATRICES = ("K", "M", "D", "G", "N")
-# The component of dofs that are no motion of a node.
-SCALAR = 6
 # Keys of the recipe of a body: its loss factor, and motions of interfaces that no mass follows.
 STRUCTURAL, WITHOUT_MASS = "structural_damping", "without_mass"
+
+
+class Component:
+    """Codes of components in dof maps, and in files of models and bodies.
+
+    0 to 2 are displacements along x, y, z and 3 to 5 rotations about them.
+    """
+
+    # No motion of a node.
+    SCALAR = 6
 
 
 @checked
@@ -100,7 +105,7 @@ class Mesh:
     ``warnings`` say in a sentence each what a model assembled from the mesh will have otherwise than its source.
 
     Raises:
-        InputError: coordinates beyond ``LARGEST``.
+        InputError: coordinates beyond ``TOL.largest_number``.
 
     >>> mesh
     Mesh: nodes 20; elements 4 hex8; node sets LEFT, RIGHT; source bar
@@ -167,7 +172,7 @@ class DofMap:
         return len(self.node)
 
     def _facts(self) -> dict[str, object]:
-        turns, scalars = int(self.turning.sum()), int((self.component == SCALAR).sum())
+        turns, scalars = int(self.turning.sum()), int((self.component == Component.SCALAR).sum())
         return {
             "displacements": len(self) - turns - scalars,
             "rotations": turns,
@@ -178,17 +183,17 @@ class DofMap:
     @property
     def turning(self) -> NDArray[np.bool_]:
         """(N,) which dofs are rotations."""
-        return np.asarray((self.component > 2) & (self.component < SCALAR))
+        return np.asarray((self.component > 2) & (self.component < Component.SCALAR))
 
     def table(self, nodes: int) -> Ints:
         """Dof (nodes, 7) of each node and component, -1 where there is none; of several scalars of a node the last."""
-        table = np.full((nodes, SCALAR + 1), -1, dtype=np.int64)
+        table = np.full((nodes, Component.SCALAR + 1), -1, dtype=np.int64)
         table[self.node, self.component] = np.arange(len(self))
         return table
 
     def twice(self) -> Ints:
         """Codes 6 node + component of dofs that are there more than once, each once; scalars may share a node."""
-        placed = self.component < SCALAR
+        placed = self.component < Component.SCALAR
         codes = np.sort(6 * self.node[placed] + self.component[placed])
         return np.unique(codes[1:][codes[1:] == codes[:-1]])
 
@@ -233,7 +238,7 @@ class FEModel:
 
     Raises:
         InputError: matrices of another shape or of something else than numbers, G that is not skew-symmetric, or
-            coordinates beyond ``LARGEST``.
+            coordinates beyond ``TOL.largest_number``.
 
     >>> model
     FEModel: dofs 60; nodes 20; elements 4; matrices K, M; source bar
@@ -288,7 +293,7 @@ class FEModel:
                 continue
             rest, size = abs(A + A.T), float(np.abs(A.data).max(initial=0.0))
             largest = float(rest.max()) if rest.nnz else 0.0
-            if largest > SYMMETRIC * size:
+            if largest > TOL.asymmetry * size:
                 if name == "G":
                     i, j = (int(index[0]) for index in (rest == largest).nonzero())
                     raise InputError(
@@ -327,7 +332,7 @@ class FEModel:
 
 def has_places(model: FEModel) -> bool:
     """Whether dofs are motions of nodes at different places; all others are abstract coordinates."""
-    xyz = model.nodes.xyz[model.dofs.node[model.dofs.component < SCALAR]]
+    xyz = model.nodes.xyz[model.dofs.node[model.dofs.component < Component.SCALAR]]
     return bool(len(xyz) and np.ptp(xyz, axis=0).any())
 
 
@@ -335,13 +340,13 @@ def refuse_far(nodes: Nodes, source: str) -> None:
     """Refuse coordinates with whose volumes and moments of inertia nothing can be computed; unknown ones (NaN) pass.
 
     Raises:
-        InputError: coordinates beyond ``LARGEST``.
+        InputError: coordinates beyond ``TOL.largest_number``.
     """
-    far = np.flatnonzero((np.abs(nodes.xyz) > LARGEST).any(axis=1))
+    far = np.flatnonzero((np.abs(nodes.xyz) > TOL.largest_number).any(axis=1))
     if len(far):
         raise InputError(
             f"{source}: node {nodes.ids[far[0]]} is at {nodes.xyz[far[0]].tolist()}; the file is damaged, or the "
-            f"units are wrong; expected coordinates up to {LARGEST:g}"
+            f"units are wrong; expected coordinates up to {TOL.largest_number:g}"
         )
 
 
@@ -419,7 +424,7 @@ def rigid_motion(xyz: Floats, component: Ints) -> Floats:
     moves = component < 3
     R[moves, component[moves]] = 1.0
     R[moves, 3:] = -skew(xyz[moves])[np.arange(int(moves.sum())), component[moves]]
-    turns = (component > 2) & (component < SCALAR)
+    turns = (component > 2) & (component < Component.SCALAR)
     R[turns, component[turns]] = 1.0
     return R
 
@@ -468,4 +473,4 @@ def _unsymmetric(A: sp.csr_array) -> float:
     z = np.random.default_rng(60).standard_normal(A.shape[0])
     largest = max(abs(float(A.data.max(initial=0.0))), abs(float(A.data.min(initial=0.0))))
     difference = float(np.abs(A @ z - A.T @ z).max(initial=0.0))
-    return difference / largest if difference > SYMMETRIC * largest else 0.0
+    return difference / largest if difference > TOL.asymmetry * largest else 0.0

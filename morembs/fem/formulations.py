@@ -17,11 +17,8 @@ from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
 from morembs.fem.elements import IRONS, STROUD, TYPES, ElementType, Order, Rule
 from morembs.fem.fe_model import ElementBlock
+from morembs.fem.tolerances import TOL
 
-# Jacobians whose powers are numbers still.
-SMALLEST, LARGEST = 1e-250, 1e250
-# Hourglass stiffness over E V sum |g|^2 (that of CalculiX).
-HOURGLASS = 0.0005
 LINEAR = ("tet4", "hex8", "wedge6")
 # Rules of the mass and the types that they are for; "reduced" takes the points of the stiffness, "row-sum" is lumped,
 # "irons" has 14 points, and "stroud" 15, which differ from the exact mass where sides are curved.
@@ -59,8 +56,8 @@ def geometry(x: Floats, rule: Rule, ids: Ints, kind: ElementType) -> Geometry:
     det = np.linalg.det(J)
     scale = np.abs(det).max(axis=1, initial=0.0)
     # Sizes whose squares a double cannot hold, and what is not a number, are as bad as no size.
-    outside = ~((scale > SMALLEST) & (scale < LARGEST))
-    bad = np.flatnonzero(~(det > 1e-10 * scale[:, None]).all(axis=1) | outside)
+    outside = ~((scale > TOL.least_jacobian) & (scale < TOL.largest_jacobian))
+    bad = np.flatnonzero(~(det > TOL.flat_element * scale[:, None]).all(axis=1) | outside)
     if len(bad):
         raise InputError(
             f"{len(bad)} {kind.name} elements are inverted or degenerate: {', '.join(map(str, ids[bad[:5]]))}"
@@ -179,7 +176,7 @@ def _against_hourglasses(elements: Elements) -> Floats:
     g = elements.here.dN[:, 0]
     # Orthogonal to all linear fields, also on distorted elements: rigid motion and constant strain have no force.
     gamma = shapes - np.einsum("eij,ehj->ehi", g, np.einsum("hi,eij->ehj", shapes, elements.x))
-    size = HOURGLASS * _modulus(elements.C) * elements.here.dV[:, 0] * np.square(g).sum(axis=(1, 2))
+    size = TOL.hourglass_stiffness * _modulus(elements.C) * elements.here.dV[:, 0] * np.square(g).sum(axis=(1, 2))
     return np.asarray(size[:, None, None] * np.matmul(gamma.transpose(0, 2, 1), gamma))
 
 
@@ -189,7 +186,7 @@ def _modulus(C: Floats) -> Floats:
     isotropic = np.zeros_like(C)
     isotropic[:, :3, :3] = lam[:, None, None]
     isotropic[:, range(6), range(6)] += mu[:, None] * np.array([2, 2, 2, 1, 1, 1])
-    alike = np.abs(C - isotropic).max(axis=(1, 2)) <= 1e-9 * C[:, 0, 0]
+    alike = np.abs(C - isotropic).max(axis=(1, 2)) <= TOL.isotropic * C[:, 0, 0]
     return np.where(alike, mu * (3 * lam + 2 * mu) / np.where(alike, lam + mu, 1.0), C[:, 0, 0])
 
 

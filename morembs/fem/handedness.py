@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from morembs.base.types import Floats, Ints
 from morembs.fem.elements import TYPES
 from morembs.fem.fe_model import ElementBlock, Mesh
-
-_CHUNK = 20_000
+from morembs.fem.tolerances import TOL
 
 
 def mirror_of(kind: str) -> Ints:
@@ -56,8 +55,8 @@ def _left_handed(block: ElementBlock, mesh: Mesh) -> NDArray[np.bool_]:
     kind = TYPES[block.type]
     _, middle = kind.shape(kind.reference.mean(axis=0, keepdims=True))
     parts = [np.zeros(0, dtype=bool)]
-    for start in range(0, len(block.ids), _CHUNK):
-        x = mesh.nodes.xyz[block.nodes[start : start + _CHUNK]]
+    for start in range(0, len(block.ids), TOL.handed_elements):
+        x = mesh.nodes.xyz[block.nodes[start : start + TOL.handed_elements]]
         left = _determinants(middle, x)[:, 0] < 0
         if left.any():
             left[left] = (_determinants(kind.rule(kind.stiffness_order).dN, x[left]) < 0).all(axis=1)

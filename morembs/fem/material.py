@@ -11,6 +11,7 @@ from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
+from morembs.fem.tolerances import TOL
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (2, 0), (0, 1))
 
@@ -112,7 +113,7 @@ def orthotropic(
     C: Floats = np.asarray(np.linalg.inv(S), dtype=np.float64)
     if axes is not None:
         Q = np.asarray(axes, dtype=float)
-        if Q.shape != (3, 3) or not np.allclose(Q @ Q.T, np.eye(3), atol=1e-8):
+        if Q.shape != (3, 3) or not np.allclose(Q @ Q.T, np.eye(3), atol=TOL.axes_error):
             raise InputError(f"material of set {set!r}: axes must be three orthonormal rows; got {Q.tolist()}")
         C = _rotated(C, Q)
     return Material(set=set, stiffness=C, density=density)

@@ -17,6 +17,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem.elements import TYPES
 from morembs.fem.fe_model import Mesh
+from morembs.fem.tolerances import TOL
 
 _CORNERS = {"tet10": "tet4", "hex20": "hex8", "hex27": "hex8", "wedge15": "wedge6"}
 # By place in the element: the corners (in VTK order) in whose middle the node lies, as other programs list them.
@@ -32,11 +33,6 @@ _ORDERS = {
     },
     "wedge15": {"Nastran or Exodus": "01 12 20 03 14 25 34 45 53", "gmsh": "01 02 03 12 14 25 34 35 45"},
 }
-# Sums of squares: an order is another one where it leaves less than this part of them. A motion that all middle nodes
-# share (a curved edge on each side) changes no comparison of orders, and a quarter-point keeps its edge.
-_BETTER = 0.1
-_ROUNDING = 1e-12
-_CHUNK = 10_000
 
 
 def mesh_in_order(mesh: Mesh) -> Mesh:
@@ -74,7 +70,7 @@ def in_order(kind: str, nodes: Ints, xyz: Floats, ids: Ints, labels: Ints, sourc
     places = np.argsort(linear_sum_assignment(total)[1])
     own = np.arange(len(places))
     name = None
-    if total[places, own].sum() < _BETTER * np.trace(total):
+    if total[places, own].sum() < TOL.better_order * np.trace(total):
         name = next((name for name, order in _known(kind).items() if np.array_equal(order, places)), None)
     corners = TYPES[_CORNERS[kind]].n_nodes
     if name is not None:
@@ -106,8 +102,8 @@ def _costs(kind: str, nodes: Ints, xyz: Floats) -> Iterator[tuple[Ints, Floats]]
     size of the element."""
     low = TYPES[_CORNERS[kind]]
     N, _ = low.shape(TYPES[kind].reference[low.n_nodes :])
-    for start in range(0, len(nodes), _CHUNK):
-        x = xyz[nodes[start : start + _CHUNK]]
+    for start in range(0, len(nodes), TOL.ordered_elements):
+        x = xyz[nodes[start : start + TOL.ordered_elements]]
         corners, middles = x[:, : low.n_nodes], x[:, low.n_nodes :]
         with np.errstate(all="ignore"):  # elements of no size, and places beyond all measure, are refused elsewhere
             size = np.square(np.ptp(corners, axis=1)).sum(axis=1)
@@ -121,7 +117,7 @@ def _crossed(costs: Floats) -> NDArray[np.bool_]:
     own = np.einsum("eii->ei", costs)
     with np.errstate(all="ignore"):
         gain = own[:, :, None] + own[:, None] - costs - costs.transpose(0, 2, 1)
-        return np.asarray((gain > _ROUNDING).any(axis=(1, 2)) & np.isfinite(costs).all(axis=(1, 2)))
+        return np.asarray((gain > TOL.order_roundoff).any(axis=(1, 2)) & np.isfinite(costs).all(axis=(1, 2)))
 
 
 def _refuse_crossed(kind: str, nodes: Ints, xyz: Floats, ids: Ints, labels: Ints, source: str) -> None:
@@ -132,7 +128,7 @@ def _refuse_crossed(kind: str, nodes: Ints, xyz: Floats, ids: Ints, labels: Ints
     for rows, costs in _costs(kind, nodes, xyz):
         for e in np.flatnonzero(_crossed(costs)).tolist():
             order = linear_sum_assignment(costs[e])
-            if costs[e][order].sum() < _BETTER * np.trace(costs[e]):
+            if costs[e][order].sum() < TOL.better_order * np.trace(costs[e]):
                 wrong.append(int(rows[e]))
     if not wrong:
         return
@@ -143,7 +139,7 @@ def _refuse_crossed(kind: str, nodes: Ints, xyz: Floats, ids: Ints, labels: Ints
     m = int(np.diagonal(costs[0]).argmax())
     reference = TYPES[kind].reference
     N, _ = low.shape(reference[low.n_nodes :][[m]])
-    ends = [int(corners[c]) for c in np.flatnonzero(N[0] > 1e-9)]
+    ends = [int(corners[c]) for c in np.flatnonzero(N[0] > TOL.no_shape)]
     middle = N[0] @ xyz[corners]
     away = np.linalg.norm(xyz[middles[m]] - middle) / np.linalg.norm(np.ptp(xyz[ends], axis=0))
     raise InputError(

@@ -8,22 +8,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base.types import Bools, Floats
-from morembs.fem.fe_model import SCALAR, DofMap, Nodes, rigid_motion, skew
+from morembs.fem.fe_model import Component, DofMap, Nodes, rigid_motion, skew
+from morembs.fem.tolerances import TOL
 from morembs.linalg.congruence import abs_products
-
-# Force under rigid motion, against the sum of magnitudes that cancel in it: above the first the motion strains the
-# body, between both the numbers are rounded (or the ground is very soft).
-STRAINED, ROUNDED = 1e-6, 1e-9
-# Residuals up to this all over the model come from numbers that were printed with few digits.
-FEW_DIGITS = 1e-3
-# A residual so many times that of most dofs is not round-off: a very soft ground.
-OUTLIER = 100.0
-# Part of the dofs with a residual above which the whole body does not fit, not only what holds it.
-MOST = 0.5
-# Part of the force that springs at the nodes may leave unexplained, and of the dofs at which they may do so.
-LEFT, FEW = 1e-3, 0.05
-# Strains of a preload stay below this.
-BEYOND_PRELOAD = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,8 +33,8 @@ class Residual:
     def bad(self) -> Bools:
         """(N,) whether a dof carries force under rigid motion: clearly, or at least far more than most others do."""
         worst = self.worst
-        usual = float(np.quantile(worst, 0.8)) if len(worst) else 0.0
-        return np.asarray(worst > min(STRAINED, max(ROUNDED, OUTLIER * usual)))
+        usual = float(np.quantile(worst, TOL.usual_dofs)) if len(worst) else 0.0
+        return np.asarray(worst > min(TOL.strained_force, max(TOL.rounded_force, TOL.outlier * usual)))
 
 
 def motion(nodes: Nodes, dofs: DofMap) -> tuple[Floats, Floats, float]:
@@ -63,7 +50,7 @@ def motion(nodes: Nodes, dofs: DofMap) -> tuple[Floats, Floats, float]:
 def residual(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> Residual:
     """K R, each row against the largest of its six sums of magnitudes."""
     R, center, length = motion(nodes, dofs)
-    force, size = K @ R, abs_products(K, R, dofs.component == SCALAR).max(axis=1)
+    force, size = K @ R, abs_products(K, R, dofs.component == Component.SCALAR).max(axis=1)
     ratio = np.divide(np.abs(force), size[:, None], out=np.zeros_like(force), where=size[:, None] > 0)
     return Residual(center=center, length=length, R=R, force=force, ratio=ratio)
 
@@ -78,7 +65,7 @@ def mounted(residuals: Residual, nodes: Nodes, dofs: DofMap) -> bool:
     arms = -skew(nodes.xyz[dofs.node[rows]] - residuals.center) / residuals.length
     force = residuals.force[rows]
     left = np.abs(force[:, 3:] - np.einsum("nc,ncr->nr", force[:, :3], arms)).max(axis=1, initial=0.0)
-    return bool(len(rows) and (left > LEFT * np.abs(force).max(axis=1)).mean() <= FEW)
+    return bool(len(rows) and (left > TOL.unexplained_force * np.abs(force).max(axis=1)).mean() <= TOL.unexplained_dofs)
 
 
 def share_of_other_geometry(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> float:
@@ -89,5 +76,5 @@ def share_of_other_geometry(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> floa
     coordinates or dofs that are not those of ``K``.
     """
     residuals = residual(K, nodes, dofs)
-    share = float((residuals.worst > BEYOND_PRELOAD).mean())
-    return share if share > MOST and not mounted(residuals, nodes, dofs) else 0.0
+    share = float((residuals.worst > TOL.preload_strain).mean())
+    return share if share > TOL.most_dofs and not mounted(residuals, nodes, dofs) else 0.0

@@ -8,10 +8,9 @@ from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.fem.fe_model import FEModel
 from morembs.fem.surface import outer_faces
+from morembs.fem.tolerances import TOL
 
 NUMBERS = {"box": 6, "sphere": 4, "cylinder": 7}
-# Points on the surface of a box, sphere or cylinder belong to it: this part of its size is forgiven.
-SLACK = 1e-6
 
 
 def select_nodes(model: FEModel, text: str, *, length: float = 1.0) -> Ints:
@@ -114,17 +113,17 @@ def _of_region(model: FEModel, kind: str, text: str, length: float) -> Ints:
     xyz = model.nodes.xyz
     if kind == "box":
         low, high = np.minimum(numbers[:3], numbers[3:]), np.maximum(numbers[:3], numbers[3:])
-        slack = SLACK * max(float((high - low).max()), np.finfo(float).tiny)
+        slack = TOL.region_slack * max(float((high - low).max()), np.finfo(float).tiny)
         inside = ((xyz >= low - slack) & (xyz <= high + slack)).all(axis=1)
     elif kind == "sphere":
-        inside = np.linalg.norm(xyz - numbers[:3], axis=1) <= numbers[3] * (1 + SLACK)
+        inside = np.linalg.norm(xyz - numbers[:3], axis=1) <= numbers[3] * (1 + TOL.region_slack)
     else:
         height = float(np.linalg.norm(numbers[3:6]))
         if height == 0:
             raise InputError(f"nodes = 'cylinder:{text}' has no direction; dx,dy,dz must not all be zero")
         along = (xyz - numbers[:3]) @ (numbers[3:6] / height)
         away = np.linalg.norm(xyz - numbers[:3] - along[:, None] * (numbers[3:6] / height), axis=1)
-        slack = SLACK * max(height, float(numbers[6]))
+        slack = TOL.region_slack * max(height, float(numbers[6]))
         inside = (along >= -slack) & (along <= height + slack) & (away <= numbers[6] + slack)
     return np.flatnonzero(inside)
 

@@ -27,6 +27,7 @@ from morembs.fem.elements import TYPES, ElementType
 from morembs.fem.fe_model import FEModel, Mesh
 from morembs.fem.formulations import Elements, Formulation, formulation_of
 from morembs.fem.surface import outer_faces
+from morembs.fem.tolerances import TOL
 
 NODES = ("skin", "all")
 COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "zx")
@@ -34,8 +35,6 @@ COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "zx")
 _FROM_VOIGT = np.array([0, 1, 2, 5, 3, 4])
 _ROW, _COLUMN = np.array([0, 1, 2, 0, 1, 2]), np.array([0, 1, 2, 1, 2, 0])
 _LINEAR = {"t": "tet4", "h": "hex8", "w": "wedge6"}
-# Entries of G that are collected before they are added up.
-COLLECTED = 4_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,7 +91,7 @@ class SingleElements:
 @with_progress_argument
 @with_budget_argument
 def stress_operator(
-    model: FEModel, nodes: str | Ints = "skin", *, elements: bool = False, collected: int = COLLECTED
+    model: FEModel, nodes: str | Ints = "skin", *, elements: bool = False, collected: int = TOL.collected_entries
 ) -> StressOperator:
     """Operator at ``nodes``: "skin", "all" or rows of ``model.nodes``; ``elements`` adds that of single elements.
 

@@ -24,8 +24,16 @@ from morembs.base.types import Floats, Ints
 from morembs.fem.fe_model import DofMap, FEModel, Nodes
 
 OUTLETS = ("held", "free")
-# Exact for products of cubic shapes.
-POINTS, WEIGHTS = (0.5 * (np.polynomial.legendre.leggauss(4)[0] + 1), 0.5 * np.polynomial.legendre.leggauss(4)[1])
+
+
+def _unit_gauss(points: int) -> tuple[Floats, Floats]:
+    """Gauss points and weights from 0 to 1, exact for polynomials of degree 2 ``points`` - 1."""
+    x, w = np.polynomial.legendre.leggauss(points)
+    return 0.5 * (x + 1), 0.5 * w
+
+
+# Products of cubic shapes have degree six.
+POINTS, WEIGHTS = _unit_gauss(4)
 
 
 @checked
@@ -98,7 +106,7 @@ def tube_model(points: Floats, tube: Tube, held: tuple[int, ...] = ()) -> FEMode
     if not np.isin(ends, path).all():
         raise InputError(f"held = {tuple(held)} was given; expected rows of the points, 0 to {len(xyz) - 1}")
     elements = _Elements.on(xyz, path)
-    area = 0.25 * np.pi * (tube.outer**2 - tube.inner**2)
+    area = np.pi / 4 * (tube.outer**2 - tube.inner**2)
     second = np.pi / 64 * (tube.outer**4 - tube.inner**4)
     shear = tube.young / (2 + 2 * tube.poisson)
     bending = np.array([0.0, tube.young * second, tube.young * second])[:, None] * elements.curvature

@@ -11,7 +11,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.base.units import Units, parse_units
 from morembs.fem import DofMap, FEModel, Nodes
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 from morembs.fem.named_columns import columns_of_input, columns_of_output
 from morembs.importers.imported import Imported
 from morembs.importers.named import square_csr
@@ -81,8 +81,8 @@ def from_matrices(
     dofs = None
     if node is not None:
         dofs = DofMap(node=_whole(node, "node", name), component=_whole(component, "component", name))
-        if len(dofs) and dofs.component.max() > SCALAR:
-            raise InputError(f"{name}: component runs to {dofs.component.max()}; expected 0 to {SCALAR}")
+        if len(dofs) and dofs.component.max() > Component.SCALAR:
+            raise InputError(f"{name}: component runs to {dofs.component.max()}; expected 0 to {Component.SCALAR}")
     system = parse_units(units) if isinstance(units, str) else units
     return model_of(Imported(source=name, nodes=placed, dofs=dofs, inputs=inputs, outputs=outputs, **ready), system)
 

@@ -12,7 +12,7 @@ from morembs.base.errors import InputError
 from morembs.base.units import Units
 from morembs.fem import DofMap, NamedColumns
 from morembs.fem.constraints import Equations
-from morembs.fem.fe_model import MATRICES, SCALAR
+from morembs.fem.fe_model import MATRICES, Component
 from morembs.fem.material import Material
 from morembs.importers.imported import Imported
 
@@ -69,7 +69,7 @@ def equations_in_si(equations: Sequence[Equations], units: Units) -> tuple[Equat
 
     def scaled(given: Equations) -> Equations:
         both = (given.components, given.term_components)
-        size, of_terms = (np.where((c > 2) & (c < SCALAR), 1.0, units.length) for c in both)
+        size, of_terms = (np.where((c > 2) & (c < Component.SCALAR), 1.0, units.length) for c in both)
         return replace(given, coefficients=given.coefficients * size[given.equation] / of_terms)
 
     return tuple(map(scaled, equations))

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.fem import DofMap, Nodes
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 from morembs.importers.abaqus_matrices import AbaqusMatrix, aligned, read_abaqus_matrix
 from morembs.importers.calculix_matrices import read_calculix_matrices
 from morembs.importers.dmig import DmigMatrix, read_dmig
@@ -84,7 +84,7 @@ def import_dmig(
         np.concatenate([np.empty((0, 2), dtype=np.int64), *(read.rows for read in matrices.values())]), axis=0
     )
     grown = {name: _spread(read, labels) for name, read in matrices.items()}
-    nodes, dofs = labelled(labels[:, 0], np.where(labels[:, 1] == _SCALAR_POINT, SCALAR, labels[:, 1] - 1))
+    nodes, dofs = labelled(labels[:, 0], np.where(labels[:, 1] == _SCALAR_POINT, Component.SCALAR, labels[:, 1] - 1))
     nodes = _placed(nodes, text)
     given = {"K": K, "M": M, "D": D}
     for role, names in _USUAL.items():

@@ -11,8 +11,8 @@ import scipy.sparse as sp
 
 from morembs.base.errors import InputError, nearest
 from morembs.fem import DofMap, Nodes
-from morembs.fem.fe_model import LARGEST
 from morembs.fem.named_columns import NamedColumns, columns_of_input, columns_of_output
+from morembs.fem.tolerances import TOL as FEM
 from morembs.importers.imported import Imported
 
 Matrices = dict[str, sp.csr_array]
@@ -103,12 +103,12 @@ def refuse_entries(source: str, name: str, matrix: sp.csr_array) -> None:
     """Refuse a matrix with entries that nothing can be computed with.
 
     Raises:
-        InputError: entries that are not finite, or beyond ``LARGEST``.
+        InputError: entries that are not finite, or beyond ``FEM.largest_number``.
     """
     if not np.isfinite(matrix.data).all():
         raise InputError(f"{source}: {name} has entries that are not finite (NaN or infinite); write the file again")
     largest = float(np.abs(matrix.data).max(initial=0.0))
-    if largest > LARGEST:
+    if largest > FEM.largest_number:
         raise InputError(f"{source}: {name} has an entry of {largest:.3g}; the file is damaged, or its units are wrong")
 
 

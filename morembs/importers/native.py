@@ -15,7 +15,7 @@ from morembs.base.types import Ints
 from morembs.fem import DofMap, ElementBlock, Mesh, NamedColumns, Nodes
 from morembs.fem.constraints import AverageElement, Equations, RigidElement
 from morembs.fem.elements import TYPES
-from morembs.fem.fe_model import MATRICES, SCALAR
+from morembs.fem.fe_model import MATRICES, Component
 from morembs.fem.formulations import FORMULATIONS, MASSES, formulation_of
 from morembs.fem.material import Material
 from morembs.importers.hdf5_sparse import checked_csr
@@ -329,7 +329,7 @@ def _equations(path: Path, group: Mapping[str, Any], count: int) -> tuple[Equati
     for name, given in zip(group["names"], group["equations"], strict=True):
         _refuse_outside(path, np.append(given["nodes"], given["term_nodes"]), count, f"the equations {name!r}")
         components = np.append(given["components"], given["term_components"])
-        if not np.isin(components, range(SCALAR + 1)).all():
+        if not np.isin(components, range(Component.SCALAR + 1)).all():
             raise InputError(f"{path}: the equations {name!r} have components beyond 0 to 6; {CURE}")
         try:
             equations.append(Equations(name=name, **given))

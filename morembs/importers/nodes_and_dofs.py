@@ -8,7 +8,7 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.fem import DofMap, Nodes
-from morembs.fem.fe_model import SCALAR, refuse_far
+from morembs.fem.fe_model import Component, refuse_far
 from morembs.importers.imported import Imported
 
 
@@ -54,10 +54,10 @@ def nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple[
 
 def _with_places_of_scalars(nodes: Nodes, dofs: DofMap) -> Nodes:
     """Nodes that hold scalars alone are put amid the others, where they change no extent."""
-    if len(dofs) == 0 or dofs.component.max() < SCALAR:
+    if len(dofs) == 0 or dofs.component.max() < Component.SCALAR:
         return nodes
     placed = np.zeros(len(nodes), dtype=bool)
-    placed[dofs.node[dofs.component < SCALAR]] = True
+    placed[dofs.node[dofs.component < Component.SCALAR]] = True
     bare = ~placed & ~np.isfinite(nodes.xyz).all(axis=1)
     xyz = nodes.xyz.copy()
     xyz[bare] = nodes.xyz[placed].mean(axis=0) if placed.any() else 0.0
@@ -74,7 +74,7 @@ def _check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
         raise InputError(f"{source}: {len(dofs)} dofs are named for matrices of {size} rows; expected one for each")
     if size and not (dofs.node.min() >= 0 and dofs.node.max() < len(nodes)):
         raise InputError(f"{source}: a row belongs to a node that does not exist; write the file again")
-    if size and not (dofs.component.min() >= 0 and dofs.component.max() <= SCALAR):
+    if size and not (dofs.component.min() >= 0 and dofs.component.max() <= Component.SCALAR):
         raise InputError(
             f"{source}: components of dofs run from {dofs.component.min()} to {dofs.component.max()}; expected 0 to 6"
         )

@@ -29,16 +29,7 @@ from morembs.base.errors import SolverError
 from morembs.base.types import Floats, Values
 from morembs.linalg.columns import orthonormal, symmetric
 from morembs.linalg.space import Space
-
-# Directions of Z below this part of the largest are dropped: (1e-10)^2 is nothing in the Gramian.
-NEGLIGIBLE = 1e-10
-# Shifts that are used before the residual is projected again, and columns of the latest solutions that it is
-# projected on: a lightly damped mode is hit only once its Ritz value is accurate to the width of its resonance.
-SHIFTS_AT_ONCE, RECENT = 3, 96
-# A shift closer to the real axis than this part of its size is real; a mode damped less than this is not damped.
-REAL, UNDAMPED = 1e-8, 1e-9
-FIRST_COLUMNS = 256
-ROWS = 1 << 15
+from morembs.linalg.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,10 +65,10 @@ def low_rank_gramian(
     system: SecondOrder,
     F: Floats,
     *,
-    tolerance: float = 1e-10,
-    max_steps: int = 300,
+    tolerance: float = TOL.adi_residual,
+    max_steps: int = TOL.adi_steps,
     space: Space | None = None,
-    rows: int = ROWS,
+    rows: int = TOL.adi_rows,
 ) -> LowRankGramian:
     """Controllability Gramian of ``system`` under the loads ``F`` (N, m).
 
@@ -123,7 +114,7 @@ class _Iteration:
         self.recent: list[Floats] = []
         self.shifts: list[complex] = []
         stiffness, mass = (np.sqrt(np.maximum(A.diagonal(), 0.0)) for A in (system.K, system.M))
-        self.factor = _Factor(stiffness, mass, max(FIRST_COLUMNS, 6 * F.shape[1]), space, rows)
+        self.factor = _Factor(stiffness, mass, max(TOL.adi_first_columns, 6 * F.shape[1]), space, rows)
 
     def step(self, p: complex) -> float:
         """One shift (with its conjugate); returns the residual."""
@@ -145,7 +136,7 @@ class _Iteration:
         for block in new:
             self.factor.append(*block)
         self.recent.append(np.hstack([xp for xp, _ in new]))
-        while len(self.recent) > 2 and sum(block.shape[1] for block in self.recent) > RECENT:
+        while len(self.recent) > 2 and sum(block.shape[1] for block in self.recent) > TOL.adi_recent_columns:
             del self.recent[0]
         self.f, self.g, self.static = f, g, self.system.flexibility(g)
         self.shifts.append(p)
@@ -178,14 +169,14 @@ class _Iteration:
         )
         W = np.vstack([Q.T @ (system.M @ self.f), Q.T @ self.g]) / scale
         share = np.linalg.norm(np.linalg.solve(X, W), axis=1)
-        usable = (poles.imag >= 0) & (poles.real < -UNDAMPED * np.abs(poles))
+        usable = (poles.imag >= 0) & (poles.real < -TOL.undamped_mode * np.abs(poles))
         chosen: list[complex] = []
-        while len(chosen) < SHIFTS_AT_ONCE and usable.any():
+        while len(chosen) < TOL.adi_shifts_at_once and usable.any():
             at = int(np.argmax(np.where(usable, share, -1.0)))
-            if chosen and share[at] ** 2 < 0.1 * tolerance:
+            if chosen and share[at] ** 2 < TOL.adi_share * tolerance:
                 break
             p = complex(poles[at])
-            p = complex(p.real) if p.imag < REAL * abs(p) else p
+            p = complex(p.real) if p.imag < TOL.real_shift * abs(p) else p
             share = share * np.abs((poles - p.conjugate()) / (poles + p))
             if p.imag:
                 share = share * np.abs((poles - p) / (poles + p.conjugate()))
@@ -238,7 +229,7 @@ class _Factor:
                 R = sl.qr(rows_too, mode="r", overwrite_a=True, check_finite=False)[0][: self.size]
                 self.space.budget.release_if_tight()
         _, values, Y = sl.svd(R, full_matrices=False)
-        keep = values > NEGLIGIBLE * values[0]
+        keep = values > TOL.dropped_direction * values[0]
         kept = int(keep.sum())
         for Z in (self.Zp, self.Zv):
             self.space.multiply_into(Z[:, : self.size], Y[keep].T, Z[:, :kept])

@@ -10,11 +10,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.base.types import Floats, Values
-
-# A column that keeps less than this part of its norm after orthogonalisation is dependent.
-DEPENDENT = 1e-10
-# Eigenvalues of a Gram matrix of unit columns below this are round-off.
-NOISE = 1e-14
+from morembs.linalg.tolerances import TOL
 
 
 def m_norms(W: Values, MW: Values) -> Floats:
@@ -31,7 +27,7 @@ def fix_signs(V: Floats) -> Floats:
     """``V`` with the first large entry of each column made positive, in place: equal input gives equal signs."""
     for column in V.T:
         size = np.abs(column)
-        if len(size) and column[(size >= 0.99 * size.max()).argmax()] < 0:
+        if len(size) and column[(size >= TOL.large_entry * size.max()).argmax()] < 0:
             # Not np.negative with out: NumPy 2.4 gives wrong values for strided columns.
             column *= -1.0
     return V
@@ -49,7 +45,7 @@ def orthonormal(
     gram: Values | None = None,
     *,
     passes: int = 1,
-    least: float = DEPENDENT,
+    least: float = TOL.dependent_column,
 ) -> Values:
     """Basis of the columns of ``W`` (n, k), orthonormal in x^H M y; dependent columns are dropped.
 
@@ -81,7 +77,7 @@ def orthonormal_pair(
     gram: Values | None = None,
     *,
     MW: Values | None = None,
-    least: float = DEPENDENT,
+    least: float = TOL.dependent_column,
 ) -> tuple[Values, Values]:
     """``orthonormal`` in one pass, and M times it; ``MW`` is M W where that is known."""
     if gram is None:
@@ -105,10 +101,10 @@ def _by_gram(
         if G is None:
             MQ = _weighted(Q, M)
             G = Q.conj().T @ MQ
-        if not Q.shape[1] or np.abs(G - np.eye(len(G))).max() < 1e-14 * len(G):
+        if not Q.shape[1] or np.abs(G - np.eye(len(G))).max() < TOL.orthonormality * len(G):
             break
         values, U = sl.eigh(0.5 * (G + G.conj().T))
-        good = values > max(NOISE, least**2) * values[-1]
+        good = values > max(TOL.gram_noise, least**2) * values[-1]
         Q, MQ, G = Q @ (U[:, good] / np.sqrt(values[good])), None, None
     return Q, _weighted(Q, M) if MQ is None else MQ
 

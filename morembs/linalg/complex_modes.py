@@ -21,19 +21,7 @@ from morembs.linalg.columns import m_norms, orthonormal, symmetric
 from morembs.linalg.space import Space
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Factorization, LinearSolver
-
-# |K^-1 r| against |x| in M at which a mode is taken; its eigenvalue is off by the square of that without damping.
-TOLERANCE = 1e-8
-# What is taken where round-off of stiff parts allows no more: the residual has not halved in so many steps.
-ROUND_OFF, PATIENCE = 1e-5, 3
-# Modes that are followed beyond those that are wanted, and columns of the space per mode at which it is begun anew.
-BEYOND, WIDEST, STEPS = 4, 10, 60
-# Imaginary parts below this part of the size are zero: the mode does not swing.
-STILL = 1e-9
-# Frequencies closer than this are one cluster, which no count divides.
-GAP = 1e-6
-# Times that modes which the count finds missing are looked for.
-ATTEMPTS = 3
+from morembs.linalg.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,9 +71,9 @@ def small_complex_modes(K: Floats, M: Floats, C: Floats) -> tuple[Complexes, Com
     A = np.block([[nothing, np.eye(n)], [-sl.cho_solve(L, K), -sl.cho_solve(L, C)]])
     values, Z = sl.eig(A)
     size = np.abs(values)
-    values.imag[np.abs(values.imag) <= STILL * size] = 0.0
+    values.imag[np.abs(values.imag) <= TOL.real_eigenvalue * size] = 0.0
     if skew:
-        values.real[np.abs(values.real) <= STILL * size.max(initial=0.0)] = 0.0
+        values.real[np.abs(values.real) <= TOL.real_eigenvalue * size.max(initial=0.0)] = 0.0
     up = values.imag >= 0
     order = np.argsort(size[up], kind="stable")
     return values[up][order], Z[:n, up][:, order]
@@ -107,7 +95,7 @@ def complex_modes(
     Args:
         start: columns (n, j) near the modes, which save steps.
 
-    Peak memory: one factor of K, and about 2 ``WIDEST`` ``count`` columns.
+    Peak memory: one factor of K, and about 2 ``TOL.complex_columns_per_mode`` ``count`` columns.
 
     Raises:
         InputError: more modes than there are.
@@ -130,7 +118,7 @@ def complex_modes(
             if factor.negative_pivots() == 0
             else ("the stiffness is indefinite, as it is above the first critical speed")
         )
-        for _ in range(ATTEMPTS):
+        for _ in range(TOL.complex_attempts):
             modes, V = _converged(pencil, V, count)
             cut = "" if why else _cut(modes.frequencies, count)
             if isinstance(cut, str):
@@ -175,7 +163,7 @@ class _Pencil:
 def _start(pencil: _Pencil, count: int, given: Floats | None) -> Floats:
     n = pencil.M.shape[0]
     V = orthonormal(given, pencil.M) if given is not None else np.zeros((n, 0))
-    return np.hstack([V, _more(pencil, V, min(count + BEYOND, n) - min(V.shape[1], count))])
+    return np.hstack([V, _more(pencil, V, min(count + TOL.complex_modes_beyond, n) - min(V.shape[1], count))])
 
 
 def _more(pencil: _Pencil, V: Floats, count: int) -> Floats:
@@ -189,8 +177,8 @@ def _more(pencil: _Pencil, V: Floats, count: int) -> Floats:
 
 def _converged(pencil: _Pencil, V: Floats, count: int) -> tuple[ComplexModes, Floats]:
     """The lowest ``count`` modes and some beyond, those unconverged, and the space that they are from."""
-    wanted, history = min(count + BEYOND, len(V)), list[float]()
-    for step in range(STEPS):
+    wanted, history = min(count + TOL.complex_modes_beyond, len(V)), list[float]()
+    for step in range(TOL.complex_steps):
         Kv, Mv, Cv = (_projected(V, A) for A in (pencil.K, pencil.M, pencil.C))
         # To the last bit, by which a body without damping is known.
         Kv = symmetric(Kv)
@@ -200,21 +188,23 @@ def _converged(pencil: _Pencil, V: Floats, count: int) -> tuple[ComplexModes, Fl
         X /= m_norms(X, pencil.M @ X)
         Z = pencil.corrections(s, X)
         residuals = m_norms(Z, pencil.M @ Z)
-        open_ = residuals > TOLERANCE
+        open_ = residuals > TOL.complex_residual
         progress.update(f"complex modes: step {step + 1}, {int((~open_[:count]).sum())} of {count}")
         history.append(float(residuals[:count].max()))
-        stuck = len(history) > PATIENCE and history[-1] > 0.5 * min(history[:-PATIENCE])
-        if not open_[:count].any() or V.shape[1] == len(V) or (stuck and history[-1] <= ROUND_OFF):
+        before = history[: -TOL.stalled_complex_steps]
+        stuck = bool(before) and history[-1] > 0.5 * min(before)
+        if not open_[:count].any() or V.shape[1] == len(V) or (stuck and history[-1] <= TOL.stalled_complex_residual):
             return ComplexModes(eigenvalues=s, vectors=X, residuals=residuals, verified_below=0.0), V
-        if V.shape[1] + 2 * open_.sum() > max(WIDEST * wanted, 2 * wanted + 40):
+        if V.shape[1] + 2 * open_.sum() > max(TOL.complex_columns_per_mode * wanted, 2 * wanted + 40):
             V = orthonormal(np.hstack([X.real, X.imag]), pencil.M)
         Z = Z[:, open_]
         added = Space(pencil.M).complement(V, np.hstack([Z.real, Z.imag]))
-        if not added.shape[1] or (stuck and len(history) > 5 * PATIENCE):
+        if not added.shape[1] or (stuck and len(history) > 5 * TOL.stalled_complex_steps):
             break
         V = np.hstack([V, added])
     raise SolverError(
-        f"the complex modes converge to {residuals[:count].max():.1e} only (needed {TOLERANCE:.0e}); ask for fewer"
+        f"the complex modes converge to {residuals[:count].max():.1e} only (needed {TOL.complex_residual:.0e}); "
+        "ask for fewer"
     )
 
 
@@ -229,7 +219,7 @@ def _projected(V: Floats, A: sp.csr_array) -> Floats:
 def _cut(w: Floats, count: int) -> float | str:
     """A frequency in the first gap behind mode ``count``, or in the last before it; "" without any."""
     for k in (*range(count, len(w)), *range(count - 1, 0, -1)):
-        if w[k] - w[k - 1] > GAP * w[k]:
+        if w[k] - w[k - 1] > TOL.frequency_gap * w[k]:
             return float(0.5 * (w[k] + w[k - 1]))
     return ""
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from morembs.base.budget import current_budget
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
-
-_ENTRIES = 1 << 20
+from morembs.linalg.tolerances import TOL
 
 
 def congruence(T: sp.csr_array, A: sp.csr_array, *, skew: bool = False) -> sp.csr_array:
@@ -121,8 +120,8 @@ def _coupling(A: sp.csr_array, kept: Ints, slaves: Ints, R: sp.csr_array) -> tup
     """A[kept][:, slaves] R, and the number of stored entries of A[kept][:, slaves], of which most rows have none."""
     inside, touched = np.zeros(A.shape[0], dtype=bool), np.zeros(A.shape[0], dtype=bool)
     inside[slaves] = True
-    for first in range(0, A.nnz, _ENTRIES):
-        hits = (first + np.flatnonzero(inside[A.indices[first : first + _ENTRIES]])).astype(A.indptr.dtype)
+    for first in range(0, A.nnz, TOL.entries_at_once):
+        hits = (first + np.flatnonzero(inside[A.indices[first : first + TOL.entries_at_once]])).astype(A.indptr.dtype)
         touched[np.searchsorted(A.indptr, hits, side="right") - 1] = True
     near = np.flatnonzero(touched[kept])
     counts, parts, dropped = np.zeros(len(kept), dtype=np.int64), [sp.csr_array((0, R.shape[1]))], 0
@@ -180,11 +179,11 @@ def _merged(
 
 
 def _pieces(A: sp.csr_array, rows: Ints) -> Iterator[slice]:
-    """Ranges of ``rows`` that hold about ``_ENTRIES`` entries of ``A``."""
+    """Ranges of ``rows`` that hold about ``TOL.entries_at_once`` entries of ``A``."""
     ends = np.cumsum(np.diff(A.indptr).astype(np.int64)[rows])
     first = 0
     while first < len(rows):
         before = ends[first - 1] if first else 0
-        last = max(int(np.searchsorted(ends, before + _ENTRIES, side="right")), first + 1)
+        last = max(int(np.searchsorted(ends, before + TOL.entries_at_once, side="right")), first + 1)
         yield slice(first, last)
         first = last

@@ -15,8 +15,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Values
 from morembs.linalg.sparse.solver import Analysis, Factorization, Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import General, Lower
-
-_CHUNK = 1 << 20
+from morembs.linalg.tolerances import TOL
 
 
 class DynamicStiffness(Closing):
@@ -165,8 +164,8 @@ def structure_at(s: complex, *, D: bool, G: bool, N: bool) -> str:
 
 def _add(data: Values, place: Values, factor: complex, values: Values) -> None:
     """data[place] += factor * values, in pieces."""
-    for first in range(0, len(place), _CHUNK):
-        part = slice(first, first + _CHUNK)
+    for first in range(0, len(place), TOL.entries_at_once):
+        part = slice(first, first + TOL.entries_at_once)
         data[place[part]] += factor * values[part]
 
 
@@ -179,8 +178,8 @@ def with_fixed_rows(A: Lower, rows: NDArray[np.int64]) -> Lower:
     on = np.zeros(A.n, dtype=bool)
     on[rows] = True
     scale = float(np.abs(A.diagonal()).max())
-    for first in range(0, A.n, _CHUNK >> 5):
-        last = min(first + (_CHUNK >> 5), A.n)
+    for first in range(0, A.n, TOL.entries_at_once >> 5):
+        last = min(first + (TOL.entries_at_once >> 5), A.n)
         begin, end = A.indptr[first], A.indptr[last]
         column = np.repeat(np.arange(first, last), np.diff(A.indptr[first : last + 1]))
         row = A.indices[begin:end]
@@ -229,7 +228,7 @@ def _widened(A: Lower, other: Lower) -> Lower:
 
 
 def _rows_at_once(A: Lower) -> int:
-    return max(1, int(_CHUNK * A.n / max(A.nnz, 1)))
+    return max(1, int(TOL.entries_at_once * A.n / max(A.nnz, 1)))
 
 
 def _places(A: Lower, other: Lower) -> Values:

@@ -17,28 +17,12 @@ from morembs.base.units import eigenvalue_in_hz
 from morembs.linalg.columns import dense, fix_signs, m_norms, symmetric
 from morembs.linalg.lanczos import BlockLanczos, largest
 from morembs.linalg.second_shift import first_look, keeps_two_factors, modes_below
-from morembs.linalg.slicing import SLICE, ShiftedInverse, sliced_modes
+from morembs.linalg.slicing import ShiftedInverse, sliced_modes
 from morembs.linalg.space import Space
 from morembs.linalg.statics import ConstrainedStatics, off_eigenvalues
+from morembs.linalg.tolerances import TOL
 
 log = logging.getLogger(__name__)
-# Up to this size, or when a large part of all modes is wanted, LAPACK is faster and finds all.
-DENSE = 1500
-DENSE_PART = 6000
-# Eigenvalues below this part of the highest one lose digits in LAPACK.
-SOFT = 1e-6
-# A Sturm count needs a shift in a gap: neighbours closer than this are one cluster.
-GAP = 1e-6
-# More modes than this of a large model are a mistake in the limit, not a reduction.
-MOST_SPARSE = 2000
-ATTEMPTS = 4
-# More modes up to a limit than would fill so many slices are found slice by slice.
-SLICES = 10 / 3
-# So few modes are found at shift zero before a factor that is kept and checked for a second shift would pay.
-FEW = 20
-# Columns of a Krylov block when the factor lies on disk: so many, where a pass takes as long as their arithmetic, or as
-# many as modes, but no more than the widest; and blocks that exist at once.
-WIDE, WIDEST, COPIES = 32, 64, 8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,7 +57,7 @@ def lowest_modes(
     below: float | None = None,
     what: str = "modes",
     by_lapack: bool | None = None,
-    per_slice: int = SLICE,
+    per_slice: int = TOL.slice_modes,
 ) -> Modes:
     """The lowest ``count`` modes, or all with eigenvalues up to ``below`` in (rad/s)2.
 
@@ -90,23 +74,24 @@ def lowest_modes(
         if below is None:
             raise InputError("lowest_modes needs either count or below")
         # Up to the limit and including it: a mode, or a cluster, right at the limit belongs to it whole.
-        below *= 1 + GAP
-        if not (M.shape[0] <= DENSE if by_lapack is None else by_lapack):
+        below *= 1 + TOL.eigenvalue_gap
+        if not (M.shape[0] <= TOL.dense_rows if by_lapack is None else by_lapack):
             count, shifted = _up_to(body, M, below)
-            if count > MOST_SPARSE and M.shape[0] > DENSE_PART:
+            if count > TOL.most_modes and M.shape[0] > TOL.dense_part_rows:
                 raise InputError(
-                    f"{count} {what} lie below {eigenvalue_in_hz(below):.6g} Hz, more than {MOST_SPARSE}; "
+                    f"{count} {what} lie below {eigenvalue_in_hz(below):.6g} Hz, more than {TOL.most_modes}; "
                     "lower the limit"
                 )
     if count is not None and count > size:
         raise InputError(_too_many(what, count, size))
     if by_lapack is None:
-        by_lapack = M.shape[0] <= DENSE or (M.shape[0] <= DENSE_PART and count is not None and 4 * count > size)
+        many = count is not None and 4 * count > size
+        by_lapack = M.shape[0] <= (TOL.dense_part_rows if many else TOL.dense_rows)
     if by_lapack:
         return _dense(body, M, count, below)
     if not count:
         return Modes(eigenvalues=np.zeros(0), vectors=np.zeros((M.shape[0], 0)), verified_below=below or 0.0)
-    if below is not None and count > SLICES * per_slice:
+    if below is not None and count > TOL.least_slices * per_slice:
         if shifted is not None:
             shifted.close()
         first = _sparse(body, M, per_slice, None, what)
@@ -119,7 +104,7 @@ def lowest_modes(
 
 def _up_to(body: ConstrainedStatics, M: sp.csr_array, below: float) -> tuple[int, ShiftedInverse | None]:
     """How many modes lie below, and the factor that counted them where it will be of use."""
-    if keeps_two_factors(body) and M.shape[0] > DENSE_PART:
+    if keeps_two_factors(body) and M.shape[0] > TOL.dense_part_rows:
         try:
             shifted = off_eigenvalues(below, partial(ShiftedInverse, body, M))
             return shifted.below, shifted
@@ -138,7 +123,7 @@ def _dense(body: ConstrainedStatics, M: sp.csr_array, count: int | None, below: 
     values, vectors = _dense_pencil(symmetric(K), symmetric(Mq))
     vectors = Q @ vectors
     # LAPACK has the lowest modes to eps of the highest eigenvalue only.
-    soft = int((values < SOFT * values[-1]).sum()) if len(values) else 0
+    soft = int((values < TOL.soft_eigenvalue * values[-1]).sum()) if len(values) else 0
     if soft:
         values[:soft], vectors[:, :soft] = _refine_by_inverse_iteration(body, M, vectors[:, :soft])
     m = int((values <= below).sum()) if count is None and below is not None else count
@@ -165,19 +150,19 @@ def accurate_eigh(
 ) -> tuple[Floats, Floats]:
     """Eigenvalues (n,) of (``A``, ``M``), ascending, and vectors (n, n), where LAPACK has all to eps of the highest.
 
-    Values below ``SOFT`` of the highest are found again in the span of their vectors alone, and so on: all are known
-    to eps / ``SOFT`` of themselves as far as A is. ``projected`` gives Y' A Y of some vectors Y (n, k), by default
-    from ``A``; M = I by default.
+    Values below ``TOL.soft_eigenvalue`` of the highest are found again in the span of their vectors alone, and so on:
+    all are known to eps / ``TOL.soft_eigenvalue`` of themselves as far as A is. ``projected`` gives Y' A Y of some
+    vectors Y (n, k), by default from ``A``; M = I by default.
     """
     values, Y = sl.eigh(A, M)
-    soft = int((values < SOFT * values[-1]).sum()) if len(values) else 0
+    soft = int((values < TOL.soft_eigenvalue * values[-1]).sum()) if len(values) else 0
     while soft:
         some = Y[:, :soft]
         part = some.T @ A @ some if projected is None else projected(some)
         values[:soft], Q = sl.eigh(symmetric(part))
         Y[:, :soft] = some @ Q
         # At least the highest of them is known now.
-        soft = min(soft - 1, int((values[:soft] < SOFT * values[soft - 1]).sum()))
+        soft = min(soft - 1, int((values[:soft] < TOL.soft_eigenvalue * values[soft - 1]).sum()))
     return values, Y
 
 
@@ -210,7 +195,7 @@ def _sparse(
     capacity = min(3 * (count + 2) + 8 * block, M.shape[0] - body.count)
     lanczos = BlockLanczos(body.flexibility, Space(M, budget=body.statics.budget), start, capacity=capacity)
     del start
-    if keeps_two_factors(body) and (count > FEW or shifted is not None):
+    if keeps_two_factors(body) and (count > TOL.one_factor_modes or shifted is not None):
         cut = first_look(lanczos, count, what=what)
         try:
             if shifted is None and cut is not None:
@@ -231,7 +216,7 @@ def _counted(
 ) -> Modes:
     """Modes by block Lanczos at shift zero, counted afterwards."""
     wanted = min(count if below is not None else count + 2, M.shape[0] - body.count)
-    for _ in range(ATTEMPTS):
+    for _ in range(TOL.count_attempts):
         theta, Y = largest(lanczos, wanted, what=what)
         values = 1.0 / theta
         if len(values) < count:
@@ -267,12 +252,12 @@ def _block(body: ConstrainedStatics, count: int) -> int:
     """Width of the Krylov blocks: a factor on disk is read as a whole for each of them, so they are wide there."""
     if not body.statics.factor.stats.out_of_core:
         return int(np.clip(count // 4, 8, 12))
-    return int(np.clip(body.statics.columns(COPIES, WIDEST), 8, max(WIDE, count + 2)))
+    return int(np.clip(body.statics.columns(TOL.block_copies, TOL.widest_block), 8, max(TOL.wide_block, count + 2)))
 
 
 def _gap_after(values: Floats, count: int) -> float | None:
     """A shift in the first gap behind mode ``count``; None if all further values cluster with it."""
     for k in range(count, len(values)):
-        if values[k] - values[k - 1] > GAP * values[k]:
+        if values[k] - values[k - 1] > TOL.eigenvalue_gap * values[k]:
             return float(0.5 * (values[k] + values[k - 1]))
     return None

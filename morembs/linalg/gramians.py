@@ -20,11 +20,7 @@ from numpy.typing import NDArray
 from morembs.base.types import Floats
 from morembs.linalg.columns import m_norms
 from morembs.linalg.space import Space
-
-# Singular values below this part of the largest are round-off.
-NEGLIGIBLE = 1e-12
-# Passes in which the columns that an earlier pass took for dependent are scaled up and tried again.
-_PASSES = 4
+from morembs.linalg.tolerances import TOL
 
 
 def snapshot_factor(U: NDArray[Any], weights: Floats) -> Floats:
@@ -37,7 +33,7 @@ def snapshot_factor(U: NDArray[Any], weights: Floats) -> Floats:
 class WeightedSVD:
     """SVD of snapshots of a small length n that arrive in blocks, in the inner product of ``weights`` (n,).
 
-    ``vectors`` (n, r) orthonormal in it, ``sigma`` (r,) descending and above ``NEGLIGIBLE`` of the first.
+    ``vectors`` (n, r) orthonormal in it, ``sigma`` (r,) descending and above ``TOL.dropped_snapshot`` of the first.
     Peak memory: a few arrays (n, n) and one block.
     """
 
@@ -57,7 +53,7 @@ class WeightedSVD:
         if merged.shape[1] > len(merged):
             merged = sl.qr(merged.T, mode="r", overwrite_a=True)[0][: len(merged)].T
         self.scaled, sigma, _ = sl.svd(merged, full_matrices=False)
-        keep = sigma > NEGLIGIBLE * sigma.max(initial=0.0)
+        keep = sigma > TOL.dropped_snapshot * sigma.max(initial=0.0)
         self.scaled, self.sigma = self.scaled[:, keep], sigma[keep]
 
 
@@ -88,9 +84,10 @@ class StreamedSVD:
         largest = max(float(norms.max(initial=0.0)), float(self.sigma.max(initial=0.0)))
         C = self.space.project_out(self.V[:, :r], S)
         rows, used = [C], r
-        for _ in range(_PASSES):
+        for _ in range(TOL.snapshot_passes):
             size = m_norms(S, X @ S)
-            active = size > 0.1 * NEGLIGIBLE * largest
+            # A tenth of what is dropped in the end: several of them may add up.
+            active = size > 0.1 * TOL.dropped_snapshot * largest
             room = self.V.shape[1] - used
             if not active.any() or not room:
                 break
@@ -103,6 +100,6 @@ class StreamedSVD:
         left = np.zeros((used, r))
         np.fill_diagonal(left, self.sigma)
         U, sigma, _ = sl.svd(np.hstack([left, np.vstack(rows)]), full_matrices=False)
-        keep = int((sigma > NEGLIGIBLE * sigma.max(initial=0.0)).sum())
+        keep = int((sigma > TOL.dropped_snapshot * sigma.max(initial=0.0)).sum())
         self.space.multiply_into(self.V[:, :used], U[:, :keep], self.V[:, :keep])
         self.sigma = sigma[:keep]

@@ -18,13 +18,7 @@ from morembs.base.errors import SolverError
 from morembs.base.types import Floats
 from morembs.linalg.columns import m_norms, orthonormal_pair, symmetric
 from morembs.linalg.space import Space
-
-TOLERANCE = 1e-9
-MAX_STEPS = 400
-# Growth of the space between two looks at its Ritz values.
-LOOK = 1.05
-# Parts along the space, against the norms of the columns, that one more pass would not make smaller; and most passes.
-ROUND_OFF, PASSES = 1e-8, 3
+from morembs.linalg.tolerances import TOL
 
 
 class BlockLanczos:
@@ -67,12 +61,12 @@ class BlockLanczos:
         H = np.zeros((k + b, b))
         H[self.near :] = self.space.take_out([self.V[:, self.near : k + b]], W, MW=MW)
         # What is left of W keeps the round-off of what was taken out, along all of V.
-        for _ in range(PASSES):
+        for _ in range(TOL.lanczos_passes):
             MW = self.M @ W
             G = W.T @ MW
             again = self.space.take_out([self.V[:, : k + b]], W, MW=MW)
             H += again
-            if (np.abs(again) <= ROUND_OFF * norms).all():
+            if (np.abs(again) <= TOL.repeated_part * norms).all():
                 break
         self.T[: k + b, k : k + b] = H
         self.T[k : k + b, : k + b] = H.T
@@ -160,7 +154,7 @@ class BlockLanczos:
 
 
 def largest(lanczos: BlockLanczos, count: int, *, what: str = "modes") -> tuple[Floats, Floats]:
-    """The ``count`` largest eigenvalues theta and their vectors, M-orthonormal, to ``TOLERANCE``.
+    """The ``count`` largest eigenvalues theta and their vectors, M-orthonormal, to ``TOL.ritz_residual``.
 
     They are fewer where no more motions have mass.
 
@@ -168,21 +162,22 @@ def largest(lanczos: BlockLanczos, count: int, *, what: str = "modes") -> tuple[
         SolverError: no convergence.
     """
     looked = 0
-    for _ in range(MAX_STEPS):
+    for _ in range(TOL.lanczos_steps):
         if lanczos.full():
             lanczos.restart(min(count + 2 * lanczos.block, lanczos.size - lanczos.block))
             looked = 0
         lanczos.expand()
         # The small eigenvalue problem of a large space costs more than its growth.
         ended = not lanczos.pending.shape[1]
-        if not ended and (lanczos.size < count or not (lanczos.size >= LOOK * looked or lanczos.full())):
+        if not ended and (lanczos.size < count or not (lanczos.size >= TOL.ritz_growth * looked or lanczos.full())):
             continue
         looked = lanczos.size
         theta, Y, residual = lanczos.ritz()
-        good = residual[:count] <= TOLERANCE * np.abs(theta[:count])
+        good = residual[:count] <= TOL.ritz_residual * np.abs(theta[:count])
         progress.update(f"{int(good.sum())} of {count} {what} converged")
         if good.all() or ended:
             return theta[:count], lanczos.vectors(Y[:, :count])
     raise SolverError(
-        f"{count} {what} did not converge in {MAX_STEPS} steps; ask for fewer, or check the model for a mechanism"
+        f"{count} {what} did not converge in {TOL.lanczos_steps} steps; ask for fewer, "
+        "or check the model for a mechanism"
     )

@@ -13,15 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from morembs.base.types import Floats, Ints
 from morembs.linalg.sparse.solver import LinearSolver
-
-EPS = float(np.finfo(float).eps)
-# Groups up to this size go to LAPACK.
-DENSE = 1500
-# Eigenvalues of a matrix of unit diagonal up to so many eps n are round-off of zero ones.
-ROUND_OFF = 8.0
-# Shift of larger groups: far above round-off, far below eigenvalues of motions that have energy. Steps of subspace
-# iteration, each of which damps these by shift / eigenvalue, and columns that it begins with.
-SHIFT, STEPS, COLUMNS = 1e-9, 4, 8
+from morembs.linalg.tolerances import TOL
 
 
 def groups_of(A: sp.csr_array) -> tuple[int, Ints]:
@@ -34,7 +26,7 @@ def groups_of(A: sp.csr_array) -> tuple[int, Ints]:
 def null_space(A: sp.csr_array, solver: LinearSolver, rounding: float = 0.0) -> Floats:
     """Basis (n, r) of the null space of a positive semidefinite ``A``, whose entries are known to ``rounding``.
 
-    Peak memory: a dense copy of the largest group up to ``DENSE`` rows, or its factor.
+    Peak memory: a dense copy of the largest group up to ``TOL.dense_rows`` rows, or its factor.
 
     Raises:
         SolverError: the factorisation of a larger group failed; a SingularMatrixError where it is indefinite.
@@ -60,19 +52,19 @@ def _null_space_of_group(A: sp.csr_array, solver: LinearSolver, rounding: float)
     d = np.abs(A.diagonal())
     scale = sp.diags_array(1.0 / np.sqrt(np.where(d > 0, d, 1.0)))
     unit = sp.csr_array(scale @ A @ scale)
-    values, Y = sl.eigh(unit.toarray()) if A.shape[0] <= DENSE else _lowest(unit, solver, rounding)
-    zero = np.abs(values) <= max(ROUND_OFF * EPS * A.shape[0], rounding)
+    values, Y = sl.eigh(unit.toarray()) if A.shape[0] <= TOL.dense_rows else _lowest(unit, solver, rounding)
+    zero = np.abs(values) <= max(TOL.zero_eigenvalue * A.shape[0], rounding)
     return np.asarray(scale @ Y[:, zero])
 
 
 def _lowest(A: sp.csr_array, solver: LinearSolver, rounding: float) -> tuple[Floats, Floats]:
     """More of the lowest eigenvalues (k,) of ``A`` (n, n) than are zero, and their vectors (n, k)."""
-    n, width = A.shape[0], COLUMNS
-    shift = max(SHIFT, 10 * rounding)
+    n, width = A.shape[0], TOL.null_space_columns
+    shift = max(TOL.null_space_shift, 10 * rounding)
     with solver.factorize(sp.csr_array(A + shift * sp.eye_array(n)), "spd", what="K + sigma I") as factor:
         while True:
             Y = np.random.default_rng(21).standard_normal((n, min(width, n)))
-            for _ in range(STEPS):
+            for _ in range(TOL.null_space_steps):
                 Y = sl.qr(factor.solve(Y), mode="economic")[0]
             values, Q = sl.eigh(Y.T @ (A @ Y))
             if values[-1] > shift or width >= n:

@@ -6,11 +6,7 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Complexes, Floats
-
-# Gauss points for each unit of asinh, and to begin with: 1e-10 beside a pole.
-POINTS, FIRST_POINTS = 4, 8
-# Half width of a pole outside the band, at least, as a part of its distance.
-SHARP = 1e-3
+from morembs.linalg.tolerances import TOL
 
 
 def gauss(low: float, high: float, points: int) -> tuple[Floats, Floats]:
@@ -37,18 +33,18 @@ def resonant(low: float, high: float, poles: Complexes) -> tuple[Floats, Floats]
     if ((at >= low) & (at <= high) & (width == 0)).any():
         raise InputError("a pole lies on the band; give it damping, or integrate along a shifted line")
     if not len(at):
-        return gauss(low, high, FIRST_POINTS)
+        return gauss(low, high, TOL.first_points)
     first = np.append(True, np.diff(at) > 0)
     at, width = at[first], width[first]
     # Far from its pole the map is a logarithm, also where there is no damping.
-    width = np.maximum(width, SHARP * np.maximum(low - at, at - high))
+    width = np.maximum(width, TOL.least_pole_width * np.maximum(low - at, at - high))
     edges = np.concatenate([[low], np.clip(0.5 * (at[1:] + at[:-1]), low, high), [high]])
     nodes: list[Floats] = []
     weights: list[Floats] = []
     for b, a, start, end in zip(at, width, edges[:-1], edges[1:], strict=True):
         if start < end:
             t0, t1 = np.arcsinh((start - b) / a), np.arcsinh((end - b) / a)
-            t, w = gauss(t0, t1, int(np.ceil(POINTS * (t1 - t0))) + FIRST_POINTS)
+            t, w = gauss(t0, t1, int(np.ceil(TOL.points_per_asinh * (t1 - t0))) + TOL.first_points)
             nodes.append(b + a * np.sinh(t))
             weights.append(w * a * np.cosh(t))
     return np.concatenate(nodes), np.concatenate(weights)

@@ -17,42 +17,26 @@ import scipy.sparse as sp
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-
-EPS = float(np.finfo(float).eps)
-# Forces against what cancels in their row: round-off up to the first (assembled bodies reach 3 eps), a support from
-# the second times as much.
-ROUND_OFF, CLEAR = 16 * EPS, 4.0
-# Entries within round-off of their own terms are zero.
-ZERO = 3 * EPS
-# Numbers of few digits, and coordinates of few digits, leave no more than this.
-FEW_DIGITS = 1e-6
-# Nodes at which a soft ground does positive work less those of negative work, as part of all, at least.
-COHERENT = 0.5
-# Times the usual residual of few digits up to which all forces are such residuals, and up to which they may be where
-# they do work of either sign.
-USUAL, OUTLIER = 30.0, 300.0
-# Digits that decimal numbers are looked for with (in more than 14 most numbers are decimal by chance), the parts of the
-# entries that have no more and no fewer of them at least, how many are looked at, and how many different ones must be.
-DIGITS, WITHIN, EXACTLY, LOOKED_AT, DIFFERENT = (12, 13, 14), 0.99, 0.5, 4096, 4
-# Part of a held motion that round-off may mix into a free one.
-MIXED = 1e-5
+from morembs.linalg.tolerances import TOL
 
 
 def decimal_precision(values: Floats) -> float:
     """Half of the last digit, of a number at most, where ``values`` were written with 12 to 14 digits; otherwise 0."""
-    x, count = np.unique(np.abs(np.real(values[:: max(len(values) // LOOKED_AT, 1)])), return_counts=True)
+    x, count = np.unique(np.abs(np.real(values[:: max(len(values) // TOL.decimal_samples, 1)])), return_counts=True)
+    # Far from the ends of double precision, where powers of ten and products of them are rounded.
     usable = (x > 1e-280) & (x < 1e280)
     x, count = x[usable], count[usable]
-    if len(x) < DIFFERENT:
+    if len(x) < TOL.least_decimals:
         return 0.0
     power = 10.0 ** np.floor(np.log10(x))
+    # More digits than any number has.
     needs = np.full(len(x), 99)
-    for digits in range(DIGITS[-1], 0, -1):
+    for digits in range(TOL.decimal_digits[-1], 0, -1):
         step = 10.0 ** (digits - 1)
-        needs[np.abs(np.round(x / power * step) / step * power - x) <= 2 * EPS * x] = digits
-    for digits in DIGITS:
+        needs[np.abs(np.round(x / power * step) / step * power - x) <= 2 * TOL.roundoff * x] = digits
+    for digits in TOL.decimal_digits:
         within, exactly = (float(count[told].sum() / count.sum()) for told in (needs <= digits, needs == digits))
-        if within >= WITHIN and exactly >= EXACTLY:
+        if within >= TOL.decimal_share and exactly >= TOL.full_decimal_share:
             return 0.5 * 10.0 ** (1 - digits)
     return 0.0
 
@@ -76,7 +60,7 @@ def rigid_null_space(
     _, s, Vt = np.linalg.svd(ratio[held], full_matrices=True)
     s = np.concatenate([s, np.zeros(len(Vt) - len(s))])
     reach = np.abs(ratio[held] @ Vt.T).max(axis=0)
-    unclear = (reach > level) & (reach <= CLEAR * level)
+    unclear = (reach > level) & (reach <= TOL.clear_support * level)
     if unclear.any():
         raise InputError(
             "the body is held so softly that its support cannot be told from round-off: rigid motion leaves forces "
@@ -85,7 +69,7 @@ def rigid_null_space(
             "make the stiff entries in these rows (links, penalty springs) softer"
         )
     free = reach <= level
-    if free.any() and s[free].max() > MIXED * s[~free].min():
+    if free.any() and s[free].max() > TOL.mixed_motion * s[~free].min():
         raise InputError(
             f"the body is held in {int((~free).sum())} of {len(free)} rigid motions, so softly "
             f"({reach[~free].min():.1e} of the terms that cancel) that round-off ({reach[free].max():.1e}) hides which "
@@ -124,7 +108,7 @@ def has_stiffness(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: 
 def _forces(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float) -> tuple[Floats, float]:
     """Forces (N, k) of ``A`` under ``Phi`` against the terms that cancel in them, and the level of round-off."""
     force = A @ Phi
-    force[np.abs(force) <= ZERO * size] = 0.0
+    force[np.abs(force) <= TOL.cancelled_force * size] = 0.0
     whole = size.max(axis=1, initial=0.0)[:, None]
     ratio = np.divide(force, whole, out=np.zeros_like(force), where=whole > 0)
     # What each term may be off by its last digit adds up to no more than that part of all.
@@ -149,14 +133,17 @@ def _round_off(ratio: Floats, work: Floats, node: Ints) -> float:
     largest = np.zeros(len(work))
     np.maximum.at(largest, node, worst)
     # Nodes with a support that is clear say nothing of the others.
-    if _coherent(work[(largest > ROUND_OFF) & (largest <= FEW_DIGITS)]):
-        return ROUND_OFF
+    if _coherent(work[(largest > TOL.strain_roundoff) & (largest <= TOL.few_digits)]):
+        return TOL.strain_roundoff
     # Few digits leave residuals in all rows: where the usual row has none, neither do others have large ones.
     usual = float(np.median(worst))
-    high = (largest > USUAL * usual) & (largest <= OUTLIER * usual)
-    return max(ROUND_OFF, min((USUAL if _coherent(work[high]) else OUTLIER) * usual, FEW_DIGITS))
+    high = (largest > TOL.usual_residual * usual) & (largest <= TOL.largest_residual * usual)
+    return max(
+        TOL.strain_roundoff,
+        min((TOL.usual_residual if _coherent(work[high]) else TOL.largest_residual) * usual, TOL.few_digits),
+    )
 
 
 def _coherent(work: Floats) -> bool:
     """Whether ``work`` (nodes, k) is that of supports: positive at most nodes, however much each does."""
-    return bool((np.sign(work).sum(axis=0) >= COHERENT * np.count_nonzero(work, axis=0)).all())
+    return bool((np.sign(work).sum(axis=0) >= TOL.coherent_nodes * np.count_nonzero(work, axis=0)).all())

@@ -20,10 +20,9 @@ import scipy.sparse as sp
 from morembs.base.types import Values
 from morembs.linalg.columns import orthonormal
 from morembs.linalg.space import Space
+from morembs.linalg.tolerances import TOL
 
 Solve = Callable[[Values], Values]
-# Of orthonormalisations: blocks may have directions far below their others.
-PASSES = 3
 
 
 class SecondOrderArnoldi:
@@ -39,7 +38,7 @@ class SecondOrderArnoldi:
     def __init__(self, space: Space, D: sp.sparray, start: Values, *, shift: complex, scale: float) -> None:
         self.space, self.M, self.D, self.scale = space, space.M, D, scale
         self.shift = complex(shift) if complex(shift).imag else complex(shift).real
-        Q = orthonormal(start, self.M, passes=PASSES)
+        Q = orthonormal(start, self.M, passes=TOL.krylov_passes)
         self.blocks: list[Values] = []
         self._add(Q)
         k = Q.shape[1]
@@ -66,7 +65,7 @@ class SecondOrderArnoldi:
         E = 2 * self.shift * (self.M @ newest) + self.D @ newest
         W = -solve(self.scale * E + self.scale**2 * (self.M @ before))
         del newest, before, E
-        coordinates, Q = self.space.split(self.blocks, W, passes=PASSES)
+        coordinates, Q = self.space.split(self.blocks, W, passes=TOL.krylov_passes)
         coordinates = np.vstack([coordinates, Q.conj().T @ (self.M @ W)])
         self.deflated.append(W.shape[1] - Q.shape[1])
         self._add(Q)
@@ -80,8 +79,8 @@ class SecondOrderArnoldi:
         start = np.linalg.norm(T, axis=0)
         for _ in range(2):
             T = T - S @ (S.conj().T @ T)
-        T = orthonormal(T, None, start, passes=PASSES)
-        T = orthonormal(T - S @ (S.conj().T @ T), None, passes=PASSES)
+        T = orthonormal(T, None, start, passes=TOL.krylov_passes)
+        T = orthonormal(T - S @ (S.conj().T @ T), None, passes=TOL.krylov_passes)
         both = np.hstack([S, T])
         self.upper, self.lower = both[:k], both[k:]
         self.last = slice(known, known + T.shape[1])

@@ -13,27 +13,17 @@ from morembs.base.errors import SolverError
 from morembs.base.memory import installed_bytes
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz
-from morembs.linalg.lanczos import TOLERANCE, BlockLanczos
+from morembs.linalg.lanczos import BlockLanczos
 from morembs.linalg.slicing import ShiftedInverse
 from morembs.linalg.statics import ConstrainedStatics
-
-# Residual of the Ritz values between which the second shift is put: their error is about its square.
-ROUGH = 0.03
-# Residual of Ritz values that gain nothing more at the second shift.
-ROUND_OFF = 1e-13
-# An error at the second shift weighs more than at zero: part of the tolerance there.
-PART = 0.1
-# Times the factor that the machine has memory for: another one with its workspace, and all else.
-ROOM = 6
-# How often the space is doubled before a mode that the count finds is given up.
-DOUBLED = 2
+from morembs.linalg.tolerances import TOL
 
 
 def keeps_two_factors(body: ConstrainedStatics) -> bool:
     """Whether there is room for the factor of the Sturm count beside that of the stiffness: not under a budget."""
     stats = body.statics.factor.stats
     unlimited = body.statics.budget.memory is None and not stats.out_of_core
-    return unlimited and ROOM * stats.memory_bytes < installed_bytes()
+    return unlimited and TOL.factor_room * stats.memory_bytes < installed_bytes()
 
 
 def first_look(lanczos: BlockLanczos, count: int, *, what: str) -> float | None:
@@ -43,7 +33,7 @@ def first_look(lanczos: BlockLanczos, count: int, *, what: str) -> float | None:
         if lanczos.size <= count:
             continue
         theta, _, residual = lanczos.ritz()
-        known = int(np.argmin(np.append(residual <= ROUGH * np.abs(theta), False)))
+        known = int(np.argmin(np.append(residual <= TOL.rough_residual * np.abs(theta), False)))
         progress.update(f"{min(known, count)} of {count} {what} known roughly")
         if known > count:
             values = 1.0 / theta[count - 1 : min(known, count + max(2, count // 10))]
@@ -59,9 +49,11 @@ def modes_below(lanczos: BlockLanczos, shifted: ShiftedInverse, *, what: str) ->
         SolverError: the count finds more or fewer than the space.
     """
     theta, Y, residual = lanczos.ritz()
-    values, wanted, room = 1.0 / theta, shifted.below, DOUBLED
+    values, wanted, room = 1.0 / theta, shifted.below, TOL.space_doublings
     # Those that have converged to round-off at shift zero stay as they are: soft ones are known best there.
-    locked = int(np.argmin(np.append((residual <= ROUND_OFF * np.abs(theta)) & (values < shifted.sigma), False)))
+    locked = int(
+        np.argmin(np.append((residual <= TOL.settled_residual * np.abs(theta)) & (values < shifted.sigma), False))
+    )
     if locked < wanted:
         first = values[:locked]
         lanczos.turn(shifted.apply, shifted.sigma, locked)
@@ -76,7 +68,9 @@ def modes_below(lanczos: BlockLanczos, shifted: ShiftedInverse, *, what: str) ->
             theta, Y, residual = lanczos.ritz()
             values = shifted.sigma + 1.0 / theta
             # The more, the nearer to zero a mode is.
-            bound = PART * TOLERANCE * np.abs(theta) * np.minimum(1.0, np.abs(values * theta))
+            bound = (
+                TOL.shifted_residual_part * TOL.ritz_residual * np.abs(theta) * np.minimum(1.0, np.abs(values * theta))
+            )
             # Orthonormal vectors with small residuals belong to as many modes, so that the count says when all are
             # there. Other negative values are round-off: rigid motions, whose flexibility is zero, never converge.
             good = (theta < 0) & (residual <= bound)

@@ -22,15 +22,12 @@ from morembs.base.types import Floats, Ints
 from morembs.base.units import eigenvalue_in_hz
 from morembs.linalg.columns import dense, symmetric
 from morembs.linalg.dynamic_stiffness import with_fixed_rows
-from morembs.linalg.lanczos import MAX_STEPS, TOLERANCE, BlockLanczos
+from morembs.linalg.lanczos import BlockLanczos
 from morembs.linalg.space import Space
 from morembs.linalg.statics import ConstrainedStatics, off_eigenvalues, single_dof_rows
+from morembs.linalg.tolerances import TOL
 
 log = logging.getLogger(__name__)
-# Modes per slice, and columns of a Krylov block.
-SLICE, BLOCK = 120, 12
-# Part of the modes of a slice that lie below its shift.
-_LEFT = 0.55
 
 
 class ShiftedInverse(Closing):
@@ -85,7 +82,7 @@ def sliced_modes(
     *,
     count: int,
     below: float,
-    per_slice: int = SLICE,
+    per_slice: int = TOL.slice_modes,
 ) -> tuple[Floats, Floats]:
     """All ``count`` modes with eigenvalues up to ``below`` (rad/s)2: values ascending (count,), vectors (N, count).
 
@@ -103,7 +100,7 @@ def sliced_modes(
         recent = np.sort(lam)[-per_slice:]
         gap = (recent[-1] - recent[0]) / max(len(recent) - 1, 1)
         # Behind an empty slice the spectrum has a gap of unknown width.
-        step = 2 * (empty - recent[-1]) if empty > recent[-1] else _LEFT * per_slice * gap
+        step = 2 * (empty - recent[-1]) if empty > recent[-1] else TOL.slice_part_below * per_slice * gap
         sigma = min(recent[-1] + step, below)
         # Down, as the last shift is the limit.
         words = "; move the limit by a percent"
@@ -151,15 +148,15 @@ def _slice(
 
     if not missing and limit <= shifted.sigma:
         return np.zeros(0), np.zeros((M.shape[0], 0))
-    start = flexibility(M @ np.random.default_rng(6).standard_normal((M.shape[0], BLOCK)))
+    start = flexibility(M @ np.random.default_rng(6).standard_normal((M.shape[0], TOL.slice_block)))
     room = M.shape[0] - shifted.body.count - locked.shape[1]
-    lanczos = BlockLanczos(flexibility, space, start, capacity=min(capacity + 4 * BLOCK, room), seed=8)
-    for _ in range(MAX_STEPS):
+    lanczos = BlockLanczos(flexibility, space, start, capacity=min(capacity + 4 * TOL.slice_block, room), seed=8)
+    for _ in range(TOL.lanczos_steps):
         if lanczos.full():
             _make_room(lanczos, missing, room)
         lanczos.expand()
         theta, Y, residual = lanczos.ritz()
-        good = residual <= TOLERANCE * np.abs(theta)
+        good = residual <= TOL.ritz_residual * np.abs(theta)
         values = shifted.sigma + 1.0 / theta
         left = int((good & (theta < 0)).sum())
         progress.update(
@@ -174,7 +171,9 @@ def _slice(
             fresh = (space.dot(known, M @ V) ** 2).sum(axis=0) < 0.5
             if int((new[fresh] < shifted.sigma).sum()) >= missing or not lanczos.pending.shape[1]:
                 return new[fresh], V[:, fresh]
-    raise SolverError(f"the slice at {eigenvalue_in_hz(shifted.sigma):.6g} Hz did not converge in {MAX_STEPS} steps")
+    raise SolverError(
+        f"the slice at {eigenvalue_in_hz(shifted.sigma):.6g} Hz did not converge in {TOL.lanczos_steps} steps"
+    )
 
 
 def _make_room(lanczos: BlockLanczos, missing: int, room: int) -> None:
@@ -185,7 +184,7 @@ def _make_room(lanczos: BlockLanczos, missing: int, room: int) -> None:
     few = len(below) < missing
     needed = lanczos.size if few else int(below[missing - 1]) + 1 if missing else lanczos.size // 2
     keep = needed + lanczos.block
-    if keep > 0.7 * lanczos.capacity and lanczos.capacity < room:
+    if keep > TOL.needed_part * lanczos.capacity and lanczos.capacity < room:
         lanczos.enlarge(min(2 * lanczos.capacity, room))
     else:
         lanczos.restart(min(keep, lanczos.size - lanczos.block))

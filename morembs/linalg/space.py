@@ -16,9 +16,7 @@ import scipy.sparse as sp
 from morembs.base.budget import Budget, current_budget
 from morembs.base.types import Floats, Values
 from morembs.linalg.columns import dense, fix_signs, m_norms, orthonormal, symmetric
-
-# Rows of an array that may lie in a file which are read at once, across all columns.
-_ROWS = 1 << 13
+from morembs.linalg.tolerances import TOL
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -56,8 +54,8 @@ class Columns:
     def multiply_into(self, V: Floats, Y: Floats, out: Floats) -> Floats:
         """V Y into ``out`` (N, k), which may be the first columns of ``V``: a block of rows at a time."""
         self.budget.release_if_tight()
-        for first in range(0, len(V), _ROWS):
-            rows = slice(first, first + _ROWS)
+        for first in range(0, len(V), TOL.product_rows):
+            rows = slice(first, first + TOL.product_rows)
             out[rows] = V[rows] @ Y
             self.budget.release_if_tight()
         return out

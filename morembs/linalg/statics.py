@@ -25,27 +25,15 @@ from morembs.base.closing import Closing
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
 from morembs.base.types import Floats, Ints
 from morembs.base.units import eigenvalue_in_hz
-from morembs.linalg.columns import DEPENDENT, m_norms, symmetric
+from morembs.linalg.columns import m_norms, symmetric
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, spring_stiffness, with_fixed_rows
 from morembs.linalg.space import Columns
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
+from morembs.linalg.tolerances import TOL
 
 Used = TypeVar("Used")
-# Error of unit interface displacements that is refused, and the one before any refinement, beyond which the condensed
-# stiffness has lost too much; the error that is not refined any more, and the number of steps.
-IMPOSED, FIRST, EXACT, REFINED = 1e-6, 1e-5, 1e-9, 4
-# Part of the energy of a soft motion that the condensed stiffness may miss, and that is not refined even once.
-ENERGY, SURE = 1e-5, 1e-8
-# Energy of an interface motion, against the usual one for its flexibility, that is round-off of a rigid motion.
-ROUND_OFF = 1e-12
-# Part of a rigid motion that is round-off at the interfaces.
-UNSEEN = 1e-13
-# In addition to a Sturm count: columns of length n, and bytes for buffers of the libraries.
-COUNT_COLUMNS, COUNT_BYTES = 50, 60_000_000
-# Parts by which a shift is moved off an eigenvalue.
-NUDGES = (0.0, 1e-8, 1e-7, 1e-6)
 
 
 def support_dofs(Z: Floats) -> Ints:
@@ -120,7 +108,7 @@ class ConstrainedStatics:
         E = C.T @ self.X
         H = C.T @ Z
         # Motions that the constraints do not see at all, but for the round-off of others.
-        H[:, np.abs(H).max(axis=0, initial=0.0) <= UNSEEN * np.abs(Z).max(axis=0, initial=0.0)] = 0.0
+        H[:, np.abs(H).max(axis=0, initial=0.0) <= TOL.unseen_motion * np.abs(Z).max(axis=0, initial=0.0)] = 0.0
         c, r = H.shape
         self.count = c
         border = np.block([[symmetric(E), -H], [-H.T, np.zeros((r, r))]])
@@ -128,7 +116,7 @@ class ConstrainedStatics:
         scaled = self.scale[:, None] * border * self.scale
         if c + r:
             values = np.abs(sl.eigvalsh(scaled))
-            if values.min() <= 1e-13 * values.max():
+            if values.min() <= TOL.dependent_constraint * values.max():
                 free = r - int(np.linalg.matrix_rank(H)) if c else r
                 raise InputError(
                     f"{what} leave {free} rigid-body motions of the body free; add or enlarge interfaces until they "
@@ -164,7 +152,7 @@ class ConstrainedStatics:
         U = self.statics.apply(F)
         loose = m_norms(U, M @ U)
         U = self.constrain(U, F)[0]
-        U[:, m_norms(U, M @ U) <= DEPENDENT * loose] = 0.0
+        U[:, m_norms(U, M @ U) <= TOL.dependent_column * loose] = 0.0
         return U
 
     def solve_constraint_modes(self) -> tuple[Floats, Floats]:
@@ -179,16 +167,17 @@ class ConstrainedStatics:
             return np.zeros((len(self.statics.Z), 0)), np.zeros((0, 0))
         U, lam = np.zeros((len(self.statics.Z), self.count)), np.zeros((self.count, self.count))
         self._meet_motions(U, lam)
-        for step in range(REFINED):
+        for step in range(TOL.refinement_steps):
             off, lost = self._missed(U), self._lost(self._energy(U, lam), lam)
             # Equilibrium, of which rigid motion needs more digits than elastic motion does, takes a step of its own.
-            if (off <= IMPOSED and lost <= (ENERGY if step else SURE)) or step == REFINED - 1:
+            allowed = TOL.lost_energy if step else TOL.sure_energy
+            if (off <= TOL.imposed_error and lost <= allowed) or step == TOL.refinement_steps - 1:
                 break
             self._refine(U, lam)
-        if not off <= IMPOSED:
+        if not off <= TOL.imposed_error:
             raise SolverError(
-                f"unit interface displacements could be imposed to {off:.1e} only (needed {IMPOSED:.0e}); points "
-                "far from the body, or interfaces that nearly depend on each other, cost these digits"
+                f"unit interface displacements could be imposed to {off:.1e} only (needed {TOL.imposed_error:.0e}); "
+                "points far from the body, or interfaces that nearly depend on each other, cost these digits"
             )
         self._refuse_lost_energy(lost)
         # Loads have no part in rigid motion, of which the energy has round-off of all rows.
@@ -197,13 +186,13 @@ class ConstrainedStatics:
     def _meet_motions(self, U: Floats, lam: Floats) -> None:
         """Make C' U = I with loads on the interfaces alone, in place: X has their displacements."""
         rhs = np.zeros((len(self.scale), self.count))
-        for _ in range(REFINED):
+        for _ in range(TOL.refinement_steps):
             # Stiff links between interfaces cost the bordered system digits, which refinement regains.
             rhs[: self.count] = self.C.T @ U - np.eye(self.count)
             both = self.scale[:, None] * sl.lu_solve(self.border, self.scale[:, None] * rhs)
             lam += both[: self.count]
             U += self.statics.Z @ both[self.count :] - self.X @ both[: self.count]
-            if not EXACT < self._missed(U) <= FIRST:
+            if not TOL.exact_imposed_error < self._missed(U) <= TOL.first_imposed_error:
                 break
 
     def _missed(self, U: Floats) -> float:
@@ -244,11 +233,11 @@ class ConstrainedStatics:
 
     def _refuse_lost_energy(self, lost: float) -> None:
         """Raise where ``lost`` says that the condensed stiffness is not known."""
-        if not lost <= ENERGY:
+        if not lost <= TOL.lost_energy:
             raise SolverError(
                 f"the stiffness between the interfaces has the energy of soft motions wrong by {lost:.1e} "
-                f"(needed {ENERGY:.0e}): round-off of stiff parts hides its digits; make stiff links softer, replace "
-                'them by rigid couplings, or take method = "free-interface"'
+                f"(needed {TOL.lost_energy:.0e}): round-off of stiff parts hides its digits; make stiff links softer, "
+                'replace them by rigid couplings, or take method = "free-interface"'
             )
 
     def _blocks(self) -> list[slice]:
@@ -297,7 +286,7 @@ def off_eigenvalues(sigma: float, use: Callable[[float], Used], *, side: int = 1
     Raises:
         SolverError: eigenvalues cluster there, or round-off hides them.
     """
-    for nudge in NUDGES:
+    for nudge in TOL.shift_nudges:
         try:
             return use(sigma * (1 + side * nudge))
         except SingularMatrixError:
@@ -318,7 +307,7 @@ def require_room_to_count(solver: LinearSolver, lower: Lower, room: int | None) 
     if room is None:
         return solver.with_memory(None).inertia_forecast(lower)
     # The values of K - sigma M, and the blocks of the eigensolver that wait.
-    beside = 8 * lower.nnz + COUNT_COLUMNS * 8 * lower.n + COUNT_BYTES
+    beside = 8 * lower.nnz + TOL.count_columns * 8 * lower.n + TOL.count_bytes
     try:
         return solver.with_memory(max(room - beside, 0)).inertia_forecast(lower)
     except BudgetError as error:
@@ -350,7 +339,7 @@ def _scales(flexibility: Floats, H: Floats) -> Floats:
     ratio = float(np.median(rigid[known] / np.sqrt(flexibility[known]))) if known.any() else 1.0
     size = np.sqrt(np.maximum(flexibility, 0.0))
     least = rigid / ratio
-    top = 1.0 / np.where(size > 1e-4 * least, size, np.where(least > 0, least, 1.0))
+    top = 1.0 / np.where(size > TOL.support_flexibility * least, size, np.where(least > 0, least, 1.0))
     coupled = np.abs(top[:, None] * H).max(axis=0, initial=0.0)
     return np.concatenate([top, 1.0 / np.where(coupled > 0, coupled, 1.0)])
 
@@ -358,4 +347,4 @@ def _scales(flexibility: Floats, H: Floats) -> Floats:
 def _sizes(A: Floats, usual: Floats) -> Floats:
     """Roots (c,) of the diagonal of ``A`` (c, c), those ``usual`` for their flexibility where it is round-off."""
     diagonal = np.diag(A)
-    return np.asarray(np.sqrt(np.where(diagonal > ROUND_OFF * usual**2, diagonal, usual**2)))
+    return np.asarray(np.sqrt(np.where(diagonal > TOL.rigid_energy * usual**2, diagonal, usual**2)))

@@ -12,8 +12,8 @@ from morembs.base.types import Ints
 from morembs.fem import Mesh
 from morembs.fem.assembly import material_of_elements
 from morembs.fem.material import Material, isotropic
+from morembs.fem.tolerances import TOL as FEM
 from morembs.parametric.parameter import Parameter
-from morembs.parametric.tolerances import TOL
 
 
 def regions_of(
@@ -86,7 +86,7 @@ def young_of(material: Material, parameter: str) -> float:
     S = np.linalg.inv(material.stiffness)
     E, nu = 1 / S[0, 0], -S[0, 1] / S[0, 0]
     alike = isotropic(set=material.set, young=E, poisson=nu, density=material.density).stiffness
-    if np.abs(alike - material.stiffness).max() > TOL.isotropic * np.abs(alike).max():
+    if np.abs(alike - material.stiffness).max() > FEM.isotropic * np.abs(alike).max():
         raise InputError(
             f"parameter {parameter} is the young of the set {material.set!r}, whose material is not isotropic; the "
             "modulus of an isotropic material can vary"

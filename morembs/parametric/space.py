@@ -12,8 +12,8 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.linalg.columns import symmetric
 from morembs.linalg.congruence import weighted_row_sums
-from morembs.linalg.rigid import EPS, ROUND_OFF
 from morembs.linalg.statics import ConstrainedStatics
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.parametric.bound import ParametricBound, ratio
 from morembs.parametric.coordinates import LoadCoordinates, padded
 from morembs.parametric.model import ParametricModel
@@ -157,7 +157,7 @@ class GlobalSpace:
         K, M = (np.stack([padded(term, q) for term in parts]) for parts in (self._K_parts, self._M_parts))
         rest_K, rest_M = (np.stack([np.concatenate(term) for term in rests]) for rests in (self._K_rest, self._M_rest))
         theta = problem.law_M(problem.box.nominal)
-        long = len(problem.rigid) ** 2 * EPS / (16 * TOL.roundoff_split)
+        long = len(problem.rigid) ** 2 * LINALG.roundoff / (16 * TOL.roundoff_split)
         rounding = [
             _symmetric_stack(weighted, self.size) + long * _positive(_symmetric_stack(reduced, self.size))
             for weighted, reduced in zip(self._rounding, (self._K, self._M), strict=True)
@@ -196,7 +196,7 @@ def _rounding(A: sp.csr_array) -> Floats:
     """Weights w (Nc,): round-off in ``A``, in its products with columns and in sums of these over all rows makes at
     most x'(w x) of x'A x, beside ``TOL.roundoff_split``."""
     count = np.diff(A.indptr)
-    return weighted_row_sums(A, ROUND_OFF + EPS * (TOL.roundoff_split + 0.5 * count))
+    return weighted_row_sums(A, LINALG.strain_roundoff + LINALG.roundoff * (TOL.roundoff_split + 0.5 * count))
 
 
 def _symmetric_stack(terms: list[list[Floats]], n: int) -> Floats:

@@ -100,9 +100,6 @@ class ParametricTolerances:
     # Volume over the nominal one that is none.
     flat_volume: float = 1e-10
 
-    # Relative difference of elastic constants from isotropic ones that is round-off of nine printed digits.
-    isotropic: float = 1e-9
-
     # Parameters of a box whose corners join the training set: 2^6 = 64.
     max_corner_parameters: int = 6
     # Frequencies over the band at each p, beside the flanks of its resonances.

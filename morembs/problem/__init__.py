@@ -2,17 +2,7 @@
 
 from morembs.fem.fe_model import STRUCTURAL
 from morembs.problem.damping import Damping, frequency_domain_only, modal_steps
-from morembs.problem.problem import AS_A_RULE, LOST, SOFTER, Problem
+from morembs.problem.problem import SOFTER, Problem
 from morembs.problem.system import System
 
-__all__ = [
-    "AS_A_RULE",
-    "LOST",
-    "SOFTER",
-    "STRUCTURAL",
-    "Damping",
-    "Problem",
-    "System",
-    "frequency_domain_only",
-    "modal_steps",
-]
+__all__ = ["SOFTER", "STRUCTURAL", "Damping", "Problem", "System", "frequency_domain_only", "modal_steps"]

@@ -27,9 +27,10 @@ from morembs.base.types import Floats
 from morembs.fem.fe_model import STRUCTURAL
 
 Steps = tuple[tuple[float, float], ...]
-# The default of Adams: 1 % below 100 Hz, 10 % from there to 1 kHz, critical above.
-ADAMS: Steps = ((0.0, 0.01), (100.0, 0.1), (1000.0, 1.0))
-NAMED: Mapping[str, Steps] = {"adams": ADAMS}
+NAMED: Mapping[str, Steps] = {
+    # The default of Adams: 1 % below 100 Hz, 10 % from there to 1 kHz, critical above.
+    "adams": ((0.0, 0.01), (100.0, 0.1), (1000.0, 1.0))
+}
 
 
 @checked

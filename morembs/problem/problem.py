@@ -24,24 +24,21 @@ from morembs.fem.rigid_residual import share_of_other_geometry
 from morembs.linalg.columns import dense
 from morembs.linalg.congruence import congruence, scaled_row_sums
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
-from morembs.linalg.eigen import GAP, Modes, lowest_modes
+from morembs.linalg.eigen import Modes, lowest_modes
 from morembs.linalg.rigid import decimal_precision, has_stiffness
 from morembs.linalg.space import Space
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_count
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem.damping import Damping as Damping
 from morembs.problem.rigid_motions import need_factor, nodes_of_rows, rigid_motions, terms_in_rows
 from morembs.problem.system import System
 from morembs.problem.tolerances import TOL
 
 Shared = TypeVar("Shared")
-# Round-off adds up at random: part of its bound that is seen as a rule.
-AS_A_RULE = 0.1
 # Key of the constraint modes among the solutions that reducers share.
 CONSTRAINT = "constraint modes"
-# Part of a static motion or of the stiffness of a mode that round-off may take.
-LOST = 1e-3
 SOFTER = (
     "make stiff links and penalty springs softer (a thousand times the stiffness of what they join is rigid enough) or "
     "replace them by rigid couplings, or leave a soft support to the simulation"
@@ -331,20 +328,22 @@ class Problem(Closing):
         enough = known is not None and (
             (count is not None and len(known.eigenvalues) >= count)
             # The limit of the last call comes back as it was given to the eigensolver, up to round-off.
-            or (below is not None and known.verified_below >= below * (1 + GAP) * (1 - TOL.same_limit))
+            or (
+                below is not None and known.verified_below >= below * (1 + LINALG.eigenvalue_gap) * (1 - TOL.same_limit)
+            )
         )
         if known is not None and enough:
             return known
         with listening(listener() or self.listener):
             modes = lowest_modes(body, self.M, count=count, below=below, what=what)
-        off = AS_A_RULE * self.uncertainty(modes)
-        lost = np.flatnonzero(off > LOST * modes.eigenvalues)
+        off = TOL.usual_roundoff * self.uncertainty(modes)
+        lost = np.flatnonzero(off > TOL.lost_digits * modes.eigenvalues)
         if len(lost):
             k = int(lost[np.argmax(off[lost] / np.maximum(modes.eigenvalues[lost], np.finfo(float).tiny))])
             raise SolverError(
                 f"round-off in the stiffness matrix hides {len(lost)} of the {what}: that at "
                 f"{modes.frequencies_hz[k]:.6g} Hz has a stiffness of {modes.eigenvalues[k]:.3g} (rad/s)2, known to "
-                f"{off[k]:.1e} only (needed {LOST:.0e} of it); {SOFTER}"
+                f"{off[k]:.1e} only (needed {TOL.lost_digits:.0e} of it); {SOFTER}"
             )
         return modes
 
@@ -372,10 +371,10 @@ class Problem(Closing):
         change = statics.apply(statics.supported(held)) - held
         # The motions are M-orthonormal.
         lost = float(np.sqrt(np.linalg.norm(change.T @ (self.M @ change), 2)))
-        if not lost <= LOST:
+        if not lost <= TOL.lost_digits:
             raise SolverError(
                 f"the body is held so softly that its static motion on the supports comes out wrong by {lost:.1e} "
-                f"(needed {LOST:.0e}): round-off of the stiff parts hides its digits; {SOFTER}"
+                f"(needed {TOL.lost_digits:.0e}): round-off of the stiff parts hides its digits; {SOFTER}"
             )
 
     def _refuse_other_geometry(self) -> None:
@@ -445,5 +444,6 @@ class Problem(Closing):
 
 def _cut(modes: Modes, count: int | None, below: float | None) -> Modes:
     if count is None:
-        count = int((modes.eigenvalues <= below * (1 + GAP)).sum()) if below is not None else len(modes.eigenvalues)
+        most = np.inf if below is None else below * (1 + LINALG.eigenvalue_gap)
+        count = int((modes.eigenvalues <= most).sum())
     return modes.first(count)

@@ -16,21 +16,20 @@ from morembs.base.budget import current_budget
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel
-from morembs.fem.fe_model import SCALAR, has_places
+from morembs.fem.fe_model import Component, has_places
 from morembs.fem.interface import Coupling
 from morembs.linalg.congruence import abs_products
-from morembs.linalg.null_space import DENSE, groups_of, null_space
+from morembs.linalg.null_space import groups_of, null_space
 from morembs.linalg.rigid import decimal_precision, free_in_groups, rigid_null_space
 from morembs.linalg.sparse.solver import LinearSolver
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem.tolerances import TOL
-
-# Part of the radius of gyration below which places of nodes say nothing of the size of a model.
-COMPACT = 1e-3
 
 
 def need_factor(model: FEModel, K: sp.csr_array) -> bool:
     """Whether the motions of ``K`` show in a factorisation only: many coordinates without places that are coupled."""
-    return not has_places(model) and K.shape[0] > DENSE and int(np.bincount(groups_of(K)[1]).max()) > DENSE
+    most = LINALG.dense_rows
+    return not has_places(model) and K.shape[0] > most and int(np.bincount(groups_of(K)[1]).max()) > most
 
 
 def rigid_motions(
@@ -70,7 +69,7 @@ def terms_in_rows(model: FEModel, coupling: Coupling, A: sp.csr_array, Phi: Floa
     number of terms, and so do these sums.
     """
     T = sp.csc_array(abs(coupling.T))
-    size = T.T @ abs_products(A, T @ np.abs(Phi), model.dofs.component == SCALAR)
+    size = T.T @ abs_products(A, T @ np.abs(Phi), model.dofs.component == Component.SCALAR)
     terms = T.astype(bool).T @ np.diff(A.indptr).astype(float)
     growth = np.where(np.diff(T.indptr) > 1, np.sqrt(np.maximum(terms / TOL.row_terms, 1.0)), 1.0)
     return np.asarray(size * growth[:, None])
@@ -91,7 +90,7 @@ def _independent_motions(R: Floats, M: sp.csr_array) -> tuple[Floats, Floats]:
     inertia = np.abs(np.diag(R.T @ (M @ R)))
     gyration = float(np.sqrt(inertia[3:].sum() / inertia[:3].sum())) if inertia[:3].any() else 0.0
     # Where all nodes follow one frame, its place alone is left of theirs, perhaps the origin.
-    radius = radius if radius > COMPACT * gyration else gyration
+    radius = radius if radius > TOL.compact_radius * gyration else gyration
     R = R / np.repeat([1.0, radius or 1.0], 3)
     G = R.T @ (M @ R)
     # Eigenvectors of the inertia are independent motions also where some vanish (all nodes on a line).

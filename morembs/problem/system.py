@@ -22,14 +22,9 @@ from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.space import Space
 from morembs.linalg.sparse.solver import STRUCTURES
 from morembs.problem.damping import Damping
+from morembs.problem.tolerances import TOL
 
 log = logging.getLogger(__name__)
-# Backward error that a solution may have.
-BACKWARD_ERROR = 1e-8
-# Resident memory of a process that has read nothing yet: Python and the libraries.
-PROCESS_BYTES = 96_000_000
-# Blocks of loads that exist at once while they are solved for, beside those of the result.
-BLOCKS = 4
 
 
 class Solve(Protocol):
@@ -76,7 +71,7 @@ class System:
         Raises:
             SingularMatrixError: ``s`` is an eigenvalue.
             SolverError: the backend failed, the budget is too small, or a solution has a backward error above
-                ``BACKWARD_ERROR``.
+                ``TOL.backward_error``.
         """
         c, at = self._undamped(s, damped)
         self.space.budget.release_pages()
@@ -119,7 +114,7 @@ class System:
         small = np.linalg.norm(d * (self.apply(s, X, transposed=transposed) - F), axis=0)
         size = np.linalg.norm(d * F, axis=0) + np.linalg.norm(X / np.where(d > 0, d, np.inf), axis=0)
         error = float((small / np.where(size > 0, size, 1.0)).max(initial=0.0))
-        if not error <= BACKWARD_ERROR:
+        if not error <= TOL.backward_error:
             raise SolverError(f"solved at {in_hz(abs(s)):.6g} Hz to a backward error of {error:.1e} only")
 
     def worker_pool(
@@ -158,4 +153,5 @@ class System:
 
 def worker_bytes(factor: int, size: int, columns: int, structure: str) -> int:
     """Memory of a process with a ``factor`` of so many bytes that solves for ``columns`` of length ``size``."""
-    return PROCESS_BYTES + factor + BLOCKS * (16 if structure.startswith("complex") else 8) * size * columns
+    number = 16 if structure.startswith("complex") else 8
+    return TOL.process_bytes + factor + TOL.load_blocks * number * size * columns

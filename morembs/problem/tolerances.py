@@ -23,5 +23,20 @@ class ProblemTolerances:
     # Entry of a rigid motion over its largest that is round-off of making it orthonormal: 45 eps.
     still_row: float = 1e-14
 
+    # Radius of the places of nodes, over the radius of gyration, below which they say nothing of the size of a model.
+    compact_radius: float = 1e-3
+
+    # Part of the bound of round-off that is seen as a rule: round-off adds up at random.
+    usual_roundoff: float = 0.1
+    # Part of a static motion, or of the stiffness of a mode, that round-off may take: three digits are left.
+    lost_digits: float = 1e-3
+
+    # Backward error that a solution at a shift may have: the root of eps.
+    backward_error: float = 1e-8
+    # Resident memory of a process that has read nothing yet: Python and the libraries.
+    process_bytes: int = 96_000_000
+    # Blocks of loads that exist at once while they are solved for, beside those of the result.
+    load_blocks: int = 4
+
 
 TOL = ProblemTolerances()

@@ -21,7 +21,8 @@ from morembs.fem.fe_model import STRUCTURAL, WITHOUT_MASS
 from morembs.linalg.columns import fix_signs, symmetric, without_rigid_motion
 from morembs.linalg.complex_modes import small_complex_modes
 from morembs.linalg.eigen import accurate_eigh
-from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
+from morembs.problem import SOFTER, Problem
+from morembs.problem.tolerances import TOL as PROBLEM
 from morembs.reducers.problem_summary import ProblemSummary, ShiftedFactorisations
 from morembs.reducers.tolerances import TOL
 from morembs.responses.massless import massless_motions, massless_words
@@ -389,11 +390,11 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
         )
     if not coupled:
         return
-    lost = AS_A_RULE * eps * np.einsum("ij,ij->j", np.abs(Y), np.abs(K) @ np.abs(Y))
+    lost = PROBLEM.usual_roundoff * eps * np.einsum("ij,ij->j", np.abs(Y), np.abs(K) @ np.abs(Y))
     # Rigid motion has no stiffness: what is there is lost.
     lost[:r] = np.maximum(lost[:r], np.abs(values[:r]))
     size = np.maximum(values, TOL.rigid_frequency**2 * lowest)
-    if not (lost <= LOST * size).all():
+    if not (lost <= PROBLEM.lost_digits * size).all():
         k = int(np.argmax(lost / size))
         what = (
             f"its mode {k - r + 1}"
@@ -402,7 +403,7 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
         )
         raise SolverError(
             f"round-off in the reduced stiffness hides {what}: it amounts to {lost[k]:.1e} (rad/s)2 of {size[k]:.1e} "
-            f"(allowed {LOST:.0e} of it); {SOFTER}"
+            f"(allowed {PROBLEM.lost_digits:.0e} of it); {SOFTER}"
         )
 
 

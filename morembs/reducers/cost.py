@@ -10,8 +10,8 @@ at some two hundred frequencies; what ``auto`` makes of it takes a dozen times a
 
 from __future__ import annotations
 
-from morembs.linalg.eigen import DENSE, DENSE_PART
 from morembs.linalg.sparse.threads import Speed, measured_speed
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.reducers.tolerances import TOL
 
 
@@ -19,7 +19,7 @@ def mode_seconds(size: int, count: int, factor_entries: int, speed: Speed | None
     """Time of the lowest ``count`` modes of ``size`` dofs, the factorisation not included, at ``speed``, None: as
     measured."""
     rate = 1e9 * (speed or measured_speed()).gemm_gflops
-    if size <= DENSE or (size <= DENSE_PART and 4 * count > size):
+    if size <= LINALG.dense_rows or (size <= LINALG.dense_part_rows and 4 * count > size):
         return TOL.dense_flops * size**3 / (TOL.dense_efficiency * rate)
     block = min(max(count // 2, 8), 16)
     columns = min(TOL.columns_per_mode * count + TOL.extra_blocks * block, 3 * count + 8 * block, size)

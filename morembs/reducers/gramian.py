@@ -44,9 +44,9 @@ from morembs.responses.loads import elastic_part, load_scale, unit_loads
 from morembs.responses.reference import ModalReference, reference_model
 
 WEIGHTS = ("position", "velocity")
-# Tolerances below this ask for singular values that are round-off.
-FINEST = 1e-10
-ResponsePart = Annotated[float, number(f"a part of the response from {FINEST:g} to below 1", ge=FINEST, lt=1)]
+ResponsePart = Annotated[
+    float, number(f"a part of the response from {TOL.finest_tolerance:g} to below 1", ge=TOL.finest_tolerance, lt=1)
+]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,9 +25,10 @@ from morembs.base.types import Floats, Ints
 from morembs.base.units import eigenvalue_in_hz
 from morembs.linalg.columns import symmetric
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
-from morembs.linalg.eigen import GAP, Modes, lowest_modes
+from morembs.linalg.eigen import Modes, lowest_modes
 from morembs.linalg.lanczos import BlockLanczos, largest
 from morembs.linalg.statics import ConstrainedStatics, Statics
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem import Problem
 from morembs.reducers.tolerances import TOL
 
@@ -80,7 +81,7 @@ class FixedInterfaceBody(Closing):
             return self.problem.fixed_modes(count=count, below=below)
         modes = lowest_modes(self.constrained, self.M, count=count, below=below, what="fixed-interface modes")
         if count is None and below is not None:
-            count = int((modes.eigenvalues <= below * (1 + GAP)).sum())
+            count = int((modes.eigenvalues <= below * (1 + LINALG.eigenvalue_gap)).sum())
         modes = modes.first(len(modes.eigenvalues) if count is None else count)
         return replace(modes, vectors=self._whole(modes.vectors))
 
@@ -163,7 +164,7 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
     values, Y = sl.eigh(Q.T @ Ks @ Q, Q.T @ Ms @ Q)
     kept = len(values) if count is None else count
     if below is not None:
-        kept = int((values <= below * (1 + GAP)).sum())
+        kept = int((values <= below * (1 + LINALG.eigenvalue_gap)).sum())
     out = problem.budget.empty((len(Psi), kept), order="F")
     V = problem.space.multiply_into(Psi, scale[:, None] * (Q @ Y[:, :kept]), out)
     problem.space.project_out(problem.rigid, V)
@@ -185,13 +186,15 @@ def _lowest(
     while True:
         theta, V = largest(lanczos, wanted, what="characteristic modes")
         values = 1.0 / theta
-        if below is None or values[-1] > below * (1 + GAP):
+        if below is None or values[-1] > below * (1 + LINALG.eigenvalue_gap):
             break
         wanted *= 2
         if TOL.dense_part * wanted > most:
             return _all(problem, count, below)
         lanczos.enlarge(_capacity(wanted, most))
-    kept = count if count is not None else int((values <= below * (1 + GAP)).sum()) if below is not None else wanted
+    kept = wanted if count is None else count
+    if count is None and below is not None:
+        kept = int((values <= below * (1 + LINALG.eigenvalue_gap)).sum())
     V = V[:, :kept]
     problem.space.project_out(problem.rigid, V)
     return InterfaceModes(

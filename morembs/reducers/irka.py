@@ -24,7 +24,7 @@ from morembs.base.limits import PositiveCount, RelativeError
 from morembs.base.types import Complexes, Floats
 from morembs.linalg.columns import orthonormal
 from morembs.linalg.quadrature import trapezoid
-from morembs.linalg.second_order_arnoldi import PASSES
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.families import OfResponses
@@ -198,7 +198,7 @@ class _Band:
         for s, b in zip(shifts.s, shifts.b, strict=True):
             x = self.states(np.array([s]), (self.B @ b)[:, None])[0]
             parts += [x.real, x.imag] if s.imag else [x.real]
-        return np.asarray(orthonormal(np.hstack(parts), None, passes=PASSES))
+        return np.asarray(orthonormal(np.hstack(parts), None, passes=LINALG.krylov_passes))
 
     def error(self, X: Floats) -> float:
         """Relative H2 error in the band of the model on ``X``."""
@@ -233,7 +233,7 @@ def _mirrored_poles(E: Floats, A: Floats, F: Floats, shifts: _Shifts) -> _Shifts
     for s, b in zip(shifts.s, shifts.b, strict=True):
         x = np.linalg.solve(s * E - A, (F @ b)[:, None])
         parts += [x.real, x.imag] if s.imag else [x.real]
-    V = np.asarray(orthonormal(np.hstack(parts), None, passes=PASSES))
+    V = np.asarray(orthonormal(np.hstack(parts), None, passes=LINALG.krylov_passes))
     poles, X = sl.eig(V.T @ A @ V, V.T @ E @ V)
     good = np.isfinite(poles) & (poles.imag >= 0)
     poles, G = poles[good], (X[:, good].T @ (V.T @ F)).conj()

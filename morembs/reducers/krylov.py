@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 
 from morembs.base import progress
 from morembs.base.errors import InputError, nearest
-from morembs.base.limits import MOST_HZ, Hertz, PositiveCount, number
+from morembs.base.limits import Hertz, PositiveCount, number
+from morembs.base.tolerances import TOL as BASE
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
-from morembs.linalg.second_order_arnoldi import PASSES
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, Reducer, elastic_basis
 from morembs.reducers.petrov_galerkin import two_sided_basis
@@ -33,7 +34,7 @@ from morembs.reducers.shifts import KrylovStart, expansion_point, extend_in_para
 from morembs.reducers.tolerances import TOL
 from morembs.responses.loads import elastic_part, inertia_loads, load_scale
 
-Rate = Annotated[float, number("a positive number in 1/s", gt=0, lt=MOST_HZ)]
+Rate = Annotated[float, number("a positive number in 1/s", gt=0, lt=BASE.largest_hz)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,7 +267,9 @@ class _LoadSpace:
 
     def add(self, block: Floats) -> int:
         """Join the columns of ``block`` to the space; returns how many were in it already."""
-        new = self.problem.space.complement([self.problem.rigid, self.V], np.array(block, order="F"), passes=PASSES)
+        new = self.problem.space.complement(
+            [self.problem.rigid, self.V], np.array(block, order="F"), passes=LINALG.krylov_passes
+        )
         self._room[:, self.size : self.size + new.shape[1]] = new
         self.size += new.shape[1]
         return int(block.shape[1] - new.shape[1])
@@ -338,7 +341,7 @@ def _two_sided(problem: Problem, V: Floats, W: Floats, notes: dict[str, object])
         # The smaller space takes directions of the other one, which loses no moment.
         small, large = (V, W) if V.shape[1] < W.shape[1] else (W, V)
         missing = large.shape[1] - small.shape[1]
-        more = problem.space.complement(small, np.array(large, order="F"), passes=PASSES)[:, :missing]
+        more = problem.space.complement(small, np.array(large, order="F"), passes=LINALG.krylov_passes)[:, :missing]
         notes["filled"] = f"{missing} columns of the {'outputs' if small is V else 'inputs'} serve both sides"
         joined = problem.space.hstack(small, more)
         V, W = (joined, W) if small is V else (V, joined)

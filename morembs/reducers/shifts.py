@@ -21,7 +21,8 @@ from morembs.base import progress
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.base.types import Floats, Values
 from morembs.base.units import in_hz
-from morembs.linalg.second_order_arnoldi import PASSES, SecondOrderArnoldi
+from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem import Problem, System
 from morembs.problem.system import Solve
 from morembs.reducers.tolerances import TOL
@@ -75,7 +76,7 @@ class KrylovChain:
         M, space = self.system.M, self.system.space
         W = solve(M @ self.blocks[-1] if self.blocks else self.F)
         width = W.shape[1]
-        W = space.complement(self.blocks, W, passes=PASSES)
+        W = space.complement(self.blocks, W, passes=LINALG.krylov_passes)
         self.deflated.append(width - W.shape[1])
         self.F = np.zeros((0, 0))
         self.blocks.append(space.budget.store(np.asfortranarray(W)))

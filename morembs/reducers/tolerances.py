@@ -136,8 +136,6 @@ class ReducerTolerances:
     # Nodes of the quadrature that are handled at once.
     nodes_at_once: int = 256
 
-    # Backward error of a solution at a shift: the root of eps.
-    backward_error: float = 1e-8
     # Distance of lambda from omega^2, over omega^2, at which all but its mode drowns.
     on_eigenvalue: float = 1e-6
     # Part of a load that deforms the body that is round-off of a sum over all dofs.
@@ -156,6 +154,9 @@ class ReducerTolerances:
     rank: float = 1e-10
     # Intervals, and windows for each, that are kept for reuse.
     kept_intervals: int = 64
+
+    # Tolerance of a Gramian, at least: the square, 1e-20, is what singular values below have in it.
+    finest_tolerance: float = 1e-10
 
 
 TOL = ReducerTolerances()

@@ -8,7 +8,8 @@ from typing import Annotated
 import numpy as np
 
 from morembs.base.arguments import check_value
-from morembs.base.limits import MOST_HZ, Domain
+from morembs.base.limits import Domain
+from morembs.base.tolerances import TOL as BASE
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
 from morembs.problem import Problem
@@ -54,11 +55,12 @@ def band_frequencies(
 
 
 def _is_band(band_hz: Sequence[float]) -> bool:
-    return len(band_hz) == 2 and 0 <= band_hz[0] < band_hz[1] < MOST_HZ and band_hz[1] >= TOL.least_upper_hz
+    return len(band_hz) == 2 and 0 <= band_hz[0] < band_hz[1] < BASE.largest_hz and band_hz[1] >= TOL.least_upper_hz
 
 
 _BAND_WORDS = (
-    f"[LOW, HIGH] in Hz with 0 <= LOW < HIGH, such as [0, 500], and HIGH from {TOL.least_upper_hz:g} to {MOST_HZ:g}"
+    f"[LOW, HIGH] in Hz with 0 <= LOW < HIGH, such as [0, 500], and HIGH from "
+    f"{TOL.least_upper_hz:g} to {BASE.largest_hz:g}"
 )
 Band = Annotated[list[float], Domain(_BAND_WORDS, _is_band, {"minItems": 2, "maxItems": 2})]
 

@@ -23,7 +23,7 @@ from morembs.base.summary import summarised, upwards
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.linalg.congruence import scaled_row_sums
-from morembs.linalg.eigen import GAP
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.responses.band import beyond, checked_band
@@ -259,7 +259,7 @@ class _Build:
         self.tolerance, self.inertia = tolerance, inertia
         self.band = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
         self.modes = problem.elastic_modes(below=beyond(band_hz[1]))
-        self.cut = beyond(band_hz[1]) * (1 + GAP)
+        self.cut = beyond(band_hz[1]) * (1 + LINALG.eigenvalue_gap)
         # Whether nothing but the residuals of solutions keeps the error above the tolerance.
         self.hidden = False
 

@@ -17,10 +17,9 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Values
 from morembs.storage.storable import text
+from morembs.storage.tolerances import TOL
 
 GROUP = "checksums"
-# Rows of a dataset that are in memory at a time.
-_BLOCK = 1 << 24
 
 
 def seal(group: Any, *, apart: Sequence[str] = ()) -> None:
@@ -153,10 +152,10 @@ def _bytes(values: Values) -> bytes:
 
 def _blocks(item: Any) -> Iterator[Values]:
     """All values of a dataset, row by row."""
-    if not item.shape or item.size * item.dtype.itemsize <= _BLOCK:
+    if not item.shape or item.size * item.dtype.itemsize <= TOL.block_bytes:
         if item.shape is not None:
             yield np.asarray(item[()])
         return
-    step = max(1, _BLOCK * len(item) // (item.size * item.dtype.itemsize))
+    step = max(1, TOL.block_bytes * len(item) // (item.size * item.dtype.itemsize))
     for start in range(0, len(item), step):
         yield np.asarray(item[start : start + step])

@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from morembs.base.errors import OverwriteError
+from morembs.storage.tolerances import TOL
 
-# Times of files are as coarse as this on some disks, in ns: a younger file may have changed without a new time.
-_COARSE = 2_000_000_000
 _NUMBERS = ("bytes", "inode", "modified_ns", "changed_ns", "looked_ns")
 _SYSTEM = ("/proc", "/sys", "/dev")
 _CODE = (".py", ".pyc", ".so", ".pyd", ".pyi")
@@ -84,7 +83,7 @@ class Content:
             status = os.stat(path)
             if status.st_size != self.bytes:
                 return False
-            settled = self.looked_ns - max(self.modified_ns, self.changed_ns) > _COARSE
+            settled = self.looked_ns - max(self.modified_ns, self.changed_ns) > TOL.coarse_time_ns
             known = self.inode, self.modified_ns, self.changed_ns
             same = (status.st_ino, status.st_mtime_ns, status.st_ctime_ns) == known
             return (settled and same) or Content.of(path).sha256 == self.sha256

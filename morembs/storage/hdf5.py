@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError, MorembsError
 from morembs.base.memory import available_bytes
+from morembs.storage.tolerances import TOL
 
 # What the libraries raise where a file is damaged.
 DAMAGE = (
@@ -32,11 +33,6 @@ DAMAGE = (
     MemoryError,
     EOFError,
 )
-# How much smaller the compressions of HDF5 make data at best; below _SMALL bytes nobody asks.
-_RATIO = 1100
-_SMALL = 1 << 20
-# Data packed tighter than this are all alike; together they must fit into the free memory.
-_TIGHT = 100
 # Filters within the library: deflate, shuffle, fletcher32, szip, nbit, scaleoffset, and the LZF of h5py.
 _FILTERS = {1, 2, 3, 4, 5, 6, 32000}
 
@@ -151,6 +147,7 @@ def _opened(path: Path) -> Any:
 
 def _reason(error: BaseException) -> str:
     words = error.args[0] if isinstance(error, KeyError) and error.args else error
+    # A message quotes 200 characters of it at most.
     return " ".join(str(words).split())[:200] or type(error).__name__
 
 
@@ -197,9 +194,9 @@ def _refuse_strange(words: str, item: Any) -> int:
     if item.get_space().get_simple_extent_type() != h5py.h5s.SIMPLE:
         return 0
     announced, held = math.prod(item.shape) * item.get_type().get_size(), item.get_storage_size()
-    if announced > _SMALL and announced > _RATIO * held:
+    if announced > TOL.small_bytes and announced > TOL.largest_compression * held:
         raise InputError(
             f"{words} announces {announced:.3g} bytes, of which the file holds {held}; it is damaged or was never "
             "filled, write it again"
         )
-    return announced if layout.get_nfilters() and announced > max(_SMALL, _TIGHT * held) else 0
+    return announced if layout.get_nfilters() and announced > max(TOL.small_bytes, TOL.usual_compression * held) else 0

@@ -16,9 +16,7 @@ from morembs.storage.checksums import seal
 from morembs.storage.safefile import SafeFile, replacing
 from morembs.storage.storable import plain, storable
 from morembs.storage.table import KINDS, Table
-
-# Largest chunk HDF5 allows is 4 GiB.
-CHUNK_ROWS = 2**28
+from morembs.storage.tolerances import TOL
 
 
 @contextmanager
@@ -79,7 +77,7 @@ class Writer:
         """Store a matrix, each column in one piece."""
         self.doing(name)
         matrix = value if isinstance(value, Columns) else Columns(value.shape, value.dtype, (value,))
-        chunks = (min(matrix.shape[0], CHUNK_ROWS), 1) if min(matrix.shape) else None
+        chunks = (min(matrix.shape[0], TOL.chunk_rows), 1) if min(matrix.shape) else None
         data, column = self.file.create_dataset(name, matrix.shape, matrix.dtype, chunks=chunks), 0
         self._mark(data, about, units)
         for block in matrix.blocks:

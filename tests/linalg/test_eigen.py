@@ -10,9 +10,10 @@ from morembs.base.progress import listening
 from morembs.fem.interface import make_interface
 from morembs.linalg import eigen
 from morembs.linalg.columns import orthonormal
-from morembs.linalg.eigen import DENSE, lowest_modes
+from morembs.linalg.eigen import lowest_modes
 from morembs.linalg.lanczos import BlockLanczos, largest
 from morembs.linalg.slicing import ShiftedInverse
+from morembs.linalg.tolerances import TOL
 from morembs.problem import Problem
 from tests.support.meshes import box, steel, where
 from tests.support.progress import Heard
@@ -22,7 +23,7 @@ from tests.support.progress import Heard
 def square_bar():
     """A square bar: every bending mode is double. So large that its modes are not found by LAPACK."""
     model = steel(box("hex20", (17, 2, 2), (0.5, 0.04, 0.04)))
-    assert DENSE < model.K.shape[0] < 1.1 * DENSE
+    assert TOL.dense_rows < model.K.shape[0] < 1.1 * TOL.dense_rows
     return model
 
 

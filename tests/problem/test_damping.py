@@ -15,7 +15,7 @@ from morembs.body.file import read_body, write_body
 from morembs.certificate.certify import certify
 from morembs.certificate.response import full_response, reduced_response
 from morembs.problem import Problem
-from morembs.problem.damping import ADAMS, STRUCTURAL, Damping, frequency_domain_only
+from morembs.problem.damping import NAMED, STRUCTURAL, Damping, frequency_domain_only
 from morembs.reducers import REDUCERS, AutoReducer, Balanced, FreeInterface, Gramian, Irka, Krylov, Modal
 from morembs.responses.certified import certified_reference
 from morembs.responses.direct import direct_response, elastic_states
@@ -75,7 +75,7 @@ def off(H, true, problem):
 def test_each_ratio_holds_from_its_frequency_to_the_next():
     hz = np.array([0.0, 99.999, 100.0, 999.999, 1000.0, 1e6])
     expected = [0.01, 0.01, 0.1, 0.1, 1.0, 1.0]
-    for given in ("adams", ADAMS, [[0, 0.01], [100, 0.1], [1000, 1]]):
+    for given in ("adams", NAMED["adams"], [[0, 0.01], [100, 0.1], [1000, 1]]):
         assert Damping(modal_table=given).ratio(2 * np.pi * hz) == pytest.approx(expected)
     assert Damping(modal_table="adams") == Damping(modal_table=[[0, 0.01], [100, 0.1], [1000, 1]])
     assert Damping(modal=0.03).ratio(2 * np.pi * hz) == pytest.approx([0.03] * 6)
@@ -410,7 +410,7 @@ def test_a_table_of_a_job_is_in_hz_whatever_the_unit_of_time(tmp_path, units):
         model = f'mesh = "part.inp"\nunits = "{units}"'
         return damping_of(load_job(folder(tmp_path, {"model": model, "damping": text})))
 
-    assert given('modal = "adams"') == Damping(modal_table=ADAMS)
+    assert given('modal = "adams"') == Damping(modal_table=NAMED["adams"])
     assert given("modal = [[0, 0.01], [50.5, 1]]\nstructural = 0.1") == Damping(
         modal_table=[[0.0, 0.01], [50.5, 1.0]], structural=0.1
     )

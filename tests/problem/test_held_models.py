@@ -20,8 +20,9 @@ from morembs.fem import FEModel
 from morembs.fem.interface import Interface, make_interface, matrix_interface
 from morembs.importers.from_matrices import from_matrices
 from morembs.importers.model_file import write_model
-from morembs.linalg.null_space import DENSE, null_space
+from morembs.linalg.null_space import null_space
 from morembs.linalg.sparse.select import select_solver
+from morembs.linalg.tolerances import TOL
 from morembs.problem import Damping, Problem
 from morembs.problem.rigid_motions import need_factor
 from morembs.reducers import CraigBampton, FreeInterface, Guyan, Krylov, Modal
@@ -203,7 +204,7 @@ def test_inertia_modes_that_the_model_has_no_room_for_are_dropped() -> None:
 
 
 def test_the_null_space_of_groups_small_and_large() -> None:
-    small, large = 5, DENSE + 200
+    small, large = 5, TOL.dense_rows + 200
     blocks = [np.array([[0.0]]), np.array([[3.0]])]
     free = [sp.diags_array([2.0] * n) - sp.eye_array(n, k=1) - sp.eye_array(n, k=-1) for n in (small, large, small)]
     for chain_ in free[:2]:

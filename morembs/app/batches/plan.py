@@ -18,7 +18,7 @@ from morembs.app.jobs.files import results_of
 from morembs.app.jobs.job import Job, load_job
 from morembs.app.jobs.order import order_of
 from morembs.base.errors import InputError, MorembsError
-from morembs.body.file import FORMAT_VERSION
+from morembs.body.file import FormatVersion
 from morembs.version import VERSION
 
 # Tables and keys that do not change what is in a body.
@@ -53,7 +53,7 @@ class Part:
             else values
             for table, values in tables.items()
         }
-        text = json.dumps([asked, VERSION, FORMAT_VERSION], sort_keys=True, default=str)
+        text = json.dumps([asked, VERSION, FormatVersion.LATEST], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property

@@ -20,6 +20,7 @@ from morembs.base.progress import duration_words
 from morembs.base.summary import upwards
 from morembs.body.file import read_body
 from morembs.body.stored import StoredBodies
+from morembs.body.tolerances import TOL as BODY
 from morembs.storage.safefile import check_writable, replacing
 from morembs.version import VERSION
 
@@ -190,9 +191,9 @@ def _pictures(stored: StoredBodies, shown: str) -> dict[str, Any]:
     from morembs.app.jobs.compare import stored_response
     from morembs.app.jobs.picture import draw_response
     from morembs.body.drawing import draw_first, draw_shapes
-    from morembs.body.shapes import SHOWN_MODES, shapes_on
+    from morembs.body.shapes import shapes_on
 
-    shapes = shapes_on(stored.bodies[shown].view(SHOWN_MODES)) if len(stored.node_ids) else None
+    shapes = shapes_on(stored.bodies[shown].view(BODY.drawn_modes)) if len(stored.node_ids) else None
     response = stored_response(stored)
     pictures = []
     if shapes is not None:

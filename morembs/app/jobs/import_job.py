@@ -19,7 +19,7 @@ from morembs.body.diagnostics.findings import Diagnosis
 from morembs.body.diagnostics.units import Outlook, model_outlook
 from morembs.body.diagnostics.warnings import diagnosis_of, imported_warnings
 from morembs.fem import DofMap, FEModel, Nodes
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 from morembs.fem.material import Material, isotropic
 from morembs.fem.parts import parts_of
 from morembs.importers import IMPORTERS, format_of, import_file
@@ -353,7 +353,7 @@ def _on_mesh(imported: Imported, path: Path, options: Mapping[str, Any]) -> Impo
     dofs = imported.dofs
     if dofs is not None and imported.nodes is not None:
         # Scalars are at nodes of no mesh, such as the scalar points of Nastran.
-        bare = np.setdiff1d(imported.nodes.ids[dofs.node[dofs.component == SCALAR]], nodes.ids)
+        bare = np.setdiff1d(imported.nodes.ids[dofs.node[dofs.component == Component.SCALAR]], nodes.ids)
         ids, xyz = np.append(nodes.ids, bare), np.vstack([nodes.xyz, np.full((len(bare), 3), np.nan)])
         nodes = Nodes(ids=ids, xyz=xyz, sets=nodes.sets)
         row = rows_of_labels(nodes, imported.nodes.ids, imported.source)

@@ -9,7 +9,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from morembs.base.errors import InputError, nearest
 from morembs.base.key_tables import Table, described
-from morembs.base.limits import MOST_HZ, DampingFloor, DampingRatio, Finite, NotNegative, length, number, text
+from morembs.base.limits import DampingFloor, DampingRatio, Finite, NotNegative, length, number, text
+from morembs.base.tolerances import TOL as BASE
 from morembs.body.floating.preload import Preload
 from morembs.body.floating.spinning import Rotation
 from morembs.fem.interface import COUPLINGS
@@ -26,7 +27,7 @@ Six = Annotated[list[Finite], length("six numbers", 6)]
 CurvePoints = Annotated[int, number("an integer from 2 to 100000", ge=2, le=100_000)]
 _LOWEST_HZ = RESPONSES.least_upper_hz
 ResponseHertz = Annotated[
-    float, number(f"a frequency in Hz from {_LOWEST_HZ:g} to {MOST_HZ:g}", gt=_LOWEST_HZ, lt=MOST_HZ)
+    float, number(f"a frequency in Hz from {_LOWEST_HZ:g} to {BASE.largest_hz:g}", gt=_LOWEST_HZ, lt=BASE.largest_hz)
 ]
 # Names become groups of the HDF5 file.
 SAFE_NAME = r"^[A-Za-z0-9_][A-Za-z0-9_.+-]*$"

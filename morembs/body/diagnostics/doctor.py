@@ -23,12 +23,14 @@ from morembs.body.diagnostics.findings import Diagnosis, Finding, Names
 from morembs.body.diagnostics.mass import against_mesh, mass_findings
 from morembs.body.diagnostics.modes import mode_findings
 from morembs.body.diagnostics.parts import part_of_dofs, parts_findings
-from morembs.body.diagnostics.readings import MANY, fitting_order, rotation_factor, rotation_finding
+from morembs.body.diagnostics.readings import fitting_order, rotation_factor, rotation_finding
 from morembs.body.diagnostics.rigid import free_motions, rigid_findings
+from morembs.body.diagnostics.tolerances import TOL
 from morembs.body.diagnostics.units import estimate, unit_findings
 from morembs.fem import DofMap, FEModel, Mesh, Nodes
 from morembs.fem.material import Material
-from morembs.fem.rigid_residual import MOST, mounted, residual
+from morembs.fem.rigid_residual import mounted, residual
+from morembs.fem.tolerances import TOL as FEM
 from morembs.linalg.congruence import magnitudes
 from morembs.linalg.sparse.solver import LinearSolver
 
@@ -234,12 +236,12 @@ def _ordered(case: _Case) -> None:
         given = DofMap(node=at // (N // n), component=at % (N // n))
     residuals = residual(case.K, case.nodes, given)
     share = 0.0 if mounted(residuals, case.nodes, given) else float(residuals.bad.mean())
-    other = fitting_order(case.K, case.nodes, given) if share > MANY else None
+    other = fitting_order(case.K, case.nodes, given) if share > TOL.many_dofs else None
     if case.dofs is None:
         case.dofs = given if other is None else other[1]
         words = "node by node (x, y, z of the first node, then of the next)" if other is None else other[0]
         case.facts["dof_order"] = words
-        if other is None and share > MOST:
+        if other is None and share > FEM.most_dofs:
             case.dofs = None
             sentence = "no known order of the dofs fits the geometry"
             cure = "give the dof map; and check that the coordinates belong to these matrices"
@@ -290,7 +292,7 @@ def _grounded_damping(case: _Case, R: Floats) -> None:
     if case.D is None:
         return
     force, size = case.D @ R, magnitudes(case.D, R).max(axis=1)
-    held = np.flatnonzero(np.abs(force).max(axis=1) > 1e-6 * size)
+    held = np.flatnonzero(np.abs(force).max(axis=1) > FEM.strained_force * size)
     if len(held):
         labels, words = case.names.places(held)
         sentence = f"the damping matrix D resists rigid motion at {words}"

@@ -6,7 +6,7 @@ import numpy as np
 
 from morembs.body.diagnostics.findings import Finding, Names, listed
 from morembs.fem import DofMap, Nodes
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 
 
 def map_findings(nodes: Nodes | None, dofs: DofMap | None) -> list[Finding]:
@@ -28,7 +28,7 @@ def map_findings(nodes: Nodes | None, dofs: DofMap | None) -> list[Finding]:
     if dofs is None or not len(dofs):
         return findings
     top = len(nodes) if nodes is not None else np.inf
-    outside = (dofs.node < 0) | (dofs.node >= top) | (dofs.component < 0) | (dofs.component > SCALAR)
+    outside = (dofs.node < 0) | (dofs.node >= top) | (dofs.component < 0) | (dofs.component > Component.SCALAR)
     if outside.any():
         sentence = (
             f"{int(outside.sum())} dofs name nodes or components that do not exist (row "

@@ -8,22 +8,21 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from morembs.base.types import Floats, Ints
-from morembs.body.diagnostics.findings import KEPT, Finding, listed
+from morembs.body.diagnostics.findings import Finding, listed
+from morembs.body.diagnostics.tolerances import TOL
 from morembs.fem import Mesh
 from morembs.fem.elements import TYPES
-
-# Nodes closer than this part of the model are at one place.
-COINCIDENT = 1e-6
 
 
 def close_pairs(xyz: Floats) -> Ints:
     """Pairs (k, 2) of rows of ``xyz`` (n, 3) at one place, ascending in each; of many at one place the nearest few."""
-    reach = COINCIDENT * max(float(np.ptp(xyz, axis=0).max()), np.finfo(float).tiny) if len(xyz) else 0.0
+    reach = TOL.coincident_nodes * max(float(np.ptp(xyz, axis=0).max()), np.finfo(float).tiny) if len(xyz) else 0.0
     # What is near in space is near along any line: of small models no node is left after three of them.
     rows = np.arange(len(xyz))
     for line in np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]:
         along = (xyz[rows] - xyz[0]) @ line
         order = np.argsort(along)
+        # A percent more, so that no pair is lost by round-off along the line.
         near = np.diff(along[order]) <= 1.01 * reach
         rows = np.sort(rows[order[np.append(near, False) | np.insert(near, 0, False)]]) if len(near) else rows[:0]
     if not len(rows):
@@ -82,14 +81,18 @@ def double_elements(mesh: Mesh) -> list[Finding]:
     on = "on the same nodes" if shared == len(same) else "on copies of their nodes"
     if 0 < shared < len(same):
         on = f"{shared} on the same nodes, the others on copies of them"
-    words = [f"{a} and {b}" for a, b in zip(ids[first][:KEPT].tolist(), ids[second][:KEPT].tolist(), strict=True)]
+    words = [
+        f"{a} and {b}"
+        for a, b in zip(ids[first][: TOL.kept_labels].tolist(), ids[second][: TOL.kept_labels].tolist(), strict=True)
+    ]
     sentence = (
         f"{len(same)} solid elements lie in the place of others, {on}, so that mass and stiffness count twice there: "
         f"elements {listed(words, len(same))}"
     )
     cure = "delete the copies (a part may be in the model twice), unless elements are overlaid on purpose"
     where = tuple(str(label) for pair in zip(ids[first].tolist(), ids[second].tolist(), strict=True) for label in pair)
-    return [Finding(code="double-elements", severity="warning", sentence=sentence, cure=cure, where=where[:KEPT])]
+    where = where[: TOL.kept_labels]
+    return [Finding(code="double-elements", severity="warning", sentence=sentence, cure=cure, where=where)]
 
 
 def seam_finding(labels: tuple[str, ...], words: str, count: int) -> Finding:
@@ -113,7 +116,7 @@ def open_seams(mesh: Mesh) -> list[Finding]:
     pairs = pairs[~_in_one_element(mesh, pairs)]
     if not len(pairs):
         return []
-    ids = mesh.nodes.ids[pairs[:KEPT]].astype(str)
+    ids = mesh.nodes.ids[pairs[: TOL.kept_labels]].astype(str)
     words = listed([f"{a} and {b}" for a, b in ids.tolist()], len(pairs))
     return [seam_finding(tuple(ids.ravel().tolist()), words, len(pairs))]
 

@@ -12,12 +12,11 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.summary import summarised
 from morembs.base.types import Ints
+from morembs.body.diagnostics.tolerances import TOL
 from morembs.fem import DofMap, Nodes
 
 SEVERITIES = ("error", "warning", "note")
 MOTIONS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "scalar")
-# Labels written into a sentence, and kept with a finding.
-SHOWN, KEPT = 5, 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,12 +93,12 @@ class Names:
 
     def node_labels(self, rows: Ints) -> tuple[str, ...]:
         """Labels of node rows."""
-        rows = np.asarray(rows, dtype=np.int64)[:KEPT]
+        rows = np.asarray(rows, dtype=np.int64)[: TOL.kept_labels]
         return tuple(str(label) for label in (rows + 1 if self.nodes is None else self.nodes.ids[rows]).tolist())
 
     def dof_labels(self, rows: Ints) -> tuple[str, ...]:
         """Labels of dofs: node and motion, or the row counted from 1."""
-        rows = np.asarray(rows, dtype=np.int64)[:KEPT]
+        rows = np.asarray(rows, dtype=np.int64)[: TOL.kept_labels]
         if self.dofs is None:
             return tuple(f"row {row + 1}" for row in rows.tolist())
         node = self.node_labels(self.dofs.node[rows])
@@ -122,7 +121,7 @@ class Names:
 def listed(labels: Sequence[str], count: int | None = None, what: str = "") -> str:
     """Words for the first labels of ``count``: "3 nodes (1, 2, 7)"."""
     count = len(labels) if count is None else count
-    shown = ", ".join(labels[:SHOWN]) + (", ..." if count > SHOWN else "")
+    shown = ", ".join(labels[: TOL.shown_labels]) + (", ..." if count > TOL.shown_labels else "")
     if not what:
         return shown
     return f"{what} {shown}" if count == 1 else f"{count} {what}s ({shown})"

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from morembs.base.types import Floats
 from morembs.body.diagnostics.findings import Finding, Names
 from morembs.body.diagnostics.readings import orders
+from morembs.body.diagnostics.tolerances import TOL
 from morembs.fem import DofMap, Mesh, Nodes
 from morembs.fem.assembly import chunks, material_of_elements
 from morembs.fem.elements import TYPES
@@ -18,9 +19,6 @@ from morembs.fem.formulations import geometry
 from morembs.fem.mass import mass_properties
 from morembs.fem.material import Material
 from morembs.fem.rigid_residual import motion
-
-# Difference of the masses along x, y, z and of mass between them; of M against the mesh; of its centre.
-ISOTROPIC, GEOMETRY, OUTSIDE = 1e-4, 1e-3, 0.1
 
 
 def mass_findings(M: sp.csr_array, nodes: Nodes, dofs: DofMap, names: Names) -> tuple[list[Finding], dict[str, Any]]:
@@ -40,18 +38,18 @@ def mass_findings(M: sp.csr_array, nodes: Nodes, dofs: DofMap, names: Names) -> 
     mass, center_of_mass, inertia = mass_properties(M, plain, center)
     facts = {"mass": mass, "center_of_mass": center_of_mass, "inertia": inertia}
     off = float(np.abs(G[:3, :3] - mass * np.eye(3)).max()) / mass
-    if off > ISOTROPIC:
+    if off > TOL.isotropic_mass:
         return [_anisotropic(M, nodes, dofs, along, off)], facts
     findings = []
     used = nodes.xyz[np.unique(dofs.node)]
     low, high = used.min(axis=0), used.max(axis=0)
-    reach = OUTSIDE * float(np.linalg.norm(high - low))
+    reach = TOL.center_outside * float(np.linalg.norm(high - low))
     if (center_of_mass < low - reach).any() or (center_of_mass > high + reach).any():
         sentence = f"the centre of mass ({_numbers(center_of_mass)}) m lies outside the nodes"
         cure = "check that coordinates and dof map belong to the mass matrix"
         findings.append(Finding(code="center-outside", severity="warning", sentence=sentence, cure=cure))
     second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    if np.linalg.eigvalsh(second)[0] < -1e-6 * max(float(np.trace(inertia)), np.finfo(float).tiny):
+    if np.linalg.eigvalsh(second)[0] < -TOL.negative_inertia * max(float(np.trace(inertia)), np.finfo(float).tiny):
         principal = np.asarray(np.linalg.eigvalsh(inertia), dtype=np.float64)
         words = f"principal moments of inertia {_numbers(principal)} kg m2"
         sentence = f"{words} are impossible: one exceeds the sum of the others"
@@ -94,7 +92,7 @@ def against_mesh(facts: dict[str, Any], mesh: Mesh, materials: Sequence[Material
         first += np.einsum("e,eq,qk,eka->a", rho, dV, rule.N, x, optimize=True)
     facts |= {"volume": volume, "mesh_mass": mass, "mesh_center_of_mass": first / mass}
     ratio = facts["mass"] / mass
-    if abs(ratio - 1) <= GEOMETRY:
+    if abs(ratio - 1) <= TOL.geometry_mass:
         return []
     heavier = 1 < ratio < 10
     sentence = f"M has {ratio:.6g} times the mass of the mesh ({facts['mass']:.6g} and {mass:.6g} kg)"

@@ -15,19 +15,10 @@ from numpy.typing import NDArray
 from morembs.base.budget import current_budget
 from morembs.base.types import Floats, Ints
 from morembs.body.diagnostics.findings import Finding, Names, listed
+from morembs.body.diagnostics.tolerances import TOL
 from morembs.linalg.congruence import magnitudes
 
 WORDS = {"K": "the stiffness matrix K", "M": "the mass matrix M", "D": "the damping matrix D"}
-ROWS = 1 << 15
-# Difference of two entries, and of two products with a random vector, beyond round-off and printing of the numbers.
-SAME = 1e-9
-# A relative difference of mirrored entries below this comes from rounded numbers.
-ROUNDED = 1e-6
-# A quotient x'Ax / x'|diag A|x below minus this proves that A is indefinite (single precision gives 1e-7).
-NEGATIVE = 1e-6
-STEPS = 16
-# Pairs of rows that are compared entry by entry.
-MOST = 1000
 
 
 def canonical(A: sp.sparray, name: str) -> tuple[sp.csr_array, list[Finding]]:
@@ -49,8 +40,8 @@ def canonical(A: sp.sparray, name: str) -> tuple[sp.csr_array, list[Finding]]:
 
 def pieces(A: sp.csr_array) -> Iterator[tuple[int, int, Ints, Ints, Floats]]:
     """First and last row of a piece, and rows, columns and values of its entries."""
-    for first in range(0, A.shape[0], ROWS):
-        last = min(first + ROWS, A.shape[0])
+    for first in range(0, A.shape[0], TOL.rows_at_once):
+        last = min(first + TOL.rows_at_once, A.shape[0])
         begin, end = A.indptr[first], A.indptr[last]
         row = np.repeat(np.arange(first, last), np.diff(A.indptr[first : last + 1]))
         yield first, last, row, A.indices[begin:end], A.data[begin:end]
@@ -77,8 +68,10 @@ def symmetry(A: sp.csr_array, name: str, names: Names) -> tuple[sp.csr_array, li
 
     Products with a random vector find a difference without a copy; only then are the triangles compared.
     """
+    # No component is small: each entry counts.
     x = np.random.default_rng(3).uniform(0.5, 1.5, A.shape[0]) * _scale(A)
-    if (np.abs(A @ x - A.T @ x) <= SAME * np.maximum(magnitudes(A, x[:, None])[:, 0], sizes_of_columns(A, x))).all():
+    size = np.maximum(magnitudes(A, x[:, None])[:, 0], sizes_of_columns(A, x))
+    if (np.abs(A @ x - A.T @ x) <= TOL.same_entry * size).all():
         return A, []
     half = half_stored(A)
     if half:
@@ -133,7 +126,7 @@ def _not_symmetric(A: sp.csr_array, name: str, names: Names) -> tuple[sp.csr_arr
     row, column = difference.coords
     size = np.abs(difference.data)
     scale = np.maximum(d[row] * d[column], np.maximum(*_largest(A, row, column)))
-    bad = np.flatnonzero((size > SAME * scale) & (row < column))
+    bad = np.flatnonzero((size > TOL.same_entry * scale) & (row < column))
     bad = bad[np.argsort(-size[bad], kind="stable")]
     symmetric = sp.csr_array((A + mirror) * 0.5)
     symmetric.sort_indices()
@@ -151,7 +144,7 @@ def _not_symmetric(A: sp.csr_array, name: str, names: Names) -> tuple[sp.csr_arr
         "error",
         'take [model] unsymmetric = "split" where gyroscopic or circulatory terms are meant, or export it again',
     )
-    if relative < ROUNDED:
+    if relative < TOL.rounded_entry:
         severity, cure = "warning", "it looks like rounded numbers: take the mean of both, (A + A')/2"
     return symmetric, [Finding(code="not-symmetric", severity=severity, sentence=sentence, cure=cure, where=labels)]
 
@@ -177,7 +170,7 @@ def definiteness(A: sp.csr_array, name: str, names: Names) -> list[Finding]:
     minors, root = [], np.sqrt(d)
     for _, _, row, column, value in pieces(A):
         # Roots first: their product neither overflows nor underflows.
-        bad = (row != column) & (np.abs(value) > (1 + NEGATIVE) * root[row] * root[column]) & (value != 0)
+        bad = (row != column) & (np.abs(value) > (1 + TOL.negative_quotient) * root[row] * root[column]) & (value != 0)
         minors.append(row[bad])
     rows = np.unique(np.concatenate(minors))
     if len(rows):
@@ -187,9 +180,9 @@ def definiteness(A: sp.csr_array, name: str, names: Names) -> list[Finding]:
         cure = "take out Lagrange multipliers (eliminate the constraints)" if (d[rows] == 0).any() else _CURES[name]
         return [Finding(code="indefinite", severity=severity, sentence=sentence, cure=cure, where=labels)]
     quotient, x = lowest(A)
-    if quotient >= -NEGATIVE:
+    if quotient >= -TOL.negative_quotient:
         return []
-    worst = np.flatnonzero(np.abs(x) > 0.3 * np.abs(x).max())
+    worst = np.flatnonzero(np.abs(x) > TOL.named_motion * np.abs(x).max())
     labels, words = names.places(worst[np.argsort(-np.abs(x[worst]), kind="stable")])
     sentence = f"{WORDS[name]} is indefinite: a motion about {words} has negative energy"
     return [Finding(code="indefinite", severity=severity, sentence=sentence, cure=_CURES[name], where=labels)]
@@ -210,7 +203,7 @@ def lowest(A: sp.csr_array) -> tuple[float, Floats]:
     n = A.shape[0]
     S = _scale(A)
     S[A.diagonal() == 0] = 0.0
-    steps = min(STEPS, n)
+    steps = min(TOL.lanczos_steps, n)
     V = current_budget().empty((n, steps), order="F")
     q = np.random.default_rng(4).standard_normal(n) * (S > 0)
     q /= max(float(np.linalg.norm(q)), np.finfo(float).tiny)
@@ -223,7 +216,7 @@ def lowest(A: sp.csr_array) -> tuple[float, Floats]:
         for _ in range(2):
             w -= V[:, : k + 1] @ (V[:, : k + 1].T @ w)
         size = float(np.linalg.norm(w))
-        if size < 1e-12 or k + 1 == steps:
+        if size < TOL.invariant_space or k + 1 == steps:
             break
         beside.append(size)
         q = w / size
@@ -281,12 +274,13 @@ def duplicate_rows(K: sp.csr_array, M: sp.csr_array, names: Names) -> list[Findi
     key = np.random.default_rng(6).uniform(1.0, 2.0, K.shape[0])
     product, size = K @ key, magnitudes(K, key[:, None])[:, 0]
     order = np.lexsort((product, size))
-    near = np.abs(np.diff(product[order])) <= 1e-12 * size[order][1:]
-    near &= (size[order][1:] > 0) & (np.abs(np.diff(size[order])) <= 1e-12 * size[order][1:])
+    near = np.abs(np.diff(product[order])) <= TOL.equal_rows * size[order][1:]
+    near &= (size[order][1:] > 0) & (np.abs(np.diff(size[order])) <= TOL.equal_rows * size[order][1:])
+    most = TOL.compared_pairs
     pairs = [
         (a, b)
-        for a, b in zip(order[:-1][near][:MOST].tolist(), order[1:][near][:MOST].tolist(), strict=True)
-        if all(abs(A[[a], :] - A[[b], :]).max() <= 1e-12 * abs(A[[a], :]).sum() for A in (K, M))
+        for a, b in zip(order[:-1][near][:most].tolist(), order[1:][near][:most].tolist(), strict=True)
+        if all(abs(A[[a], :] - A[[b], :]).max() <= TOL.equal_rows * abs(A[[a], :]).sum() for A in (K, M))
     ]
     if not pairs:
         return []

@@ -11,20 +11,13 @@ from morembs.base.errors import MorembsError
 from morembs.base.types import Bools, Floats, Ints
 from morembs.body.diagnostics.findings import Finding, Names, listed
 from morembs.body.diagnostics.matrices import WORDS
+from morembs.body.diagnostics.tolerances import TOL
 from morembs.fem import DofMap, Nodes, rigid_motion
 from morembs.fem.rigid_residual import motion
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.linalg.space import Space
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
-
-# Shift against the largest K_ii / M_ii: far below elastic modes of sound parts, far above round-off.
-SHIFT = 1e-12
-BLOCK, STEPS = 8, 7
-# Residual of an eigenvalue estimate that is good enough; its error is the square.
-GOOD = 1e-2
-# Motions of nodes that agree with those of a rigid piece; patches tried for a piece; pieces looked for.
-ALIKE, TRIES, PIECES = 1e-4, 30, 6
 
 
 def mode_findings(
@@ -49,10 +42,10 @@ def mode_findings(
     """
     solver = solver if solver is not None else select_solver()
     heavy = M.diagonal() > 0
-    sigma = max(SHIFT, 10 * rounding) * float((K.diagonal()[heavy] / M.diagonal()[heavy]).max())
+    sigma = max(TOL.shift, 10 * rounding) * float((K.diagonal()[heavy] / M.diagonal()[heavy]).max())
     try:
         values, Z = _lowest(K, M, sigma, solver)
-        zeros = int((values < 0.1 * sigma).sum())
+        zeros = int((values < TOL.zero_eigenvalue * sigma).sum())
         elastic = values[zeros:]
         # Half way on a logarithmic scale no eigenvalue is near the shift; Lanczos may not have room for all zeros.
         between = float(np.sqrt(sigma * max(elastic[0] if len(elastic) else 0.0, 4 * sigma)))
@@ -65,7 +58,7 @@ def mode_findings(
     facts: dict[str, Any] = {"zero_modes": zeros, "frequencies_hz": hz}
     findings = []
     usual = 6 * parts if expected is None or parts > 1 else expected
-    if zeros > usual and 10 * rounding > SHIFT:
+    if zeros > usual and 10 * rounding > TOL.shift:
         sentence = f"K has too few digits to tell elastic from rigid motion: {zeros} motions have next to no energy"
         cure = "export it with 15 digits"
         findings.append(Finding(code="unclear-modes", severity="note", sentence=sentence, cure=cure))
@@ -90,20 +83,22 @@ def _below(K: sp.csr_array, M: sp.csr_array, sigma: float, solver: LinearSolver)
 
 def _lowest(K: sp.csr_array, M: sp.csr_array, sigma: float, solver: LinearSolver) -> tuple[Floats, Floats]:
     """Estimates of the lowest eigenvalues (k,), those that are good, and the vectors (N, z) without energy."""
-    block = min(BLOCK, max(1, K.shape[0] // 3))
+    block = min(TOL.block_columns, max(1, K.shape[0] // 3))
     with solver.factorize(sp.csr_array(K + sigma * M), "spd", what="K + sigma M") as factor:
         rng = np.random.default_rng(12)
         start = factor.solve(M @ rng.standard_normal((K.shape[0], block)))
-        lanczos = BlockLanczos(factor.solve, Space(M), start, capacity=min(block * STEPS, K.shape[0]), seed=12)
+        lanczos = BlockLanczos(
+            factor.solve, Space(M), start, capacity=min(block * TOL.krylov_blocks, K.shape[0]), seed=12
+        )
         while not lanczos.full() and lanczos.pending.shape[1] and lanczos.size + block <= K.shape[0]:
             lanczos.expand()
     theta, Y, residual = lanczos.ritz()
     sound = theta > 0
-    good = sound & (residual <= GOOD * np.abs(theta))
+    good = sound & (residual <= TOL.good_residual * np.abs(theta))
     # What follows the first poor estimate has gaps.
     count = int(np.argmin(good)) if not good.all() else len(good)
     values = 1 / theta[:count] - sigma
-    zeros = int((values < 0.1 * sigma).sum())
+    zeros = int((values < TOL.zero_eigenvalue * sigma).sum())
     return values, lanczos.vectors(Y[:, :zeros])
 
 
@@ -149,9 +144,9 @@ def _pieces(K: sp.csr_array, Z: Floats, nodes: Nodes, dofs: DofMap) -> tuple[Int
     rng = np.random.default_rng(13)
     left = np.ones(len(used), dtype=bool)
     pieces: list[Bools] = []
-    while left.sum() > 2 and len(pieces) < PIECES:
+    while left.sum() > 2 and len(pieces) < TOL.most_pieces:
         best = np.zeros(len(used), dtype=bool)
-        for seed in rng.permutation(np.flatnonzero(left))[:TRIES]:
+        for seed in rng.permutation(np.flatnonzero(left))[: TOL.piece_tries]:
             near = place[_neighbours(K, table[seed], dofs)]
             near = near[near >= 0]
             alike = _moving_alike(U, xyz, near)
@@ -170,7 +165,7 @@ def _pieces(K: sp.csr_array, Z: Floats, nodes: Nodes, dofs: DofMap) -> tuple[Int
     for number, piece in enumerate(pieces):
         alone[piece & (np.sum(pieces, axis=0) == 1)] = number
     hinges = []
-    for node in shared[: 20 * TRIES]:
+    for node in shared[: 20 * TOL.piece_tries]:
         near = place[_neighbours(K, table[node], dofs)]
         if len(np.unique(alone[near[near >= 0]][alone[near[near >= 0]] >= (0 if len(pieces) > 1 else -1)])) > 1:
             hinges.append(node)
@@ -191,16 +186,16 @@ def _moving_alike(U: Floats, xyz: Floats, patch: Ints) -> Bools:
         return np.zeros(len(xyz), dtype=bool)
     component = np.tile(np.arange(3), len(patch))
     R = rigid_motion(np.repeat(xyz[patch], 3, axis=0), component)
-    motions, *_ = np.linalg.lstsq(R, U[patch].reshape(3 * len(patch), -1), rcond=1e-9)
+    motions, *_ = np.linalg.lstsq(R, U[patch].reshape(3 * len(patch), -1), rcond=TOL.dependent_motion)
     moved = motions[:3] + np.cross(motions[3:].T[None], xyz[:, None, :]).transpose(0, 2, 1)
-    return np.asarray(np.abs(U - moved).max(axis=(1, 2)) < ALIKE)
+    return np.asarray(np.abs(U - moved).max(axis=(1, 2)) < TOL.same_motion)
 
 
 def _loose_dofs(M: sp.csr_array, Z: Floats, nodes: Nodes, dofs: DofMap) -> Ints:
     """Dofs that move most in what is left of the motions without energy beside the rigid ones."""
     R, _, _ = motion(nodes, dofs)
-    c, *_ = np.linalg.lstsq(R, Z, rcond=1e-9)
+    c, *_ = np.linalg.lstsq(R, Z, rcond=TOL.dependent_motion)
     rest = np.abs(Z - R @ c) * np.sqrt(np.maximum(M.diagonal(), 0.0))[:, None]
     size = rest.max(axis=1)
-    rows = np.flatnonzero(size > 0.3 * size.max())
+    rows = np.flatnonzero(size > TOL.named_motion * size.max())
     return np.asarray(rows[np.argsort(-size[rows], kind="stable")])

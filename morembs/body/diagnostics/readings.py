@@ -8,14 +8,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.body.diagnostics.findings import Finding
+from morembs.body.diagnostics.tolerances import TOL
 from morembs.fem import DofMap, Nodes
-from morembs.fem.rigid_residual import STRAINED, Residual, motion
+from morembs.fem.rigid_residual import Residual, motion
+from morembs.fem.tolerances import TOL as FEM
 from morembs.linalg.congruence import magnitudes
-
-# Part of the dofs with a residual above which other orders of the dofs are tried, on so many rows.
-MANY, SAMPLE = 0.05, 3000
-# In a wrong order most of what should cancel does not; a residual below this comes from soft mounts.
-WRONG = 1e-3
 
 
 def orders(nodes: Nodes, dofs: DofMap) -> Iterator[tuple[str, DofMap]]:
@@ -47,7 +44,7 @@ def fitting_order(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> tuple[str, Dof
     A soft ground gives some force in every order, and a mesh that is its own mirror image fits the reverse of its
     order as well as its order.
     """
-    rows = np.sort(np.random.default_rng(8).permutation(K.shape[0])[:SAMPLE])
+    rows = np.sort(np.random.default_rng(8).permutation(K.shape[0])[: TOL.order_rows])
     some = sp.csr_array(K[rows, :])
 
     def forces(order: DofMap, above: float) -> float:
@@ -55,12 +52,12 @@ def fitting_order(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> tuple[str, Dof
         ratio = np.abs(some @ R).max(axis=1) / np.maximum(magnitudes(some, R).max(axis=1), np.finfo(float).tiny)
         return float((ratio > above).mean())
 
-    share = forces(dofs, WRONG)
-    if share <= MANY:
+    share = forces(dofs, TOL.wrong_order)
+    if share <= TOL.many_dofs:
         return None
-    tried = [(forces(other, STRAINED), words, other) for words, other in orders(nodes, dofs)]
+    tried = [(forces(other, FEM.strained_force), words, other) for words, other in orders(nodes, dofs)]
     best = min(tried, key=lambda trial: trial[0], default=None)
-    return best[1:] if best is not None and best[0] < 0.1 * share else None
+    return best[1:] if best is not None and best[0] < TOL.explained_share * share else None
 
 
 def rotation_factor(K: sp.csr_array, residuals: Residual, dofs: DofMap) -> float | None:
@@ -79,17 +76,19 @@ def rotation_factor(K: sp.csr_array, residuals: Residual, dofs: DofMap) -> float
     factor = -float((a * b).sum() / max(float((b**2).sum()), np.finfo(float).tiny)) if factor <= 0 else factor
     left = np.abs(a + factor * b).max(axis=1)
     scale = np.abs(a).max(axis=1) + abs(factor) * np.abs(b).max(axis=1)
-    bad = left > 1e-4 * np.maximum(scale, 1e-6 * scale.max())
-    return factor if factor > 0 and abs(factor - 1) > 1e-4 and bad.sum() <= 0.1 * residuals.bad.sum() else None
+    bad = left > TOL.unexplained_row * np.maximum(scale, TOL.empty_row * scale.max())
+    explains = bad.sum() <= TOL.explained_share * residuals.bad.sum()
+    return factor if factor > 0 and abs(factor - 1) > TOL.no_factor and explains else None
 
 
 def rotation_finding(factor: float) -> Finding:
     """What a factor on the rotations means."""
     cure = f"multiply the rotations by {factor:.4g} (rows and columns of K and M), or give all lengths in one unit"
     words = ""
-    if abs(factor * np.pi / 180 - 1) < 1e-2:
+    if abs(factor * np.pi / 180 - 1) < TOL.known_factor:
         words, cure = ", as if they were in degrees", "give rotations in radians"
-    elif any(abs(factor / usual - 1) < 1e-2 for usual in (1e-3, 1e3, 1e-2, 1e2, 0.0254, 1 / 0.0254)):
+    # Millimetres, centimetres and inches beside metres.
+    elif any(abs(factor / usual - 1) < TOL.known_factor for usual in (1e-3, 1e3, 1e-2, 1e2, 0.0254, 1 / 0.0254)):
         words = ", as if coordinates and matrices were in two units of length"
         cure = "give coordinates and matrices in the same units"
     sentence = f"the rotations in K fit the geometry only when scaled by {factor:.4g}{words}"

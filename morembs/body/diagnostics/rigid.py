@@ -8,27 +8,26 @@ import scipy.sparse as sp
 from morembs.base.types import Floats, Ints
 from morembs.body.diagnostics.findings import Finding, Names, listed
 from morembs.body.diagnostics.matrices import pieces
+from morembs.body.diagnostics.tolerances import TOL
 from morembs.fem import DofMap, Nodes
-from morembs.fem.rigid_residual import FEW_DIGITS, MOST, ROUNDED, STRAINED, Residual, mounted
+from morembs.fem.rigid_residual import Residual, mounted
+from morembs.fem.tolerances import TOL as FEM
 from morembs.linalg.congruence import magnitudes
-
-# Largest dense system in the search for nodes with wrong coordinates.
-DENSE = 4_000_000
 
 
 def doubled_diagonal(K: sp.csr_array, residuals: Residual) -> bool:
     """Whether half the diagonal would fit the geometry: a triangle was added to its mirror image."""
     force = residuals.force - 0.5 * K.diagonal()[:, None] * residuals.R
     size = magnitudes(K, residuals.R).max(axis=1)
-    good = np.abs(force).max(axis=1) <= STRAINED * size
-    return bool(residuals.bad.mean() > MOST and good.mean() > 0.95)
+    good = np.abs(force).max(axis=1) <= FEM.strained_force * size
+    return bool(residuals.bad.mean() > FEM.most_dofs and good.mean() > TOL.halved_share)
 
 
 def rigid_findings(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap, names: Names) -> list[Finding]:
     """Why K carries force under rigid motion, in an order of dofs that is right."""
     bad, share = residuals.bad, float(residuals.bad.mean())
     worst = float(residuals.worst.max(initial=0.0))
-    if worst <= ROUNDED:
+    if worst <= FEM.rounded_force:
         return []
     if not bad.any():
         sentence = f"the stiffness under rigid motion is {worst:.1e} of what it should cancel: rounded numbers"
@@ -39,12 +38,12 @@ def rigid_findings(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: Dof
         sentence = "the diagonal of the stiffness matrix K counts twice"
         return [Finding(code="doubled-diagonal", severity="error", sentence=sentence, cure=cure)]
     held = mounted(residuals, nodes, dofs)
-    if share > MOST and worst < FEW_DIGITS and not held:
+    if share > FEM.most_dofs and worst < FEM.few_digits and not held:
         sentence = f"the stiffness under rigid motion is {worst:.1e} of what it should cancel, all over the model"
         cure = "export it with more digits (15); or a preload is in it, which is no mistake"
         return [Finding(code="few-digits", severity="warning", sentence=sentence, cure=cure)]
     shifted = float(residuals.ratio[:, :3].max())
-    if shifted < 1e-3 * worst or shifted <= STRAINED < worst:
+    if shifted < TOL.no_displacement_force * worst or shifted <= FEM.strained_force < worst:
         return [_misplaced(K, residuals, nodes, dofs, names)]
     return [_grounded(K, residuals, nodes, dofs, names, held)]
 
@@ -60,7 +59,7 @@ def _grounded(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap, 
         return Finding(code="local-axes", severity="error", sentence=sentence, cure=cure, where=labels)
     share = float(residuals.bad.mean())
     hold = residuals.R[:, :3].T @ residuals.force[:, :3]
-    if share > MOST and not held:
+    if share > FEM.most_dofs and not held:
         sentence = (
             f"rigid motion gives force at {share:.0%} of the dofs: a small body that is held, or coordinates that do "
             "not fit the stiffness matrix K"
@@ -88,13 +87,13 @@ def _grounded(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap, 
 def free_motions(residuals: Residual, held: bool) -> int:
     """How many of the six rigid motions give no force, round-off and few digits aside; ``held`` as ``mounted``."""
     worst, bad = float(residuals.worst.max(initial=0.0)), residuals.bad
-    if not bad.any() or (bad.mean() > MOST and worst < FEW_DIGITS and not held):
+    if not bad.any() or (bad.mean() > FEM.most_dofs and worst < FEM.few_digits and not held):
         return 6
     force, ratio = residuals.force, residuals.ratio
     with np.errstate(over="ignore"):
         size = np.divide(ratio, np.abs(force), out=np.zeros_like(ratio), where=force != 0)
     s = np.linalg.svd(force * size.max(axis=1)[:, None], compute_uv=False)
-    return int((s < (STRAINED if worst > STRAINED else ROUNDED)).sum())
+    return int((s < (FEM.strained_force if worst > FEM.strained_force else FEM.rounded_force)).sum())
 
 
 def _misplaced(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap, names: Names) -> Finding:
@@ -113,7 +112,7 @@ def _misplaced(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap,
     distance = np.linalg.norm(places[:, None] - given[None], axis=2)
     labels = names.node_labels(culprits)
     some = ", ".join(labels[:5])
-    if len(culprits) > 1 and (distance.min(axis=1) < 1e-3 * span).all():
+    if len(culprits) > 1 and (distance.min(axis=1) < TOL.swapped_place * span).all():
         sentence = f"the dofs of {len(culprits)} nodes are swapped: nodes {some} stand in each other's places"
         cure = "mend the map of their dofs (or their labels)"
     else:
@@ -136,7 +135,7 @@ def misplaced_nodes(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: Do
         pick = component == moving
         moved[at[pick], axis] = shift[pick, about]
     moved = np.nan_to_num(moved)
-    culprits = np.flatnonzero(np.linalg.norm(moved, axis=1) > 1e-5 * residuals.length)
+    culprits = np.flatnonzero(np.linalg.norm(moved, axis=1) > TOL.wrong_place * residuals.length)
     return culprits, nodes.xyz[culprits] + moved[culprits]
 
 
@@ -147,9 +146,9 @@ def local_systems(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofM
     table[dofs.node[columns], dofs.component[columns]] = (residuals.R[columns] + change)[:, :3]
     rows = np.flatnonzero(np.isfinite(table).all(axis=(1, 2)))
     Q = table[rows]
-    if not len(rows) or np.abs(Q @ Q.transpose(0, 2, 1) - np.eye(3)).max() > 1e-4:
+    if not len(rows) or np.abs(Q @ Q.transpose(0, 2, 1) - np.eye(3)).max() > TOL.axes_error:
         return np.empty(0, dtype=np.int64)
-    return np.asarray(rows[np.abs(Q - np.eye(3)).max(axis=(1, 2)) > 1e-5])
+    return np.asarray(rows[np.abs(Q - np.eye(3)).max(axis=(1, 2)) > TOL.own_axes])
 
 
 def _motion_from_stiffness(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap) -> tuple[Ints, Floats]:
@@ -167,11 +166,11 @@ def _motion_from_stiffness(K: sp.csr_array, residuals: Residual, nodes: Nodes, d
     suspects = np.setdiff1d(np.arange(len(nodes)), dofs.node[clear | (dofs.component > 2)])
     columns = np.flatnonzero(np.isin(dofs.node, suspects))
     rows = np.flatnonzero(bad)
-    if not len(columns) or len(rows) * len(columns) > DENSE:
+    if not len(columns) or len(rows) * len(columns) > TOL.dense_numbers:
         return none
     part = K[rows, :][:, columns].toarray()
-    change, *_ = np.linalg.lstsq(part, -residuals.force[rows], rcond=1e-12)
+    change, *_ = np.linalg.lstsq(part, -residuals.force[rows], rcond=TOL.least_squares_cutoff)
     left = np.abs(residuals.force[rows] + part @ change)
-    if (left > 1e-5 * np.abs(residuals.force).max()).any():
+    if (left > TOL.unexplained_force * np.abs(residuals.force).max()).any():
         return none
     return columns, change

@@ -16,30 +16,10 @@ import scipy.sparse as sp
 from morembs.base.types import Floats
 from morembs.base.units import Units, parse_units
 from morembs.body.diagnostics.findings import Finding
+from morembs.body.diagnostics.tolerances import TOL
 from morembs.fem import DofMap, Nodes
 from morembs.fem.material import Material
 
-# Beyond these the units are wrong, as wide as the estimates are rough: m/s and kg/m3.
-SPEED, DENSITY = (8.0, 1e5), (1e-5, 1e6)
-# Narrower for materials, which are exact.
-MATERIAL_SPEED, MATERIAL_DENSITY, MATERIAL_MODULUS = (8.0, 3e4), (0.5, 3e4), (1e4, 1.5e12)
-# Metals, by their density (kg/m3), are stiffer than at this wave speed: the modulus is in GPa beside MPa.
-METAL, SLOWEST_METAL = 2500.0, 300.0
-# A body larger than this is a mistake, one larger than that is worth a note (m).
-TOO_LARGE, LARGE = 2000.0, 100.0
-# A body smaller than this whose coordinates would be usual in metres: most often these were taken for millimetres.
-SMALL, IN_METRES = 2e-3, (0.01, 100.0)
-# Units of length of which so small a body is meant.
-MICRO = 1e-5
-# Of a free bar: first bending frequency times length squared, over speed of sound and radius of gyration.
-BENDING = 22.373 / (2 * np.pi)
-# Beyond this length two mistakes are likely, and both are named.
-LONG = 5.0
-METAL_SPEED, METAL_DENSITY = 5000.0, 5000.0
-MODULUS_OF_STEEL, DENSITY_OF_STEEL = 2.1e11, 7850.0
-SAMPLE = 1000
-# Distance to a metal, in powers of ten, within which numbers that were converted twice count as understood.
-NEAR = 1.0
 SYSTEMS = (
     "m-kg-s",
     "mm-t-s",
@@ -64,7 +44,7 @@ def estimate(K: sp.csr_array, M: sp.csr_array, nodes: Nodes, dofs: DofMap) -> tu
     if not len(table):
         return None
     stiff, heavy = K.diagonal(), M.diagonal()
-    rows = np.random.default_rng(9).permutation(len(table))[:SAMPLE]
+    rows = np.random.default_rng(9).permutation(len(table))[: TOL.sampled_nodes]
     speed, density = [], []
     for here in table[rows]:
         near = [
@@ -79,7 +59,7 @@ def estimate(K: sp.csr_array, M: sp.csr_array, nodes: Nodes, dofs: DofMap) -> tu
             # Half of it agrees with sound in elements of most types.
             speed.append(0.5 * h * np.sqrt(k / m))
             span = np.ptp(arms, axis=0)
-            span[span < 1e-6 * span.max()] = span.max()
+            span[span < TOL.flat_side * span.max()] = span.max()
             density.append(8 * m / span.prod())
     return (float(np.median(speed)), float(np.median(density))) if speed else None
 
@@ -112,7 +92,7 @@ def outlook(speed: float, extent: Floats, mass: float) -> Outlook:
     """
     low, high = float(extent.min()), float(extent.max())
     waves = speed / (2 * high) if high else np.nan
-    bending = BENDING * speed * low / np.sqrt(12) / high**2 if low else waves
+    bending = TOL.free_bar_bending * speed * low / np.sqrt(12) / high**2 if low else waves
     return Outlook(extent=tuple(extent.tolist()), mass=mass, first_hz=float(min(waves, bending)))
 
 
@@ -148,23 +128,23 @@ def unit_findings(
     size = float(np.linalg.norm(extent))
     if materials:
         pairs = [(wave_speed(material), material.density) for material in materials]
-        speeds, densities = MATERIAL_SPEED, MATERIAL_DENSITY
+        speeds, densities = TOL.material_speeds, TOL.material_densities
     elif estimated is not None:
-        pairs, speeds, densities = [estimated], SPEED, DENSITY
+        pairs, speeds, densities = [estimated], TOL.speeds, TOL.densities
     else:
         return []
     for speed, density in pairs:
         c, rho = speed * units.length / units.time, density * units.density
         slow, light = not speeds[0] <= c <= speeds[1], not densities[0] <= rho <= densities[1]
         # Beams and plates come out light, but not also as long as a coordinate in mm makes them.
-        light = light or (rho < MATERIAL_DENSITY[0] and size * units.length > LARGE)
-        low, high = MATERIAL_MODULUS
-        slow = slow or bool(materials and rho > METAL and c < SLOWEST_METAL)
+        light = light or (rho < TOL.material_densities[0] and size * units.length > TOL.large_size)
+        low, high = TOL.material_moduli
+        slow = slow or bool(materials and rho > TOL.metal_density and c < TOL.slowest_metal)
         if slow or light or (materials and not low <= rho * c**2 <= high):
             return [_wrong(c, rho, size * units.length, units, declared)]
     meters = size * units.length
-    if meters > LARGE:
-        severity = "warning" if meters > TOO_LARGE else "note"
+    if meters > TOL.large_size:
+        severity = "warning" if meters > TOL.too_large else "note"
         sentence = f"the body is {meters:.4g} m long"
         cure = (
             "if its coordinates are in mm, declare such units and give the material in them too (steel in mm-t-s: "
@@ -172,7 +152,11 @@ def unit_findings(
         )
         return [Finding(code="size", severity=severity, sentence=sentence, cure=cure)]
     taken = declared or units
-    if meters < SMALL and IN_METRES[0] <= meters / taken.length <= IN_METRES[1] and taken.length > MICRO:
+    if (
+        meters < TOL.small_size
+        and TOL.sizes_in_meters[0] <= meters / taken.length <= TOL.sizes_in_meters[1]
+        and taken.length > TOL.micro_unit
+    ):
         seen = outlook(pairs[0][0] * units.length / units.time, extent * units.length, mass * units.mass)
         sentence = f"taken in {taken.name}, the body is tiny: {seen.words}"
         cure = (
@@ -194,7 +178,7 @@ def _wrong(c: float, rho: float, meters: float, units: Units, declared: Units | 
     if not words and declared is None:
         # Perhaps an import converted them from other units than they were in.
         for name in SYSTEMS:
-            likely = likely_units(*_written(c, rho, meters, parse_units(name)), parse_units(name), NEAR)
+            likely = likely_units(*_written(c, rho, meters, parse_units(name)), parse_units(name), TOL.near_metal)
             if likely is not None:
                 words = f"the numbers look like {likely} that was taken for {name}"
                 cure = f"if the model was imported, import it again with --units {likely}"
@@ -217,11 +201,11 @@ def _diagnosed(c: float, rho: float, meters: float, taken: Units) -> tuple[str, 
         return alone
     name = likely_units(speed, density, size, taken)
     material = (
-        f"give the material in {taken.name} too (steel: modulus {MODULUS_OF_STEEL / taken.stress:.3g}, density "
-        f"{DENSITY_OF_STEEL / taken.density:.3g})"
+        f"give the material in {taken.name} too (steel: modulus {TOL.steel_modulus / taken.stress:.3g}, density "
+        f"{TOL.steel_density / taken.density:.3g})"
     )
     # A modulus in Pa and a density in kg/m3, while the coordinates may well be as they were taken.
-    beside = 300 < speed < 3e4 and 100 < density < MATERIAL_DENSITY[1] and 1e-5 < meters < LONG
+    beside = _is_solid(speed) and _in_si(density) and TOL.least_size < meters < TOL.long_size
     if name is not None:
         there = parse_units(name)
         words = (
@@ -230,7 +214,7 @@ def _diagnosed(c: float, rho: float, meters: float, taken: Units) -> tuple[str, 
         )
         cure = f'give units = "{name}" in a job or in Python, --units {name} in an import'
         return words, f"{cure}; or, if the coordinates are in {taken.name}, {material}" if (
-            beside and size * there.length > LONG
+            beside and size * there.length > TOL.long_size
         ) else cure
     if _mixed(speed, density):
         words = "it looks like lengths and moduli in mm and N/mm2 (MPa) beside a density in kg/m3"
@@ -242,14 +226,15 @@ def _diagnosed(c: float, rho: float, meters: float, taken: Units) -> tuple[str, 
 
 def _thousandfold(c: float, rho: float, meters: float, taken: Units) -> tuple[str, str] | None:
     """What is wrong and its cure where modulus or density alone, a thousand times as large or small, is a metal's."""
-    if not SMALL < meters < LONG:
+    if not TOL.small_size < meters < TOL.long_size:
         return None
+    # The prefix kilo too much or too little.
     for factor, words in ((1e3, "large"), (1e-3, "small")):
         for what, speed, density, steel in (
-            ("density", c * np.sqrt(factor), rho / factor, DENSITY_OF_STEEL / taken.density),
-            ("modulus", c / np.sqrt(factor), rho, MODULUS_OF_STEEL / taken.stress),
+            ("density", c * np.sqrt(factor), rho / factor, TOL.steel_density / taken.density),
+            ("modulus", c / np.sqrt(factor), rho, TOL.steel_modulus / taken.stress),
         ):
-            if _from_metal(speed, density) < NEAR:
+            if _from_metal(speed, density) < TOL.near_metal:
                 return (
                     f"it looks like a {what} that is a thousand times too {words}",
                     f"give it in {taken.name}, as the other numbers (steel {steel:.3g})",
@@ -259,12 +244,23 @@ def _thousandfold(c: float, rho: float, meters: float, taken: Units) -> tuple[st
 
 def _from_metal(c: float, rho: float) -> float:
     """Distance in powers of ten to a metal; the speed ``c`` is the better estimate of the two."""
-    return float(2 * abs(np.log10(c / METAL_SPEED)) + abs(np.log10(rho / METAL_DENSITY)))
+    return float(2 * abs(np.log10(c / TOL.usual_metal_speed)) + abs(np.log10(rho / TOL.usual_metal_density)))
+
+
+def _is_solid(speed: float) -> bool:
+    """Whether sound travels at ``speed`` m/s in what bodies are made of."""
+    return TOL.slowest_metal < speed < TOL.material_speeds[1]
+
+
+def _in_si(density: float) -> bool:
+    """Whether the number of a density looks like one in kg/m3."""
+    return TOL.least_density < density < TOL.material_densities[1]
 
 
 def _mixed(speed: float, density: float) -> bool:
     """Whether a density in kg/m3 stands beside a modulus in MPa: the speed is that of sound over 1000."""
-    return 100 < density < MATERIAL_DENSITY[1] and 0.3 < speed < 30
+    slowest, fastest = TOL.slowest_metal / 1000, TOL.material_speeds[1] / 1000
+    return _in_si(density) and slowest < speed < fastest
 
 
 def likely_units(speed: float, density: float, size: float, declared: Units, furthest: float = np.inf) -> str | None:
@@ -274,7 +270,11 @@ def likely_units(speed: float, density: float, size: float, declared: Units, fur
         there = parse_units(name)
         c, rho, meters = speed * there.length / there.time, density * there.density, size * there.length
         same = (there.length, there.mass, there.time) == (declared.length, declared.mass, declared.time)
-        if same or not (300 < c < 3e4 and 1.0 < rho < 1e5 and 1e-5 < meters < LARGE):
+        if same or not (
+            _is_solid(c)
+            and TOL.likely_densities[0] < rho < TOL.likely_densities[1]
+            and TOL.least_size < meters < TOL.large_size
+        ):
             continue
         distance = _from_metal(c, rho)
         if distance < furthest and (best is None or distance < best[0]):

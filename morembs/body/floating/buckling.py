@@ -8,26 +8,23 @@ import numpy as np
 
 from morembs.base import progress
 from morembs.base.types import Floats
-from morembs.body.floating.static_state import NOISE
+from morembs.body.floating.tolerances import TOL
 from morembs.problem import Problem
-
-# Steps of the eigensolver, its accuracy, and the factor that is far enough away.
-STEPS, TOLERANCE, FAR = 120, 1e-4, 20.0
 
 
 def critical_factor(problem: Problem, geometric: Callable[[Floats], Floats]) -> float | None:
-    """Smallest p > 0 with a singular K + p G on the elastic motions; None above ``FAR``.
+    """Smallest p > 0 with a singular K + p G on the elastic motions; None above ``TOL.far_factor``.
 
     Lanczos on -K^+ G in the inner product of K, with full reorthogonalisation.
     """
     n = problem.K.shape[0]
-    V = problem.budget.empty((n, STEPS), order="F")
-    T = np.zeros((STEPS + 1, STEPS + 1))
+    V = problem.budget.empty((n, TOL.buckling_steps), order="F")
+    T = np.zeros((TOL.buckling_steps + 1, TOL.buckling_steps + 1))
     start = problem.M @ np.random.default_rng(7).standard_normal(n)
     v = np.asarray(problem.elastic.flexibility(start[:, None])[:, 0])
     theta = 0.0
     v /= np.sqrt(v @ (problem.K @ v))
-    for k in range(STEPS):
+    for k in range(TOL.buckling_steps):
         V[:, k] = v
         load = -geometric(v)
         w = problem.elastic.flexibility(load[:, None])[:, 0]
@@ -41,7 +38,8 @@ def critical_factor(problem: Problem, geometric: Callable[[Floats], Floats]) -> 
         theta, size = float(values[-1]), float(np.abs(values).max())
         error = rest * abs(Y[-1, -1])
         progress.update(f"preload: critical load, step {k + 1}")
-        if rest <= NOISE * max(size, np.finfo(float).tiny) or error <= TOLERANCE * max(theta, 1 / FAR):
+        allowed = TOL.buckling_error * max(theta, 1 / TOL.far_factor)
+        if rest <= TOL.negligible_term * max(size, np.finfo(float).tiny) or error <= allowed:
             break
         v = np.asarray(w / rest)
-    return 1.0 / theta if theta > 1.0 / FAR else None
+    return 1.0 / theta if theta > 1.0 / TOL.far_factor else None

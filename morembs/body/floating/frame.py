@@ -19,6 +19,7 @@ from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.body.floating.integrals import ShapeIntegrals, shape_integrals
 from morembs.body.floating.stiffening import Stiffening
+from morembs.body.floating.tolerances import TOL
 from morembs.fem import frozen_numbers, rigid_motion, skew
 from morembs.fem.fe_model import has_places
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 # Kinds of frames, and how many interfaces each needs.
 FRAMES = {"mean-axes": 0, "center-of-mass": 1, "tangent": 1, "chord": 2}
-RIGID_MOTIONS = 6
 
 
 @summarised
@@ -241,7 +241,7 @@ def floating_frame(
     reason = why_not_floating(problem, reduced)
     if reason:
         raise InputError(reason)
-    space, coupling, r = problem.space, problem.coupling, RIGID_MOTIONS
+    space, coupling, r = problem.space, problem.coupling, TOL.rigid_motions
     Y = reduced.modes()[1][:, r:]
     center = problem.mass_properties[1]
     H = np.eye(6)
@@ -325,7 +325,7 @@ def why_not_floating(problem: Problem, reduced: ReducedModel) -> str:
             f"the model of the body {reduced.name!r} has coordinates without places; a floating frame needs nodes "
             "(give their coordinates and a dof map at the import)"
         )
-    if reduced.rigid_count != RIGID_MOTIONS:
+    if reduced.rigid_count != TOL.rigid_motions:
         return (
             f"the body {reduced.name!r} has {reduced.rigid_count} rigid-body motions; a floating frame needs a free "
             "body with six (leave supports to the simulator)"

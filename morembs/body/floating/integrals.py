@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from morembs.base.budget import current_budget
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
+from morembs.body.floating.tolerances import TOL
 from morembs.fem import FEModel, frozen_numbers, rigid_motion, skew
 
 if TYPE_CHECKING:
@@ -28,10 +29,6 @@ if TYPE_CHECKING:
 PERMUTATION = np.array([[[(a - b) * (b - c) * (c - a) / 2 for c in range(3)] for b in range(3)] for a in range(3)])
 # Pairs of axes in the order xx, yy, zz, xy, yz, zx.
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
-# Difference of the masses along x, y and z, and mass between them, up to which a model's mass is one for all.
-SAME_MASS = 1e-12
-# Columns that are handled at a time.
-WIDEST = 32
 
 
 @summarised
@@ -176,7 +173,7 @@ def shape_integrals(model: FEModel, shapes: Floats, origin: Floats) -> tuple[Sha
     Ct, x_phi, phi_phi = np.zeros((n, 3)), np.zeros((3, 3, n)), np.zeros((3, 3, n, n))
     weighted = Ms @ np.column_stack([np.ones(len(x)), x])
     budget = current_budget()
-    width = budget.columns(len(x), widest=WIDEST)
+    width = budget.columns(len(x), widest=TOL.integral_columns)
     for first in range(0, n, width):
         block = slice(first, min(first + width, n))
         for b in range(3):
@@ -222,11 +219,11 @@ def _scalar_mass(M: sp.csr_array, dofs: NDArray[np.int64]) -> tuple[sp.csr_array
     """Mean mass (n, n) of the nodes along x, y and z, and whether M is this mass along each and nothing else."""
     first = _along(M, dofs[:, 0])
     largest = abs(first).max()
-    if any(abs(_along(M, dofs[:, a]) - first).max() > SAME_MASS * largest for a in (1, 2)):
+    if any(abs(_along(M, dofs[:, a]) - first).max() > TOL.same_mass * largest for a in (1, 2)):
         return (first + _along(M, dofs[:, 1]) + _along(M, dofs[:, 2])) / 3, False
     # Nothing between the axes, and nothing that turns.
     rest = abs(np.abs(M.data).sum() - 3 * np.abs(first.data).sum())
-    return first, bool(rest <= SAME_MASS * len(dofs) * largest)
+    return first, bool(rest <= TOL.same_mass * len(dofs) * largest)
 
 
 def _along(M: sp.csr_array, dofs: NDArray[np.int64]) -> sp.csr_array:

@@ -16,14 +16,12 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats, Values
 from morembs.body.floating.frame import FloatingFrame, InterfaceMarker, frame_about
 from morembs.body.floating.integrals import PERMUTATION, ShapeIntegrals
+from morembs.body.floating.tolerances import TOL
 from morembs.fem import skew
 
 if TYPE_CHECKING:
     from morembs.parametric.model import ModelAt
     from morembs.parametric.terms import AffineProblem
-
-# Of complex steps: so small that its square is nothing beside one.
-STEP = 1e-60j
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,12 +88,21 @@ class FrameTerms:
         slopes, (dK, dM) = model.law_M.derivative(at.p), model.derivatives(at.p)
         for j, (name, kind_of) in enumerate(zip(model.box.names, model.box.kinds, strict=True)):
             moving = np.array([0.0] + [float(j == morph) for morph in model.box.morphs])
-            R, M, K = (x + STEP * dx for x, dx in ((rigid, model.rigid @ moving), (at.M, dM[j]), (at.K, dK[j])))
-            alpha, beta = (getattr(at.damping, key) + STEP * (kind_of == key) for key in ("alpha", "beta"))
+            changes = (rigid, model.rigid @ moving), (at.M, dM[j]), (at.K, dK[j])
+            R, M, K = (x + TOL.complex_step * dx for x, dx in changes)
+            alpha, beta = (getattr(at.damping, key) + TOL.complex_step * (kind_of == key) for key in ("alpha", "beta"))
             # D leaves rigid motion out, which the shapes have no momentum with: a change of second order.
             D = alpha * M + beta * K
             frame = self._frame(
-                b + STEP * slopes[:, j], t + STEP * moving, K, D, R, Y, kind=kind, interfaces=interfaces, origin=origin
+                b + TOL.complex_step * slopes[:, j],
+                t + TOL.complex_step * moving,
+                K,
+                D,
+                R,
+                Y,
+                kind=kind,
+                interfaces=interfaces,
+                origin=origin,
             )
             result[name] = _slope(frame)
         return result
@@ -164,7 +171,7 @@ def _slope(frame: FloatingFrame) -> FloatingFrame:
     """What a complex step has left in the imaginary parts of a frame."""
 
     def of(value: Any) -> Any:
-        return np.imag(value) / STEP.imag
+        return np.imag(value) / TOL.complex_step.imag
 
     markers = {k: InterfaceMarker(point=of(m.point), motion=of(m.motion)) for k, m in frame.markers.items()}
     parts = {entry.name: of(getattr(frame.integrals, entry.name)) for entry in fields(ShapeIntegrals)}

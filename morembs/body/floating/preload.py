@@ -19,24 +19,21 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base import progress
-from morembs.base.arguments import LARGEST, in_range, refuse_out_of_range
+from morembs.base.arguments import in_range, refuse_out_of_range
 from morembs.base.budget import current_budget
 from morembs.base.errors import InputError, nearest
 from morembs.base.former_names import with_progress_argument
+from morembs.base.tolerances import TOL as BASE
 from morembs.base.types import Floats, Ints
-from morembs.body.floating.buckling import FAR, critical_factor
-from morembs.body.floating.static_state import NOISE, coupling_stiffness, static_state
+from morembs.body.floating.buckling import critical_factor
+from morembs.body.floating.static_state import coupling_stiffness, static_state
 from morembs.body.floating.stiffening_terms import why_no_stiffening
+from morembs.body.floating.tolerances import TOL
 from morembs.fem import FEModel, rigid_motion
 from morembs.fem.geometric_stiffness import StressedMesh
 from morembs.fem.interface import Interface
 from morembs.linalg.statics import support_dofs
 from morembs.problem import Problem
-
-# Nodes whose rows of K are written at a time.
-PIECE = 20_000
-# Condition (lengths scaled) above which six dofs do not hold the body.
-LOOSE = 1e7
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +66,7 @@ class Preload:
             *((f"wrench.{name}", f, 6) for name, f in self.wrench.items()),
         ):
             if len(given) != size or not all(map(in_range, given)):
-                expected = f"{size} finite numbers, {LARGEST:g} at most"
+                expected = f"{size} finite numbers, {BASE.largest_value:g} at most"
                 raise InputError(f"{name} = {list(given)} was given; expected {expected}")
         refuse_out_of_range("speed", [self.speed])
         if (self.speed != 0) != (self.axis is not None):
@@ -110,8 +107,9 @@ class Preload:
 class Preloaded:
     """``model`` with K' in place of K; ``displacements`` (N,) m under the preload, rigid motion of no meaning.
 
-    ``critical_factor`` times the load makes the body buckle, at the accuracy of ``buckling.TOLERANCE``; None where
-    that is farther than ``FAR`` times away or never. ``notes`` say what balances the load, and what was left out.
+    ``critical_factor`` times the load makes the body buckle, at the accuracy of ``TOL.buckling_error``; None where
+    that is farther than ``TOL.far_factor`` times away or never. ``notes`` say what balances the load, and
+    what was left out.
     """
 
     model: FEModel
@@ -124,7 +122,7 @@ class Preloaded:
 def preloaded(problem: Problem, preload: Preload) -> Preloaded:
     """The model of ``problem`` under ``preload``; make a new ``Problem`` of it with the same interfaces.
 
-    Peak memory: K' where the budget wants it, a scalar matrix of 1/9 of it, and up to ``buckling.STEPS`` columns.
+    Peak memory: K' where the budget wants it, a scalar matrix of 1/9 of it, and up to ``TOL.buckling_steps`` columns.
 
     Raises:
         InputError: a model without solid elements, a body that is not free, loads that do not fit the interfaces, or a
@@ -215,7 +213,7 @@ def _stiffened(
             f"preload: the body buckles at {factor:.4g} times this load, so that its stiffness is not positive any "
             "more; lower the load"
         )
-    notes["preload_critical_factor"] = f"above {FAR:g}" if factor is None else factor
+    notes["preload_critical_factor"] = f"above {TOL.far_factor:g}" if factor is None else factor
     with problem.budget.in_use():
         K = _sum(model.K, kg, extra)
     return Preloaded(model=replace(model, K=K), displacements=u, critical_factor=factor, notes=notes)
@@ -230,7 +228,7 @@ def _followed(problem: Problem, names: tuple[str, ...], R: Floats) -> Ints:
         dofs = model.dofs.of_nodes(nodes).ravel()
         if len(dofs) >= 6:
             supports = dofs[support_dofs(R[dofs])]
-            if np.linalg.cond(R[supports]) < LOOSE:
+            if np.linalg.cond(R[supports]) < TOL.loose_condition:
                 return np.asarray(supports)
         if names:
             raise InputError(
@@ -250,7 +248,7 @@ def _without_rigid(R: Floats, turned: Floats, rows: Ints) -> sp.coo_array:
     C = np.zeros((6, len(dofs)))
     C[:, np.searchsorted(dofs, rows)] = np.linalg.inv(R[rows])
     G = -turned @ C
-    loaded = np.abs(turned).reshape(-1, 18).max(axis=1) > NOISE * np.abs(turned).max(initial=0.0)
+    loaded = np.abs(turned).reshape(-1, 18).max(axis=1) > TOL.negligible_term * np.abs(turned).max(initial=0.0)
     on = np.flatnonzero(np.repeat(loaded, 3))
     W = R.T @ turned
     corner = C.T @ (0.5 * (W + W.T)) @ C
@@ -282,8 +280,8 @@ def _sum(K: sp.csr_array, kg: sp.csr_array, extra: sp.csr_array) -> sp.csr_array
     budget = current_budget()
     data, indices = budget.empty(room), budget.empty(room, index)
     indptr, used = np.zeros(K.shape[0] + 1, dtype=index), 0
-    for first in range(0, kg.shape[0], PIECE):
-        last = min(first + PIECE, kg.shape[0])
+    for first in range(0, kg.shape[0], TOL.nodes_at_once):
+        last = min(first + TOL.nodes_at_once, kg.shape[0])
         own = sp.coo_array(kg[first:last])
         shape = (3 * (last - first), K.shape[1])
         thrice = [

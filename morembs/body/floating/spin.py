@@ -11,9 +11,7 @@ import numpy as np
 from morembs.base.arguments import refuse_out_of_range
 from morembs.base.errors import InputError
 from morembs.base.types import Complexes, Floats
-
-# Whirl of a mode, -1 to 1, from which on it is a circle.
-CIRCULAR = 0.95
+from morembs.body.floating.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,7 +96,7 @@ def whirl_modes(M: Floats, K: Floats, D: Floats, spin: ReducedSpin, speed: float
     from morembs.linalg.complex_modes import small_complex_modes
 
     _, s, Vt = np.linalg.svd(spin.held, full_matrices=True)
-    Z = Vt[int((s > 1e-9 * s.max(initial=0.0)).sum()) :].T
+    Z = Vt[int((s > TOL.dependent_hold * s.max(initial=0.0)).sum()) :].T
     Kw, Mz, Dz, Cz, Sz = (Z.T @ A @ Z for A in (K + speed**2 * (spin.Kg - spin.S), M, D, spin.C, spin.S))
     gyroscopic = speed * (Cz - Cz.T)
     damping = 0.5 * (Dz + Dz.T) + gyroscopic if np.abs(D).max(initial=0.0) > 0 else gyroscopic
@@ -112,7 +110,7 @@ def whirl_of(values: Complexes, X: Complexes, C: Any, S: Any, M: Any, speed: flo
     That sum is x^H C x with the Coriolis matrix; x^H S x is what a circle would have.
     """
     turn, across, whole = (np.einsum("ij,ij->j", X.conj(), A @ X) for A in (C, S, M))
-    part = np.divide(turn.imag, across.real, out=np.zeros(len(turn)), where=across.real > 1e-6 * whole.real)
-    words = tuple("mixed" if abs(p) < CIRCULAR else "forward" if p > 0 else "backward" for p in part)
+    part = np.divide(turn.imag, across.real, out=np.zeros(len(turn)), where=across.real > TOL.across_axis * whole.real)
+    words = tuple("mixed" if abs(p) < TOL.circular_whirl else "forward" if p > 0 else "backward" for p in part)
     signs = np.array([{"mixed": np.nan, "forward": 1.0, "backward": -1.0}[word] for word in words])
     return Whirl(speed=speed, eigenvalues=values, whirl=words, inertial=np.asarray(signs * values.imag + speed))

@@ -10,13 +10,10 @@ import scipy.sparse as sp
 
 from morembs.base.types import Floats
 from morembs.body.floating.link_stiffness import Links
+from morembs.body.floating.tolerances import TOL
 from morembs.linalg.statics import ConstrainedStatics
+from morembs.parametric.tolerances import TOL as PARAMETRIC
 from morembs.problem import Problem
-
-# Most nodes of an average interface whose frame may turn under load: its term is a full block on them.
-PATCH = 1000
-# A term below this part of the others is round-off.
-NOISE = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,10 +85,10 @@ def coupling_stiffness(problem: Problem, turning: Mapping[str, Floats]) -> tuple
     largest = max((float(np.abs(A).max()) for A in turning.values()), default=0.0)
     for interface in problem.interfaces:
         A = turning.get(interface.name)
-        if A is None or np.abs(A).max() <= NOISE * largest:
+        if A is None or np.abs(A).max() <= TOL.negligible_term * largest:
             continue
         theta, dofs = interface.kind.rotation(model, interface)
-        if len(dofs) > 3 * PATCH:
+        if len(dofs) > 3 * PARAMETRIC.max_patch_nodes:
             left_out.append(interface.name)
             continue
         block = theta.T @ A @ theta
@@ -100,6 +97,9 @@ def coupling_stiffness(problem: Problem, turning: Mapping[str, Floats]) -> tuple
     words = (
         ""
         if not left_out
-        else (f"the turning of the frames of {', '.join(left_out)}: average interfaces of more than {PATCH} nodes")
+        else (
+            f"the turning of the frames of {', '.join(left_out)}: average interfaces of more than "
+            f"{PARAMETRIC.max_patch_nodes} nodes"
+        )
     )
     return sp.csr_array(L), words

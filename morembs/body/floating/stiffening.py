@@ -17,9 +17,10 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from morembs.base.arguments import LARGEST, in_range
+from morembs.base.arguments import in_range
 from morembs.base.errors import InputError, nearest
 from morembs.base.summary import summarised
+from morembs.base.tolerances import TOL as BASE
 from morembs.base.types import Floats
 from morembs.body.floating.integrals import PAIRS
 from morembs.fem import frozen
@@ -53,7 +54,7 @@ class Envelope:
         for entry in fields(self):
             value = getattr(self, entry.name)
             if value is not None and not (value >= 0 and in_range(value)):
-                expected = f"zero or a positive number, {LARGEST:g} at most"
+                expected = f"zero or a positive number, {BASE.largest_value:g} at most"
                 raise InputError(f"envelope: {entry.name} = {value} was given; expected {expected}")
 
     def limits(self, interfaces: Sequence[str]) -> dict[str, float | None]:

@@ -22,17 +22,11 @@ from morembs.body.floating.frame import FloatingFrame, frame_rows, why_not_float
 from morembs.body.floating.integrals import PAIRS
 from morembs.body.floating.link_stiffness import Links
 from morembs.body.floating.stiffening import Envelope, Stiffening
+from morembs.body.floating.tolerances import TOL
 from morembs.fem import FEModel
 from morembs.fem.geometric_stiffness import StressedMesh
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
-
-# A load that keeps less than this part of its size once the frame's reaction balances it causes no stress.
-BALANCED = 1e-10
-# Loads, and columns of the basis, that are handled at a time.
-LOADS, COLUMNS = 6, 8
-# Part of the budget left that the matrices of one group of loads may take.
-SHARE_OF_BUDGET = 0.25
 
 
 def why_no_stiffening(model: FEModel) -> str:
@@ -145,25 +139,26 @@ def _balance(problem: Problem, frame: FloatingFrame, links: Links, loads: _Loads
     basis = sp.csc_array(sp.hstack([sp.csc_array(problem.M @ R), problem.coupling.frames]))
     scale = 1.0 / np.sqrt(np.asarray(basis.multiply(basis).sum(axis=0)).ravel())
     gram = scale[:, None] * (basis.T @ basis).toarray() * scale
-    parts = scale[:, None] * np.linalg.lstsq(gram, scale[:, None] * (basis.T @ rows), rcond=1e-13)[0] @ share
+    parts, *_ = np.linalg.lstsq(gram, scale[:, None] * (basis.T @ rows), rcond=TOL.dependent_reaction)
+    parts = scale[:, None] * parts @ share
     loads.inertial[:] += links.M @ (problem.coupling.T @ R) @ parts[:6]
     loads.wrench[:] -= parts[6:]
-    return [int(load) for load in np.flatnonzero(np.linalg.norm(loads.F, axis=0) > BALANCED * before)]
+    return [int(load) for load in np.flatnonzero(np.linalg.norm(loads.F, axis=0) > TOL.balanced_load * before)]
 
 
 def _group(problem: Problem, entries: int) -> int:
-    """How many loads to handle at once: each has a scalar matrix, and ``COLUMNS`` and more columns."""
+    """How many loads to handle at once: each has a scalar matrix, and ``TOL.basis_columns`` and more columns."""
     left = problem.budget.left()
     if left is None:
-        return LOADS
-    per_load = 8 * entries + 8 * problem.K.shape[0] * (2 * COLUMNS + 4)
-    return int(np.clip(SHARE_OF_BUDGET * left // per_load, 1, LOADS))
+        return TOL.loads_at_once
+    per_load = 8 * entries + 8 * problem.K.shape[0] * (2 * TOL.basis_columns + 4)
+    return int(np.clip(TOL.budget_share * left // per_load, 1, TOL.loads_at_once))
 
 
 def _projected(problem: Problem, V: Floats, kg: list[sp.csr_array]) -> Floats:
     """V' T' (kg (x) I3) T V (k, nr, nr) for each of the k scalar matrices, a block of columns at a time."""
     T, space, order = problem.coupling.T, problem.space, V.shape[1]
-    width = space.budget.columns(len(V), copies=2 * len(kg) + 2, widest=COLUMNS)
+    width = space.budget.columns(len(V), copies=2 * len(kg) + 2, widest=TOL.basis_columns)
     P = np.empty((len(kg), order, order))
     for first in range(0, order, width):
         X = np.ascontiguousarray(T @ V[:, first : first + width])

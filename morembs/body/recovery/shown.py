@@ -9,12 +9,9 @@ from morembs.body.body import Body
 from morembs.body.recovery.trajectory import Trajectory
 from morembs.body.recovery_shapes import Recovery
 from morembs.body.stored import StoredBodies
+from morembs.body.tolerances import TOL
 from morembs.fem.stress_operator import von_mises
 
-# Jumps between elements, relative to the largest stress, from which its mesh is called coarse.
-LARGE_JUMP = 0.05
-# Displacements within the frame, relative to the size of the body, that no linear body should have.
-LARGE_DISPLACEMENT = 0.3
 # Coordinates that hold the static response to interface loads.
 STATIC_KINDS = ("constraint", "attachment")
 
@@ -79,7 +76,7 @@ class ShownStress:
                 "the file does not tell stresses of single elements, so nothing says whether the mesh is too "
                 "coarse for them (jump = true in [stress])"
             )
-        if self.peak is not None and self.peak_jump is not None and self.peak_jump > LARGE_JUMP * self.peak[0]:
+        if self.peak is not None and self.peak_jump is not None and self.peak_jump > TOL.large_jump * self.peak[0]:
             notes.append(
                 f"around node {self.peak[1]} with the largest stress, elements miss the average by "
                 f"{self.peak_jump / self.peak[0]:.0%}: the mesh is coarse there, and the true stress may be larger by "
@@ -103,7 +100,7 @@ class LargestDisplacement:
 
     def notes(self) -> tuple[str, ...]:
         """What to say of displacements that a linear body should not have."""
-        if self.largest <= LARGE_DISPLACEMENT * self.size or not self.size:
+        if self.largest <= TOL.large_displacement * self.size or not self.size:
             return ()
         return (
             f"the body deforms by {self.largest:.3g} m at {self.time:g} s and is {self.size:.3g} m large: check the "

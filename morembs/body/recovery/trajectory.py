@@ -13,15 +13,12 @@ import numpy as np
 from morembs.base.errors import InputError, MorembsError, nearest
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
+from morembs.body.tolerances import TOL
 from morembs.body.vtkhdf_series import read_arrays
 from morembs.storage.archive import refuse_unsafe_archive
 
 TABLES = (".csv", ".txt", ".dat")
 HDF5 = (".h5", ".hdf5", ".hdf")
-# Rotations may miss orthonormality by this much, as printed ones do.
-ORTHONORMAL = 1e-4
-# Von Mises stresses, up to three times their components, have to stay within single precision.
-LARGEST = float(np.finfo(np.float32).max) / 4
 _FRAME = ("x", "y", "z")
 _ROTATION = tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
 
@@ -82,7 +79,7 @@ class Trajectory:
             )
         if self.rotation is not None:
             off = np.abs(self.rotation @ np.swapaxes(self.rotation, 1, 2) - np.eye(3)).max(axis=(1, 2))
-            wrong = np.flatnonzero((off > ORTHONORMAL) | (np.linalg.det(self.rotation) < 0))
+            wrong = np.flatnonzero((off > TOL.rotation_error) | (np.linalg.det(self.rotation) < 0))
             if len(wrong):
                 raise InputError(
                     f"rotation at step {wrong[0] + 1} is no rotation (A A' - I = {off[wrong[0]]:.1e}); expected "
@@ -96,14 +93,14 @@ class Trajectory:
             InputError: there are some; the first step is in the message.
         """
         size = np.abs(results.reshape(len(results), -1)).max(axis=1, initial=0.0)
-        bad = np.flatnonzero(~(size <= LARGEST))
+        bad = np.flatnonzero(~(size <= TOL.largest_stress))
         if len(bad):
             step = int(bad[0])
             given = (self.coordinates, self.loads, self.position)
             largest = max(float(np.abs(array[step]).max(initial=0.0)) for array in given if array is not None)
             raise InputError(
                 f"{name} at {self.times[step]:.9g} s is {size[step]:.3g}, from numbers up to {largest:.3g}; expected "
-                f"{LARGEST:.1e} at most: check the units, or give the steps before the simulation went wrong"
+                f"{TOL.largest_stress:.1e} at most: check the units, or give the steps before the simulation went wrong"
             )
 
     def part(self, steps: slice) -> Trajectory:

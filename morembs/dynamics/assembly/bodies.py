@@ -15,10 +15,10 @@ from morembs.dynamics.assembly.joints import Couple, Joints
 from morembs.dynamics.assembly.parts import Placed, PlacedBody, Substructure
 from morembs.fem import DofMap, FEModel, Nodes, rigid_motion
 from morembs.fem.constraints import DependentDofs
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.linalg.congruence import abs_products
-from morembs.linalg.rigid import CLEAR, EPS
+from morembs.linalg.tolerances import TOL as LINALG
 
 REDUCED = "certificates of an assembly are against the bodies that were assembled, whose own errors are not in them"
 TURNING = (
@@ -135,11 +135,11 @@ def _strained(model: FEModel) -> float:
     # Rotations per radius, so that all motions move nodes as far.
     radius = float(np.sqrt((xyz**2).sum(axis=1).mean())) or 1.0
     R = rigid_motion(xyz, component) / np.repeat([1.0, radius], 3)
-    size = (abs(S).T @ abs_products(K, abs(S) @ np.abs(R), component == SCALAR)).max(axis=1)
+    size = (abs(S).T @ abs_products(K, abs(S) @ np.abs(R), component == Component.SCALAR)).max(axis=1)
     force = np.abs(S.T @ (K @ (S @ R))).max(axis=1)
     left = float(np.divide(force, size, out=np.zeros_like(force), where=size > 0).max(initial=0.0))
     # Stiff springs feel the last digit of a place, which is larger far from the origin.
-    return CLEAR * (left + EPS * float(np.abs(model.nodes.xyz).max()) / radius)
+    return LINALG.clear_support * (left + LINALG.roundoff * float(np.abs(model.nodes.xyz).max()) / radius)
 
 
 def _dependent(model: FEModel, placed: Sequence[Placed]) -> DependentDofs | None:

@@ -15,7 +15,7 @@ from morembs.body.body import Body
 from morembs.body.stored import StoredBodies, choose_body
 from morembs.exporters.ports import ports_of_file
 from morembs.exporters.reduced import to_interfaces
-from morembs.fem.fe_model import SCALAR, rigid_motion
+from morembs.fem.fe_model import Component, rigid_motion
 from morembs.linalg.columns import symmetric
 from morembs.problem import STRUCTURAL, Problem
 
@@ -91,7 +91,7 @@ class PlacedBody(Placed):
         shown = np.flatnonzero(~np.isin(source.node_ids, [key[1] for key in keys]))
         basis = body.basis().reshape(-1, 3, n)[shown] @ T if len(shown) else np.zeros((0, 3, n))
         matrices = {"K": body.stiffness_matrix, "M": body.mass_matrix, "D": body.damping_matrix}
-        component = np.concatenate([[port.component for port in ports], np.full(n - m, SCALAR)])
+        component = np.concatenate([[port.component for port in ports], np.full(n - m, Component.SCALAR)])
         empty = sp.csr_array((3 * len(shown), 3 * len(shown)))
         ready = {key: sp.block_diag([symmetric(T.T @ A @ T), empty], "csr") for key, A in matrices.items()}
         inside = np.vstack((points, source.coordinates[shown]))
@@ -140,7 +140,7 @@ def _refuse(name: str, source: StoredBodies, body: Body) -> None:
         raise InputError(f"part {name!r}: body {body.name!r} comes from a two-sided reduction; take a one-sided method")
     if not body.symmetric:
         raise InputError(f"part {name!r}: body {body.name!r} has gyroscopic or circulatory terms; couple full models")
-    if (source.input_component == SCALAR).any():
+    if (source.input_component == Component.SCALAR).any():
         raise InputError(f"part {name!r}: its interfaces have generalised forces, which have no place; leave them out")
     if float(body.recipe.get(STRUCTURAL, 0.0)):
         raise InputError(

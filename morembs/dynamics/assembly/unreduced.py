@@ -24,7 +24,7 @@ from morembs.body.body import Body
 from morembs.dynamics.assembly.belonging import basis_of, eliminations, refuse_other_matrices
 from morembs.dynamics.assembly.bodies import AssembledModel, joined
 from morembs.dynamics.assembly.parts import Placed, PlacedBody, Substructure
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 from morembs.importers.dependent_dofs import MOST_SPREAD
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
@@ -227,7 +227,7 @@ def _turned(name: str, problem: Problem | None, turn: Floats, node: Ints, compon
         rows.append(np.repeat(triples, 3, axis=1).ravel())
         columns.append(np.tile(triples, (1, 3)).ravel())
         values.append(np.tile(turn.ravel(), len(triples)))
-    scalars = np.flatnonzero(component == SCALAR)
+    scalars = np.flatnonzero(component == Component.SCALAR)
     data = np.concatenate([*values, np.ones(len(scalars))])
     places = (np.concatenate([*rows, scalars]), np.concatenate([*columns, scalars]))
     return sp.csr_array(sp.coo_array((data, places), shape=(len(node), len(node))))

@@ -15,7 +15,7 @@ from morembs.base.types import Floats
 from morembs.body.recovery_shapes import Recovery
 from morembs.body.vtkhdf_series import stored_recovery
 from morembs.exporters.base import ExportContext
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 
 AXES = "xyz"
 LOADS = (("force", "N"), ("moment", "N.m"))
@@ -161,7 +161,7 @@ def labels(context: ExportContext) -> tuple[list[str], dict[str, str]]:
         source.input_interface.tolist(), source.input_component.tolist(), source.input_node_id.tolist(), strict=True
     ):
         name = names[index]
-        if component == SCALAR:
+        if component == Component.SCALAR:
             forces = source.interfaces[name].forces
             columns.append(f"{known[name]}.{identifier(forces[scalars[name]])}")
             scalars[name] += 1
@@ -176,7 +176,7 @@ def variables(
     """One variable for each column: ``kinds`` has name and unit of what is along the axes and of what is about them."""
     result = []
     for column, component in zip(columns, components, strict=True):
-        scalar = component == SCALAR
+        scalar = component == Component.SCALAR
         kind, unit = kinds[0 if scalar else component // 3]
         name = f"{column}.{kind}" if scalar else f"{column}.{kind}.{AXES[component % 3]}"
         result.append(Variable(name=name, unit="1" if scalar else unit, about=about, **values))  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.fem import FEModel
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 from morembs.fem.interface.base import CouplingKind, Interface
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class Direct(CouplingKind):
 
     def available(self, model: FEModel, name: str, nodes: Ints) -> tuple[int, ...]:
         """Components that all nodes have."""
-        count = (model.dofs.table(len(model.nodes))[nodes, :SCALAR] >= 0).sum(axis=0)
+        count = (model.dofs.table(len(model.nodes))[nodes, : Component.SCALAR] >= 0).sum(axis=0)
         common = tuple(np.flatnonzero(count == len(nodes)).tolist())
         if not common:
             raise InputError(f"interface {name!r}: its nodes have no dof in common; take other nodes")

@@ -12,9 +12,8 @@ from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel
 from morembs.fem.interface.base import Interface, coupling_kind
 from morembs.fem.surface import nodal_areas, outer_faces
+from morembs.fem.tolerances import TOL
 
-# Model lengths from the nodes beyond which a frame's point is a mistake.
-FAR = 1000.0
 log = logging.getLogger(__name__)
 
 
@@ -57,10 +56,10 @@ def make_interface(
     xyz = model.nodes.xyz[rows]
     origin = weights @ xyz / weights.sum() if point is None else np.asarray(point, dtype=float)
     extent = float(np.linalg.norm(np.ptp(model.nodes.xyz, axis=0)))
-    if not np.linalg.norm(origin - xyz.mean(axis=0)) <= FAR * max(extent, np.finfo(float).tiny):
+    if not np.linalg.norm(origin - xyz.mean(axis=0)) <= TOL.far_lengths * max(extent, np.finfo(float).tiny):
         raise InputError(
-            f"interface {name!r}: its point {origin.tolist()} m lies more than {FAR:g} lengths of the model away from "
-            "its nodes; check the point and the units"
+            f"interface {name!r}: its point {origin.tolist()} m lies more than {TOL.far_lengths:g} lengths of the "
+            "model away from its nodes; check the point and the units"
         )
     if kind.weighted and bare:
         log.warning(

@@ -9,7 +9,7 @@ import numpy as np
 from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 from morembs.fem.interface.base import CouplingKind, Interface
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class Matrix(CouplingKind):
 
     def columns(self, interface: Interface) -> tuple[Ints, Ints]:
         count = len(interface.forces)
-        return np.full(count, SCALAR), np.full(count, -1)
+        return np.full(count, Component.SCALAR), np.full(count, -1)
 
     def scale(self, interface: Interface, length: float) -> Floats:
         return np.ones(len(interface.forces))
@@ -88,7 +88,7 @@ def matrix_interface(model: FEModel, *, name: str, matrix: str) -> Interface:
         coupling=Matrix.name,
         point=model.nodes.xyz[nodes].mean(axis=0),
         weights=np.ones(len(nodes)),
-        components=(SCALAR,) * len(forces),
+        components=(Component.SCALAR,) * len(forces),
         forces=forces,
     )
 

@@ -9,14 +9,12 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel, rigid_motion
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 from morembs.fem.interface.base import Interface
+from morembs.fem.tolerances import TOL
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
-
-# Scaled condition of R_s' W R_s above which the nodes count as collinear.
-COLLINEAR = 1e8
 
 
 def displacement_dofs(model: FEModel, interface: Interface) -> Ints:
@@ -45,7 +43,7 @@ def all_dofs(model: FEModel, interface: Interface) -> Ints:
     if model.dofs.component.max(initial=0) < 3:
         return displacements
     here = np.isin(model.dofs.node, interface.nodes)
-    return np.flatnonzero(here & (model.dofs.component < SCALAR))
+    return np.flatnonzero(here & (model.dofs.component < Component.SCALAR))
 
 
 def loads_on(model: FEModel, dofs: Ints, values: Floats) -> sp.csc_array:
@@ -77,7 +75,7 @@ def refuse_collinear(interface: Interface, condition: float) -> None:
     Raises:
         InputError: as said.
     """
-    if not condition < COLLINEAR:
+    if not condition < TOL.collinear_condition:
         count = len(interface.nodes)
         where = f"its {count} nodes lie on a line or in a point" if count > 1 else "it has one node"
         raise InputError(

@@ -12,7 +12,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.fem import DofMap, Mesh, Nodes
 from morembs.fem.constraints import AverageElement, Equations
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 from morembs.importers.abaqus import skipped_warnings
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_deck import SOLIDS
@@ -109,7 +109,7 @@ class Exported:
 
     def _with_rotations(self, mapped: RowMap) -> RowMap:
         """Rotations of rigid bodies at their reference nodes, where each has its own three."""
-        turns = (mapped.component > 2) & (mapped.component < SCALAR) & (mapped.owner == 0)
+        turns = (mapped.component > 2) & (mapped.component < Component.SCALAR) & (mapped.owner == 0)
         groups = np.unique(mapped.group[turns])
         bodies = [*self.flat.bodies, *([] if self.expanded is None else self.expanded.knots.tolist())]
         if not len(groups) or len(groups) != len(bodies) or len(set(bodies)) < len(bodies):
@@ -234,7 +234,7 @@ class Exported:
         at[deck] = row[mapped.owner[deck] - 1]
         ids, xyz, sets = [nodes.ids], [nodes.xyz], {name: rows for name, rows in nodes.sets.items()}
         # What has neither a node of the deck nor is a mode: expanded nodes, and rotations of bodies without a name.
-        scalar = mapped.component == SCALAR
+        scalar = mapped.component == Component.SCALAR
         own = (mapped.owner < 0) | ((mapped.owner == 0) & (~scalar | named_by))
         if own.any():
             group_key = _MADE + 5 * mapped.group + scalar * (1 + self.read.dof)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from morembs.base.types import Bools, Floats, Ints
 from morembs.fem import rigid_motion
-from morembs.fem.fe_model import SCALAR
+from morembs.fem.fe_model import Component
 
 # How near R_u must come to that of a place or motion, of 1 for displacements, and of lengths of the model.
 NEAR = 1e-3
@@ -183,7 +183,7 @@ class _Solved:
         # Modes inside elements and across sections, most of all: they stay where they are.
         resting = np.maximum.reduceat(np.abs(self.R).max(axis=1), self.edges[:-1]) < NEAR * min(1.0, 1.0 / self.length)
         rows = (resting & ~self.known)[self.given.group]
-        self.owner[rows], self.component[rows], self.place[rows], exact[rows] = 0, SCALAR, self.center, 0.0
+        self.owner[rows], self.component[rows], self.place[rows], exact[rows] = 0, Component.SCALAR, self.center, 0.0
         for g in np.flatnonzero(~self.known & ~resting):
             own = slice(self.edges[g], self.edges[g + 1])
             label, axes = int(self.of_group[g]), self.given.component[own]
@@ -197,7 +197,7 @@ class _Solved:
                 self.owner[own] = turning[label]
             taken |= {(owner, int(c)) for c in components if owner}
             exact[own] = rigid_motion(np.tile((place - self.center) / self.length, (len(axes), 1)), components)
-            exact[own] /= np.where((components > 2) & (components < SCALAR), self.length, 1.0)[:, None]
+            exact[own] /= np.where((components > 2) & (components < Component.SCALAR), self.length, 1.0)[:, None]
         force = np.abs(self.K @ exact).max(axis=1)
         wrong = force > LEFT * (abs(self.K) @ np.abs(exact)).max(axis=1)
         bad = np.unique(self.given.group[wrong & ~self.known[self.given.group]])
@@ -253,11 +253,11 @@ class _Solved:
         inside = np.zeros(size, dtype=bool)
         for g in groups.tolist():
             inside[self.edges[g] : self.edges[g + 1]] = True
-        told = ~inside & (self.component < SCALAR)
+        told = ~inside & (self.component < Component.SCALAR)
         rows, columns, values = [np.arange(size)], [np.arange(size)], [np.ones(size)]
         for g in groups.tolist():
             own = np.arange(self.edges[g], self.edges[g + 1])
-            self.component[own], self.owner[own], self.place[own] = SCALAR, 0, self.center
+            self.component[own], self.owner[own], self.place[own] = Component.SCALAR, 0, self.center
             near = own
             for _ in range(_RINGS):
                 near = np.unique(self.K[near].indices)
@@ -311,6 +311,6 @@ def strain(K: sp.csr_array, rows: RowMap) -> float:
     center = rows.place.mean(axis=0)
     length = float(np.abs(rows.place - center).max()) or 1.0
     R = rigid_motion((rows.place - center) / length, rows.component)
-    R[(rows.component > 2) & (rows.component < SCALAR)] /= length
+    R[(rows.component > 2) & (rows.component < Component.SCALAR)] /= length
     terms = abs(K) @ np.abs(R)
     return float(np.abs(K @ R).max() / max(float(terms.max()), np.finfo(float).tiny))

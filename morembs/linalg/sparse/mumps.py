@@ -17,7 +17,6 @@ from morembs.base.errors import BudgetError, InputError, SingularMatrixError, So
 from morembs.base.scratch import ScratchFolder, free_bytes
 from morembs.base.types import Values
 from morembs.linalg.sparse.mumps_codes import (
-    MILLION,
     SINGULAR,
     TOO_SMALL,
     WORDS,
@@ -28,6 +27,7 @@ from morembs.linalg.sparse.mumps_codes import (
     RealControl,
     RealInfo,
     Setting,
+    Unit,
 )
 from morembs.linalg.sparse.mumps_instance import Instance
 from morembs.linalg.sparse.mumps_library import Library, embedded_library, system_library
@@ -122,10 +122,10 @@ class MumpsSession(Session):
         if budget is not None and wanted.memory > budget:
             on_disk = self._demand_of(Info.MEMORY_ON_DISK)
             raise BudgetError(
-                f"{budget / MILLION:.1f} MB are left of the memory budget for the factorisation; "
-                f"{on_disk.memory / MILLION:.0f} MB are needed even with the factors on disk "
-                f"({self._demand_of(Info.MEMORY).memory / MILLION:.0f} MB without); give more memory or take a coarser "
-                "mesh",
+                f"{budget / Unit.MILLION:.1f} MB are left of the memory budget for the factorisation; "
+                f"{on_disk.memory / Unit.MILLION:.0f} MB are needed even with the factors on disk "
+                f"({self._demand_of(Info.MEMORY).memory / Unit.MILLION:.0f} MB without); give more memory "
+                "or take a coarser mesh",
                 needed=on_disk.memory,
             )
         if wanted.disk and (free := free_bytes(self.solver.scratch)) < wanted.disk:
@@ -150,7 +150,7 @@ class MumpsSession(Session):
         return self.forecast(
             entries=entries,
             flops=instance.real_info(RealInfo.FLOPS_ESTIMATE),
-            memory=self._megabytes(memory) * MILLION + matrix,
+            memory=self._megabytes(memory) * Unit.MILLION + matrix,
             kept=0 if disk else size * entries,
             disk=disk,
             precision=self.solver.precision,

@@ -77,8 +77,12 @@ class RealInfo(IntEnum):
     FLOPS = 3
 
 
-# Counts too large for 32 bits are given in negative millions.
-MILLION = 1_000_000
+class Unit(IntEnum):
+    """Of memory in INFOG, and of its counts that are too large for 32 bits: these are given in negative millions."""
+
+    MILLION = 1_000_000
+
+
 # SYM, by structure.
 KINDS = {"spd": 1, "symmetric": 2, "complex-symmetric": 2, "unsymmetric": 0, "complex-unsymmetric": 0}
 # The letter that MUMPS puts before its names, by type of the values.

@@ -9,7 +9,6 @@ import numpy as np
 from morembs.base.types import Values
 from morembs.linalg.sparse.mumps_codes import (
     KINDS,
-    MILLION,
     Control,
     Info,
     Job,
@@ -17,6 +16,7 @@ from morembs.linalg.sparse.mumps_codes import (
     RealControl,
     RealInfo,
     Setting,
+    Unit,
     World,
 )
 from morembs.linalg.sparse.mumps_library import Library
@@ -58,7 +58,7 @@ class Instance:
     def count(self, number: Info) -> int:
         """INFOG(number), a count that may not fit into 32 bits."""
         value = self.info(number)
-        return value if value >= 0 else -value * MILLION
+        return value if value >= 0 else -value * Unit.MILLION
 
     def real_info(self, number: RealInfo) -> float:
         """RINFOG(number)."""

@@ -14,7 +14,7 @@ import numpy as np
 from morembs.base.errors import SingularMatrixError
 from morembs.base.types import Ints, Values
 from morembs.linalg.sparse.ordering import metis_ordering
-from morembs.linalg.sparse.pardiso_library import KIBIBYTE, KINDS, SINGULAR, WORDS, Phase, Place, mkl_library
+from morembs.linalg.sparse.pardiso_library import KINDS, SINGULAR, WORDS, Phase, Place, Unit, mkl_library
 from morembs.linalg.sparse.session import FactorSize, Session, SessionSolver
 from morembs.linalg.sparse.solver import MECHANISM, Forecast
 from morembs.linalg.sparse.symmetric import Lower
@@ -112,7 +112,7 @@ class _PardisoSession(Session):
         handle = _Handle(self.library, A, self.structure, order, wide=wide, matching=matching)
         self._handles.append(handle)
         code = self.run(handle.run, Phase.ANALYSE)
-        memory = KIBIBYTE * int(handle.iparm[Place.KEPT_BY_FACTOR])
+        memory = Unit.KIBIBYTE * int(handle.iparm[Place.KEPT_BY_FACTOR])
         entries = max(int(handle.iparm[Place.ENTRIES]), memory // self.dtype.itemsize)
         if not wide and (code or not 0 < entries <= np.iinfo(np.int32).max):
             self._handles.pop().run(Phase.FREE)
@@ -124,7 +124,7 @@ class _PardisoSession(Session):
         self._open(A, wide=A.nnz > np.iinfo(np.int32).max)
         iparm = self._handles[-1].iparm
         sizes = (Place.PEAK_OF_ANALYSIS, Place.KEPT_BY_ANALYSIS, Place.KEPT_BY_FACTOR)
-        peak, symbolic, numeric = (KIBIBYTE * int(iparm[place]) for place in sizes)
+        peak, symbolic, numeric = (Unit.KIBIBYTE * int(iparm[place]) for place in sizes)
         integers = iparm.itemsize * (self.lower_nnz + 2 * self.n)
         kept = symbolic + numeric + integers
         flops = 1e6 * float(iparm[Place.MEGAFLOPS])

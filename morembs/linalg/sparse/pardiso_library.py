@@ -38,6 +38,12 @@ class Phase(IntEnum):
     FREE = -1
 
 
+class Unit(IntEnum):
+    """Of memory in IPARM."""
+
+    KIBIBYTE = 1 << 10
+
+
 class Place(IntEnum):
     """Places in the array ``iparm``, from zero as in the C manual."""
 
@@ -70,8 +76,6 @@ WORDS = {
     -3: "the ordering failed",
     -8: "the matrix is too large for its integers",
 }
-# Its unit of memory.
-KIBIBYTE = 1 << 10
 
 
 def mkl_file() -> str | None:

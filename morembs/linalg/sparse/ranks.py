@@ -179,6 +179,7 @@ class Ranks:
                 "fewer, or set OMPI_MCA_rmaps_base_oversubscribe=1"
             )
         last = [line.strip() for line in words.splitlines() if line.strip(" -\n")]
+        # A message has 300 characters of it at most.
         told = " ".join(last)[:300] or "without a word"
         return InputError(f"ranks = {self.count}: mpirun could not start them: {told}")
 

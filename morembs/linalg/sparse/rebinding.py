@@ -86,6 +86,7 @@ def called(library: ctypes.CDLL) -> dict[str, int]:
     )
     known = {}
     for entry in (_Relocation * (tags[_Tag.SIZE] // ctypes.sizeof(_Relocation))).from_address(table):
+        # The lower half of r_info is the type of the relocation (ELF64_R_TYPE).
         if entry.info & 0xFFFFFFFF == kind:
             symbol = _Symbol.from_address(symbols + ctypes.sizeof(_Symbol) * (entry.info >> 32))
             known[ctypes.string_at(names + symbol.name).decode("ascii", "replace")] = base + entry.offset

@@ -48,6 +48,7 @@ class _SuperLUSession(Session):
     def _analyse(self, A: Lower) -> Forecast:
         entries = int(TOL.superlu_fill * self.n ** (4 / 3))
         size = entries * self._entry
+        # n^2 operations (George 1973) in terms of the entries, of which there are about n^(4/3).
         return self.forecast(entries=entries, flops=0.5 * entries**1.5, memory=size, kept=size)
 
     def _factorize(self, A: Lower) -> FactorSize:

@@ -26,8 +26,10 @@ from morembs.linalg.dynamic_stiffness import plan_at_shift
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.threads import blas_threads, measured_speed
-from morembs.linalg.statics import COUNT_BYTES, COUNT_COLUMNS, require_room_to_count
-from morembs.problem.system import PROCESS_BYTES, worker_bytes
+from morembs.linalg.statics import require_room_to_count
+from morembs.linalg.tolerances import TOL as LINALG
+from morembs.problem.system import worker_bytes
+from morembs.problem.tolerances import TOL as PROBLEM
 from morembs.reducers.problem_summary import ShiftedFactorisations
 
 # Bytes of a stored entry of K or M, and of the triangle with the places of M in it.
@@ -220,7 +222,7 @@ def _at_shifts(
         kept=largest.kept,
         here=max(here, default=0),
         seconds=seconds,
-        **({"processes": running, "each": each, "beside": PROCESS_BYTES} if running > 1 else {}),
+        **({"processes": running, "each": each, "beside": PROBLEM.process_bytes} if running > 1 else {}),
     )
 
 
@@ -237,7 +239,7 @@ def require_room(job: Job, start: int, dofs: int, modes: bool, least: Callable[[
     """
     beside = resting_bytes(dofs)
     if modes:
-        count = COUNT_BYTES + LEAST_COUNT + 8 * COUNT_COLUMNS * dofs
+        count = LINALG.count_bytes + LEAST_COUNT + 8 * LINALG.count_columns * dofs
         beside = max(beside, beside - RESTING_BYTES + LOADED_BYTES + count)
     needed = start + beside
     if job.memory is not None and job.memory < needed:
