@@ -13,6 +13,7 @@ from morembs.importers.engines.calculix_model import Exported
 from morembs.importers.engines.calculix_read import EngineDeck, read_for_engine
 from morembs.importers.engines.calculix_ties import Flat
 from morembs.importers.imported import Imported
+from morembs.importers.tolerances import TOL
 
 BOUNDARY = ("drop", "keep")
 
@@ -26,7 +27,7 @@ def import_with_calculix(
     skip: list[str] | str = "",
     boundary: str = "drop",
     preload: int = 0,
-    timeout: float = 600.0,
+    timeout: float = TOL.engine_seconds,
     keep_files: str = "",
     allow_includes_outside: bool = False,
 ) -> Imported:

@@ -23,6 +23,7 @@ from morembs.importers.nastran import bulk_mesh, grids_of, notes_of, sets_of, sk
 from morembs.importers.nastran_bulk import Bulk
 from morembs.importers.nastran_names import RESTRAINTS
 from morembs.importers.nastran_restraints import held_directions, held_equations
+from morembs.importers.tolerances import TOL
 
 BOUNDARY = ("drop", "keep")
 # Cards beside those of the own reader.
@@ -37,12 +38,6 @@ CARDS_READ = (
     "SPC1",
     "SPCADD",
 )
-# Grids of one run, by which the time is least: MYSTRAN writes dense matrices, and needs 40 ms for a start.
-MOST_GRIDS = 150
-# Force under rigid motion above this part of what cancels in it is told.
-STRAINED = 1e-9
-# Difference of the masses along the axes above which it is told.
-UNEVEN = 1e-6
 
 
 def import_with_mystran(
@@ -52,9 +47,9 @@ def import_with_mystran(
     density: float | dict[str, float] | None = None,
     skip: list[str] | str = "",
     boundary: str = "drop",
-    timeout: float = 600.0,
+    timeout: float = TOL.engine_seconds,
     keep_files: str = "",
-    grids: int = MOST_GRIDS,
+    grids: int = TOL.run_grids,
     jobs: int | None = None,
     allow_includes_outside: bool = False,
 ) -> Imported:
@@ -247,13 +242,13 @@ class _Deck:
         """Warnings that follow from the matrices."""
         R = rigid_motion(self.nodes.xyz[dofs.node] - self.nodes.xyz.mean(axis=0), dofs.component)
         strain = float(np.abs(K @ R).max() / (abs(K) @ np.abs(R)).max())
-        if strain > STRAINED:
+        if strain > TOL.rigid_strain:
             self.warnings.append(
                 f"rigid motion strains the stiffness that MYSTRAN wrote by {strain:.1e} of its terms: its CQUAD4 "
                 "resist rotation where their four grids are not in a plane [engine-rotation]"
             )
         along = [float(R[:, axis] @ (M @ R[:, axis])) for axis in range(3)]
-        if max(along) - min(along) > UNEVEN * max(along):
+        if max(along) - min(along) > TOL.uneven_mass * max(along):
             listed = ", ".join(f"{mass:.6g}" for mass in along)
             self.warnings.append(
                 f"the mass that MYSTRAN wrote is {listed} along x, y and z; please report it [engine-map]"
