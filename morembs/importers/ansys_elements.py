@@ -33,7 +33,7 @@ class Routine(IntEnum):
 
 
 # Nodes of the full form.
-SOLIDS = {
+SOLIDS: dict[int, int] = {
     Routine.SOLID45: 8,
     Routine.SOLID185: 8,
     Routine.SOLID95: 20,

@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.base.errors import InputError, nearest
+from morembs.base.arguments import check_value
+from morembs.base.errors import InputError
+from morembs.base.limits import Positive, PositiveCount
 from morembs.base.types import Ints
 from morembs.fem import DofMap, Mesh, Nodes, rigid_motion
 from morembs.fem.constraints import Equations
 from morembs.fem.handedness import right_handed
-from morembs.importers.deck_options import DeckOptions, deck_options, lacking_problems
+from morembs.importers.deck_options import Boundary, DeckOptions, deck_options, lacking_problems
 from morembs.importers.engines.mystran import Mystran, cores, mystran_path
 from morembs.importers.engines.mystran_elements import STRUCTURES, Structures, solid_elements
 from morembs.importers.engines.mystran_rotations import turning, with_springs
@@ -25,7 +27,6 @@ from morembs.importers.nastran_names import RESTRAINTS
 from morembs.importers.nastran_restraints import held_directions, held_equations
 from morembs.importers.tolerances import TOL
 
-BOUNDARY = ("drop", "keep")
 # Cards beside those of the own reader.
 CARDS_READ = (
     *STRUCTURES,
@@ -73,12 +74,10 @@ def import_with_mystran(
         InputError: no MYSTRAN, options that are not known, or a run that fails.
     """
     program = mystran_path(executable)
-    if boundary not in BOUNDARY:
-        raise InputError(f"--boundary {boundary} was given; {nearest(boundary, BOUNDARY)}")
-    if not timeout > 0 or grids < 1 or (jobs is not None and jobs < 1):
-        raise InputError(
-            f"--engine-timeout {timeout:g}, grids = {grids}, jobs = {jobs} were given; expected positive numbers"
-        )
+    check_value("--boundary", boundary, Boundary)
+    check_value("--engine-timeout", timeout, Positive)
+    check_value("grids", grids, PositiveCount)
+    check_value("jobs", jobs, PositiveCount | None)
     deck = _Deck(Path(path), deck_options(density, "refuse", skip), boundary == "keep", allow_includes_outside)
     keep = Path(keep_files) if keep_files else None
     with Mystran(
