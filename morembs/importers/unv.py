@@ -33,7 +33,7 @@ SOLIDS: dict[int, tuple[str, tuple[int, ...]]] = {
 
 
 class Descriptor(IntEnum):
-    """Descriptors of elements of one dimension (the same manual, dataset 2412)."""
+    """Descriptors of elements of one dimension (I-DEAS, Universal File Datasets, number 2412)."""
 
     ROD = 11
     LINEAR_BEAM = 21
@@ -43,7 +43,7 @@ class Descriptor(IntEnum):
 
 
 class Dataset(IntEnum):
-    """Numbers of datasets (I-DEAS, Universal File Datasets); former programs write others of nodes and elements."""
+    """Numbers of datasets (the same manual); former programs write others of nodes and elements."""
 
     SINGLE_PRECISION_NODES = 15
     UNITS = 164
@@ -54,7 +54,7 @@ class Dataset(IntEnum):
 
 
 class Entity(IntEnum):
-    """Kinds of members of groups (the same manual, dataset 2467)."""
+    """Kinds of members of groups (the same manual, number 2467)."""
 
     NODE = 7
     ELEMENT = 8
