@@ -35,9 +35,9 @@ from morembs.problem import Damping, Problem
 from morembs.reducers import Balanced, CraigBampton, FreeInterface, Gramian, Krylov, Modal
 from morembs.reducers.base import ReducedModel
 from morembs.responses.certified import certified_reference
-from morembs.responses.layout import Layout
+from morembs.responses.layout import BlockIndex
 from morembs.responses.measures import MEASURES
-from morembs.responses.rational import Terms, squares
+from morembs.responses.rational import PoleResidueForm, squares
 
 DENSE, BESIDE = 20_000, 25
 # Samples are up to so much lower than the peaks between them, so that all maxima above this part of the highest count.
@@ -175,9 +175,9 @@ def dense_errors(
     loss = problem.damping.structural + 2 * reference.floor
     values, phi = exact_modes(problem.K.toarray(), problem.M.toarray(), problem.rigid.shape[1])
     b = (problem.B.T @ phi).T * problem.motion_scale
-    layout = Layout(b.shape[1], list(problem.coupling.columns.values()), symmetric=False)
+    layout = BlockIndex(b.shape[1], list(problem.coupling.columns.values()), symmetric=False)
     body, rows = body_response(reference, reduced, layout).terms, layout.rows(b, b)
-    full_terms = Terms.second_order(values * (1 + 1j * loss), problem.damping.of_modes(values), rows)
+    full_terms = PoleResidueForm.second_order(values * (1 + 1j * loss), problem.damping.of_modes(values), rows)
     z = np.concatenate([terms.z.ravel() for terms in (full_terms, body)])
     beside = z.real[:, None] + np.maximum(np.abs(z.imag), 1e-9 * np.abs(z))[:, None] * np.linspace(-5, 5, BESIDE)
     w = [2 * np.pi * np.linspace(*band, DENSE), beside.ravel(), 2 * np.pi * np.array(also_hz)]
@@ -197,7 +197,7 @@ def _is_top(H: Floats, at: int) -> bool:
     return bool(H[at] >= H[max(at - 1, 0)] and H[at] >= H[min(at + 1, len(H) - 1)])
 
 
-def _peak(terms: Terms, omega: Floats, top: int) -> float:
+def _peak(terms: PoleResidueForm, omega: Floats, top: int) -> float:
     """The largest response between the samples beside ``top``; there are others of near modes."""
     finer = np.linspace(omega[max(top - 1, 0)], omega[min(top + 1, len(omega) - 1)], 2001)
     top = int(np.linalg.norm(terms.at(finer), axis=1).argmax())

@@ -31,7 +31,7 @@ from morembs.base.errors import MorembsError
 from morembs.base.memory import peak_memory_bytes, resident_bytes
 from morembs.base.types import Floats
 from morembs.fem import ElementBlock, FEModel, Mesh, Nodes
-from morembs.linalg.dynamic_stiffness import grounded
+from morembs.linalg.dynamic_stiffness import with_springs
 from morembs.linalg.sparse.mixed import Mixed
 from morembs.linalg.sparse.mumps import Mumps
 from morembs.linalg.sparse.mumps_ranks import RankedMumps
@@ -123,7 +123,7 @@ def matrix(spec: Spec) -> Row:
     path = Path(spec["file"])
     if not path.exists():
         with Problem(steel(spec["shape"], spec["dofs"])) as problem:
-            A = grounded(problem.stiffness.lower, support_dofs(problem.rigid))
+            A = with_springs(problem.stiffness.lower, support_dofs(problem.rigid))
             rigid = problem.rigid
         norm = (Lower(A.indptr, A.indices, np.abs(A.data)) @ np.ones(A.n)).max()
         part = path.with_suffix(".part.npz")

@@ -21,7 +21,7 @@ from morembs.base.memory import peak_memory_bytes, resident_bytes
 from morembs.base.types import Floats
 from morembs.fem import FEModel
 from morembs.linalg.eigen import lowest_modes
-from morembs.linalg.slicing import Shifted
+from morembs.linalg.slicing import ShiftedInverse
 from morembs.linalg.statics import ConstrainedStatics
 from morembs.problem import Problem
 
@@ -66,8 +66,8 @@ def measure_modes(spec: Row, model: FEModel) -> Row:
         pencil.count_below = counted = Timed(pencil.count_below)  # type: ignore[method-assign]
         pencil.flexibility = solves = Timed(pencil.flexibility)  # type: ignore[method-assign]
         # The factor of the count, and the solves with it.
-        second, again = Timed(Shifted.__init__), Timed(Shifted.apply)
-        Shifted.__init__, Shifted.apply = second.method(), again.method()  # type: ignore[method-assign]
+        second, again = Timed(ShiftedInverse.__init__), Timed(ShiftedInverse.apply)
+        ShiftedInverse.__init__, ShiftedInverse.apply = second.method(), again.method()  # type: ignore[method-assign]
         found, stages = Timed(lambda: lowest_modes(pencil, problem.M, count=count)), Stages()
         with stages.watched():
             modes = found()

@@ -17,8 +17,8 @@ from morembs.linalg.statics import ConstrainedStatics, Statics
 # What counts as which stage: where the function is looked up, its name, the stage.
 _STAGES: tuple[tuple[Any, str, str], ...] = (
     (Statics, "apply", "solves"),
-    (slicing.Shifted, "apply", "solves_shifted"),
-    (slicing.Shifted, "__init__", "count"),
+    (slicing.ShiftedInverse, "apply", "solves_shifted"),
+    (slicing.ShiftedInverse, "__init__", "count"),
     (ConstrainedStatics, "count_below", "count"),
     (sp.csr_array, "__matmul__", "products"),
     (Lower, "__matmul__", "products"),

@@ -41,7 +41,7 @@ OUTSIDE = {
     "STAGES",
     "large_file_notes",
     "largest",
-    "Shifted",
+    "ShiftedInverse",
 }
 REPLACING = {"setattr", "delattr", "setitem", "delitem"}
 

@@ -146,14 +146,14 @@ SCENARIOS: dict[str, Scenario] = {
     ),
     "out-of-core": _verb(_spilled, ("big.h5",), "reduce", "big.toml", "-q"),
     "gmp": Scenario(_nothing, offline(1), ("member.h5",), "kept.h5", library=True),
-    "gmp-crew": Scenario(_nothing, offline(2), ("member.h5",), "kept.h5", library=True),
+    "gmp-pool": Scenario(_nothing, offline(2), ("member.h5",), "kept.h5", library=True),
 }
 # Parts of all trials; the other kinds share what is left.
 SHARES = {
     "out-of-core": 0.1,
     "batch": 0.1,
     "gmp": 0.07,
-    "gmp-crew": 0.03,
+    "gmp-pool": 0.03,
     "draw": 0.05,
     "compare": 0.05,
     "beside": 0.02,

@@ -29,7 +29,7 @@ from morembs.reducers.base import ReducedModel
 from morembs.responses.band import band_frequencies, checked_band
 from morembs.responses.certified import CertifiedReference, certified_reference
 from morembs.responses.direct import direct_response, elastic_statics
-from morembs.responses.layout import Layout
+from morembs.responses.layout import BlockIndex
 from morembs.responses.loads import static_response
 from morembs.responses.measures import Limit, Measure, Sharpness
 from morembs.responses.tolerances import TOL as RESPONSES
@@ -199,7 +199,7 @@ def _certificate(
     bound: bool,
 ) -> Certificate:
     problem, omega = reference.problem, 2 * np.pi * hz
-    layout = Layout(problem.B.shape[1], list(problem.coupling.columns.values()), symmetric=False)
+    layout = BlockIndex(problem.B.shape[1], list(problem.coupling.columns.values()), symmetric=False)
     with np.errstate(divide="ignore", invalid="ignore"):
         body = body_response(reference, reduced, layout)
         H_r = body.terms.at(omega).reshape(H.shape)

@@ -13,12 +13,12 @@ from morembs.base.types import Floats
 from morembs.base.units import in_hz
 from morembs.certificate.tolerances import TOL
 from morembs.reducers.base import ReducedModel
-from morembs.responses.cells import Cells
+from morembs.responses.cells import BandCells
 from morembs.responses.certified import CertifiedReference
-from morembs.responses.layout import Layout
-from morembs.responses.measures import MEASURES, Limit, Standard, compare
+from morembs.responses.layout import BlockIndex
+from morembs.responses.measures import MEASURES, Limit, ReferenceResponse, compare
 from morembs.responses.pencils import response_of
-from morembs.responses.rational import Terms
+from morembs.responses.rational import PoleResidueForm
 from morembs.responses.rounding import Response
 from morembs.responses.tolerances import TOL as RESPONSES
 
@@ -52,7 +52,7 @@ class ErrorLimits:
         return {"errors at most": upper, "notes": "; ".join(self.notes)}
 
 
-def body_response(reference: CertifiedReference, reduced: ReducedModel, layout: Layout) -> Response:
+def body_response(reference: CertifiedReference, reduced: ReducedModel, layout: BlockIndex) -> Response:
     """The transfer matrix of ``reduced``, scaled, with the damping floor of ``reference``."""
     scale = reference.problem.motion_scale
     return response_of(
@@ -131,7 +131,7 @@ def error_limits(
     return ErrorLimits(limits=limits, block_limit=blocks, cells_hz=hz, cell_limit=upper, notes=notes)
 
 
-def _causes(standard: Standard, body: Response, cells: Cells, loose: Sequence[str]) -> list[str]:
+def _causes(standard: ReferenceResponse, body: Response, cells: BandCells, loose: Sequence[str]) -> list[str]:
     """Why the limits of the measures ``loose`` lie far above what is reached, or are infinite, in words.
 
     The largest part of what is not known of the two responses, over the envelope, on the cell with the largest limit.
@@ -170,7 +170,7 @@ def _causes(standard: Standard, body: Response, cells: Cells, loose: Sequence[st
     return [f"{', '.join(names)}: limited as {what}" for what, names in because.items()]
 
 
-def _undamped_pole(terms: Terms, low: float, high: float) -> float | None:
+def _undamped_pole(terms: PoleResidueForm, low: float, high: float) -> float | None:
     """The first pole in the band that lies on the axis of frequencies, up to round-off; None if there is none."""
     z = terms.z.ravel()
     on = z.real[(np.abs(z.imag) <= 1e-12 * np.abs(z)) & (z.real >= low) & (z.real <= high)]

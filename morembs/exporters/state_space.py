@@ -22,7 +22,7 @@ from morembs.exporters.ports import Port, parts_of, ports_of_body, ports_of_file
 from morembs.exporters.reduced import held_and_free
 from morembs.exporters.tolerances import TOL
 from morembs.linalg.columns import symmetric
-from morembs.linalg.eigen import graded_modes
+from morembs.linalg.eigen import accurate_eigh
 from morembs.problem.damping import frequency_domain_only
 from morembs.reducers.base import ReducedModel
 
@@ -207,7 +207,7 @@ class _Held:
             X, N, _ = held_and_free(reduced.C[rows], reduced.name)
             Y, W, _ = (X, N, True) if same else held_and_free(reduced.B[:, rows].T, reduced.name)
         if same:
-            values, modes = graded_modes(symmetric(N.T @ K @ N), symmetric(N.T @ M @ N))
+            values, modes = accurate_eigh(symmetric(N.T @ K @ N), symmetric(N.T @ M @ N))
             values[: 0 if rows else reduced.rigid_count] = 0.0
             N = W = N @ modes
             mass, stiffness = np.eye(len(values)), np.diag(values)

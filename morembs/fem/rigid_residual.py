@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 from morembs.base.types import Bools, Floats
 from morembs.fem.fe_model import SCALAR, DofMap, Nodes, rigid_motion, skew
-from morembs.linalg.congruence import cancelling
+from morembs.linalg.congruence import abs_products
 
 # Force under rigid motion, against the sum of magnitudes that cancel in it: above the first the motion strains the
 # body, between both the numbers are rounded (or the ground is very soft).
@@ -63,7 +63,7 @@ def motion(nodes: Nodes, dofs: DofMap) -> tuple[Floats, Floats, float]:
 def residual(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> Residual:
     """K R, each row against the largest of its six sums of magnitudes."""
     R, center, length = motion(nodes, dofs)
-    force, size = K @ R, cancelling(K, R, dofs.component == SCALAR).max(axis=1)
+    force, size = K @ R, abs_products(K, R, dofs.component == SCALAR).max(axis=1)
     ratio = np.divide(np.abs(force), size[:, None], out=np.zeros_like(force), where=size[:, None] > 0)
     return Residual(center=center, length=length, R=R, force=force, ratio=ratio)
 

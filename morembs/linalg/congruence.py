@@ -60,7 +60,7 @@ def magnitudes(A: sp.csr_array, X: NDArray[np.float64]) -> NDArray[np.float64]:
     return result
 
 
-def cancelling(A: sp.csr_array, X: NDArray[np.float64], scalar: NDArray[np.bool_]) -> NDArray[np.float64]:
+def abs_products(A: sp.csr_array, X: NDArray[np.float64], scalar: NDArray[np.bool_]) -> NDArray[np.float64]:
     """What cancels in A X (n, k) of motions ``X``, which leave the ``scalar`` (n,) dofs at zero.
 
     Modes of held nodes couple to other dofs by round-off alone, which is no measure of itself: a coupling that counts

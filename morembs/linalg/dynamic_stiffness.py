@@ -166,7 +166,7 @@ def _add(data: Values, place: Values, factor: complex, values: Values) -> None:
         data[place[part]] += factor * values[part]
 
 
-def constrained(A: Lower, rows: NDArray[np.int64]) -> Lower:
+def with_fixed_rows(A: Lower, rows: NDArray[np.int64]) -> Lower:
     """``A`` on the subspace where ``rows`` vanish, padded there with its largest diagonal: same pattern.
 
     Works in place: the values of ``A`` are lost.
@@ -191,7 +191,7 @@ def spring_stiffness(A: Lower, rows: NDArray[np.int64]) -> Values:
     return np.where(diagonal[rows] != 0, diagonal[rows], np.abs(diagonal).max(initial=0.0) or 1.0)
 
 
-def grounded(A: Lower, rows: NDArray[np.int64], budget: Budget = UNLIMITED) -> Lower:
+def with_springs(A: Lower, rows: NDArray[np.int64], budget: Budget = UNLIMITED) -> Lower:
     """``A`` with springs of ``spring_stiffness`` to the ground at ``rows``."""
     data = budget.empty(A.nnz, A.data.dtype)
     data[:] = A.data

@@ -17,7 +17,7 @@ from morembs.base.units import eigenvalue_in_hz
 from morembs.linalg.columns import dense, fix_signs, m_norms, symmetric
 from morembs.linalg.lanczos import BlockLanczos, largest
 from morembs.linalg.second_shift import first_look, keeps_two_factors, modes_below
-from morembs.linalg.slicing import SLICE, Shifted, sliced_modes
+from morembs.linalg.slicing import SLICE, ShiftedInverse, sliced_modes
 from morembs.linalg.statics import ConstrainedStatics, off_eigenvalues
 
 log = logging.getLogger(__name__)
@@ -116,11 +116,11 @@ def lowest_modes(
     return _sparse(body, M, count, below, what, shifted)
 
 
-def _up_to(body: ConstrainedStatics, M: sp.csr_array, below: float) -> tuple[int, Shifted | None]:
+def _up_to(body: ConstrainedStatics, M: sp.csr_array, below: float) -> tuple[int, ShiftedInverse | None]:
     """How many modes lie below, and the factor that counted them where it will be of use."""
     if keeps_two_factors(body) and M.shape[0] > DENSE_PART:
         try:
-            shifted = off_eigenvalues(below, partial(Shifted, body, M))
+            shifted = off_eigenvalues(below, partial(ShiftedInverse, body, M))
             return shifted.below, shifted
         except SolverError as error:
             log.info("no second shift: %s", error)
@@ -139,7 +139,7 @@ def _dense(body: ConstrainedStatics, M: sp.csr_array, count: int | None, below: 
     # LAPACK has the lowest modes to eps of the highest eigenvalue only.
     soft = int((values < SOFT * values[-1]).sum()) if len(values) else 0
     if soft:
-        values[:soft], vectors[:, :soft] = _sharpened(body, M, vectors[:, :soft])
+        values[:soft], vectors[:, :soft] = _refine_by_inverse_iteration(body, M, vectors[:, :soft])
     m = int((values <= below).sum()) if count is None and below is not None else count
     vectors = fix_signs(vectors[:, :m])
     # All modes are known here, but only those that are returned count as held.
@@ -147,7 +147,7 @@ def _dense(body: ConstrainedStatics, M: sp.csr_array, count: int | None, below: 
     return Modes(eigenvalues=values[:m], vectors=vectors, verified_below=held, counted=False)
 
 
-def _sharpened(body: ConstrainedStatics, M: sp.csr_array, V: Floats) -> tuple[Floats, Floats]:
+def _refine_by_inverse_iteration(body: ConstrainedStatics, M: sp.csr_array, V: Floats) -> tuple[Floats, Floats]:
     """Modes near span(V) (N, k), M-orthonormal, by inverse iteration: to eps of what they are made of."""
     for _ in range(2):
         V = body.flexibility(M @ V)
@@ -159,7 +159,7 @@ def _sharpened(body: ConstrainedStatics, M: sp.csr_array, V: Floats) -> tuple[Fl
     return values, V
 
 
-def graded_modes(
+def accurate_eigh(
     A: Floats, M: Floats | None = None, projected: Callable[[Floats], Floats] | None = None
 ) -> tuple[Floats, Floats]:
     """Eigenvalues (n,) of (``A``, ``M``), ascending, and vectors (n, n), where LAPACK has all to eps of the highest.
@@ -200,7 +200,7 @@ def _sparse(
     count: int,
     below: float | None,
     what: str,
-    shifted: Shifted | None = None,
+    shifted: ShiftedInverse | None = None,
 ) -> Modes:
     """Modes by block Lanczos, at shift zero and then at that of the Sturm count where its factor may be kept."""
     rng = np.random.default_rng(2)
@@ -213,7 +213,7 @@ def _sparse(
         cut = first_look(lanczos, count, what=what)
         try:
             if shifted is None and cut is not None:
-                shifted = off_eigenvalues(cut, partial(Shifted, body, M))
+                shifted = off_eigenvalues(cut, partial(ShiftedInverse, body, M))
         except SolverError as error:
             log.info("no second shift: %s", error)
         if shifted is not None and cut is not None:

@@ -38,7 +38,7 @@ DIGITS, WITHIN, EXACTLY, LOOKED_AT, DIFFERENT = (12, 13, 14), 0.99, 0.5, 4096, 4
 MIXED = 1e-5
 
 
-def written(values: Floats) -> float:
+def decimal_precision(values: Floats) -> float:
     """Half of the last digit, of a number at most, where ``values`` were written with 12 to 14 digits; otherwise 0."""
     x, count = np.unique(np.abs(np.real(values[:: max(len(values) // LOOKED_AT, 1)])), return_counts=True)
     usable = (x > 1e-280) & (x < 1e280)
@@ -57,7 +57,9 @@ def written(values: Floats) -> float:
     return 0.0
 
 
-def strain_free(K: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float = 0.0) -> tuple[Floats, Floats]:
+def rigid_null_space(
+    K: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float = 0.0
+) -> tuple[Floats, Floats]:
     """Bases (N, r) of the motions ``Phi`` (N, k) that ``K`` leaves free of strain, and (N, k - r) of those it holds.
 
     ``Phi`` are independent geometric rigid motions of comparable displacements; ``size`` (N, k) sums up the magnitudes
@@ -99,7 +101,7 @@ def free_in_groups(
     """How many motions (groups,) of each group of rows that ``K`` does not couple are free of strain.
 
     ``group`` (N,) is that of each row, the first ``rank`` (groups,) columns of ``Phi`` in its rows are its motions;
-    other arguments as those of ``strain_free``. What is unclear counts as held.
+    other arguments as those of ``rigid_null_space``. What is unclear counts as held.
     """
     ratio, level = _forces(K, Phi, size, node, last)
     strained = np.abs(ratio).max(axis=1, initial=0.0) > level
@@ -113,7 +115,7 @@ def free_in_groups(
     return free
 
 
-def resists(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float = 0.0) -> bool:
+def has_stiffness(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float = 0.0) -> bool:
     """Whether ``A`` (N, N) has forces beyond round-off under the motions ``Phi`` (N, k); arguments as above."""
     ratio, level = _forces(A, Phi, size, node, last)
     return bool((np.abs(ratio) > level).any())

@@ -14,7 +14,7 @@ from morembs.base.memory import installed_bytes
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz
 from morembs.linalg.lanczos import TOLERANCE, BlockLanczos
-from morembs.linalg.slicing import Shifted
+from morembs.linalg.slicing import ShiftedInverse
 from morembs.linalg.statics import ConstrainedStatics
 
 # Residual of the Ritz values between which the second shift is put: their error is about its square.
@@ -52,7 +52,7 @@ def first_look(lanczos: BlockLanczos, count: int, *, what: str) -> float | None:
     return None
 
 
-def modes_below(lanczos: BlockLanczos, shifted: Shifted, *, what: str) -> tuple[Floats, Floats]:
+def modes_below(lanczos: BlockLanczos, shifted: ShiftedInverse, *, what: str) -> tuple[Floats, Floats]:
     """All modes below the shift: eigenvalues ascending (m,), vectors (N, m); the space goes on at that shift.
 
     Raises:

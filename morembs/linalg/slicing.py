@@ -21,9 +21,9 @@ from morembs.base.errors import SolverError
 from morembs.base.types import Floats, Ints
 from morembs.base.units import eigenvalue_in_hz
 from morembs.linalg.columns import dense, dot, map_columns, project_out, symmetric
-from morembs.linalg.dynamic_stiffness import constrained
+from morembs.linalg.dynamic_stiffness import with_fixed_rows
 from morembs.linalg.lanczos import MAX_STEPS, TOLERANCE, BlockLanczos
-from morembs.linalg.statics import ConstrainedStatics, off_eigenvalues, room_for_factor, unit_rows
+from morembs.linalg.statics import ConstrainedStatics, off_eigenvalues, room_for_factor, single_dof_rows
 
 log = logging.getLogger(__name__)
 # Modes per slice, and columns of a Krylov block.
@@ -32,15 +32,15 @@ SLICE, BLOCK = 120, 12
 _LEFT = 0.55
 
 
-class Shifted(Closing):
+class ShiftedInverse(Closing):
     """(K - sigma M)^-1 on the subspace of ``body``, and the number of its modes ``below`` sigma."""
 
     def __init__(self, body: ConstrainedStatics, M: sp.csr_array, sigma: float) -> None:
         self.body, self.M = body, M
         self.sigma, A = sigma, body.statics.pencil.shifted(sigma)
-        self.rows = None if body.mean_axes else unit_rows(body.C)
+        self.rows = None if body.mean_axes else single_dof_rows(body.C)
         if self.rows is not None:
-            A = constrained(A, self.rows)
+            A = with_fixed_rows(A, self.rows)
         solver = body.counter().with_memory(room_for_factor(body.statics.budget))
         self.factor = solver.factorize(A, "symmetric", f"K - sigma M at {eigenvalue_in_hz(sigma):.6g} Hz")
         self.below = self.factor.negative_pivots()
@@ -106,7 +106,7 @@ def sliced_modes(
         sigma = min(recent[-1] + step, below)
         # Down, as the last shift is the limit.
         words = "; move the limit by a percent"
-        with off_eigenvalues(sigma, partial(Shifted, body, M), side=-1, words=words) as shifted:
+        with off_eigenvalues(sigma, partial(ShiftedInverse, body, M), side=-1, words=words) as shifted:
             missing = shifted.below - int((lam < shifted.sigma).sum())
             near = np.sort(np.argsort(np.abs(lam - shifted.sigma))[: 3 * per_slice])
             limit = min(below, 2 * shifted.sigma - recent[-1])
@@ -134,7 +134,7 @@ def sliced_modes(
 
 
 def _slice(
-    shifted: Shifted, known: Floats, near: Ints, missing: int, limit: float, capacity: int
+    shifted: ShiftedInverse, known: Floats, near: Ints, missing: int, limit: float, capacity: int
 ) -> tuple[Floats, Floats]:
     """Converged modes up to ``limit``, at least the ``missing`` ones below the shift, without the ``known`` ones.
 

@@ -26,7 +26,7 @@ from morembs.base.errors import BudgetError, InputError, SingularMatrixError, So
 from morembs.base.types import Floats, Ints
 from morembs.base.units import eigenvalue_in_hz
 from morembs.linalg.columns import DEPENDENT, m_norms, map_columns, symmetric
-from morembs.linalg.dynamic_stiffness import DynamicStiffness, constrained, grounded, spring_stiffness
+from morembs.linalg.dynamic_stiffness import DynamicStiffness, spring_stiffness, with_fixed_rows, with_springs
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
@@ -68,7 +68,7 @@ class Statics(Closing):
     def __init__(self, pencil: DynamicStiffness, Z: Floats, held: Floats | None = None) -> None:
         self.pencil, self.Z, self.held = pencil, Z, Z[:, :0] if held is None else held
         self.supports = support_dofs(Z)
-        supported = grounded(pencil.lower, self.supports, pencil.budget) if Z.shape[1] else pencil.lower
+        supported = with_springs(pencil.lower, self.supports, pencil.budget) if Z.shape[1] else pencil.lower
         solver = pencil.solver.with_near_null_space(Z).with_memory(room_for_factor(pencil.budget))
         self.factor = solver.factorize(supported, "spd", what="the supported stiffness matrix")
 
@@ -161,7 +161,7 @@ class ConstrainedStatics:
         U[:, m_norms(U, M @ U) <= DEPENDENT * loose] = 0.0
         return U
 
-    def impose(self) -> tuple[Floats, Floats]:
+    def solve_constraint_modes(self) -> tuple[Floats, Floats]:
         """U (N, c) with C' U = I and no other load, and the condensed stiffness U' K U (c, c).
 
         Where stiff parts take digits of it, loads and displacements are refined with solves of their own.
@@ -271,13 +271,13 @@ class ConstrainedStatics:
     def _count_below(self, sigma: float) -> int:
         pencil = self.statics.pencil
         A = pencil.shifted(sigma)
-        rows = None if self.mean_axes else unit_rows(self.C)
+        rows = None if self.mean_axes else single_dof_rows(self.C)
         solver = self.counter().with_memory(room_for_factor(pencil.budget))
         what = "K - sigma M"
         if self.mean_axes:
             return solver.negative_eigenvalues(A, what) - int(self.count)
         if rows is not None:
-            return solver.negative_eigenvalues(constrained(A, rows), what)
+            return solver.negative_eigenvalues(with_fixed_rows(A, rows), what)
         with solver.factorize(A, "symmetric", what) as factor:
             negative = factor.negative_pivots()
             S = self.C.T @ map_columns(factor.solve, self.C, pencil.budget)
@@ -333,7 +333,7 @@ def require_room_to_count(solver: LinearSolver, lower: Lower, room: int | None, 
         ) from None
 
 
-def unit_rows(C: Floats | sp.csc_array) -> Ints | None:
+def single_dof_rows(C: Floats | sp.csc_array) -> Ints | None:
     """Rows (c,) that C' u picks, where every column has a single entry; None otherwise."""
     if isinstance(C, np.ndarray):
         return None if C.shape[1] else np.empty(0, dtype=np.int64)

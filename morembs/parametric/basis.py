@@ -255,7 +255,7 @@ class GreedySearch:
         order = np.argsort([-self._relative(model, bound, p) for p in self.training])
 
         def of(n: int) -> tuple[ParametricModel, ParametricBound]:
-            return reduced_to(model, T[:, :n]), bare.turned(T[:, :n])
+            return reduced_to(model, T[:, :n]), bare.in_basis(T[:, :n])
 
         # More columns mend no round-off.
         bare = replace(bound, rounding_K=None, rounding_M=None)
@@ -270,7 +270,7 @@ class GreedySearch:
                 high = middle
             else:
                 low = middle + 1
-        model, bound = reduced_to(model, T[:, :high]), bound.turned(T[:, :high]).compressed()
+        model, bound = reduced_to(model, T[:, :high]), bound.in_basis(T[:, :high]).compressed()
         box = self.problem.box
         fresh = training_points(box, TOL.fresh_per_training * wanted.training, seed=2)
         worst = self.worst(model, bound, np.vstack([self.training, fresh]))

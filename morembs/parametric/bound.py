@@ -122,7 +122,7 @@ class ParametricBound:
     rounding_M: Floats | None = None
     rigid: Floats | None = None
 
-    def turned(self, T: Floats) -> ParametricBound:
+    def in_basis(self, T: Floats) -> ParametricBound:
         """The bound for the basis V ``T`` (n, k), whose span may be smaller."""
         parts = {name: getattr(self, name) for name in self.__dataclass_fields__}
         size = np.abs(T)

@@ -29,7 +29,7 @@ from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.errors import InputError, SingularMatrixError
 from morembs.base.types import Floats, Ints
 from morembs.linalg.columns import map_columns, symmetric
-from morembs.linalg.dynamic_stiffness import constrained
+from morembs.linalg.dynamic_stiffness import with_fixed_rows
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
@@ -226,7 +226,7 @@ def is_positive(
     """Whether ``A`` + ``sigma`` W W', with ``rows`` held, has no negative eigenvalue, by a count of pivots."""
     lower = Lower.of(A, "a control matrix", regular=False)
     if rows is not None and len(rows):
-        lower = constrained(lower, rows)
+        lower = with_fixed_rows(lower, rows)
     counter = solver if solver.counts else select_solver(scratch=solver.scratch)
     try:
         if W is None:

@@ -19,7 +19,7 @@ from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.linalg.columns import projected, symmetric, without_rigid_motion
-from morembs.linalg.eigen import graded_modes
+from morembs.linalg.eigen import accurate_eigh
 from morembs.parametric.law import Law
 from morembs.parametric.parameter import DAMPING, Box
 from morembs.parametric.terms import AffineProblem
@@ -81,7 +81,7 @@ class ParametricModel:
         damping = self.box.damping(self.damping, p)
         G = rigid.T @ M @ rigid
         Z = sl.solve_triangular(sl.cholesky(symmetric(G), lower=True), rigid.T, lower=True).T
-        values, Y = graded_modes(K, M)
+        values, Y = accurate_eigh(K, M)
         values[: rigid.shape[1]] = 0.0
         return ModelAt(
             model=self, p=p, K=K, M=M, D=damping.matrix(M, K, Z), rigid=Z, damping=damping, values=values, Y=Y

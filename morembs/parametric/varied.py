@@ -43,7 +43,7 @@ Chosen = dict[int, NDArray[np.bool_]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Terms:
+class AffineTerms:
     """Data of Q matrices on one pattern, and the ``law`` of their coefficients.
 
     Of each of the ``parts`` the places (l,) in the data of the pattern and the values (q, l) of q terms there, in the
@@ -84,8 +84,8 @@ class VariedModel:
     regions: tuple[Material, ...]
     young: Ints
     density: Ints
-    stiffness: Terms
-    mass: Terms
+    stiffness: AffineTerms
+    mass: AffineTerms
     eps: float
     points: int
     mass_integration: str
@@ -238,7 +238,7 @@ class _Maker:
         self.budget = budget
         self.owner = material_of_elements(morph.mesh, regions)
 
-    def terms(self, of_region: Ints, points: int, *, stiffness: bool) -> Terms:
+    def terms(self, of_region: Ints, points: int, *, stiffness: bool) -> AffineTerms:
         """Terms of the stiffness or of the mass; ``of_region`` is the parameter of each region, -1 for none."""
         factors: list[Ints] = []
         parts: list[tuple[Ints, Floats]] = []
@@ -255,7 +255,7 @@ class _Maker:
         law = Law(
             factors=np.array(factors), points=tuple(at.get(j, np.zeros(0)) for j in range(len(self.morph.parameters)))
         )
-        return Terms(law=law, size=(9 if stiffness else 1) * self.graph.nnz, parts=tuple(parts))
+        return AffineTerms(law=law, size=(9 if stiffness else 1) * self.graph.nnz, parts=tuple(parts))
 
     def _groups(self, of_region: Ints) -> Iterator[tuple[int, int, Chosen]]:
         codes = self.morph.deforming()

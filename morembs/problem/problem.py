@@ -25,7 +25,7 @@ from morembs.linalg.columns import dense, map_columns
 from morembs.linalg.congruence import congruence, scaled_row_sums
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import GAP, Modes, lowest_modes
-from morembs.linalg.rigid import resists, written
+from morembs.linalg.rigid import decimal_precision, has_stiffness
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_count, room_for_factor
@@ -205,12 +205,12 @@ class Problem(Closing):
         # A row that moves by the round-off of these vectors alone has no terms that its force could cancel among.
         moves = np.abs(self.rigid) > TOL.still_row * np.abs(self.rigid).max(axis=0)
         rigid = np.where(moves, self.rigid, 0.0)
-        return resists(
+        return has_stiffness(
             own,
             rigid,
             terms_in_rows(self.model, self.coupling, given, rigid),
             nodes_of_rows(self.model, self.coupling),
-            written(given.data),
+            decimal_precision(given.data),
         )
 
     @cached_property
@@ -259,7 +259,7 @@ class Problem(Closing):
 
         Not to be changed.
         """
-        return self.shared(CONSTRAINT, self.internal.impose)
+        return self.shared(CONSTRAINT, self.internal.solve_constraint_modes)
 
     def keep_constraint_modes(self, modes: Floats, stiffness: Floats) -> None:
         """Take ``modes``, columns of an array that is kept anyway, in the place of those that were computed."""

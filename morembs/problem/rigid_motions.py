@@ -18,9 +18,9 @@ from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel
 from morembs.fem.fe_model import SCALAR, has_places
 from morembs.fem.interface import Coupling
-from morembs.linalg.congruence import cancelling
+from morembs.linalg.congruence import abs_products
 from morembs.linalg.null_space import DENSE, groups_of, null_space
-from morembs.linalg.rigid import free_in_groups, strain_free, written
+from morembs.linalg.rigid import decimal_precision, free_in_groups, rigid_null_space
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.problem.tolerances import TOL
 
@@ -46,12 +46,12 @@ def rigid_motions(
     Phi, massless = _independent_motions(coupling.R, M)
     budget.release_pages()
     # One matrix at a time has its pages in memory.
-    size, last = terms_in_rows(model, coupling, model.K, Phi), max(written(model.K.data), model.strained)
+    size, last = terms_in_rows(model, coupling, model.K, Phi), max(decimal_precision(model.K.data), model.strained)
     budget.release_pages()
     rows = nodes_of_rows(model, coupling)
-    free, held = strain_free(K, Phi, size, rows, last)
+    free, held = rigid_null_space(K, Phi, size, rows, last)
     if massless.shape[1]:
-        loose = strain_free(K, massless, terms_in_rows(model, coupling, model.K, massless), rows, last)[0].shape[1]
+        loose = rigid_null_space(K, massless, terms_in_rows(model, coupling, model.K, massless), rows, last)[0].shape[1]
         _refuse_massless(loose)
     budget.release_pages()
     if has_places(model):
@@ -70,7 +70,7 @@ def terms_in_rows(model: FEModel, coupling: Coupling, A: sp.csr_array, Phi: Floa
     number of terms, and so do these sums.
     """
     T = sp.csc_array(abs(coupling.T))
-    size = T.T @ cancelling(A, T @ np.abs(Phi), model.dofs.component == SCALAR)
+    size = T.T @ abs_products(A, T @ np.abs(Phi), model.dofs.component == SCALAR)
     terms = T.astype(bool).T @ np.diff(A.indptr).astype(float)
     growth = np.where(np.diff(T.indptr) > 1, np.sqrt(np.maximum(terms / TOL.row_terms, 1.0)), 1.0)
     return np.asarray(size * growth[:, None])

@@ -13,11 +13,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base.budget import Budget
-from morembs.base.crew import Crew
 from morembs.base.errors import SolverError
 from morembs.base.memory import resident_bytes
 from morembs.base.types import Floats, Values
 from morembs.base.units import in_hz
+from morembs.base.worker_pool import WorkerPool
 from morembs.linalg.columns import map_columns
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.sparse.solver import STRUCTURES
@@ -122,7 +122,9 @@ class System:
         if not error <= BACKWARD_ERROR:
             raise SolverError(f"solved at {in_hz(abs(s)):.6g} Hz to a backward error of {error:.1e} only")
 
-    def crew(self, others: Any, points: Sequence[complex], *, workers: int, columns: int, damped: bool = True) -> Crew:
+    def worker_pool(
+        self, others: Any, points: Sequence[complex], *, workers: int, columns: int, damped: bool = True
+    ) -> WorkerPool:
         """Processes for a factorisation of A(s) at each of ``points``, with ``columns`` solved for.
 
         They share (system, ``others``). As many run as have room within the budget, ``workers`` at most.
@@ -147,10 +149,10 @@ class System:
             workers = min(workers, room)
             share = left // workers
         if workers == 1:
-            return Crew((self, others))
+            return WorkerPool((self, others))
         own = Budget(share, budget.scratch, in_memory=budget.in_memory, widest=budget.widest)
         there = replace(self, stiffness=self.stiffness.for_worker(own), budget=own)
-        return Crew((there, others), workers, scratch=budget.scratch)
+        return WorkerPool((there, others), workers, scratch=budget.scratch)
 
 
 def worker_bytes(factor: int, size: int, columns: int, structure: str) -> int:

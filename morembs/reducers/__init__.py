@@ -8,7 +8,6 @@ from morembs.reducers.automatic import AutoReducer
 from morembs.reducers.balanced import Balanced
 from morembs.reducers.base import MODE_KINDS, Basis, ReducedModel, Reducer
 from morembs.reducers.craig_bampton import CraigBampton
-from morembs.reducers.facts import Facts
 from morembs.reducers.free_interface import FreeInterface
 from morembs.reducers.gramian import Gramian
 from morembs.reducers.guyan import Guyan
@@ -16,6 +15,7 @@ from morembs.reducers.irka import Irka
 from morembs.reducers.krylov import Krylov
 from morembs.reducers.modal import Modal
 from morembs.reducers.parametric import ParametricReducer
+from morembs.reducers.problem_summary import ProblemSummary
 from morembs.reducers.static_modes_switching import StaticModesSwitching
 
 # One line for each method.

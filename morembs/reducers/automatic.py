@@ -89,7 +89,7 @@ class AutoReducer(OfResponses):
         except SolverError as fault:
             raise SolverError(f"tolerance = {self.tolerance:g} cannot be certified: {fault}") from fault
         search = FamilySearch(certified, omega, self.measure, self.tolerance, self.static_exact)
-        if search.hopeless():
+        if search.cannot_reach_tolerance():
             raise unreachable(self, search)
         coefficients: dict[str, Floats] = {}
         orders: dict[str, object] = {}

@@ -25,9 +25,9 @@ from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.sparse.select import select_solver
 from morembs.problem import Damping, Problem, System
 from morembs.reducers.base import Basis, elastic_basis
-from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.families import OfResponses
 from morembs.reducers.petrov_galerkin import two_sided_basis
+from morembs.reducers.problem_summary import ProblemSummary, ShiftedFactorisations
 from morembs.reducers.second_order_balancing import (
     ONE_SIDED,
     VARIANTS,
@@ -42,7 +42,7 @@ from morembs.reducers.second_order_balancing import (
 from morembs.reducers.tolerances import TOL
 from morembs.responses.band import Band
 from morembs.responses.loads import elastic_part, unit_loads
-from morembs.responses.reference import Reference, reference_model
+from morembs.responses.reference import ModalReference, reference_model
 
 INSTEAD = "give band_hz = [lower, upper], or replace the modal damping by alpha and beta"
 BALANCING = ("bfsr", "sr")
@@ -55,7 +55,7 @@ class _Gramian:
     Zp: Floats
     Zv: Floats
     products: Products
-    reference: Reference | None
+    reference: ModalReference | None
     notes: Mapping[str, object]
 
     def lift(self, Z: Floats, C: Floats, problem: Problem) -> Floats:
@@ -101,13 +101,13 @@ class Balanced(OfResponses):
     def two_sided(self) -> bool:
         return self.variant not in ONE_SIDED
 
-    def why_no_response(self, facts: Facts) -> str:
+    def why_no_response(self, facts: ProblemSummary) -> str:
         if self.band_hz is not None:
             own = "band_hz needs proportional damping, and this model has its own damping matrix; leave band_hz away"
             return own if facts.own_damping else ""
         return _why_no_gramian(facts.damping, facts.own_damping)
 
-    def shifted(self, facts: Facts) -> Sequence[Shifted]:
+    def shifted(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
         # The iteration over all frequencies has a solver of its own where that of the job takes no complex matrices.
         return super().shifted(facts) if self.band_hz is not None else ()
 
@@ -229,7 +229,7 @@ def _why_no_gramian(damping: Damping, own: bool) -> str:
     return ""
 
 
-def _up_to(problem: Problem, top: float) -> Reference:
+def _up_to(problem: Problem, top: float) -> ModalReference:
     """Reference from zero to ``top`` (rad/s)."""
     omega = np.linspace(0.0, top, TOL.reference_samples)
     try:
@@ -261,7 +261,7 @@ def _over_band(problem: Problem, band_hz: tuple[float, float]) -> _Gramian:
     return _Gramian(Zp=Zp, Zv=Zv, products=_modal_products(reference, Zp, Zv), reference=reference, notes=notes)
 
 
-def _modal_products(reference: Reference, Zp: Floats, Zv: Floats) -> Products:
+def _modal_products(reference: ModalReference, Zp: Floats, Zv: Floats) -> Products:
     # The pairing of positions and velocities takes structural damping at its equivalent at each resonance.
     D = reference.damping_at_resonance()[:, None]
     return Products.of(Zp.T @ Zp, Zp.T @ Zv, Zv.T @ Zv, Zp.T @ (D * Zp), Zp.T @ (D * Zv))

@@ -30,9 +30,9 @@ from morembs.linalg.columns import (
     without_rigid_motion,
 )
 from morembs.linalg.complex_modes import small_complex_modes
-from morembs.linalg.eigen import graded_modes
+from morembs.linalg.eigen import accurate_eigh
 from morembs.problem import AS_A_RULE, LOST, SOFTER, Problem
-from morembs.reducers.facts import Facts, Shifted
+from morembs.reducers.problem_summary import ProblemSummary, ShiftedFactorisations
 from morembs.reducers.tolerances import TOL
 from morembs.responses.massless import massless_motions, massless_words
 
@@ -152,9 +152,9 @@ class ReducedModel(FormerMethod):
         """
         r = self.rigid_count
         if self.symmetric:
-            return graded_modes(self.K, self.M)
+            return accurate_eigh(self.K, self.M)
         if self.congruent:
-            values, Y = graded_modes(symmetric(self.K), self.M)
+            values, Y = accurate_eigh(symmetric(self.K), self.M)
             # Flow may make elastic modes softer than rigid motion.
             rigid = np.sort(np.argsort(np.abs(values))[:r])
             order = np.concatenate([rigid, np.delete(np.arange(self.order), rigid)])
@@ -225,7 +225,7 @@ class Reducer(ABC):
         """[low, high] in Hz over which an error is promised, None where none is."""
         return None
 
-    def why_not(self, facts: Facts) -> str:
+    def why_not(self, facts: ProblemSummary) -> str:
         """Why such a problem cannot be reduced, as far as is known before a factorisation; "" where it can."""
         if not facts.symmetric and not self.takes_unsymmetric:
             return (
@@ -236,11 +236,11 @@ class Reducer(ABC):
             return f'method "{self.method}" needs interfaces; add at least one [[interface]], or take method = "modal"'
         return ""
 
-    def shifted(self, facts: Facts) -> Sequence[Shifted]:
+    def shifted(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
         """What is factorised beside K."""
         return ()
 
-    def seconds(self, facts: Facts, factor_entries: int = 0) -> float | None:
+    def seconds(self, facts: ProblemSummary, factor_entries: int = 0) -> float | None:
         """Time in addition to the factorisation, within a factor of about three; None where it cannot be predicted."""
         return None
 
@@ -278,7 +278,7 @@ class Reducer(ABC):
             SingularMatrixError: the model has a mechanism.
             SolverError: the stiffness of the basis is not that of the model.
         """
-        reason = self.why_not(Facts.of(problem))
+        reason = self.why_not(ProblemSummary.of(problem))
         if reason:
             raise InputError(reason)
         massless = massless_motions(problem)
@@ -381,7 +381,7 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
         # Nothing but rigid motion, whose stiffness is zero and has no size.
         return
     coupled = basis.W is None and np.count_nonzero(K) > np.count_nonzero(np.diag(K))
-    values, Y = graded_modes(K, M) if coupled else (np.abs(np.diag(K)), np.eye(n))
+    values, Y = accurate_eigh(K, M) if coupled else (np.abs(np.diag(K)), np.eye(n))
     # Round-off in K V y, at most: the norms of columns add up.
     noise = (np.sqrt(problem.rounding(V)) @ np.abs(Y)) ** 2 / TOL.stiffness_error
     lowest = values[r]
@@ -436,7 +436,7 @@ def elastic_basis(problem: Problem, X: Floats, kind: str, notes: Mapping[str, ob
     def stiffness(Y: Floats) -> Floats:
         return projected(multiply(V, Y, problem.budget), problem.K, problem.budget)
 
-    values, Y = graded_modes(projected(V, problem.K, problem.budget), projected=stiffness)
+    values, Y = accurate_eigh(projected(V, problem.K, problem.budget), projected=stiffness)
     multiply_into(V, Y, V, problem.budget)
     V = fix_signs(V, problem.budget)
     r, m = problem.rigid.shape[1], V.shape[1]

@@ -24,9 +24,9 @@ from morembs.base.limits import Count, PositiveHertz
 from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, add_residual_modes
-from morembs.reducers.facts import Facts
 from morembs.reducers.families import OfModes, squared
 from morembs.reducers.interface_modes import FixedInterfaceBody, interface_modes, static_error
+from morembs.reducers.problem_summary import ProblemSummary
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ class CraigBampton(OfModes):
     def takes_unsymmetric(self) -> bool:
         return True
 
-    def why_not(self, facts: Facts) -> str:
+    def why_not(self, facts: ProblemSummary) -> str:
         reason = super().why_not(facts)
         if not reason and (self.interface_modes or 0) > facts.inputs:
             return (

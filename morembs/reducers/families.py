@@ -12,7 +12,7 @@ from morembs.base.errors import InputError
 from morembs.base.limits import Count, PositiveHertz
 from morembs.reducers.base import Reducer
 from morembs.reducers.cost import mode_seconds, response_seconds
-from morembs.reducers.facts import Facts, Shifted
+from morembs.reducers.problem_summary import ProblemSummary, ShiftedFactorisations
 from morembs.responses.direct import why_no_response
 
 
@@ -46,7 +46,7 @@ class OfModes(Reducer):
     def computes_modes(self) -> bool:
         return True
 
-    def why_not(self, facts: Facts) -> str:
+    def why_not(self, facts: ProblemSummary) -> str:
         if self.mode_count > facts.size:
             return (
                 f"modes = {self.modes} was given, but the coupled model has only {facts.size} degrees of freedom; ask "
@@ -54,7 +54,7 @@ class OfModes(Reducer):
             )
         return super().why_not(facts)
 
-    def seconds(self, facts: Facts, factor_entries: int = 0) -> float | None:
+    def seconds(self, facts: ProblemSummary, factor_entries: int = 0) -> float | None:
         return None if self.modes is None else mode_seconds(facts.size, self.modes, factor_entries)
 
 
@@ -71,18 +71,18 @@ class OfResponses(Reducer):
     def follows_responses(self) -> bool:
         return True
 
-    def why_not(self, facts: Facts) -> str:
+    def why_not(self, facts: ProblemSummary) -> str:
         reason = self.why_no_response(facts)
         return super().why_not(facts) or (f'method "{self.method}": {reason}' if reason else "")
 
-    def why_no_response(self, facts: Facts) -> str:
+    def why_no_response(self, facts: ProblemSummary) -> str:
         """Why the full model has no response to follow."""
         return why_no_response(facts.damping, facts.own_damping, facts.size)
 
-    def shifted(self, facts: Facts) -> Sequence[Shifted]:
+    def shifted(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
         return facts.at_frequencies(0)
 
-    def seconds(self, facts: Facts, factor_entries: int = 0) -> float | None:
+    def seconds(self, facts: ProblemSummary, factor_entries: int = 0) -> float | None:
         return response_seconds(facts.size, facts.inputs, factor_entries, self.of_reference)
 
 

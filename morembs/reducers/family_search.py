@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
-from morembs.linalg.eigen import graded_modes
+from morembs.linalg.eigen import accurate_eigh
 from morembs.linalg.quadrature import trapezoid
 from morembs.problem.damping import Damping
 from morembs.reducers.tolerances import TOL
@@ -25,7 +25,7 @@ from morembs.responses.rounding import Response
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Small:
+class ModalModel:
     """A model in its modal coordinates: eigenvalues ``theta`` (n,), loads ``B`` (n, p), ``D`` (n, n) if ``damping``
     does not say all."""
 
@@ -73,7 +73,7 @@ class FamilySearch:
         self.F = reference.F * load_scale(problem.motion_scale, reference.F, reference.F / reference.values[:, None])
         # Inertia loads must not make the errors between interface motions look small, nor the other way round.
         self.counted = (reference.inputs, *([self.F.shape[1]] if self.F.shape[1] > reference.inputs else []))
-        self.whole = Small(theta=reference.values, B=self.F, D=reference.D, damping=reference.damping)
+        self.whole = ModalModel(theta=reference.values, B=self.F, D=reference.D, damping=reference.damping)
         self.looked: Floats = np.zeros(0)
         self._look_at(omega)
         # In narrow bands some of ``omega`` are equal: those that are looked at are not.
@@ -143,7 +143,7 @@ class FamilySearch:
             return False
         return True
 
-    def hopeless(self) -> bool:
+    def cannot_reach_tolerance(self) -> bool:
         """Whether not even all modes of the reference hold the tolerance: what is not known of it counts at zeros."""
         if self.measure != "pointwise" or self._decided(np.eye(len(self.reference.values))):
             return False
@@ -216,7 +216,7 @@ class FamilySearch:
         """Norms (nf, 2) of the part between interface motions and of the whole of ``H`` (nf, p, p)."""
         return np.stack([np.linalg.norm(H[:, :m, :m], axis=(1, 2)) for m in self.counted], axis=1)
 
-    def _reduced(self, C: Floats, real: Floats | None = None) -> tuple[Small, Floats]:
+    def _reduced(self, C: Floats, real: Floats | None = None) -> tuple[ModalModel, Floats]:
         """The model on span(C), and its modes (k, n) in those of the reference; ``real`` (n,) replaces its
         eigenvalues."""
         reference = self.reference
@@ -224,10 +224,10 @@ class FamilySearch:
         def stiffness(Y: Floats) -> Floats:
             return np.asarray((C @ Y).T @ (reference.values[:, None] * (C @ Y)))
 
-        theta, Y = graded_modes(stiffness(np.eye(C.shape[1])), projected=stiffness)
+        theta, Y = accurate_eigh(stiffness(np.eye(C.shape[1])), projected=stiffness)
         V = C @ Y
         D = None if reference.D is None else V.T @ reference.D @ V
-        return Small(theta=theta if real is None else real, B=V.T @ self.F, D=D, damping=reference.damping), V
+        return ModalModel(theta=theta if real is None else real, B=V.T @ self.F, D=D, damping=reference.damping), V
 
     def _orthonormal(self, X: Floats) -> Floats:
         """Orthonormal basis of the columns of ``X``, the dependent ones dropped."""
@@ -265,7 +265,7 @@ class FamilySearch:
         """Responses of the undamped model (k, n), at 0 Hz first, then where the error is largest."""
         values, shifts = self.reference.values, [0.0]
         for _ in range(TOL.greedy_steps):
-            blocks = [self.F / apart(values, shift)[:, None] for shift in shifts]
+            blocks = [self.F / distances_to_shift(values, shift)[:, None] for shift in shifts]
             C = self._orthonormal(np.hstack(blocks))
             errors = self.errors(C)
             # Beside a shift that is there already a new one would add next to nothing.
@@ -287,7 +287,7 @@ class FamilySearch:
         return np.asarray(np.linalg.qr(np.hstack([static, np.eye(len(self.F))]))[0][:, : len(self.F)])
 
 
-def apart(values: Floats, shift: float) -> Floats:
+def distances_to_shift(values: Floats, shift: float) -> Floats:
     """``values`` - shift^2 (k,), for a shift half a percent higher where it hits a resonance."""
     if (np.abs(np.sqrt(values) - shift) < TOL.on_resonance * shift).any():
         shift *= TOL.shift_move

@@ -25,22 +25,22 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.base import progress
-from morembs.base.crew import Crew
 from morembs.base.errors import InputError
 from morembs.base.limits import PositiveCount, number, one_of
 from morembs.base.types import Floats
+from morembs.base.worker_pool import WorkerPool
 from morembs.linalg.columns import hstack, m_norms, map_columns, orthonormal, project_out
 from morembs.linalg.gramians import StreamedSVD, WeightedSVD, snapshot_factor
 from morembs.linalg.quadrature import gauss, modal_poles, resonant
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, elastic_basis
-from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.families import OfResponses
+from morembs.reducers.problem_summary import ProblemSummary, ShiftedFactorisations
 from morembs.reducers.tolerances import TOL
 from morembs.responses.band import Band
-from morembs.responses.direct import state, states_crew, why_no_response
+from morembs.responses.direct import state, states_pool, why_no_response
 from morembs.responses.loads import elastic_part, load_scale, unit_loads
-from morembs.responses.reference import Reference, reference_model
+from morembs.responses.reference import ModalReference, reference_model
 
 WEIGHTS = ("position", "velocity")
 # Tolerances below this ask for singular values that are round-off.
@@ -86,19 +86,19 @@ class Gramian(OfResponses):
         if (self.order is None) == (self.tolerance is None):
             raise InputError('method "gramian" needs either order = COUNT or tolerance = PART (one of the two)')
 
-    def why_no_response(self, facts: Facts) -> str:
+    def why_no_response(self, facts: ProblemSummary) -> str:
         if not self.direct:
             return super().why_no_response(facts)
         if facts.damping.is_modal and not facts.own_damping:
             return "modal damping is known mode by mode only; take direct = false"
         return why_no_response(facts.damping, facts.own_damping, None)
 
-    def shifted(self, facts: Facts) -> Sequence[Shifted]:
+    def shifted(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
         if not self.direct:
             return super().shifted(facts)
         count = self.points or TOL.direct_points
         # Damped, or beside the imaginary axis.
-        return [Shifted(structure="complex-symmetric", count=count, columns=facts.inputs, at_once=count)]
+        return [ShiftedFactorisations(structure="complex-symmetric", count=count, columns=facts.inputs, at_once=count)]
 
     def _basis(self, problem: Problem) -> Basis:
         low, high = (2 * np.pi * f for f in self.band_hz)
@@ -156,16 +156,16 @@ class Gramian(OfResponses):
         # The highest first: it tells whether there are any dynamics.
         points, weights = [complex(delta, w) for w in omega[::-1]], weights[::-1]
 
-        def snapshots(crew: Crew) -> Iterator[Floats]:
-            for k, U in enumerate(crew.each(state, points)):
+        def snapshots(pool: WorkerPool) -> Iterator[Floats]:
+            for k, U in enumerate(pool.each(state, points)):
                 progress.update(f"responses of the band: {k + 1} of {len(points)}")
                 if not k:
                     self._refuse_statics(U, G, X)
                 yield self._factor(U[None], np.array(points[k : k + 1]), weights[k : k + 1])
 
         svd = StreamedSVD(X, 2 * F.shape[1] * len(omega), budget)
-        with states_crew(problem, points, F) as crew:
-            first, V = self._pod(snapshots(crew), G, X, svd, notes)
+        with states_pool(problem, points, F) as pool:
+            first, V = self._pod(snapshots(pool), G, X, svd, notes)
         notes |= {"quadrature_points": len(omega), "delta_1_per_s": delta}
         return hstack(first, V, budget=budget)
 
@@ -217,7 +217,7 @@ class Gramian(OfResponses):
             )
 
 
-def _shift(reference: Reference, low: float, high: float) -> float:
+def _shift(reference: ModalReference, low: float, high: float) -> float:
     """Real part of the path in 1/s: zero unless a mode that resonates in the band is undamped."""
     at, undamped = np.sqrt(reference.values), reference.damping_at_resonance() <= 0
     return (

@@ -27,11 +27,11 @@ from morembs.linalg.quadrature import trapezoid
 from morembs.linalg.second_order_arnoldi import PASSES
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, elastic_basis
-from morembs.reducers.facts import Facts
 from morembs.reducers.families import OfResponses
+from morembs.reducers.problem_summary import ProblemSummary
 from morembs.reducers.tolerances import TOL
 from morembs.responses.band import Band
-from morembs.responses.reference import Reference, reference_model
+from morembs.responses.reference import ModalReference, reference_model
 
 # Places about a resonance, in half power widths, where its peak is sampled.
 PEAK = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
@@ -66,7 +66,7 @@ class Irka(OfResponses):
     max_steps: PositiveCount = 50
     tolerance: RelativeError = 1e-4
 
-    def why_not(self, facts: Facts) -> str:
+    def why_not(self, facts: ProblemSummary) -> str:
         if facts.damping.structural:
             return (
                 f'method "{self.method}" follows poles of viscous damping, which structural damping has not; replace '
@@ -157,7 +157,7 @@ class _Run:
 class _Band:
     """The reference with s moved by ``delta`` (M = I, K + delta D + delta^2, D + 2 delta), and its response."""
 
-    def __init__(self, reference: Reference, low: float, high: float) -> None:
+    def __init__(self, reference: ModalReference, low: float, high: float) -> None:
         self.reference = reference
         values, d = reference.values, reference.damping_of_modes()
         inside = values <= (TOL.modes_beyond * high) ** 2

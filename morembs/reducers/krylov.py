@@ -28,9 +28,9 @@ from morembs.linalg.columns import complement, dot, hstack, map_columns, multipl
 from morembs.linalg.second_order_arnoldi import PASSES
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, Reducer, elastic_basis
-from morembs.reducers.facts import Facts, Shifted
 from morembs.reducers.petrov_galerkin import two_sided_basis
-from morembs.reducers.shifts import Wanted, expansion_point, grow_at_once
+from morembs.reducers.problem_summary import ProblemSummary, ShiftedFactorisations
+from morembs.reducers.shifts import KrylovStart, expansion_point, extend_in_parallel
 from morembs.reducers.tolerances import TOL
 from morembs.responses.loads import elastic_part, inertia_loads, load_scale
 
@@ -109,7 +109,7 @@ class Krylov(Reducer):
     def needs_interfaces(self) -> bool:
         return not self.inertia_loads
 
-    def why_not(self, facts: Facts) -> str:
+    def why_not(self, facts: ProblemSummary) -> str:
         columns = facts.coupling.columns
         for key, given in (("inputs", self.inputs), ("outputs", self.outputs)):
             for name in given or []:
@@ -117,7 +117,7 @@ class Krylov(Reducer):
                     return f"{key} name the interface {name!r}, which does not exist; {nearest(name, columns)}"
         return super().why_not(facts)
 
-    def shifted(self, facts: Facts) -> Sequence[Shifted]:
+    def shifted(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
         return facts.at_shifts((s for s, _ in self._points()), facts.inputs, at_once=self.tangential is None)
 
     def _basis(self, problem: Problem) -> Basis:
@@ -187,30 +187,30 @@ class Krylov(Reducer):
         if all(space.whole(self.tangential) for space in spaces):
             # The loads do not depend on the points before: all points at once.
             points = [(expansion_point(problem, s), count) for s, count in self._points()]
-            wanted_at: list[dict[object, Wanted]] = [
+            wanted_at: list[dict[object, KrylovStart]] = [
                 {
-                    (space.names, *side): Wanted(space.F, count, bool(side))
+                    (space.names, *side): KrylovStart(space.F, count, bool(side))
                     for space in spaces
                     for side in _sides(problem, point.asked)
                 }
                 for point, count in points
             ]
-            grow_at_once(problem, [point for point, _ in points], wanted_at)
+            extend_in_parallel(problem, [point for point, _ in points], wanted_at)
         for s, count in self._points():
             shift = expansion_point(problem, s)
             what = f"shift {in_hz(abs(s)):.6g} Hz" if s.imag or not s else f"real shift {s.real:.6g} 1/s"
-            wanted: dict[object, Wanted] = {}
+            wanted: dict[object, KrylovStart] = {}
             growing = []
             for space in spaces:
                 key, F = space.loads(shift.at, self.tangential)
                 if F.shape[1]:
                     for side in _sides(problem, s):
-                        wanted[space.names, *key, *side] = Wanted(F, count, bool(side))
+                        wanted[space.names, *key, *side] = KrylovStart(F, count, bool(side))
                         growing.append(space)
                 else:
                     lost.append(f"{what}: the space carries all {space.name} already, nothing was solved")
             progress.update(f"{self.method}: {what}, {sum(space.size for space in spaces)} columns so far")
-            for space, chain in zip(growing, shift.grow(wanted), strict=True):
+            for space, chain in zip(growing, shift.extend(wanted), strict=True):
                 for j, block in enumerate(chain.blocks[:count]):
                     deflated = chain.deflated[j] + space.add(block)
                     if deflated:

@@ -11,8 +11,8 @@ from morembs.base.limits import one_of
 from morembs.linalg.columns import hstack
 from morembs.problem import Problem
 from morembs.reducers.base import Basis
-from morembs.reducers.facts import Facts
 from morembs.reducers.families import OfModes
+from morembs.reducers.problem_summary import ProblemSummary
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Modal(OfModes):
     def needs_interfaces(self) -> bool:
         return self.interfaces == "fixed"
 
-    def why_not(self, facts: Facts) -> str:
+    def why_not(self, facts: ProblemSummary) -> str:
         if self.needs_interfaces and not facts.inputs:
             return 'interfaces = "fixed" needs interfaces; add at least one [[interface]], or leave it out'
         return super().why_not(facts)

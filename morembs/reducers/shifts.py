@@ -29,7 +29,7 @@ from morembs.reducers.tolerances import TOL
 
 
 @dataclass(eq=False)
-class Wanted:
+class KrylovStart:
     """``count`` blocks started at the loads ``F`` (Nc, p), of A(s) or of its transpose."""
 
     F: Floats
@@ -125,7 +125,7 @@ class ExpansionPoint:
         """Whether nothing was made here yet, and a factor is needed for it."""
         return bool(self.asked) and not self.chains and not self.moves
 
-    def grow(self, wanted: Mapping[object, Wanted]) -> list[KrylovChain]:
+    def extend(self, wanted: Mapping[object, KrylovStart]) -> list[KrylovChain]:
         """The wanted chains, as long as wanted or as the space is; at most one factorisation where nothing moves.
 
         A point on an eigenvalue is moved by half a percent, up to three times.
@@ -158,11 +158,11 @@ class ExpansionPoint:
                 self.at, self.moves = self.at * TOL.shift_move, self.moves + 1
         return [self.chains[key] for key in wanted]
 
-    def lacks(self, wanted: Mapping[object, Wanted]) -> bool:
+    def lacks(self, wanted: Mapping[object, KrylovStart]) -> bool:
         """Whether blocks of ``wanted`` are still to be made."""
         return not all(self._long_enough(key, want.count) for key, want in wanted.items())
 
-    def take(self, grown: Grown, wanted: Mapping[object, Wanted]) -> None:
+    def take(self, grown: KrylovBlocks, wanted: Mapping[object, KrylovStart]) -> None:
         """Chains that another process made of ``wanted``."""
         self.at, self.moves = grown.at, grown.moves
         for key, (blocks, deflated, ended) in zip(wanted, grown.chains, strict=True):
@@ -173,7 +173,7 @@ class ExpansionPoint:
         chain = self.chains.get(key)
         return chain is not None and (len(chain.blocks) >= count or chain.finished)
 
-    def _extend(self, wanted: Mapping[object, Wanted]) -> None:
+    def _extend(self, wanted: Mapping[object, KrylovStart]) -> None:
         with self._inverse() as solve:
             for key, want in wanted.items():
                 if self._long_enough(key, want.count):
@@ -221,7 +221,7 @@ def expansion_point(problem: Problem, s: complex) -> ExpansionPoint:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Grown:
+class KrylovBlocks:
     """What a process made of an expansion point: where it was moved to, and blocks, losses and end of each chain."""
 
     at: complex
@@ -229,7 +229,9 @@ class Grown:
     chains: list[tuple[list[Floats], list[int], bool]]
 
 
-def grow_at_once(problem: Problem, points: Sequence[ExpansionPoint], wanted: Sequence[Mapping[object, Wanted]]) -> None:
+def extend_in_parallel(
+    problem: Problem, points: Sequence[ExpansionPoint], wanted: Sequence[Mapping[object, KrylovStart]]
+) -> None:
     """Grow several expansion points on the workers of ``problem``, one factorisation each; one worker grows none.
 
     Loads (Nc, p) of one key are the same at all points. Points at zero are left out, as the problem has their factor.
@@ -244,20 +246,20 @@ def grow_at_once(problem: Problem, points: Sequence[ExpansionPoint], wanted: Seq
     tasks = [(point.asked, {k: (each.count, each.transposed) for k, each in want.items()}) for point, want in open_]
     columns = sum(F.shape[1] for F in loads.values())
     asked = [point.asked for point, _ in open_]
-    with problem.system.crew(loads, asked, workers=problem.workers, columns=columns, damped=False) as crew:
-        if crew.workers < 2:
+    with problem.system.worker_pool(loads, asked, workers=problem.workers, columns=columns, damped=False) as pool:
+        if pool.workers < 2:
             return
-        for number, ((point, want), grown) in enumerate(zip(open_, crew.each(_grown, tasks), strict=True)):
-            progress.update(f"shift {number + 1} of {len(tasks)}, on {crew.workers} workers")
+        for number, ((point, want), grown) in enumerate(zip(open_, pool.each(_grown, tasks), strict=True)):
+            progress.update(f"shift {number + 1} of {len(tasks)}, on {pool.workers} workers")
             point.take(grown, want)
 
 
 def _grown(
     shared: tuple[System, Mapping[object, Floats]], task: tuple[complex, Mapping[object, tuple[int, bool]]]
-) -> Grown:
+) -> KrylovBlocks:
     system, loads = shared
     s, counts = task
     point = ExpansionPoint(system, s)
-    chains = point.grow({key: Wanted(loads[key], *asked) for key, asked in counts.items()})
+    chains = point.extend({key: KrylovStart(loads[key], *asked) for key, asked in counts.items()})
     parts = [(chain.blocks, chain.deflated, chain.finished) for chain in chains]
-    return Grown(at=point.at, moves=point.moves, chains=parts)
+    return KrylovBlocks(at=point.at, moves=point.moves, chains=parts)

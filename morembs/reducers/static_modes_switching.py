@@ -29,11 +29,11 @@ from morembs.problem import Problem
 from morembs.reducers.base import Basis, ReducedModel, Reducer
 from morembs.reducers.candidates import NORMALS, Candidates
 from morembs.reducers.craig_bampton import CraigBampton
-from morembs.reducers.facts import Facts
 from morembs.reducers.free_interface import FreeInterface
 from morembs.reducers.gramian import Gramian
 from morembs.reducers.krylov import Krylov
 from morembs.reducers.modal import Modal
+from morembs.reducers.problem_summary import ProblemSummary
 from morembs.reducers.switching_tables import KINDS, StaticModeTables
 from morembs.reducers.tolerances import TOL
 
@@ -131,7 +131,7 @@ class StaticModesSwitching(Reducer):
     def follows_responses(self) -> bool:
         return self.base_reducer().follows_responses
 
-    def why_not(self, facts: Facts) -> str:
+    def why_not(self, facts: ProblemSummary) -> str:
         base = self.base_reducer()
         if base.two_sided:
             return "static modes switching needs a symmetric constant basis; leave two_sided out"
@@ -141,7 +141,7 @@ class StaticModesSwitching(Reducer):
             return str(error)
         return base.why_not(facts)
 
-    def seconds(self, facts: Facts, factor_entries: int = 0) -> float | None:
+    def seconds(self, facts: ProblemSummary, factor_entries: int = 0) -> float | None:
         return self.base_reducer().seconds(facts, factor_entries)
 
     def in_units(self, length: float) -> Self:

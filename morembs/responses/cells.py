@@ -33,7 +33,7 @@ class Bounds:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Cells:
+class BandCells:
     """Cells that cover a band: ``edges`` (nc, 2) in rad/s, ``upper`` (nc, t); of the whole band ``lower`` (t,) values
     that are reached at ``at`` (t,) rad/s. ``decided`` is False where a lower value exceeded what was allowed, ``whole``
     where cells were not halved any more because there were too many."""
@@ -46,7 +46,7 @@ class Cells:
     whole: bool = True
 
 
-def search(
+def branch_and_bound(
     bounds: Callable[[Floats, Floats], Bounds],
     resolved: Callable[[Floats, Floats], Bools],
     edges: Floats,
@@ -55,7 +55,7 @@ def search(
     allowed: Floats | None = None,
     per_cell: int = 1,
     most: int = TOL.max_cells,
-) -> Cells:
+) -> BandCells:
     """Halve cells until all are done.
 
     ``bounds(low, high)`` of cells, ``resolved(low, high)`` where they mean anything; ``edges`` (n + 1,) to begin with;
@@ -93,10 +93,10 @@ def search(
     cells = np.concatenate([np.stack([part[0], part[1]], axis=1) for part in kept])
     order = np.argsort(cells[:, 0], kind="stable")
     upper = np.concatenate([part[2] for part in kept])
-    return Cells(edges=cells[order], upper=upper[order], lower=best, at=at, decided=decided, whole=whole)
+    return BandCells(edges=cells[order], upper=upper[order], lower=best, at=at, decided=decided, whole=whole)
 
 
-def first_edges(low: float, high: float, inside: Floats) -> Floats:
+def initial_partition(low: float, high: float, inside: Floats) -> Floats:
     """Edges (n + 1,) of the first cells of a band in rad/s, with those of ``inside`` it as ends."""
     least = TOL.least_cell_width * high
     inside = inside[(inside > low + least) & (inside < high - least)]

@@ -30,15 +30,15 @@ from morembs.problem.damping import Damping
 from morembs.responses.band import beyond, checked_band
 from morembs.responses.clusters import clusters, damping_of_clusters
 from morembs.responses.direct import refuse_skew_parts
-from morembs.responses.krylov_space import KrylovSpace, RitzModes, root
-from morembs.responses.layout import Layout
+from morembs.responses.krylov_space import ReferenceBasis, RitzModes, root
+from morembs.responses.layout import BlockIndex
 from morembs.responses.loads import unit_loads
-from morembs.responses.measures import Standard
+from morembs.responses.measures import ReferenceResponse
 from morembs.responses.pencils import response_of
-from morembs.responses.rational import Terms, squares
-from morembs.responses.reference import Reference, ReferenceSpace, reference_model, reference_space, stands_still
+from morembs.responses.rational import PoleResidueForm, squares
+from morembs.responses.reference import ModalReference, ReferenceSpace, has_stagnated, reference_model, reference_space
 from morembs.responses.residual_bound import Residual, numerator, slope
-from morembs.responses.rounding import EPS, Rounding
+from morembs.responses.rounding import EPS, RoundoffBound
 from morembs.responses.tolerances import TOL
 
 
@@ -79,7 +79,7 @@ class CertifiedReference:
     (True, True)
     """
 
-    model: Reference
+    model: ModalReference
     band_hz: tuple[float, float]
     floor: float
     unsure: Floats
@@ -124,24 +124,24 @@ class CertifiedReference:
         """Scaled loads (n, m) of the modes."""
         return np.asarray(self.model.B * self.problem.motion_scale)
 
-    def standard(self, symmetric: bool = True) -> Standard:
+    def standard(self, symmetric: bool = True) -> ReferenceResponse:
         """What bodies, ``symmetric`` or not, are measured against."""
         return self._for_symmetric if symmetric else self._for_any
 
     @cached_property
-    def _for_symmetric(self) -> Standard:
+    def _for_symmetric(self) -> ReferenceResponse:
         return self._standard(symmetric=True)
 
     @cached_property
-    def _for_any(self) -> Standard:
+    def _for_any(self) -> ReferenceResponse:
         return self._standard(symmetric=False)
 
-    def _standard(self, symmetric: bool) -> Standard:
-        layout = Layout(self.b.shape[1], list(self.problem.coupling.columns.values()), symmetric)
+    def _standard(self, symmetric: bool) -> ReferenceResponse:
+        layout = BlockIndex(self.b.shape[1], list(self.problem.coupling.columns.values()), symmetric)
         damping, D = self.model.damping, self.model.D
         stiffness = self.values * (1 + 1j * damping.structural)
         d = damping.of_modes(self.values) if D is None else damping_of_clusters(self.values, D)[0]
-        modes = Terms.second_order(stiffness, d, layout.rows(self.b, self.b))
+        modes = PoleResidueForm.second_order(stiffness, d, layout.rows(self.b, self.b))
         H = modes
         if D is not None:
             H = response_of(
@@ -156,12 +156,12 @@ class CertifiedReference:
             ).terms
         highest = abs(1 + 1j * (damping.structural + damping.beta * 2 * np.pi * self.band_hz[1]))
         lost = np.sqrt(highest * self.unsure)
-        rounding = Rounding.of(layout, self.b, self.b, lost, lost, self.b_off, self.b_off)
+        rounding = RoundoffBound.of(layout, self.b, self.b, lost, lost, self.b_off, self.b_off)
         # What the small eigenproblem leaves of the couplings between modes above the cut, of which the band may be far
         # below the first.
         above = self.values[self.values >= self.cut]
         floor = TOL.small_eigen_eps * EPS * float(above.max(initial=0.0)) / float(above.min(initial=np.inf))
-        return Standard(
+        return ReferenceResponse(
             H=H,
             modes=modes,
             sizes=layout.sizes(self.b, clusters(self.values)),
@@ -286,7 +286,7 @@ class _Build:
             counted=self.modes.counted,
         )
 
-    def _rounding(self, model: Reference) -> Floats:
+    def _rounding(self, model: ModalReference) -> Floats:
         """What round-off in K and D, that of stiff links and dampers too, makes of the energies (n,) of all modes."""
         problem, n = self.problem, len(model.values)
         weights, width = scaled_row_sums(problem.D), problem.budget.columns(len(model.V))
@@ -312,7 +312,7 @@ class _Build:
                 error = float(reference.off.max())
             seen.append(error)
             # Where round-off hides the rest, limits say how much.
-            if stands_still(seen) or not growth.grow(error):
+            if has_stagnated(seen) or not growth.grow(error):
                 return self._reference(growth)
 
     def _guess(self, growth: ReferenceSpace) -> float:
@@ -337,11 +337,11 @@ class _Build:
     def _reference(self, growth: ReferenceSpace) -> CertifiedReference:
         """The reference on the space as it is, with the modes that it misses."""
         problem = self.problem
-        space = KrylovSpace(problem, growth, self.modes)
+        space = ReferenceBasis(problem, growth, self.modes)
         values, Y = sl.eigh(space.stiffness)
         k = int((values < self.cut).sum())
         if k != len(self.modes.eigenvalues):
-            space = KrylovSpace(problem, growth, self.modes, everything=True)
+            space = ReferenceBasis(problem, growth, self.modes, everything=True)
             values, Y = sl.eigh(space.stiffness)
             k = int((values < self.cut).sum())
         if k != len(self.modes.eigenvalues):
@@ -369,7 +369,7 @@ class _Build:
             without = replace(left, lost=np.zeros(len(left.lost))).bounds(self.band, self.tolerance)[1]
             self.hidden = off.max() > self.tolerance >= without.max()
         sigma = modes.values * np.sqrt(left.own)
-        model = Reference(
+        model = ModalReference(
             values=modes.values,
             D=None,
             damping=self.damping,
@@ -398,7 +398,7 @@ class _Build:
             least=left.least,
         )
 
-    def _loads(self, space: KrylovSpace, modes: RitzModes) -> Floats:
+    def _loads(self, space: ReferenceBasis, modes: RitzModes) -> Floats:
         """(n, p) of the modes, those of inertia behind those of the interfaces."""
         problem = self.problem
         F = modes.b / problem.motion_scale
@@ -407,7 +407,7 @@ class _Build:
             F = np.hstack([F, modes.Y.T @ dot(space.V, others, problem.budget)])
         return F
 
-    def _start(self, growth: ReferenceSpace, space: KrylovSpace, modes: RitzModes) -> float:
+    def _start(self, growth: ReferenceSpace, space: ReferenceBasis, modes: RitzModes) -> float:
         """|r_0| in the norm of K^-1: what the space misses of the static responses, round-off."""
         problem = self.problem
         X, left = growth.statics

@@ -21,10 +21,10 @@ from morembs.base.errors import SolverError
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import in_hz
 from morembs.linalg.columns import complement, dot, hstack, multiply, orthonormal, projected, symmetric
-from morembs.linalg.eigen import graded_modes
+from morembs.linalg.eigen import accurate_eigh
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
 from morembs.problem import SOFTER, Problem
-from morembs.responses.direct import state, states_crew
+from morembs.responses.direct import state, states_pool
 from morembs.responses.tolerances import TOL
 
 
@@ -59,7 +59,7 @@ class DampedSpace:
         loads, good, visited = self.F * self.scale, 0, list[float]()
         wanted = list(dict.fromkeys([float(omega.max()), float(grid[len(grid) // 2])]))
         before: Complexes = np.zeros((0, 0, 0), dtype=complex)
-        with states_crew(self.problem, [1j * wanted[0]] * TOL.shifts_at_once, loads) as crew:
+        with states_pool(self.problem, [1j * wanted[0]] * TOL.shifts_at_once, loads) as pool:
             while True:
                 values, Y, D = self._small()
                 F = Y.T @ dot(self.V, loads, self.problem.budget)
@@ -69,7 +69,7 @@ class DampedSpace:
                     wanted = _most_changed(grid, change, visited)
                 before, visited = H, visited + wanted
                 solved, errors = list[Floats](), list[float]()
-                for w, U in zip(wanted, crew.each(state, [1j * w for w in wanted]), strict=True):
+                for w, U in zip(wanted, pool.each(state, [1j * w for w in wanted]), strict=True):
                     true = loads.T @ U
                     errors.append(float(np.abs(true - _response(w, values, D, F)).max() / np.abs(true).max()))
                     progress.update(
@@ -125,7 +125,7 @@ class DampedSpace:
         def stiffness(Y: Floats) -> Floats:
             return projected(multiply(self.V, Y, budget), problem.K, budget)
 
-        values, Y, D = self._small(partial(graded_modes, projected=stiffness))
+        values, Y, D = self._small(partial(accurate_eigh, projected=stiffness))
         width = budget.columns(len(self.V))
         for at in range(0, len(values), width):
             some = slice(at, at + width)

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from morembs.base import progress
-from morembs.base.crew import Crew
 from morembs.base.errors import InputError, SingularMatrixError
 from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Complexes, Floats, Values
 from morembs.base.units import in_hz
+from morembs.base.worker_pool import WorkerPool
 from morembs.linalg.columns import map_columns
 from morembs.problem import Damping, Problem, System
 from morembs.responses.tolerances import TOL
@@ -80,12 +80,12 @@ def elastic_states(system: System, s: complex, F: Values, *, transposed: bool = 
     return np.asarray(U - X @ np.linalg.solve(Z.T @ (M @ X), Z.T @ (M @ U)))
 
 
-def states_crew(problem: Problem, s: Sequence[complex], F: Values) -> Crew:
+def states_pool(problem: Problem, s: Sequence[complex], F: Values) -> WorkerPool:
     """Processes that make ``elastic_states`` at all of ``s`` (none of it zero) or at other values of their kind.
 
     Work for them is ``state``, which gives U (Nc, p), and ``seen``, which gives F'U (p, p).
     """
-    return problem.system.crew(F, s, workers=problem.workers, columns=F.shape[1])
+    return problem.system.worker_pool(F, s, workers=problem.workers, columns=F.shape[1])
 
 
 def state(shared: tuple[System, Values], s: complex) -> Values:
@@ -131,8 +131,8 @@ def direct_response(problem: Problem, omega: Floats) -> Complexes:
         # Structural damping acts at the lower end of the frequencies too.
         H[still] = problem.B.T @ elastic_statics(problem, problem.B) / (1 + 1j * problem.damping.structural)
     s = [1j * float(omega[j]) for j in moving]
-    with states_crew(problem, s, problem.B) as crew:
-        for count, (j, found) in enumerate(zip(moving, crew.each(seen, s), strict=True)):
+    with states_pool(problem, s, problem.B) as pool:
+        for count, (j, found) in enumerate(zip(moving, pool.each(seen, s), strict=True)):
             progress.update(f"direct response: {count + 1} of {len(s)}")
             H[j] = found
     return H

@@ -23,12 +23,12 @@ from morembs.linalg.congruence import scaled_row_sums
 from morembs.linalg.eigen import Modes
 from morembs.problem import Problem
 from morembs.responses.reference import ReferenceSpace
-from morembs.responses.rounding import EPS, with_left
+from morembs.responses.rounding import EPS, absorb_couplings
 from morembs.responses.solves import Softness
 from morembs.responses.tolerances import TOL
 
 
-class KrylovSpace:
+class ReferenceBasis:
     """Columns ``V`` (Nc, n), M-orthonormal: the Krylov space of the loads and the modes that it misses."""
 
     def __init__(self, problem: Problem, space: ReferenceSpace, modes: Modes, everything: bool = False) -> None:
@@ -93,7 +93,7 @@ class KrylovSpace:
             b=b,
             tau=self.residual(Y),
             lost=softness.value * left,
-            unsure=with_left(np.sqrt(unsure), np.sqrt(unsure), rest)[0] ** 2,
+            unsure=absorb_couplings(np.sqrt(unsure), np.sqrt(unsure), rest)[0] ** 2,
             b_off=self._rows(U, Y[:, k:], np.sqrt(unsure) / values),
         )
 

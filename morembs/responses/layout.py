@@ -11,7 +11,7 @@ from morembs.base.types import Floats
 from morembs.responses.rational import squares
 
 
-class Layout:
+class BlockIndex:
     """Entries of m x m matrices as rows (P, e), and the norms of the whole and of the blocks from their squares.
 
     ``blocks`` are the columns of each of the ni interfaces; ``symmetric`` matrices are held by one triangle. The nb

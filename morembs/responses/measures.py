@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from morembs.base.limits import number, one_of
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
-from morembs.responses.cells import Bounds, Cells, first_edges, search
-from morembs.responses.layout import Layout
-from morembs.responses.rational import GRID, POINTS, Terms, cell_points, on_grid, squares
-from morembs.responses.rounding import Lost, Response, Rounding
+from morembs.responses.cells import BandCells, Bounds, branch_and_bound, initial_partition
+from morembs.responses.layout import BlockIndex
+from morembs.responses.rational import GRID, POINTS, PoleResidueForm, cell_points, on_grid, squares
+from morembs.responses.rounding import Response, RoundoffBound, RoundoffSums
 from morembs.responses.tolerances import TOL
 
 MEASURES = ("envelope", "peak", "pointwise")
@@ -57,16 +57,16 @@ class Verdict:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Standard:
+class ReferenceResponse:
     """What bodies are measured against: ``H`` in the entries of ``layout``, known but for ``uncertain(low, high)``
     (nc,) times the envelope on cells without round-off, the envelope's ``modes`` with ``sizes`` (k, 1 + nb) and their
     ``rounding``, which is at least ``floor`` times the envelope."""
 
-    H: Terms
-    modes: Terms
+    H: PoleResidueForm
+    modes: PoleResidueForm
     sizes: Floats
-    rounding: Rounding
-    layout: Layout
+    rounding: RoundoffBound
+    layout: BlockIndex
     floor: float
     edges: Floats
     off: Floats
@@ -87,7 +87,7 @@ class Comparison:
     Quantities: envelope, |E|, pointwise, |H|, and the envelopes of the blocks.
     """
 
-    def __init__(self, standard: Standard, body: Response) -> None:
+    def __init__(self, standard: ReferenceResponse, body: Response) -> None:
         self.standard, self.body = standard, body
         self.both = standard.H, body.terms
         self.sizes = [standard.layout.norms(terms.N) for terms in self.both]
@@ -188,14 +188,14 @@ class Comparison:
         return e, least, most, floor + own, floor_most + own_most
 
 
-def _inverse(terms: Terms, grid: Floats) -> tuple[Floats, Floats, Floats]:
+def _inverse(terms: PoleResidueForm, grid: Floats) -> tuple[Floats, Floats, Floats]:
     """(nc, n, P) of 1 / |a_p|, the distance (nc, n) of the nearest root, and one below that of any second one."""
     inverse, near = terms.moduli(grid)
     # Roots come in pairs of opposite real parts, and no frequency is negative.
     return inverse, near, np.maximum(near, grid)
 
 
-def _most(lost: Lost, shrunk: list[Floats]) -> Floats:
+def _most(lost: RoundoffSums, shrunk: list[Floats]) -> Floats:
     """(nc, n - 1, 1 + nb) the largest that is lost between the points of cells."""
     return np.maximum(lost.part(slice(1, None)).size(shrunk[0]), lost.part(slice(-1)).size(shrunk[1]))
 
@@ -209,7 +209,7 @@ def _shrunk(half: Floats, near: Floats, far: Floats) -> list[Floats]:
         ]
 
 
-def _spread(p: NDArray[np.complex128], layout: Layout | None) -> Floats:
+def _spread(p: NDArray[np.complex128], layout: BlockIndex | None) -> Floats:
     """(nc, q) largest |p - p_mid| on the grid."""
     away = p - p[:, TOL.segments // 2, None]
     if layout is None:
@@ -226,14 +226,14 @@ def _chords(p: NDArray[np.complex128]) -> Floats:
 
 
 def compare(
-    standard: Standard,
+    standard: ReferenceResponse,
     body: Response,
     low: float,
     high: float,
     sharpness: float = TOL.sharpness,
     asked: tuple[str, float] | None = None,
     most_cells: int = TOL.max_cells,
-) -> tuple[dict[str, Limit], Floats, Cells]:
+) -> tuple[dict[str, Limit], Floats, BandCells]:
     """Limits by measure, those (ni, ni) of the blocks by their envelopes, and the cells with upper limits (nc, 3).
 
     ``low`` and ``high`` in rad/s; an upper limit is at most ``sharpness`` times the lower one, where neither round-off
@@ -258,10 +258,10 @@ def compare(
             sharp[:, number] &= (bounds.upper[:, number] <= allowed) | (lower[number] > allowed)
         return np.asarray(sharp)
 
-    cells = search(
+    cells = branch_and_bound(
         comparison.bounds,
         comparison.resolved,
-        first_edges(low, high, comparison.poles),
+        initial_partition(low, high, comparison.poles),
         done,
         quantities=comparison.quantities,
         per_cell=_numbers(comparison),
@@ -290,7 +290,9 @@ def compare(
     return limits, blocks, replace(cells, upper=own)
 
 
-def decide(standard: Standard, body: Response, low: float, high: float, measure: str, tolerance: float) -> Verdict:
+def decide(
+    standard: ReferenceResponse, body: Response, low: float, high: float, measure: str, tolerance: float
+) -> Verdict:
     """Whether the limit by ``measure`` is at most ``tolerance`` from ``low`` to ``high`` rad/s."""
     comparison = Comparison(standard, body)
     number = MEASURES.index(measure)
@@ -302,10 +304,10 @@ def decide(standard: Standard, body: Response, low: float, high: float, measure:
         allowed[number] = tolerance * float(standard.layout.norms(standard.H.at(w))[:, 0].max())
     else:
         allowed[number] = tolerance
-    cells = search(
+    cells = branch_and_bound(
         comparison.bounds,
         comparison.resolved,
-        first_edges(low, high, comparison.poles),
+        initial_partition(low, high, comparison.poles),
         lambda bounds, _: bounds.upper <= allowed,
         quantities=comparison.quantities,
         allowed=allowed,

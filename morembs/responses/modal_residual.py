@@ -26,7 +26,7 @@ from __future__ import annotations
 import numpy as np
 
 from morembs.base.types import Floats
-from morembs.responses.rational import Terms
+from morembs.responses.rational import PoleResidueForm
 from morembs.responses.tolerances import TOL
 
 # Parts of the way to the nearest pole that Bernstein ellipses take.
@@ -39,7 +39,7 @@ def form(values: Floats, tau: Floats, ratio: float) -> Floats:
     return np.asarray(2 * ratio * np.outer(values, values) / (root[:, None] + root) * (tau.T @ tau))
 
 
-def largest(poles: Terms, b: Floats, N: Floats, band: tuple[float, float]) -> float:
+def largest(poles: PoleResidueForm, b: Floats, N: Floats, band: tuple[float, float]) -> float:
     """Upper limit of |Z'N Z|^(1/2) on the band, for modes with ``poles`` and loads ``b`` (n, m)."""
     if not len(b):
         return 0.0
@@ -55,7 +55,7 @@ def largest(poles: Terms, b: Floats, N: Floats, band: tuple[float, float]) -> fl
     return float((np.sqrt(seen.max().clip(0)) + rest) / np.cos(0.5 * TOL.modal_degree * np.pi / TOL.modal_steps) + rest)
 
 
-def _remainder(poles: Terms, sizes: Floats, middle: float, half: float) -> float:
+def _remainder(poles: PoleResidueForm, sizes: Floats, middle: float, half: float) -> float:
     """By how much the interpolant on the band is off (Trefethen 2013, theorem 8.2)."""
     away = float(np.abs(poles.z - middle).min())
     best = np.inf

@@ -6,10 +6,10 @@ import numpy as np
 import scipy.linalg as sl
 
 from morembs.base.types import Complexes, Floats
-from morembs.linalg.eigen import graded_modes
-from morembs.responses.layout import Layout
-from morembs.responses.rational import Terms
-from morembs.responses.rounding import EPS, Response, Rounding, couplings, with_left
+from morembs.linalg.eigen import accurate_eigh
+from morembs.responses.layout import BlockIndex
+from morembs.responses.rational import PoleResidueForm
+from morembs.responses.rounding import EPS, Response, RoundoffBound, absorb_couplings, bound_entry_errors
 from morembs.responses.tolerances import TOL
 
 TINY = np.finfo(float).tiny
@@ -19,7 +19,7 @@ def modes_of(M: Floats, K: Floats, rigid: int, symmetric: bool) -> tuple[Complex
     """Eigenvalues (n,) of (K, M) (n, n), right and left vectors (n, n), left' M right = I, the ``rigid`` motions first:
     of a symmetric pencil the lowest modes, otherwise the first coordinates."""
     if symmetric:
-        X = graded_modes(K, M)[1]
+        X = accurate_eigh(K, M)[1]
         # What a small eigenproblem leaves of the highest eigenvalue in all of them, quotients do not have.
         X = X / np.sqrt(np.einsum("ij,ij->j", X, M @ X))
         return np.einsum("ij,ij->j", X, K @ X).astype(complex), X.astype(complex), X.astype(complex)
@@ -38,7 +38,7 @@ def response_of(
     K: Floats,
     B: Floats,
     C: Floats,
-    layout: Layout,
+    layout: BlockIndex,
     *,
     structural: float,
     highest: float,
@@ -60,7 +60,7 @@ def response_of(
     )
     outputs, inputs, theta, X, L = outputs[:, rigid:].T, inputs[:, rigid:].T, theta[rigid:], X[:, rigid:], L[:, rigid:]
     loss = abs(1 + 1j * structural)
-    s, t = couplings(loss * np.abs(K) + highest * np.abs(D) + highest**2 * np.abs(M), L, X)
+    s, t = bound_entry_errors(loss * np.abs(K) + highest * np.abs(D) + highest**2 * np.abs(M), L, X)
     coupled = L.T @ D @ X
     d, stiffness = np.diag(coupled), theta * (1 + 1j * structural)
     left = loss * np.abs(L.T @ K @ X - np.diag(theta)) + highest**2 * np.abs(L.T @ M @ X - np.eye(len(theta)))
@@ -68,10 +68,12 @@ def response_of(
     if (off.sum(axis=1) <= TOL.uncoupled_damping * np.abs(d) + 4 * len(d) * EPS * np.abs(d).max(initial=0.0)).all():
         N = layout.rows(outputs, inputs)
         return Response(
-            terms=Terms.second_order(stiffness, d, N.real if symmetric else N),
-            rounding=Rounding.of(layout, outputs, inputs, *with_left(s, t, left + highest * off), off_c.T, off_b.T),
+            terms=PoleResidueForm.second_order(stiffness, d, N.real if symmetric else N),
+            rounding=RoundoffBound.of(
+                layout, outputs, inputs, *absorb_couplings(s, t, left + highest * off), off_c.T, off_b.T
+            ),
         )
-    return _first_order(stiffness, coupled, outputs, inputs, with_left(s, t, left), (off_c.T, off_b.T), layout)
+    return _first_order(stiffness, coupled, outputs, inputs, absorb_couplings(s, t, left), (off_c.T, off_b.T), layout)
 
 
 def _turned(M: Floats, K: Floats, theta: Complexes, L: Complexes, X: Complexes, rigid: int) -> Floats:
@@ -88,7 +90,7 @@ def _first_order(
     inputs: Complexes,
     lost: tuple[Floats, Floats],
     off: tuple[Floats, Floats],
-    layout: Layout,
+    layout: BlockIndex,
 ) -> Response:
     """Poles of q'' + D q' + stiffness q = inputs, from the states (omega q, q'); ``lost`` s and t of the modes, and
     ``off`` of their rows."""
@@ -100,17 +102,18 @@ def _first_order(
     weight = np.einsum("ij,ij->j", L, X)
     X = _biorthogonal(L, X / np.where(weight == 0, TINY, weight))
     top, bottom = X[:k] / omega[:, None], L[k:]
-    s, t = couplings(A, L, X)
+    s, t = bound_entry_errors(A, L, X)
     # What is not known of the modes' stiffness couples the states too.
     s, t = np.hypot(s, lost[0] @ np.abs(bottom)), np.hypot(t, lost[1] @ np.abs(top))
-    s, t = with_left(s, t, np.abs(L.T @ A @ X - np.diag(mu)) + np.abs(mu) * np.abs(L.T @ X - np.eye(2 * k)))
+    s, t = absorb_couplings(s, t, np.abs(L.T @ A @ X - np.diag(mu)) + np.abs(mu) * np.abs(L.T @ X - np.eye(2 * k)))
     c, b = top.T @ outputs, bottom.T @ inputs
     off_c, off_b = (
         np.abs(side).T @ (rows + 4 * EPS * np.abs(known))
         for side, rows, known in ((top, off[0], outputs), (bottom, off[1], inputs))
     )
     return Response(
-        terms=Terms.first_order(mu, layout.rows(c, b)), rounding=Rounding.of(layout, c, b, s, t, off_c, off_b)
+        terms=PoleResidueForm.first_order(mu, layout.rows(c, b)),
+        rounding=RoundoffBound.of(layout, c, b, s, t, off_c, off_b),
     )
 
 

@@ -44,7 +44,7 @@ INTERPOLATION = _interpolation()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Terms:
+class PoleResidueForm:
     """sum_p N_p / ((w - z_p1) (w - z_p2)): roots ``z`` (P, 2), or (P, 1) where there is but one, ``N`` (P, e) entries
     of the residues."""
 

@@ -27,7 +27,7 @@ from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Complexes, Floats
 from morembs.linalg.columns import dot, hstack, multiply, orthonormal_pair, projected, take_out
-from morembs.linalg.eigen import graded_modes
+from morembs.linalg.eigen import accurate_eigh
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.problem import SOFTER, Problem
 from morembs.problem.damping import Damping
@@ -43,7 +43,7 @@ JUMPY = "; or let the ratio of the modal damping table jump further below or abo
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Reference:
+class ModalReference:
     """Elastic part of the full model in k modal coordinates: M = I, K = diag(``values``).
 
     ``D`` (k, k) its damping, None for proportional or modal ``damping``; ``F`` (k, p) loads: first the interface
@@ -105,7 +105,7 @@ def reference_model(
     tolerance: float = 1e-8,
     inertia_loads: bool = False,
     damping: Damping | None = None,
-) -> Reference:
+) -> ModalReference:
     """Reference whose error is below ``tolerance`` times the largest entry of H at all ``omega`` (nf,) in rad/s.
 
     Forces and moments are scaled to equal static energy for that. With modal damping every Ritz mode has the ratio of
@@ -139,7 +139,7 @@ def reference_space(problem: Problem, inertia: bool = False) -> ReferenceSpace:
     return problem.shared(("reference", inertia), lambda: ReferenceSpace(problem, inertia))
 
 
-def _damped(problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, inertia: bool) -> Reference:
+def _damped(problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, inertia: bool) -> ModalReference:
     """Reference of a model with a damping matrix of its own."""
     reason = why_no_response(problem.damping, True, problem.K.shape[0])
     if reason:
@@ -149,7 +149,7 @@ def _damped(problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, 
     V, values, Y, seen, error = space.until(omega, tolerance)
     # Only models that are taken whole come here with Rayleigh damping beside their matrix.
     seen = seen + np.diag(problem.damping.of_modes(values))
-    return Reference(
+    return ModalReference(
         values=values,
         D=seen,
         damping=problem.damping,
@@ -162,14 +162,14 @@ def _damped(problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, 
     )
 
 
-def _beside_resonances(omega: Floats, reference: Reference) -> Floats:
+def _beside_resonances(omega: Floats, reference: ModalReference) -> Floats:
     """``omega`` (nf,), but beside the undamped resonances of ``reference`` where it is one: there is no response."""
     poles = np.sqrt(reference.values[reference.damping_at_resonance() == 0])
     on = (np.abs(omega[:, None] - poles) <= TOL.on_resonance * poles).any(axis=1)
     return np.asarray(np.where(on, omega * (1 + TOL.least_flank), omega))
 
 
-def stands_still(errors: list[float]) -> bool:
+def has_stagnated(errors: list[float]) -> bool:
     """Whether the latest blocks of a space do not help, by the ``errors`` after each."""
     late = max(TOL.stagnation_blocks, len(errors) // 2)
     before, latest = min(errors[:-late], default=np.inf), min(errors[-late:])
@@ -218,7 +218,7 @@ class ReferenceSpace:
         self.residuals = np.append(self.residuals, residuals + lost)
         return X
 
-    def until(self, omega: Floats, tolerance: float, damping: Damping) -> Reference:
+    def until(self, omega: Floats, tolerance: float, damping: Damping) -> ModalReference:
         """The space, grown until the error with ``damping`` is below ``tolerance`` at ``omega``.
 
         Raises:
@@ -231,7 +231,7 @@ class ReferenceSpace:
             g[: len(self.loads)] = self.loads
             # G F = V g, so F seen by the modes is V' K V g.
             F = Y.T @ (self.stiffness @ g)
-            reference = Reference(
+            reference = ModalReference(
                 values=values,
                 D=None,
                 damping=damping,
@@ -253,7 +253,7 @@ class ReferenceSpace:
             if good or not lanczos.pending.shape[1]:
                 return self._sharpened(reference, worst)
             seen.append(worst)
-            if stands_still(seen):
+            if has_stagnated(seen):
                 raise SolverError(
                     f"the full response reached an error of only {min(seen):.1e} with {lanczos.size} vectors, and more "
                     f"of them do not help: round-off hides the rest; raise the tolerance, or {SOFTER}"
@@ -283,14 +283,14 @@ class ReferenceSpace:
         self._border()
         return True
 
-    def _sharpened(self, reference: Reference, error: float) -> Reference:
+    def _sharpened(self, reference: ModalReference, error: float) -> ModalReference:
         """``reference`` with soft modes known to their own round-off, and with its loads."""
         problem, V = self.problem, self.lanczos.V[:, : self.lanczos.size]
 
         def stiffness(Y: Floats) -> Floats:
             return projected(multiply(V, Y, problem.budget), problem.K, problem.budget)
 
-        values, Y = graded_modes(self.stiffness, projected=stiffness)
+        values, Y = accurate_eigh(self.stiffness, projected=stiffness)
         F = Y.T @ dot(V, unit_loads(problem, self.inertia), problem.budget)
         return replace(reference, values=values, Y=Y, F=F, error=error)
 
@@ -321,7 +321,7 @@ class ReferenceSpace:
         self.stiffness[:, lanczos.last] = columns
         self.stiffness[lanczos.last] = columns.T
 
-    def _change(self, reference: Reference, g: Floats, omega: Floats) -> float:
+    def _change(self, reference: ModalReference, g: Floats, omega: Floats) -> float:
         """Largest change of H by the newest block, relative to its largest entry at each frequency."""
         k = self.lanczos.last.start
         if not k:
@@ -331,7 +331,7 @@ class ReferenceSpace:
         H, old = (model.F.T @ model.states(1j * omega) for model in (reference, before))
         return float((np.abs(H - old).max(axis=(1, 2)) / np.abs(H).max(axis=(1, 2))).max())
 
-    def _jumps(self, reference: Reference, omega: Floats) -> float:
+    def _jumps(self, reference: ModalReference, omega: Floats) -> float:
         """What H would change by if modes that may lie on either side of a jump of the modal table changed sides.
 
         With G M V y = V T y + W E'y, an eigenvalue of G M lies within |T y - y / theta| + |W E'y| of 1 / theta (in the
@@ -359,7 +359,7 @@ class ReferenceSpace:
             change += np.einsum("ki,fk,kj->fij", F, np.abs(below - above), F).max(axis=(1, 2)) / H
         return float(change.max(initial=0.0))
 
-    def _error(self, reference: Reference, g: Floats, omega: Floats, tolerance: float) -> float:
+    def _error(self, reference: ModalReference, g: Floats, omega: Floats, tolerance: float) -> float:
         """Largest estimated error of H, relative to its largest entry at each frequency; some error above
         ``tolerance`` where that is exceeded and the space can still grow."""
         lanczos, values, Y = self.lanczos, reference.values, reference.Y

@@ -43,9 +43,9 @@ import numpy as np
 
 from morembs.base.types import Complexes, Floats
 from morembs.problem.damping import Damping
-from morembs.responses.cells import Bounds, first_edges, search
+from morembs.responses.cells import Bounds, branch_and_bound, initial_partition
 from morembs.responses.modal_residual import form, largest
-from morembs.responses.rational import POINTS, Terms, cell_points, on_grid, squares
+from morembs.responses.rational import POINTS, PoleResidueForm, cell_points, on_grid, squares
 from morembs.responses.tolerances import TOL
 
 TINY = np.finfo(float).tiny
@@ -67,10 +67,10 @@ class Residual:
     damping: Damping
 
     @cached_property
-    def poles(self) -> Terms:
+    def poles(self) -> PoleResidueForm:
         """The envelope as far as its residues go."""
         stiffness, d = self.values * (1 + 1j * self.damping.structural), self.damping.of_modes(self.values)
-        return Terms.second_order(stiffness, d, (self.b**2).sum(axis=1, keepdims=True))
+        return PoleResidueForm.second_order(stiffness, d, (self.b**2).sum(axis=1, keepdims=True))
 
     @cached_property
     def slope(self) -> Floats:
@@ -99,7 +99,7 @@ class Residual:
         if not self.ratio:
             return 0.0
         some = slice(self.k, None)
-        poles, b, values = Terms(z=self.poles.z[some], N=self.poles.N[some]), self.b[some], self.values[some]
+        poles, b, values = PoleResidueForm(z=self.poles.z[some], N=self.poles.N[some]), self.b[some], self.values[some]
         lost = np.sqrt(self.ratio * values**1.5) * self.lost[some] * np.linalg.norm(b, axis=1)
         least = Residual._away(poles.z, *(np.array([end]) for end in band))[0]
         return largest(poles, b, form(values, self.tau[:, some], self.ratio), band) + float((lost / least).sum())
@@ -133,7 +133,7 @@ class Residual:
         coupled = most[:k] + (high * slope[:k] if self.ratio else 0.0)
         rest, double = float(2 * len(fits) * each[fits].sum()), 2.0 if fits else 1.0
         rows = (self.tau.T[others, :, None] * self.b[others, None, :]).reshape(-1, len(self.tau) * self.b.shape[1])
-        T, norms = Terms(z=poles.z[others], N=rows), np.linalg.norm(rows, axis=1)[:, None]
+        T, norms = PoleResidueForm(z=poles.z[others], N=rows), np.linalg.norm(rows, axis=1)[:, None]
 
         def bounds(lo: Floats, hi: Floats) -> Bounds:
             w = cell_points(lo, hi, POINTS)
@@ -158,10 +158,10 @@ class Residual:
             fine = half < 0.1 * T.nearest(middle)
             return Bounds(upper=off[:, None], lower=np.zeros((len(lo), 1)), at=middle[:, None], final=fine[:, None])
 
-        cells = search(
+        cells = branch_and_bound(
             bounds,
             lambda lo, hi: 0.5 * (hi - lo) < 0.7 * T.nearest(0.5 * (lo + hi)),
-            first_edges(low, high, T.z.real.ravel()),
+            initial_partition(low, high, T.z.real.ravel()),
             lambda bounds, _: bounds.upper <= tolerance,
             quantities=1,
             per_cell=4 * TOL.segments * rows.shape[1] + 20 * len(size),

@@ -23,15 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.base.types import Floats
-from morembs.responses.layout import Layout
-from morembs.responses.rational import Terms
+from morembs.responses.layout import BlockIndex
+from morembs.responses.rational import PoleResidueForm
 from morembs.responses.tolerances import TOL
 
 EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Rounding:
+class RoundoffBound:
     """Of P modes: ``left`` and ``right`` (P, 1 + ni) norms of their rows times s_p and t_p, ``own`` (P,) their product
     s_p t_p, ``rows`` (P, 1 + nb) by how much the norms of c_p b_p' are off."""
 
@@ -39,19 +39,19 @@ class Rounding:
     right: Floats
     own: Floats
     rows: Floats
-    layout: Layout
+    layout: BlockIndex
 
     @classmethod
     def of(
         cls,
-        layout: Layout,
+        layout: BlockIndex,
         c: NDArray[np.number],
         b: NDArray[np.number],
         s: Floats,
         t: Floats,
         off_c: Floats | float = 0.0,
         off_b: Floats | float = 0.0,
-    ) -> Rounding:
+    ) -> RoundoffBound:
         """For rows ``c`` and ``b`` (P, m), known up to ``off_c`` and ``off_b`` (P, m), and s_p and t_p (P,)."""
         long_c, long_b = layout.lengths(c), layout.lengths(b)
         far_c, far_b = (
@@ -66,9 +66,9 @@ class Rounding:
             layout=layout,
         )
 
-    def at(self, inverse: Floats) -> Lost:
+    def at(self, inverse: Floats) -> RoundoffSums:
         """What is lost where 1 / |a_p| are ``inverse`` (..., P)."""
-        return Lost(
+        return RoundoffSums(
             coupled=self.layout.products(inverse @ self.left, inverse @ self.right),
             own=inverse @ self.own,
             rows=inverse @ self.rows,
@@ -79,12 +79,12 @@ class Rounding:
 class Response:
     """A transfer matrix as a sum over its poles, and by how much that may be off."""
 
-    terms: Terms
-    rounding: Rounding
+    terms: PoleResidueForm
+    rounding: RoundoffBound
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Lost:
+class RoundoffSums:
     """The sums of the limit at some frequencies: ``coupled`` and ``rows`` (..., 1 + nb), ``own`` (...)."""
 
     coupled: Floats
@@ -99,12 +99,12 @@ class Lost:
             through_poles = np.where(rest > 0, grown**2 * self.coupled / rest, np.inf)
         return np.asarray(through_poles + grown * self.rows)
 
-    def part(self, some: slice) -> Lost:
+    def part(self, some: slice) -> RoundoffSums:
         """That at ``some`` of the points (nc, n) of cells."""
-        return Lost(coupled=self.coupled[:, some], own=self.own[:, some], rows=self.rows[:, some])
+        return RoundoffSums(coupled=self.coupled[:, some], own=self.own[:, some], rows=self.rows[:, some])
 
 
-def couplings(A: NDArray[np.number], L: NDArray[np.number], X: NDArray[np.number]) -> tuple[Floats, Floats]:
+def bound_entry_errors(A: NDArray[np.number], L: NDArray[np.number], X: NDArray[np.number]) -> tuple[Floats, Floats]:
     """s and t (k,) with (n + 4) eps |L_p|'|A||X_q| <= s_p t_q, for vectors ``L`` and ``X`` (n, k) and any ``A`` (n, n).
 
     The products L'A X are off by that at most: two sums of n terms with eps / 2 each, and four roundings of complex
@@ -118,7 +118,7 @@ def couplings(A: NDArray[np.number], L: NDArray[np.number], X: NDArray[np.number
     return np.sqrt(rows @ np.abs(L) ** 2), np.sqrt(columns @ np.abs(X) ** 2)
 
 
-def with_left(s: Floats, t: Floats, R: NDArray[np.number]) -> tuple[Floats, Floats]:
+def absorb_couplings(s: Floats, t: Floats, R: NDArray[np.number]) -> tuple[Floats, Floats]:
     """s and t (k,) that also cover couplings ``R`` (k, k) which an eigensolver left.
 
     With r_p = max_q |R_pq| / t_q and k_q = max_p |R_pq| / s_p, |R_pq| <= (r_p s_p k_q t_q)^(1/2), and by Cauchy

@@ -24,7 +24,7 @@ from morembs.fem.interface import make_interface
 from morembs.importers.model_file import write_model
 from morembs.linalg.sparse.threads import Speed
 from morembs.problem import Damping, Problem
-from morembs.reducers import AutoReducer, Balanced, CraigBampton, Facts, Gramian, Irka, Krylov
+from morembs.reducers import AutoReducer, Balanced, CraigBampton, Gramian, Irka, Krylov, ProblemSummary
 from morembs.reducers.cost import mode_seconds
 from morembs.responses.direct import why_no_response
 from tests.support.commands import FACTORISING, factorisations, without_progress
@@ -125,7 +125,7 @@ def test_damping_is_refused_as_the_reducers_do(damping: str, own: bool, large: b
     end = make_interface(model, name="end", nodes=where(model, 0, 0.0))
     with Problem(model, [end], damping=DAMPINGS[damping]) as problem:
         for name, reducer in METHODS.items():
-            reason = reducer.why_not(Facts.of(problem))
+            reason = reducer.why_not(ProblemSummary.of(problem))
             try:
                 reducer.reduce(problem)
             except InputError as error:

@@ -21,8 +21,8 @@ import scipy.sparse as sp
 from typer.testing import CliRunner
 
 from morembs.app.cli import app
-from morembs.base.crew import Crew
 from morembs.base.errors import InputError, SolverError
+from morembs.base.worker_pool import WorkerPool
 from morembs.fem import DofMap
 from morembs.importers.model_file import write_model
 from morembs.linalg.sparse.mumps_ranks import RankedMumps
@@ -166,17 +166,17 @@ def tube(tmp_path: Path) -> dict[str, str]:
 
 
 # Two shifts, three Gauss points, two frequencies of a reference at a time and four of direct responses.
-@pytest.mark.parametrize(("model", "crews"), [("dampers", [2, 2, 2, 2, 3, 2]), ("tube", [2, 2, 2, 3])])
-def test_damped_bodies_and_certificates_do_not_depend_on_workers(tmp_path, caplog, request, model, crews):
+@pytest.mark.parametrize(("model", "pools"), [("dampers", [2, 2, 2, 2, 3, 2]), ("tube", [2, 2, 2, 3])])
+def test_damped_bodies_and_certificates_do_not_depend_on_workers(tmp_path, caplog, request, model, pools):
     keys, made = request.getfixturevalue(model), []
-    caplog.set_level("INFO", "morembs.base.crew")
+    caplog.set_level("INFO", "morembs.base.worker_pool")
     for workers in (1, 2, 3):
         job = damped(tmp_path / f"w{workers}", f"workers = {workers}", keys)
         made.append(body_of(job))
         assert sorted(path.name for path in job.parent.iterdir()) == ["job.toml", "part.h5"]
     for other in made[1:]:
         assert [name for name in made[0] if not same(made[0][name], other[name])] == []
-    assert [record.args[0] for record in caplog.records if "workers of" in record.msg] == crews
+    assert [record.args[0] for record in caplog.records if "workers of" in record.msg] == pools
 
 
 @pytest.mark.parametrize("model", ["dampers", "tube"])
@@ -250,29 +250,29 @@ def killed(shared, task):
 
 
 def test_results_come_in_the_order_of_tasks_and_the_first_failure_counts(tmp_path):
-    with Crew(2, 2, scratch=tmp_path) as crew:
-        assert [array[-1] for array in crew.each(power, [3, 1, 2])] == [8.0, 2.0, 4.0]
+    with WorkerPool(2, 2, scratch=tmp_path) as pool:
+        assert [array[-1] for array in pool.each(power, [3, 1, 2])] == [8.0, 2.0, 4.0]
         done = []
         with pytest.raises(InputError, match="task -3"):
-            done.extend(array[0] for array in crew.each(power, [1, -3, -1]))
+            done.extend(array[0] for array in pool.each(power, [1, -3, -1]))
         assert done == [2.0]
-    with Crew(2, 2, scratch=tmp_path) as crew, pytest.raises(SolverError, match=r"worker \d of 2 .* by signal 9"):
-        list(crew.each(killed, [1, 2]))
+    with WorkerPool(2, 2, scratch=tmp_path) as pool, pytest.raises(SolverError, match=r"worker \d of 2 .* by signal 9"):
+        list(pool.each(killed, [1, 2]))
     assert list(tmp_path.iterdir()) == []
 
 
 UNGUARDED = """
 import operator, os, signal
-from morembs.base.crew import Crew
+from morembs.base.worker_pool import WorkerPool
 
 print("begun", flush=True)
-with Crew(3, 2) as crew:
-    print(list(crew.each(operator.mul, [1, 2])), flush=True)
+with WorkerPool(3, 2) as pool:
+    print(list(pool.each(operator.mul, [1, 2])), flush=True)
     os.kill(os.getpid(), signal.SIGKILL)
 """
 GUARDED = """
 import operator
-from morembs.base.crew import Crew
+from morembs.base.worker_pool import WorkerPool
 
 class Number:
     def __init__(self, value):
@@ -282,8 +282,8 @@ class Number:
         return self.value * other
 
 if __name__ == "__main__":
-    with Crew(Number(3), 2) as crew:
-        print(list(crew.each(operator.mul, [1, 2])))
+    with WorkerPool(Number(3), 2) as pool:
+        print(list(pool.each(operator.mul, [1, 2])))
 """
 
 

@@ -16,7 +16,7 @@ from morembs.app.jobs.schema import JobTables
 from morembs.app.jobs.stages.body import BODIES
 from morembs.app.jobs.stages.stage import STAGES, JobStage, Work, in_order
 from morembs.base.errors import InputError
-from morembs.reducers import Facts
+from morembs.reducers import ProblemSummary
 from tests.support.decks import folder
 
 # The table of another command.
@@ -45,7 +45,7 @@ class FrequencyList(JobStage):
     def writes(self, job: Job) -> Mapping[str, Path]:
         return {"the list of frequencies": job.output.with_suffix(".txt")}
 
-    def check(self, job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
+    def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         if not facts.inputs:
             raise InputError("a list of frequencies needs interfaces")
         return ("frequencies are listed",)

@@ -12,7 +12,7 @@ from morembs.linalg import eigen
 from morembs.linalg.columns import orthonormal
 from morembs.linalg.eigen import DENSE, lowest_modes
 from morembs.linalg.lanczos import BlockLanczos, largest
-from morembs.linalg.slicing import Shifted
+from morembs.linalg.slicing import ShiftedInverse
 from morembs.problem import Problem
 from tests.support.meshes import box, steel, where
 from tests.support.progress import Heard
@@ -103,9 +103,9 @@ def test_a_mode_that_both_shifts_miss_is_noticed(square_bar, exact, monkeypatch)
             U = solve(F)
             return U - x @ (x.T @ (problem.M @ U))
 
-        solve, apply = problem.elastic.flexibility, Shifted.apply
+        solve, apply = problem.elastic.flexibility, ShiftedInverse.apply
         monkeypatch.setattr(problem.elastic, "flexibility", lambda F: hidden(solve, F))
-        monkeypatch.setattr(Shifted, "apply", lambda self, F: hidden(lambda G: apply(self, G), F))
+        monkeypatch.setattr(ShiftedInverse, "apply", lambda self, F: hidden(lambda G: apply(self, G), F))
         with pytest.raises(SolverError, match="Sturm count finds"):
             lowest_modes(problem.elastic, problem.M, count=25)
 

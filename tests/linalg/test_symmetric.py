@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from morembs.base.budget import Budget
 from morembs.base.errors import InputError, SingularMatrixError
-from morembs.linalg.dynamic_stiffness import DynamicStiffness, constrained, grounded
+from morembs.linalg.dynamic_stiffness import DynamicStiffness, with_fixed_rows, with_springs
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
 from tests.support.matrices import backward_error, brick, chain, damped, mass, random
@@ -74,7 +74,7 @@ def test_large_matrices_are_handled_in_pieces() -> None:
     kept[rows] = 0.0
     S = sp.diags_array(kept)
     held = S @ A @ S + sp.diags_array((1.0 - kept) * A.diagonal().max())
-    assert abs(constrained(lower, rows).full() - held).max() == 0
+    assert abs(with_fixed_rows(lower, rows).full() - held).max() == 0
 
 
 def test_entries_given_twice_are_summed_and_the_matrix_is_left_alone() -> None:
@@ -197,7 +197,7 @@ def test_held_rows_leave_the_rest_and_the_pattern() -> None:
     A, rows, expected = Lower.of(brick(3)), np.array([0, 17, 80]), brick(3).toarray()
     expected[rows] = expected[:, rows] = 0.0
     expected[rows, rows] = A.diagonal().max()
-    H = constrained(A, rows)
+    H = with_fixed_rows(A, rows)
     np.testing.assert_array_equal(H.full().toarray(), expected)
     assert H.pattern == Lower.of(brick(3)).pattern
 
@@ -206,8 +206,8 @@ def test_sprung_rows_have_a_spring_as_stiff_as_their_diagonal() -> None:
     A, rows = Lower.of(brick(3)), np.array([0, 17, 80])
     expected = brick(3).toarray()
     expected[rows, rows] *= 2.0
-    np.testing.assert_array_equal(grounded(A, rows).full().toarray(), expected)
+    np.testing.assert_array_equal(with_springs(A, rows).full().toarray(), expected)
     np.testing.assert_array_equal(A.full().toarray(), brick(3).toarray())
     for matrix, row in ((SWAP, 0), (SWAP, 1), (SWAP[:2, :2], 1)):
         with pytest.raises(InputError, match="without a diagonal entry"):
-            grounded(Lower.of(sp.csr_array(matrix)), np.array([row]))
+            with_springs(Lower.of(sp.csr_array(matrix)), np.array([row]))

@@ -190,7 +190,7 @@ def smaller(reduced, columns, seed=2):
     n = reduced.V.shape[1]
     T = np.hstack([np.eye(n, 1 + ELASTIC), np.random.default_rng(seed).standard_normal((n, columns))])
     small = Reduced.__new__(Reduced)
-    small.__dict__.update(reduced.__dict__, V=reduced.V @ T, bound=reduced.bound.turned(T))
+    small.__dict__.update(reduced.__dict__, V=reduced.V @ T, bound=reduced.bound.in_basis(T))
     return small
 
 

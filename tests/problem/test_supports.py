@@ -17,10 +17,10 @@ from morembs.certificate.certify import certify
 from morembs.fem import DofMap, FEModel, Nodes
 from morembs.fem.geometric_stiffness import geometric_stiffness
 from morembs.fem.interface import make_interface
-from morembs.linalg.rigid import written
+from morembs.linalg.rigid import decimal_precision
 from morembs.problem import Problem
 from morembs.reducers import AutoReducer, CraigBampton, Guyan, Modal
-from morembs.reducers.family_search import apart
+from morembs.reducers.family_search import distances_to_shift
 from tests.support.meshes import box, steel, where
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "attack"))
@@ -215,9 +215,9 @@ def test_a_sample_on_an_undamped_resonance_is_no_trouble(on: int) -> None:
 
 def test_a_shift_on_a_resonance_gives_finite_columns() -> None:
     values = np.array([1.0, 4.0, 9.0])
-    moved = apart(values, 2.0)
+    moved = distances_to_shift(values, 2.0)
     assert (np.abs(moved) >= 1e-3 * values).all() and np.isfinite(1.0 / moved).all()
-    assert np.array_equal(apart(values, 1.5), values - 1.5**2)
+    assert np.array_equal(distances_to_shift(values, 1.5), values - 1.5**2)
 
 
 def test_random_models_over_twelve_decades_of_stiffness() -> None:
@@ -351,6 +351,6 @@ def test_fourteen_digits_of_a_regular_mesh_are_no_support_and_hide_none(n: tuple
 @pytest.mark.parametrize("factor", [1.0, 1e3, 1e-9])
 def test_decimal_numbers_are_told_by_their_last_digit(digits: int, factor: float) -> None:
     values = np.random.default_rng(2).lognormal(0.0, 5.0, 500)
-    told = written(factor * np.array([float(f"{value:.{digits - 1}e}") for value in values]))
+    told = decimal_precision(factor * np.array([float(f"{value:.{digits - 1}e}") for value in values]))
     assert told == (0.5 * 10.0 ** (1 - digits) if digits in (12, 13, 14) else 0.0)
-    assert written(np.arange(1.0, 400.0)) == 0.0 and written(values[:3]) == 0.0
+    assert decimal_precision(np.arange(1.0, 400.0)) == 0.0 and decimal_precision(values[:3]) == 0.0

@@ -15,7 +15,7 @@ from morembs.parametric.parameter import Parameter
 from morembs.parametric.terms import AffineProblem
 from morembs.parametric.varied import varied_model
 from morembs.problem import Damping, Problem
-from morembs.reducers import REDUCERS, Facts, Modal
+from morembs.reducers import REDUCERS, Modal, ProblemSummary
 from morembs.reducers.base import MODE_KINDS, ReducedModel
 from tests.support.meshes import box, steel, where
 
@@ -77,7 +77,7 @@ def test_methods_are_known_by_their_names() -> None:
 def test_matrices_are_projections(method: str, options: dict[str, Any]) -> None:
     with problem_of(method=method) as problem:
         reducer = REDUCERS[method](**options)
-        assert reducer.why_not(Facts.of(problem)) == ""
+        assert reducer.why_not(ProblemSummary.of(problem)) == ""
         reduced = reducer.reduce(problem)
         V, W = reduced.V, reduced.V if reduced.W is None else reduced.W
         K, M = problem.K, problem.M

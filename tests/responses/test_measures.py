@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from morembs.responses.layout import Layout
-from morembs.responses.measures import MEASURES, Standard, compare
-from morembs.responses.rational import GRID, POINTS, Terms, cell_points, on_grid
-from morembs.responses.rounding import EPS, Response, Rounding
+from morembs.responses.layout import BlockIndex
+from morembs.responses.measures import MEASURES, ReferenceResponse, compare
+from morembs.responses.rational import GRID, POINTS, PoleResidueForm, cell_points, on_grid
+from morembs.responses.rounding import EPS, Response, RoundoffBound
 
 
 def standard_and_body(seed, symmetric=True):
@@ -18,16 +18,16 @@ def standard_and_body(seed, symmetric=True):
     if seed % 3 == 0:
         omega[5] = omega[4] * (1 + 1e-7)
     b = rng.standard_normal((k, m))
-    layout = Layout(m, [slice(0, m // 2), slice(m // 2, m)] if m > 1 else [slice(0, 1)], symmetric)
+    layout = BlockIndex(m, [slice(0, m // 2), slice(m // 2, m)] if m > 1 else [slice(0, 1)], symmetric)
 
     def terms(omega, left, right):
         lam = omega**2
-        terms = Terms.second_order(lam, 2 * zeta * omega, layout.rows(left, right))
+        terms = PoleResidueForm.second_order(lam, 2 * zeta * omega, layout.rows(left, right))
         lost = np.sqrt(4 * EPS) * omega
-        return Response(terms=terms, rounding=Rounding.of(layout, left, right, lost, lost))
+        return Response(terms=terms, rounding=RoundoffBound.of(layout, left, right, lost, lost))
 
     H = terms(omega, b, b)
-    standard = Standard(
+    standard = ReferenceResponse(
         H=H.terms,
         modes=H.terms,
         sizes=layout.sizes(b),

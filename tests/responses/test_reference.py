@@ -16,8 +16,8 @@ from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import Gramian, Modal
 from morembs.responses.certified import certified_reference
-from morembs.responses.layout import Layout
-from morembs.responses.reference import reference_model, stands_still
+from morembs.responses.layout import BlockIndex
+from morembs.responses.reference import has_stagnated, reference_model
 
 
 def net(n, penalty):
@@ -71,7 +71,7 @@ def test_an_error_that_stands_still_ends_the_growth():
 )
 def test_what_stands_still(errors, still):
     """Neither errors that still fall, nor those so large that modes may be missing."""
-    assert stands_still(errors) is still
+    assert has_stagnated(errors) is still
 
 
 def test_samples_on_undamped_resonances_are_looked_at_beside_them():
@@ -90,7 +90,7 @@ def test_samples_on_undamped_resonances_are_looked_at_beside_them():
 def test_norms_of_blocks(symmetric):
     rng = np.random.default_rng(4)
     blocks = [slice(0, 2), slice(2, 5), slice(5, 6)]
-    layout = Layout(6, blocks, symmetric)
+    layout = BlockIndex(6, blocks, symmetric)
     H = rng.standard_normal((3, 6, 6)) + 1j * rng.standard_normal((3, 6, 6))
     H = H + H.transpose(0, 2, 1) if symmetric else H
     sizes = layout.norms(H[:, layout.i, layout.j] * layout.weight)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from morembs.responses.layout import Layout
-from morembs.responses.rounding import EPS, Rounding, couplings, with_left
+from morembs.responses.layout import BlockIndex
+from morembs.responses.rounding import EPS, RoundoffBound, absorb_couplings, bound_entry_errors
 
 
 def size_of(layout, X):
@@ -20,10 +20,10 @@ def test_couplings_of_modes_move_no_block_beyond_its_limit(seed, symmetric):
     a = rng.standard_normal(k) + 1j * 10 ** rng.uniform(-3, 0, k)
     c, off = rng.standard_normal((k, m)), 10 ** rng.uniform(-6, -3)
     b = c if symmetric else rng.standard_normal((k, m))
-    layout = Layout(m, [slice(0, 2), slice(2, 5)], symmetric)
+    layout = BlockIndex(m, [slice(0, 2), slice(2, 5)], symmetric)
     s = off * rng.uniform(0.1, 1, k)
     t = s if symmetric else off * rng.uniform(0.1, 1, k)
-    lost = Rounding.of(layout, c, b, s, t, 1e-4 * np.abs(c), 1e-4 * np.abs(b)).at(1 / np.abs(a))
+    lost = RoundoffBound.of(layout, c, b, s, t, 1e-4 * np.abs(c), 1e-4 * np.abs(b)).at(1 / np.abs(a))
     H = c.T @ (b / a[:, None])
     worst = np.exp(1j * np.angle(a))
     signs = [
@@ -42,8 +42,8 @@ def test_couplings_of_modes_move_no_block_beyond_its_limit(seed, symmetric):
 
 
 def test_beyond_a_resonance_that_round_off_may_reach_there_is_no_limit():
-    layout = Layout(1, [slice(0, 1)], True)
-    rounding = Rounding.of(layout, np.ones((1, 1)), np.ones((1, 1)), np.array([0.1]), np.array([0.1]))
+    layout = BlockIndex(1, [slice(0, 1)], True)
+    rounding = RoundoffBound.of(layout, np.ones((1, 1)), np.ones((1, 1)), np.array([0.1]), np.array([0.1]))
     below, above = (rounding.at(np.array([omega])).size() for omega in (99.0, 100.0))
     assert np.isfinite(below).all() and np.isinf(above).all()
 
@@ -52,8 +52,8 @@ def test_products_and_what_an_eigensolver_leaves():
     rng = np.random.default_rng(3)
     A = rng.standard_normal((8, 8)) * np.outer(*2 * [10 ** rng.uniform(-3, 3, 8)])
     L, X = rng.standard_normal((2, 8, 5))
-    s, t = couplings(A, L, X)
+    s, t = bound_entry_errors(A, L, X)
     assert ((8 + 4) * EPS * np.abs(L).T @ np.abs(A) @ np.abs(X) <= np.outer(s, t)).all()
     R = 10 ** rng.uniform(-18, -8, (5, 5))
-    u, v = with_left(s, t, R)
+    u, v = absorb_couplings(s, t, R)
     assert (R + np.outer(s, t) <= (1 + 1e-12) * np.outer(u, v)).all()

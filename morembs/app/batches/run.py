@@ -93,8 +93,8 @@ def batch(
         due = coordinator.due(fresh)
         if due:
             try:
-                with closing(_workers(place, due, listener or Nobody())) as crew:
-                    coordinator.run(crew, due, fresh, check_only)
+                with closing(_workers(place, due, listener or Nobody())) as pool:
+                    coordinator.run(pool, due, fresh, check_only)
             finally:
                 discard(outputs)
         return coordinator.records()

@@ -41,7 +41,7 @@ from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.sparse.threads import limit_threads
 from morembs.problem import Problem
 from morembs.problem.rigid_motions import need_factor
-from morembs.reducers import Facts
+from morembs.reducers import ProblemSummary
 from morembs.responses.massless import without_mass_perhaps
 from morembs.storage.contents import keeping_ledger
 
@@ -83,7 +83,7 @@ def _check(job: Job) -> JobForecast:
     warnings = model_warnings(job, model)
     interfaces = interfaces_of(job, model)
     coupling = couple(model, interfaces)
-    facts = Facts(model=model, interfaces=interfaces, coupling=coupling, damping=damping_of(job))
+    facts = ProblemSummary(model=model, interfaces=interfaces, coupling=coupling, damping=damping_of(job))
     warnings += preflight(job, facts, 6)
     progress.stage("check connections")
     rigid = rigid_modes(mesh, [i for i in interfaces if i.kind.carries])
@@ -127,7 +127,7 @@ def _check_file(job: Job, solver: LinearSolver, start: int) -> JobForecast:
         warnings = model_warnings(job, model, budget)
         interfaces = interfaces_of(job, model)
         with Problem(model, interfaces, solver=solver, damping=damping_of(job), budget=budget) as problem:
-            facts, coupling = Facts.of(problem), problem.coupling
+            facts, coupling = ProblemSummary.of(problem), problem.coupling
             # Nothing is factorised here.
             rigid = 0 if need_factor(model, problem.K) else problem.rigid.shape[1]
             warnings += without_mass_perhaps(problem)
@@ -159,7 +159,7 @@ def _check_file(job: Job, solver: LinearSolver, start: int) -> JobForecast:
 
 
 def _cost(
-    job: Job, facts: Facts, K: sp.csr_array, T: sp.csr_array, solver: LinearSolver, budget: Budget, start: int
+    job: Job, facts: ProblemSummary, K: sp.csr_array, T: sp.csr_array, solver: LinearSolver, budget: Budget, start: int
 ) -> Cost:
     """Cost of the factors of ``job``, for the stiffness of its model, or its pattern, and the coupling."""
     columns = facts.coupling.B.shape[1] + max(reducer.mode_count for reducer in job.reducers.values())
@@ -176,7 +176,7 @@ def _cost(
     )
 
 
-def _reduction_seconds(job: Job, facts: Facts, cost: Cost) -> dict[str, float]:
+def _reduction_seconds(job: Job, facts: ProblemSummary, cost: Cost) -> dict[str, float]:
     """Name -> time of each reduction, as far as it can be told."""
     times = {name: reducer.seconds(facts, cost.plan.factor_entries) for name, reducer in job.reducers.items()}
     return {name: seconds for name, seconds in times.items() if seconds is not None}

@@ -17,7 +17,7 @@ from morembs.body.floating.spinning import Spin
 from morembs.body.floating.static_state import held_columns
 from morembs.linalg.columns import complement, dot, hstack, multiply, projected
 from morembs.linalg.complex_modes import ComplexModes, complex_modes
-from morembs.linalg.statics import unit_rows
+from morembs.linalg.statics import single_dof_rows
 from morembs.problem import Damping, Problem
 from morembs.reducers.base import ReducedModel
 
@@ -53,7 +53,7 @@ def still_modes(problem: Problem, held: Sequence[str], count: int) -> ComplexMod
 def _held_modes(
     problem: Problem, held: Sequence[str], K: sp.csr_array, G: sp.csr_array | None, count: int, start: Floats | None
 ) -> ComplexModes:
-    rows = unit_rows(held_columns(problem, held)) if held else np.empty(0, dtype=np.int64)
+    rows = single_dof_rows(held_columns(problem, held)) if held else np.empty(0, dtype=np.int64)
     if rows is None:
         raise InputError("complex modes need held interfaces of rigid or direct coupling; one of those held is neither")
     if problem.rigid.shape[1] and not len(rows):

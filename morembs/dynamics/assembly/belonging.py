@@ -53,7 +53,7 @@ def basis_of(part: Substructure, body: Body, problem: Problem) -> Floats:
     return np.vstack([U[coupling.kept], *frames])
 
 
-def refuse_other_part(part: Substructure, problem: Problem) -> None:
+def check_same_model(part: Substructure, problem: Problem) -> None:
     """Refuse a body of another part than that of ``problem``: other interfaces, mass or nodes, or a loss factor.
 
     Raises:

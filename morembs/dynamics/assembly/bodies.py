@@ -10,14 +10,14 @@ import scipy.sparse as sp
 
 from morembs.base.errors import InputError
 from morembs.base.summary import summarised
-from morembs.dynamics.assembly.belonging import refuse_other_part
+from morembs.dynamics.assembly.belonging import check_same_model
 from morembs.dynamics.assembly.joints import Couple, Joints
 from morembs.dynamics.assembly.parts import Placed, PlacedBody, Substructure
 from morembs.fem import DofMap, FEModel, Nodes, rigid_motion
 from morembs.fem.constraints import DependentDofs
 from morembs.fem.fe_model import SCALAR
 from morembs.importers.dependent_dofs import dependent_dofs
-from morembs.linalg.congruence import cancelling
+from morembs.linalg.congruence import abs_products
 from morembs.linalg.rigid import CLEAR, EPS
 
 REDUCED = "certificates of an assembly are against the bodies that were assembled, whose own errors are not in them"
@@ -70,7 +70,7 @@ def assemble_bodies(
         )
     for part in parts:
         if part.problem is not None:
-            refuse_other_part(part, part.problem)
+            check_same_model(part, part.problem)
     placed = [PlacedBody.of(part) for part in parts]
     model = joined(placed, couples, name)
     told = dict.fromkeys(f"{part.name}: {warning}" for part in parts for warning in part.bodies.warnings)
@@ -135,7 +135,7 @@ def _strained(model: FEModel) -> float:
     # Rotations per radius, so that all motions move nodes as far.
     radius = float(np.sqrt((xyz**2).sum(axis=1).mean())) or 1.0
     R = rigid_motion(xyz, component) / np.repeat([1.0, radius], 3)
-    size = (abs(S).T @ cancelling(K, abs(S) @ np.abs(R), component == SCALAR)).max(axis=1)
+    size = (abs(S).T @ abs_products(K, abs(S) @ np.abs(R), component == SCALAR)).max(axis=1)
     force = np.abs(S.T @ (K @ (S @ R))).max(axis=1)
     left = float(np.divide(force, size, out=np.zeros_like(force), where=size > 0).max(initial=0.0))
     # Stiff springs feel the last digit of a place, which is larger far from the origin.

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from morembs.base import progress
-from morembs.base.crew import Crew
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
+from morembs.base.worker_pool import WorkerPool
 from morembs.dynamics.gmp.checkpoint import Checkpoint
 from morembs.dynamics.gmp.envelope import target
 from morembs.dynamics.gmp.equilibria import Equilibrium, NotFollowedError
@@ -59,16 +59,21 @@ def tabulated(work: TabulatedMember, plan: Plan) -> Tabulated:
     store = None
     if plan.checkpoint is not None:
         store = Checkpoint(plan.checkpoint, signature=_signature(work), options=_options(plan, group))
-    with Crew(work, plan.workers, threads=1) as crew:
+    with WorkerPool(work, plan.workers, threads=1) as pool:
         try:
-            return _ranged(work, crew, group, plan, store, begin)
+            return _ranged(work, pool, group, plan, store, begin)
         finally:
             if store is not None:
                 store.save()
 
 
 def _ranged(
-    work: TabulatedMember, crew: Crew, group: tuple[Symmetry, ...], plan: Plan, store: Checkpoint | None, begin: float
+    work: TabulatedMember,
+    pool: WorkerPool,
+    group: tuple[Symmetry, ...],
+    plan: Plan,
+    store: Checkpoint | None,
+    begin: float,
 ) -> Tabulated:
     """Over smaller and smaller ranges, where the range follows from an envelope."""
     notes: tuple[str, ...] = ()
@@ -83,7 +88,7 @@ def _ranged(
         if store is not None:
             store.begin(reach, notes)
         try:
-            sampling = Sampling(work, crew, group, reach, store)
+            sampling = Sampling(work, pool, group, reach, store)
             count, errors = _filled(sampling, plan)
             break
         except NotFollowedError as stuck:

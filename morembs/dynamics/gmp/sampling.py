@@ -13,8 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from morembs.base import progress
-from morembs.base.crew import Crew
 from morembs.base.types import Floats
+from morembs.base.worker_pool import WorkerPool
 from morembs.dynamics.gmp.chebyshev import ChebyshevTable
 from morembs.dynamics.gmp.checkpoint import Checkpoint
 from morembs.dynamics.gmp.envelope import Loaded
@@ -89,9 +89,9 @@ class Sampling:
     """Equilibria of one range, found so far."""
 
     def __init__(
-        self, work: TabulatedMember, crew: Crew, group: Sequence[Symmetry], reach: float, store: Checkpoint | None
+        self, work: TabulatedMember, pool: WorkerPool, group: Sequence[Symmetry], reach: float, store: Checkpoint | None
     ) -> None:
-        self.work, self.crew, self.group, self.reach = work, crew, group, reach
+        self.work, self.pool, self.group, self.reach = work, pool, group, reach
         self.store = store
         self.equilibria: dict[Key, Equilibrium] = {}
         self.samples: dict[Key, Any] = {}
@@ -128,10 +128,10 @@ class Sampling:
             near = self.equilibria[min(before, key=lambda p: (round(float(np.hypot(*(before[p] - t))), 12), p))]
             tasks.append((near.X, near.modes, t))
         failures: dict[int, NotFollowedError] = {}
-        for number, solution in self.crew.as_ended(_followed, tasks):
+        for number, solution in self.pool.as_ended(_followed, tasks):
             if isinstance(solution, NotFollowedError):
                 failures[number] = solution
-                if self.crew.workers == 1:
+                if self.pool.workers == 1:
                     break
                 continue
             new[open_[number]], self.solved = solution, self.solved + 1
@@ -166,7 +166,7 @@ class Sampling:
     def sampled(self, keys: Sequence[Key]) -> list[Any]:
         """Samples at equilibria."""
         missing = [key for key in keys if key not in self.samples]
-        for number, sample in self.crew.as_ended(_sample, [self.equilibria[key] for key in missing]):
+        for number, sample in self.pool.as_ended(_sample, [self.equilibria[key] for key in missing]):
             self.samples[missing[number]] = sample
         return [self.samples[key] for key in keys]
 

@@ -22,7 +22,7 @@ from morembs.dynamics.multibody.system import State
 from morembs.dynamics.multibody.tangents import pulls, stiffness_and_damping
 from morembs.exporters.ports import UNITS
 from morembs.exporters.state_space import StateSpace
-from morembs.linalg.eigen import graded_modes
+from morembs.linalg.eigen import accurate_eigh
 
 # Joint equations, equilibrated, that depend on each other.
 RANK = 1e-9
@@ -58,7 +58,7 @@ class Linearised:
         """(r,) squares of the circular frequencies (rad/s)2 without damping, ascending; negative where a motion grows,
         zero where nothing resists it. Of a stiffness that is not symmetric (loads that follow) its symmetric part."""
         Z, whole = self.motions, self.stiffness
-        values, Y = graded_modes(0.5 * (self.K + self.K.T), projected=lambda y: (Z @ y).T @ whole @ (Z @ y))
+        values, Y = accurate_eigh(0.5 * (self.K + self.K.T), projected=lambda y: (Z @ y).T @ whole @ (Z @ y))
         z = np.abs(Z @ Y)
         size = np.einsum("ij,ij->j", z, np.abs(whole) @ z)
         least = np.maximum(ROUND_OFF * size, NOTHING * np.abs(values).max(initial=0.0))

@@ -28,7 +28,7 @@ from morembs.exporters.fmu.system import (
 from morembs.exporters.reduced import refuse_two_sided, to_interfaces
 from morembs.exporters.tolerances import TOL
 from morembs.linalg.columns import symmetric
-from morembs.linalg.eigen import graded_modes
+from morembs.linalg.eigen import accurate_eigh
 
 _REACTIONS = (("reaction_force", "N"), ("reaction_moment", "N.m"))
 
@@ -136,7 +136,7 @@ def _coordinates(context: ExportContext, fixed: Ints) -> _Coordinates:
         size = np.linalg.norm(moved, axis=1)
         moved = moved / np.where(size > 0, size, 1.0)[:, None]
         rigid -= int((np.linalg.svd(moved, compute_uv=False) > TOL.held_motion).sum()) if rigid else 0
-        values, inner = graded_modes(K, M) if N.shape[1] else (np.zeros(0), np.zeros((0, 0)))
+        values, inner = accurate_eigh(K, M) if N.shape[1] else (np.zeros(0), np.zeros((0, 0)))
         Y = N @ inner
     values[:rigid] = 0.0
     if (values[rigid:] <= 0).any():

@@ -22,9 +22,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from morembs.base.crew import processors, threads_for
 from morembs.base.errors import InputError, SolverError
 from morembs.base.scratch import ScratchFolder
+from morembs.base.worker_pool import processors, threads_for
 from morembs.linalg.sparse.mumps_library import rank_files
 from morembs.linalg.sparse.rank import SOCKET
 from morembs.linalg.sparse.tolerances import TOL

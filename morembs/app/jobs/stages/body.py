@@ -23,7 +23,7 @@ from morembs.body.floating.stiffening import Envelope
 from morembs.body.floating.stiffening_terms import why_no_stiffening
 from morembs.fem.fe_model import has_places
 from morembs.fem.selection import select_nodes
-from morembs.reducers import Facts
+from morembs.reducers import ProblemSummary
 
 BODIES: Result[tuple[Body, ...]] = Result("bodies")
 
@@ -35,7 +35,7 @@ class Deliver(JobStage):
     needs = (PROBLEM, PARTS, REDUCED, CERTIFICATES, SPINS, NOTES)
     gives = (BODIES,)
 
-    def check(self, job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
+    def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         """Refuse what the bodies cannot carry."""
         wanted, model = body_options(job), facts.model
         check_frame(wanted.kind, wanted.interfaces, list(facts.coupling.frame_columns))

@@ -12,9 +12,9 @@ from morembs.app.jobs.stages.reduction import REDUCED
 from morembs.app.jobs.stages.spin import SPINS
 from morembs.app.jobs.stages.stage import JobStage, Result, Work
 from morembs.app.jobs.stages.unreduced import PARTS
-from morembs.reducers import Facts
+from morembs.reducers import ProblemSummary
 from morembs.reducers.cost import response_seconds
-from morembs.reducers.facts import Shifted
+from morembs.reducers.problem_summary import ShiftedFactorisations
 
 if TYPE_CHECKING:
     from morembs.certificate.certify import Certificate
@@ -32,11 +32,11 @@ class Certify(JobStage):
     def is_asked(self, job: Job) -> bool:
         return certified_band(job) is not None
 
-    def shifted(self, job: Job, facts: Facts) -> Mapping[str, Sequence[Shifted]]:
+    def shifted(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
         given = job.tables.certify
         return {} if given is None else {"[certify]": facts.at_frequencies(given.points)}
 
-    def followed_seconds(self, job: Job, facts: Facts) -> Mapping[str, float]:
+    def followed_seconds(self, job: Job, facts: ProblemSummary) -> Mapping[str, float]:
         return {} if job.tables.certify is None else {"[certify]": response_seconds(facts.size, facts.inputs)}
 
     def computes_modes(self, job: Job) -> bool:

@@ -14,7 +14,7 @@ from morembs.fem.interface import Interface, make_interface, matrix_interface
 from morembs.fem.selection import select_nodes
 from morembs.importers.dependent_dofs import interface_of_coupling
 from morembs.problem import Damping, Problem
-from morembs.reducers import Facts
+from morembs.reducers import ProblemSummary
 
 if TYPE_CHECKING:
     from morembs.parametric.terms import VariedModel
@@ -38,7 +38,7 @@ class Couple(JobStage):
             work.give(INTERFACES, interfaces_of(job, model))
             problem = coupled(work, model, work.get(VARIED))
             work.give(PROBLEM, problem)
-            work.tell(*preflight(job, Facts.of(problem), problem.rigid.shape[1]), stored=False)
+            work.tell(*preflight(job, ProblemSummary.of(problem), problem.rigid.shape[1]), stored=False)
 
 
 def coupled(work: Work, model: FEModel, varied: VariedModel | None) -> Problem:

@@ -12,7 +12,7 @@ from morembs.app.jobs.stages.stage import JobStage, Result, Work
 from morembs.base.errors import InputError
 from morembs.linalg.sparse.select import lacks
 from morembs.linalg.sparse.solver import FactorStats
-from morembs.reducers import Facts
+from morembs.reducers import ProblemSummary
 
 FACTOR: Result[FactorStats] = Result("factor")
 CHOICE: Result[str] = Result("choice of the solver")
@@ -25,7 +25,7 @@ class FactorCost(JobStage):
     needs = (PROBLEM, BODIES, RESPONSE)
     gives = (FACTOR, CHOICE)
 
-    def check(self, job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
+    def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         """Refuse a solver that does not take what is factorised beside K."""
         solver = type(solver_of(job))
         for words, each in shifted_of(job, facts).items():

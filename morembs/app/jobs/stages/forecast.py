@@ -28,7 +28,7 @@ from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.threads import blas_threads, measured_speed
 from morembs.linalg.statics import COUNT_BYTES, COUNT_COLUMNS, require_room_to_count
 from morembs.problem.system import PROCESS_BYTES, worker_bytes
-from morembs.reducers.facts import Shifted
+from morembs.reducers.problem_summary import ShiftedFactorisations
 
 # Bytes of a stored entry of K or M, and of the triangle with the places of M in it.
 _ENTRY, _TRIANGLE = 12, 12
@@ -151,7 +151,7 @@ def forecast_cost(
     budget: Budget,
     start: int,
     modes: bool,
-    shifted: Sequence[Shifted] = (),
+    shifted: Sequence[ShiftedFactorisations] = (),
     workers: int = 1,
 ) -> Cost:
     """Cost of reducing with a stiffness of the pattern of ``K`` (N, N) in coupled dofs of ``T`` (N, Nc).
@@ -200,7 +200,9 @@ def forecast_cost(
     return Cost(plan=plan, choice=choice, columns=dense, peak=peak, seconds=_seconds(plan), shift=shift)
 
 
-def _at_shifts(lower: Lower, shifted: Sequence[Shifted], solver: LinearSolver, workers: int, left: int | None) -> Shift:
+def _at_shifts(
+    lower: Lower, shifted: Sequence[ShiftedFactorisations], solver: LinearSolver, workers: int, left: int | None
+) -> Shift:
     """What ``shifted`` takes on up to ``workers`` processes that have ``left`` bytes together (None: no limit)."""
     if not shifted:
         return Shift()

@@ -8,8 +8,8 @@ from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.progress import duration_words
 from morembs.body.diagnostics.warnings import examined, examined_mesh
 from morembs.fem import FEModel
-from morembs.reducers import Facts
-from morembs.reducers.facts import Shifted
+from morembs.reducers import ProblemSummary
+from morembs.reducers.problem_summary import ShiftedFactorisations
 
 # Interface degrees of freedom beyond which methods that follow all responses take minutes.
 MANY_INTERFACE_DOFS = 60
@@ -26,7 +26,7 @@ def model_warnings(job: Job, model: FEModel, budget: Budget = UNLIMITED) -> tupl
     return examined_mesh(model, job.units)
 
 
-def preflight(job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
+def preflight(job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
     """Warnings about what the reductions of ``job`` will cost; ``rigid`` is the number of rigid-body motions.
 
     Raises:
@@ -36,12 +36,12 @@ def preflight(job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
     return (*_many_motions(job, facts), *warnings)
 
 
-def shifted_of(job: Job, facts: Facts) -> dict[str, Shifted]:
+def shifted_of(job: Job, facts: ProblemSummary) -> dict[str, ShiftedFactorisations]:
     """What is factorised beside K, by the words for what asks for it."""
     return {words: each for stage in asked(job) for words, found in stage.shifted(job, facts).items() for each in found}
 
 
-def _many_motions(job: Job, facts: Facts) -> list[str]:
+def _many_motions(job: Job, facts: ProblemSummary) -> list[str]:
     if facts.inputs <= MANY_INTERFACE_DOFS:
         return []
     took = {words: took for stage in asked(job) for words, took in stage.followed_seconds(job, facts).items()}

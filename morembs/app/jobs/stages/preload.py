@@ -9,7 +9,7 @@ from morembs.base.errors import InputError
 from morembs.body.floating.preload import Preload, preloaded
 from morembs.body.floating.stiffening_terms import why_no_stiffening
 from morembs.fem.fe_model import has_places
-from morembs.reducers import Facts
+from morembs.reducers import ProblemSummary
 
 
 class PreloadStress(JobStage):
@@ -22,7 +22,7 @@ class PreloadStress(JobStage):
     def is_asked(self, job: Job) -> bool:
         return job.tables.preload is not None
 
-    def check(self, job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
+    def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         """Refuse loads on nothing, and bodies that carry no stress or are held."""
         preload_of(job).check(facts.interfaces)
         reason = why_no_stiffening(facts.model)

@@ -9,10 +9,10 @@ from morembs.app.jobs.stages.couple import PROBLEM
 from morembs.app.jobs.stages.stage import JobStage, Result, Work
 from morembs.base.errors import InputError, SolverError
 from morembs.base.progress import duration_words
-from morembs.reducers import Facts, Reducer
+from morembs.reducers import ProblemSummary, Reducer
 from morembs.reducers.base import ReducedModel
 from morembs.reducers.cost import mode_seconds
-from morembs.reducers.facts import Shifted
+from morembs.reducers.problem_summary import ShiftedFactorisations
 from morembs.responses.direct import why_no_response
 
 REDUCED: Result[Sequence[ReducedModel]] = Result("reduced")
@@ -31,7 +31,7 @@ class Reduction(JobStage):
     needs = (PROBLEM,)
     gives = (REDUCED,)
 
-    def check(self, job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
+    def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         """Ask every reduction, and the comparison of their responses, whether it can be made."""
         key = next((key for key in ("certify", "response") if getattr(job.tables, key) is not None), "")
         if key == "certify" and not facts.inputs:
@@ -59,10 +59,10 @@ class Reduction(JobStage):
             raise InputError(f"[{key}]: {reason}")
         return tuple(_many_modes(job, facts.size))
 
-    def shifted(self, job: Job, facts: Facts) -> Mapping[str, Sequence[Shifted]]:
+    def shifted(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
         return {f"[[reduce]] {name!r}": reducer.shifted(facts) for name, reducer in job.reducers.items()}
 
-    def followed_seconds(self, job: Job, facts: Facts) -> Mapping[str, float]:
+    def followed_seconds(self, job: Job, facts: ProblemSummary) -> Mapping[str, float]:
         return {
             repr(name): reducer.seconds(facts) or 0.0
             for name, reducer in job.reducers.items()

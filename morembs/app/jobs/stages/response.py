@@ -15,9 +15,9 @@ from morembs.app.jobs.stages.stage import JobStage, Result, Work
 from morembs.app.jobs.stages.unreduced import PARTS
 from morembs.base.types import Floats
 from morembs.body import Body
-from morembs.reducers import Facts
+from morembs.reducers import ProblemSummary
 from morembs.reducers.cost import response_seconds
-from morembs.reducers.facts import Shifted
+from morembs.reducers.problem_summary import ShiftedFactorisations
 
 RESPONSE: Result[FrequencyResponse] = Result("response")
 # Frequencies of a picture where no [response] asks for others, and their band: parts of the lowest and of the highest
@@ -32,14 +32,14 @@ class Response(JobStage):
     needs = (PROBLEM, PARTS, BODIES)
     gives = (RESPONSE,)
 
-    def shifted(self, job: Job, facts: Facts) -> Mapping[str, Sequence[Shifted]]:
+    def shifted(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
         given = job.tables.response
         if given is not None:
             return {"[response]": facts.at_frequencies(given.points)}
         drawn = job.picture is not None and job.tables.certify is None and facts.inputs
         return {"the picture": facts.at_frequencies(BAND_POINTS)} if drawn else {}
 
-    def followed_seconds(self, job: Job, facts: Facts) -> Mapping[str, float]:
+    def followed_seconds(self, job: Job, facts: ProblemSummary) -> Mapping[str, float]:
         return {} if job.tables.response is None else {"[response]": response_seconds(facts.size, facts.inputs)}
 
     def run(self, work: Work) -> None:

@@ -13,7 +13,7 @@ from morembs.base.errors import InputError
 from morembs.body.floating.spin import ReducedSpin
 from morembs.body.floating.spinning import Rotation, Spin, spinning
 from morembs.body.floating.spinning_modes import modes_over_speed, refuse_damping, with_spin
-from morembs.reducers import Facts
+from morembs.reducers import ProblemSummary
 
 SPIN: Result[Spin] = Result("spin")
 SPINS: Result[Sequence[ReducedSpin | None]] = Result("spins")
@@ -29,7 +29,7 @@ class SpinMatrices(JobStage):
     def is_asked(self, job: Job) -> bool:
         return job.tables.spin is not None
 
-    def check(self, job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
+    def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         """Refuse axes, supports, damping and reductions that do not spin."""
         rotation, _ = rotation_of(job)
         rotation.check(facts.model, [interface.name for interface in facts.interfaces])

@@ -14,8 +14,8 @@ from morembs.fem import FEModel, Mesh
 from morembs.linalg.sparse.solver import LinearSolver
 
 if TYPE_CHECKING:
-    from morembs.reducers import Facts
-    from morembs.reducers.facts import Shifted
+    from morembs.reducers import ProblemSummary
+    from morembs.reducers.problem_summary import ShiftedFactorisations
 
 T = TypeVar("T")
 
@@ -113,7 +113,7 @@ class JobStage:
             InputError: as said.
         """
 
-    def check(self, job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
+    def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         """Warnings before anything is factorised; ``rigid`` is the number of rigid-body motions.
 
         Raises:
@@ -121,11 +121,11 @@ class JobStage:
         """
         return ()
 
-    def shifted(self, job: Job, facts: Facts) -> Mapping[str, Sequence[Shifted]]:
+    def shifted(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
         """What it factorises beside K, by the words for what asks for it."""
         return {}
 
-    def followed_seconds(self, job: Job, facts: Facts) -> Mapping[str, float]:
+    def followed_seconds(self, job: Job, facts: ProblemSummary) -> Mapping[str, float]:
         """Time of what follows the responses to all interface degrees of freedom, by the words for it."""
         return {}
 

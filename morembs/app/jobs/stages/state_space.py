@@ -15,7 +15,7 @@ from morembs.base.errors import InputError, nearest
 from morembs.fem import rigid_motion
 from morembs.fem.fe_model import STRUCTURAL
 from morembs.problem.damping import frequency_domain_only
-from morembs.reducers import Facts
+from morembs.reducers import ProblemSummary
 
 
 class StateSpace(JobStage):
@@ -32,7 +32,7 @@ class StateSpace(JobStage):
         asked = job.tables.state_space
         return {} if asked is None else {"[state_space] path": job.result(asked.path)}
 
-    def check(self, job: Job, facts: Facts, rigid: int) -> tuple[str, ...]:
+    def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         """Refuse signals that there are not, and supports that leave the part loose."""
         asked = job.tables.state_space
         if asked is None:

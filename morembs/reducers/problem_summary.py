@@ -15,7 +15,7 @@ from morembs.responses.tolerances import TOL as RESPONSES
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shifted:
+class ShiftedFactorisations:
     """Factorisations of A(s) beside the one of K: ``count`` of them, each solved with for so many ``columns``, and how
     many are known ``at_once``, so that workers share them; the largest ``structure`` among them."""
 
@@ -26,7 +26,7 @@ class Shifted:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Facts:
+class ProblemSummary:
     """What is known of a problem before anything is factorised; K and M of the model may be empty."""
 
     model: FEModel
@@ -64,7 +64,7 @@ class Facts:
         """Whether the model has neither a gyroscopic nor a circulatory matrix."""
         return self.model.G is None and self.model.N is None
 
-    def at_shifts(self, s: Iterable[complex], columns: int, at_once: bool = True) -> list[Shifted]:
+    def at_shifts(self, s: Iterable[complex], columns: int, at_once: bool = True) -> list[ShiftedFactorisations]:
         """A(s) at each of ``s`` in 1/s; nothing where K serves for all of them."""
         model = self.model
         D, G, N = (A is not None for A in (model.D, model.G, model.N))
@@ -72,9 +72,9 @@ class Facts:
         if not structures:
             return []
         largest, count = max(structures, key=STRUCTURES.index), len(structures)
-        return [Shifted(structure=largest, count=count, columns=columns, at_once=count if at_once else 1)]
+        return [ShiftedFactorisations(structure=largest, count=count, columns=columns, at_once=count if at_once else 1)]
 
-    def at_frequencies(self, count: int) -> list[Shifted]:
+    def at_frequencies(self, count: int) -> list[ShiftedFactorisations]:
         """What the response of the full model at ``count`` frequencies is made of: a reference model takes few of them,
         and none without a damping matrix of its own."""
         if not self.symmetric:

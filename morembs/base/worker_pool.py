@@ -125,7 +125,7 @@ class _Worker:
     channel: Connection
 
 
-class Crew(Closing):
+class WorkerPool(Closing):
     """Calls functions of what is ``shared`` and of a task on ``workers`` processes, or here where there is one.
 
     A context manager: its processes start with the first tasks and end with it.
@@ -133,7 +133,7 @@ class Crew(Closing):
     Args:
         shared: what all tasks need. It is sent once and stays with each process, which may keep in it what serves
             several tasks; without other processes it is used itself.
-        threads: of the BLAS in each process, and here while the crew is open. None: as many as here, but no more than
+        threads: of the BLAS in each process, and here while the pool is open. None: as many as here, but no more than
             there are processors for all.
         scratch: folder for the arrays that are shared (None: the temporary folder of the system).
 
@@ -237,7 +237,7 @@ class Crew(Closing):
         (folder / "shared").write_bytes(message)
         for _ in range(min(self.workers, tasks)):
             ours, theirs = context.Pipe()
-            # Daemons end with this process also where nobody closes the crew.
+            # Daemons end with this process also where nobody closes the pool.
             process = context.Process(target=_work, args=(theirs, folder, self.threads), daemon=True)
             self._crew.append(_Worker(process, ours))
             with _without_main(b"__main__" in message), _socket_apart():
@@ -246,7 +246,7 @@ class Crew(Closing):
 
     def _deal(self, worker: _Worker, function: Work, number: int, task: Any) -> int:
         if self._folder is None:
-            raise RuntimeError("a crew without a folder")
+            raise RuntimeError("a pool without a folder")
         message = _packed((number, function, task), self._folder.path, f"task-{next(self._names)}")
         try:
             worker.channel.send_bytes(message)
@@ -256,7 +256,7 @@ class Crew(Closing):
 
     def _hear(self, worker: _Worker) -> _Done:
         if self._folder is None:
-            raise RuntimeError("a crew without a folder")
+            raise RuntimeError("a pool without a folder")
         try:
             done: _Done = _unpacked(worker.channel.recv_bytes(), self._folder.path)
         except (EOFError, OSError):
