@@ -39,7 +39,7 @@ OUTSIDE = {
     "SOLVERS",
     "FORMULATIONS",
     "STAGES",
-    "LARGE",
+    "large_file_notes",
     "largest",
     "ShiftedInverse",
 }

@@ -73,7 +73,7 @@ DampingRatio = Annotated[
     float, number("a part of critical damping from 0 to 1, such as 0.02 for 2 percent", ge=0, le=1)
 ]
 DampingFloor = Annotated[float, number("a part of critical damping from 0 to below 1, such as 0.01", ge=0, lt=1)]
-PoissonRatio = Annotated[float, number("a number between -1 and 0.5", gt=-1, lt=0.5)]
+PoissonRatio = Annotated[float, number("a number between -1 and 0.5 (exclusive; for rubber take 0.49)", gt=-1, lt=0.5)]
 Hertz = Annotated[float, number(f"a frequency in Hz from 0 to {TOL.largest_hz:g}", ge=0, lt=TOL.largest_hz)]
 PositiveHertz = Annotated[
     float, number(f"a positive frequency in Hz below {TOL.largest_hz:g}", gt=0, lt=TOL.largest_hz)

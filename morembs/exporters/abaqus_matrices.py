@@ -16,16 +16,20 @@ from morembs.base.types import Ints
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
 from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import body_transfer, on_interfaces
+from morembs.exporters.tolerances import TOL
 from morembs.importers.abaqus_matrices import read_abaqus_matrix
 from morembs.storage.safefile import replacing, replacing_all
 
 Layout = Literal["matrix input", "labels", "coordinate"]
-# Abaqus takes labels below a billion.
-_LARGEST = 999_999_999
-_ROWS = 1 << 16
-_DIGITS = 16
 # Other than the names of Matrix Market files: both may lie beside one body file.
 _ENDING = "_abaqus_{}.mtx"
+
+
+class MatrixInput:
+    """What *MATRIX INPUT takes (Abaqus Keywords Guide): labels below a billion, numbers as "%.15e" writes them."""
+
+    LARGEST_LABEL = 999_999_999
+    DIGITS = 16
 
 
 def write_abaqus_matrix(
@@ -80,8 +84,8 @@ def _lines(entries: sp.coo_array, names: NDArray[np.str_], between: str, *, symm
     if not symmetric:
         # A triangle alone would be taken for half of a symmetric matrix.
         yield b"*MATRIX INPUT, NAME=UNSYMMETRIC, TYPE=UNSYMMETRIC\n"
-    for at in range(0, entries.nnz, _ROWS):
-        part = slice(at, at + _ROWS)
+    for at in range(0, entries.nnz, TOL.lines_at_once):
+        part = slice(at, at + TOL.lines_at_once)
         rows, columns = (names[c[part]].tolist() for c in entries.coords)
         lines = zip(rows, columns, entries.data[part].tolist(), strict=True)
         yield "".join(f"{r}{between}{c}{between}{v:.15e}\n" for r, c, v in lines).encode("ascii")
@@ -91,10 +95,9 @@ def _labels(node: Ints | None, dof: Ints | None, size: int) -> NDArray[np.str_]:
     if node is None or dof is None or len(node) != size or len(dof) != size:
         raise InputError(f"a matrix of {size} rows needs as many node labels and dofs; or take layout = 'coordinate'")
     pairs = list(zip(node.tolist(), dof.tolist(), strict=True))
-    if len(set(pairs)) < size or any(abs(n) > _LARGEST or n == 0 or not 1 <= d < 64 for n, d in pairs):
-        raise InputError(
-            f"node labels or dofs repeat or lie outside 1 to {_LARGEST} and 1 to 63; give each row its own"
-        )
+    largest = MatrixInput.LARGEST_LABEL
+    if len(set(pairs)) < size or any(abs(n) > largest or n == 0 or not 1 <= d < 64 for n, d in pairs):
+        raise InputError(f"node labels or dofs repeat or lie outside 1 to {largest} and 1 to 63; give each row its own")
     return np.array([f"{n}, {d}" for n, d in pairs])
 
 
@@ -116,7 +119,7 @@ class AbaqusExporter(Exporter):
     first_label: int | None = None
 
     def _write(self, context: ExportContext) -> Exported:
-        body = on_interfaces(context, self.first_label, component_of_rest=1, largest_label=_LARGEST)
+        body = on_interfaces(context, self.first_label, component_of_rest=1, largest_label=MatrixInput.LARGEST_LABEL)
         stem = context.path.name.removesuffix(context.path.suffix)
         paths = {key: context.beside(_ENDING.format(key)) for key in body.matrices}
         if any(not name.isascii() or "," in name for name in (stem,)):
@@ -141,11 +144,13 @@ class AbaqusExporter(Exporter):
         return Exported(paths=(context.path, *paths.values()), notes=("numbers have 16 digits", *body.notes, *stale))
 
     def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
-        body = on_interfaces(context, self.first_label, component_of_rest=1, largest_label=_LARGEST)
+        body = on_interfaces(context, self.first_label, component_of_rest=1, largest_label=MatrixInput.LARGEST_LABEL)
         found = {}
         for key in body.matrices:
             read = read_abaqus_matrix(files[context.beside(_ENDING.format(key))])
             if read.node is None or read.dof is None:
                 raise InputError(f"matrix {key} has no labels")
             found[key] = read.matrix, read.node, read.dof
-        return ReadBack(found=body.transfer(found), expected=body_transfer(context.body), digits=_DIGITS, changed=True)
+        return ReadBack(
+            found=body.transfer(found), expected=body_transfer(context.body), digits=MatrixInput.DIGITS, changed=True
+        )

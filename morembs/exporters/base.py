@@ -17,6 +17,7 @@ from morembs.base.types import Floats
 from morembs.body.body import Body
 from morembs.body.stored import StoredBodies
 from morembs.exporters.read_back import ReadBack, frequencies_between
+from morembs.exporters.tolerances import TOL
 from morembs.fem.fe_model import Component
 from morembs.problem.damping import frequency_domain_only
 from morembs.storage.safefile import looked_at
@@ -24,12 +25,6 @@ from morembs.storage.safefile import looked_at
 if TYPE_CHECKING:
     from morembs.body.floating.frame import FloatingFrame, InterfaceMarker
 
-# Columns of a basis that are in memory at a time.
-BLOCK_BYTES = 16 * 2**20
-# Numbers with exponents of two digits.
-LARGEST, SMALLEST = 9.99999999e99, 1e-99
-# Share of the largest number of an array below which a number is round-off.
-ROUND_OFF = 1e-18
 # What a body may have that a target cannot hold -> words for it.
 LOSSES = {
     "damping": "its damping matrix",
@@ -108,7 +103,7 @@ class ExportContext:
         to_reduced = self.frame.elastic[:, columns]
         rows = 3 * len(self.source.coordinates)
         result = np.zeros((rows, to_reduced.shape[1]), order="F")
-        step = max(1, BLOCK_BYTES // (8 * max(1, rows)))
+        step = max(1, TOL.basis_block_bytes // (8 * max(1, rows)))
         for start in range(0, len(to_reduced), step):
             block = slice(start, min(start + step, len(to_reduced)))
             result += self.body.basis(block) @ to_reduced[block]
@@ -245,7 +240,7 @@ def refuse_rigid(context: ExportContext) -> None:
     # Fails where this is no mass; that of mean axes is one, and what other frames add makes it larger.
     np.linalg.cholesky(Me)
     stiffness = np.linalg.eigvalsh(_scaled(Ke, Me))
-    if stiffness[0] <= 1e-10 * stiffness[-1]:
+    if stiffness[0] <= TOL.rigid_stiffness * stiffness[-1]:
         raise InputError(
             f"elastic coordinates of body {context.body.name!r} contain rigid-body motion (a combination of them has "
             "no stiffness); the floating frame carries that motion, reduce the model again"
@@ -267,10 +262,10 @@ def in_two_digits(what: str, values: Floats, target: str) -> Floats:
     values = np.asarray(values, dtype=float)
     size = np.abs(values)
     largest = float(size.max(initial=0.0))
-    if not largest <= LARGEST:
+    if not largest <= TOL.largest_in_two_digits:
         raise InputError(f"{what} has the value {largest:.3g}; {target} holds up to 9.9e99; check the units")
-    small = (size > 0) & (size < SMALLEST)
-    if (small & (size > ROUND_OFF * largest)).any():
+    small = (size > 0) & (size < TOL.smallest_in_two_digits)
+    if (small & (size > TOL.lost_number * largest)).any():
         raise InputError(
             f"{what} has the value {size[small].max():.3g}; {target} would write it as zero; check the units"
         )

@@ -20,11 +20,18 @@ from morembs.storage.safefile import replacing
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,7}")
 _NAMES = {"M": "MAAX", "K": "KAAX", "D": "BAAX"}
-_LARGEST = 99999999
-# Fewest of a field.
-_DIGITS = 11
-# Sizes of numbers that have most digits without an exponent.
-_PLAIN = (1e-2, 1e15)
+
+
+class LargeField:
+    """Large fields of bulk data (MSC Nastran Quick Reference Guide): labels of eight digits, 16 characters a number.
+
+    A number has at least ``FEWEST_DIGITS``, and most without an exponent from ``PLAIN_FROM`` to ``PLAIN_BELOW``.
+    """
+
+    LARGEST_LABEL = 10**8 - 1
+    FEWEST_DIGITS = 11
+    PLAIN_FROM = 1e-2
+    PLAIN_BELOW = 1e15
 
 
 def write_dmig(path: str | Path, matrices: Mapping[str, DmigMatrix], before: str = "") -> None:
@@ -63,10 +70,11 @@ def _check(name: str, given: DmigMatrix) -> None:
     if given.form == 6 and (given.matrix != given.matrix.T).nnz:
         raise InputError(f"matrix {name!r} has form 6 but is not symmetric; give form 1")
     labels = np.concatenate([given.rows, given.columns])
+    largest = LargeField.LARGEST_LABEL
     if len(labels) and (
-        labels[:, 0].min() < 1 or labels[:, 0].max() > _LARGEST or not np.isin(labels[:, 1], range(7)).all()
+        labels[:, 0].min() < 1 or labels[:, 0].max() > largest or not np.isin(labels[:, 1], range(7)).all()
     ):
-        raise InputError(f"matrix {name!r} has labels outside 1 to {_LARGEST} or components outside 0 to 6")
+        raise InputError(f"matrix {name!r} has labels outside 1 to {largest} or components outside 0 to 6")
     if not given.matrix.nnz:
         raise InputError(f"matrix {name!r} has no entries; DMIG cannot hold that, leave it out")
     in_two_digits(f"matrix {name!r}", np.abs(given.matrix.data), "DMIG")
@@ -100,7 +108,7 @@ def sixteen(value: float) -> str:
     size = abs(value)
     if size == 0.0:
         return f"{0.0:16.1f}"
-    if _PLAIN[0] <= size < _PLAIN[1]:
+    if LargeField.PLAIN_FROM <= size < LargeField.PLAIN_BELOW:
         room = 16 - (value < 0)
         before = len(f"{size:.0f}") if size >= 1.0 else 0
         text = f"{value:#.{max(room - 1 - before, 0)}f}".replace("0.", ".", 1 if size < 1.0 else 0)
@@ -131,7 +139,7 @@ class DmigExporter(Exporter):
     first_label: int | None = None
 
     def _write(self, context: ExportContext) -> Exported:
-        body = on_interfaces(context, self.first_label, component_of_rest=0, largest_label=_LARGEST)
+        body = on_interfaces(context, self.first_label, component_of_rest=0, largest_label=LargeField.LARGEST_LABEL)
         labels = np.stack([body.node, body.dof], axis=1)
         order = np.lexsort((labels[:, 1], labels[:, 0]))
         lines = [
@@ -161,10 +169,15 @@ class DmigExporter(Exporter):
         )
 
     def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
-        body = on_interfaces(context, self.first_label, component_of_rest=0, largest_label=_LARGEST)
+        body = on_interfaces(context, self.first_label, component_of_rest=0, largest_label=LargeField.LARGEST_LABEL)
         read = read_dmig(files[context.path])
         found = {key: (read[name].matrix, *read[name].rows.T) for key, name in _NAMES.items() if name in read}
-        return ReadBack(found=body.transfer(found), expected=body_transfer(context.body), digits=_DIGITS, changed=True)
+        return ReadBack(
+            found=body.transfer(found),
+            expected=body_transfer(context.body),
+            digits=LargeField.FEWEST_DIGITS,
+            changed=True,
+        )
 
 
 def _ascii(name: str) -> str:

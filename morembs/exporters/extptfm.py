@@ -20,9 +20,6 @@ from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_dig
 from morembs.exporters.simscape import framed_rows, interfaces_first, refuse_not_symmetric
 from morembs.storage.safefile import replacing
 
-# Degrees of freedom of the platform.
-PLATFORM = 6
-
 
 @dataclass(frozen=True, kw_only=True)
 class ExtPtfm(Exporter):
@@ -53,7 +50,7 @@ class ExtPtfm(Exporter):
             for text in _lines(matrices, self.duration):
                 file.write(text.encode("ascii"))
             file.check()
-        modes = len(K) - PLATFORM
+        modes = len(K) - len(framed[name])
         notes = [
             f"{modes} modes with {name} at rest",
             "the loads in the file are zero: waves, current and the weight of the foundation are yours to add",

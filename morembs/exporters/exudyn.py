@@ -20,15 +20,19 @@ from morembs.body.stored import StoredBodies
 from morembs.body.stored_check import check_grid
 from morembs.body.vtkhdf_series import read_grid
 from morembs.exporters.base import ExportContext, Exported, Exporter
+from morembs.exporters.tolerances import TOL
 from morembs.fem import ElementBlock, Mesh, Nodes, skew
 from morembs.fem.elements import FACES, TYPES
 from morembs.fem.surface import outer_faces
 from morembs.storage.writer import writing
 
-# Coordinates of the frame: three of position, four Euler parameters.
-RIGID_COORDINATES = 7
-# Columns of the mode basis are made in blocks of this size; each block reads the whole basis once.
-PASS_BYTES = 256 * 2**20
+
+class FrameNode:
+    """Coordinates of the frame, Exudyn's NodeRigidBodyEP (its manual, items): positions, then Euler parameters."""
+
+    POSITIONS = 3
+    EULER_PARAMETERS = 4
+    ALL = POSITIONS + EULER_PARAMETERS
 
 
 class MarkerNodes(NamedTuple):
@@ -97,11 +101,12 @@ def _values(context: ExportContext, faces: Ints) -> Mapping[str, Any]:
     frame = context.frame
     terms = _terms(frame.integrals)
     m, n = frame.count, len(context.source.coordinates)
+    turning = FrameNode.POSITIONS, FrameNode.EULER_PARAMETERS
     return {
         "fileVersion": 1,
         "type": "ObjectFFRFreducedOrderInterface",
         "rigidBodyNodeType": "NodeType.RotationEulerParameters",
-        "infoList": np.array([m, n, 3, 4, RIGID_COORDINATES, RIGID_COORDINATES + m], dtype=np.int64),
+        "infoList": np.array([m, n, *turning, FrameNode.ALL, FrameNode.ALL + m], dtype=np.int64),
         "xRef": context.coordinates.ravel(),
         "trigList": faces if len(faces) else [],
         "postProcessingModes": {},
@@ -144,7 +149,7 @@ def _put_shapes(file: Any, context: ExportContext) -> None:
     rows, count = 3 * len(context.source.coordinates), context.frame.count
     data = file.create_dataset("modeBasis", (rows, count), np.float64)
     data.attrs["datatype"] = "ndarray"
-    step = max(1, PASS_BYTES // (8 * rows))
+    step = max(1, TOL.exudyn_block_bytes // (8 * rows))
     for start in range(0, count, step):
         block = slice(start, min(start + step, count))
         data[:, block] = context.shapes(block)

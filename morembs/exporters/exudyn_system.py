@@ -27,6 +27,7 @@ from morembs.body.floating.frame import FloatingFrame
 from morembs.body.stored import StoredBodies, choose_body
 from morembs.exporters import export_body
 from morembs.exporters.exudyn import exudyn_marker
+from morembs.exporters.tolerances import TOL
 
 Point = Sequence[float] | Floats
 
@@ -81,8 +82,8 @@ class ExudynBody:
         scale = np.abs(phi).max()
         A = np.vstack([np.ones((1, len(nodes))), (nodes - frame.origin).T, phi / scale])
         b = np.concatenate([[1.0], integrals.first / integrals.mass, integrals.Ct.T.ravel() / (scale * integrals.mass)])
-        weights = np.linalg.lstsq(A, b, rcond=1e-12)[0]
-        if np.abs(A @ weights - b).max() > 1e-9:
+        weights = np.linalg.lstsq(A, b, rcond=TOL.dependent_weights)[0]
+        if np.abs(A @ weights - b).max() > TOL.weights_error:
             raise InputError('the stored nodes cannot carry the weight of the body; store more (nodes = "all")')
         return np.asarray(weights)
 
@@ -217,7 +218,9 @@ class ExudynSystem:
             self.items.CoordinateConstraint(markerNumbers=[fixed, turn], velocityLevel=True, offset=speed)
         )
 
-    def solve(self, *, end: float, step: float, rho: float = 0.9, watch: Sequence[int]) -> tuple[Floats, list[Floats]]:
+    def solve(
+        self, *, end: float, step: float, rho: float = TOL.spectral_radius, watch: Sequence[int]
+    ) -> tuple[Floats, list[Floats]]:
         """Times (s,) and positions (s, 3) of each marker in ``watch``, from the start to ``end`` s.
 
         Equal steps of at most ``step`` s, as ``simulate`` of ``morembs.dynamics.multibody`` takes;
@@ -234,11 +237,11 @@ class ExudynSystem:
         self.mbs.Assemble()
         settings = self.exu.SimulationSettings()
         time = settings.timeIntegration
-        count = max(1, math.ceil(end / step * (1 - 1e-12)))
+        count = max(1, math.ceil(end / step * (1 - TOL.step_roundoff)))
         time.numberOfSteps, time.endTime, time.verboseMode = count, end, 0
         time.generalizedAlpha.spectralRadius = rho
         time.newton.useModifiedNewton = True
-        time.newton.relativeTolerance = 1e-11
+        time.newton.relativeTolerance = TOL.newton_error
         settings.solution.file.write = False
         settings.solution.sensors.writePeriod = end / count
         self.mbs.SolveDynamic(settings)

@@ -14,11 +14,11 @@ from scipy.io import mmwrite
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import reduced_matrices, second_order
+from morembs.exporters.tolerances import TOL
 from morembs.fem.fe_model import Component
 from morembs.importers.matrix_market import read_matrix_market
 from morembs.storage.safefile import replacing_all
 
-_DIGITS = 17
 _MEANING = {"M": "mass", "K": "stiffness", "D": "damping", "B": "input", "C": "output"}
 
 
@@ -41,7 +41,7 @@ class MatrixMarketExporter(Exporter):
                 square = key in ("M", "K", "D") and np.array_equal(matrix, matrix.T)
                 comment = f" {_MEANING[key]} matrix of a reduced body, SI units{self._columns(context, key)}"
                 kind = "symmetric" if square else "general"
-                mmwrite(text, matrix, comment=comment, precision=_DIGITS, symmetry=kind)
+                mmwrite(text, matrix, comment=comment, precision=TOL.double_digits, symmetry=kind)
                 file.doing = f"matrix {key}"
                 file.write(text.getvalue())
                 file.check()
@@ -51,7 +51,7 @@ class MatrixMarketExporter(Exporter):
     def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
         names = {context.beside(f"_{key}.mtx"): key for key in _MEANING}
         found = second_order({names[path]: read_matrix_market(file) for path, file in files.items()})
-        return ReadBack(found=found, expected=second_order(reduced_matrices(context.body)), digits=_DIGITS)
+        return ReadBack(found=found, expected=second_order(reduced_matrices(context.body)), digits=TOL.double_digits)
 
     @staticmethod
     def _columns(context: ExportContext, key: str) -> str:

@@ -18,10 +18,10 @@ import numpy as np
 from morembs.base.types import Floats
 from morembs.body.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits, names_without_blanks
+from morembs.exporters.tolerances import TOL
 from morembs.linalg.columns import symmetric
 from morembs.storage.safefile import replacing
 
-_LONGEST_NAME = 255
 _REVISION = "REV0"
 
 
@@ -40,7 +40,7 @@ class MBDynExporter(Exporter):
 
     def _write(self, context: ExportContext) -> Exported:
         markers = context.markers("MBDyn")
-        names_without_blanks(markers, _LONGEST_NAME, "an MBDyn node label")
+        names_without_blanks(markers, TOL.node_label_characters, "an MBDyn node label")
         groups = list(_groups(context.body.name, context.frame, markers))
         with replacing(context.path) as file:
             for text in groups:

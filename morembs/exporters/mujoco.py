@@ -23,15 +23,12 @@ from morembs.body.floating.frame import FloatingFrame
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.sid import normal_coordinates
 from morembs.exporters.simscape import quaternion
+from morembs.exporters.tolerances import TOL
 from morembs.fem import skew
 from morembs.storage.safefile import replacing
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 DIRECTIONS = ("1 0 0", "0 1 0", "0 0 1")
-# Steps in a radian of the fastest mode; explicit steps are stable from half a step on.
-STEPS = 10.0
-# What a tendon follows its modes by: the hardest that MuJoCo allows.
-IMPEDANCE = 0.9999
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +51,7 @@ class MuJoCo(Exporter):
         frame = _lightened(context.frame, self.share)
         kept = self._kept(frame)
         omega = np.sqrt(np.diag(frame.Ke))
-        step = float(1 / (STEPS * omega[kept[-1]]))
+        step = float(1 / (TOL.steps_per_radian * omega[kept[-1]]))
         with replacing(context.path) as file:
             for line in _lines(context, frame, kept, step, self.share):
                 file.write(f"{line}\n".encode())
@@ -66,7 +63,7 @@ class MuJoCo(Exporter):
             "Coriolis and centrifugal forces on the modes are left out; deflections must be small and spin slow",
             "mean axes: the body of the file is at the origin of the frame, whatever the frame of the body file is",
         ]
-        if crossed > 1e-6 * np.abs(frame.De).max(initial=0.0):
+        if crossed > TOL.left_out_damping * np.abs(frame.De).max(initial=0.0):
             notes.append(f"damping between different modes, of up to {crossed:.3g} 1/s, is left out")
         return Exported(paths=(context.path,), notes=tuple(notes))
 
@@ -136,7 +133,7 @@ def _lines(context: ExportContext, frame: FloatingFrame, kept: list[int], step: 
     center = integrals.center
     J = integrals.about(center).inertia
     full = _numbers([J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[0, 2], J[1, 2]])
-    firm = f'solref="{2 * step!r} 1" solimp="{IMPEDANCE} {IMPEDANCE} 0.001 0.5 2"'
+    firm = f'solref="{2 * step!r} 1" solimp="{TOL.tendon_impedance} {TOL.tendon_impedance} 0.001 0.5 2"'
     yield f"<mujoco model={quoteattr(name)}>"
     yield f'  <option timestep="{step!r}" integrator="implicitfast"/>'
     # Frames of the model are taken as they are.

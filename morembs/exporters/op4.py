@@ -18,15 +18,21 @@ from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_dig
 from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import reduced_matrices, second_order
 from morembs.importers.op4 import read_op4
-from morembs.importers.op4_columns import BIGMAT_ROWS, RECTANGULAR, SQUARE, SYMMETRIC, OP4Matrix
+from morembs.importers.op4_columns import Form, OP4Matrix, Packed
 from morembs.storage.safefile import replacing
 
 Storage = Literal["dense", "bigmat", "nonbigmat"]
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,7}")
 _TYPES = {"f4": 1, "f8": 2, "c8": 3, "c16": 4}
-# Words of a string whose row and length share one 32-bit integer.
-_LONGEST = 32766
-_FORMAT, _WIDTH, _PER_LINE, _DIGITS = "%23.16E", 23, 3, 17
+
+
+class Text:
+    """Numbers of text files (MSC Nastran DMAP Programmer's Guide, OUTPUT4): Fortran's 1P,3E23.16."""
+
+    WIDTH = 23
+    DECIMALS = 16
+    PER_LINE = 3
+    NUMBER = f"%{WIDTH}.{DECIMALS}E"
 
 
 def write_op4(
@@ -106,12 +112,12 @@ class _Source:
         columns.eliminate_zeros()
         if not np.isfinite(columns.data).all():
             raise InputError(f"matrix {name!r} holds NaN or infinite entries; OP4 files cannot be read with these")
-        if storage == "nonbigmat" and columns.shape[0] >= BIGMAT_ROWS:
+        if storage == "nonbigmat" and columns.shape[0] >= Packed.ROWS:
             raise InputError(f'matrix {name!r} has {columns.shape[0]} rows; nonbigmat holds 65535, take "bigmat"')
         if not form:
-            form = RECTANGULAR if columns.shape[0] != columns.shape[1] else SQUARE
-            if form == SQUARE and not (columns != columns.T).nnz:
-                form = SYMMETRIC
+            form = Form.RECTANGULAR if columns.shape[0] != columns.shape[1] else Form.SQUARE
+            if form == Form.SQUARE and not (columns != columns.T).nnz:
+                form = Form.SYMMETRIC
         return cls(name=name.upper(), matrix=columns, form=form, type=_TYPES[code])
 
     @property
@@ -133,7 +139,7 @@ class _Source:
                 whole[rows - rows[0]] = values
                 yield j, [(int(rows[0]), whole)]
                 continue
-            longest = _LONGEST * 4 // values.dtype.itemsize if storage == "nonbigmat" else len(rows)
+            longest = Packed.MOST_WORDS * 4 // values.dtype.itemsize if storage == "nonbigmat" else len(rows)
             cuts = np.flatnonzero(np.diff(rows) != 1) + 1
             strings = []
             for run in np.split(np.arange(len(rows)), cuts):
@@ -162,7 +168,7 @@ def _binary(source: _Source, layout: _Layout) -> Iterator[bytes]:
             if layout.storage == "bigmat":
                 body.write(layout.ints(words + 1, row + 1))
             elif layout.storage == "nonbigmat":
-                body.write(layout.ints(row + 1 + 65536 * (words + 1)))
+                body.write(layout.ints(row + 1 + Packed.ROWS * (words + 1)))
             body.write(values.astype(kind).tobytes())
         first = strings[0][0] + 1 if layout.storage == "dense" else 0
         yield layout.record(layout.ints(j + 1, first, body.tell() // layout.word), body.getvalue())
@@ -176,7 +182,7 @@ def _text(source: _Source, storage: str) -> Iterator[bytes]:
     if max(rows, columns) >= 10**7:
         raise InputError(f"matrix {source.name!r} is too large for text ({rows} by {columns}); write a binary file")
     marked = negative if storage == "bigmat" else rows
-    style = f"1P,{_PER_LINE}E{_WIDTH}.16"
+    style = f"1P,{Text.PER_LINE}E{Text.WIDTH}.{Text.DECIMALS}"
     yield f"{columns:8}{marked:8}{source.form:8}{source.type:8}{source.name:<8}{style}\n".encode()
     per = (2 if source.type > 2 else 1) * (2 if source.type in (2, 4) else 1)
     for j, strings in source.columns(storage):
@@ -187,20 +193,20 @@ def _text(source: _Source, storage: str) -> Iterator[bytes]:
                 lines.append(f"{len(values) * per + 1:8}{row + 1:8}\n")
                 words += len(values) * per + 2
             elif storage == "nonbigmat":
-                lines.append(f"{row + 1 + 65536 * (len(values) * per + 1):12}\n")
+                lines.append(f"{row + 1 + Packed.ROWS * (len(values) * per + 1):12}\n")
                 words += len(values) * per + 1
             lines.append(_numbers(source.name, values))
         if storage == "dense":
             words = len(strings[0][1]) * (2 if source.type > 2 else 1)
         first = strings[0][0] + 1 if storage == "dense" else 0
         yield (f"{j + 1:8}{first:8}{words:8}\n" + "".join(lines)).encode()
-    yield f"{columns + 1:8}{1:8}{1:8}\n{_FORMAT % 1.0}\n".encode()
+    yield f"{columns + 1:8}{1:8}{1:8}\n{Text.NUMBER % 1.0}\n".encode()
 
 
 def _numbers(name: str, values: NDArray[Any]) -> str:
     flat = values.view(values.real.dtype).astype(float)
-    fields = [_FORMAT % value for value in in_two_digits(f"matrix {name!r}", flat, "OP4 text").tolist()]
-    return "".join("".join(fields[i : i + _PER_LINE]) + "\n" for i in range(0, len(fields), _PER_LINE))
+    fields = [Text.NUMBER % value for value in in_two_digits(f"matrix {name!r}", flat, "OP4 text").tolist()]
+    return "".join("".join(fields[i : i + Text.PER_LINE]) + "\n" for i in range(0, len(fields), Text.PER_LINE))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,4 +232,4 @@ class OP4Exporter(Exporter):
 
     def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
         found = second_order({key: each.matrix for key, each in read_op4(files[context.path]).items()})
-        return ReadBack(found=found, expected=second_order(reduced_matrices(context.body)), digits=_DIGITS)
+        return ReadBack(found=found, expected=second_order(reduced_matrices(context.body)), digits=Text.DECIMALS + 1)

@@ -12,13 +12,12 @@ from morembs.base.types import Floats, Ints
 from morembs.body.body import Body
 from morembs.body.part import input_columns
 from morembs.body.stored import StoredBodies
+from morembs.exporters.tolerances import TOL
 from morembs.fem import Nodes
 from morembs.fem.fe_model import Component, rigid_motion
 from morembs.fem.interface import Interface
 
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
-# Ratio of singular values, rows scaled to one, below which supports leave a rigid-body motion.
-HELD = 1e-8
 # Quantity -> unit of a translation, of a rotation.
 UNITS = {
     "displacement": ("m", "rad"),
@@ -123,7 +122,7 @@ def refuse_loose(ports: Sequence[Port], rows: Sequence[int], rigid: Floats) -> N
     at = rigid[list(rows)]
     size = np.linalg.norm(at, axis=1)
     _, values, Vt = np.linalg.svd(at / np.where(size > 0, size, 1.0)[:, None])
-    left = Vt[int((values > HELD * values[0]).sum()) :].T
+    left = Vt[int((values > TOL.held_motion * values[0]).sum()) :].T
     if not left.shape[1]:
         return
     names = ", ".join(repr(text) for text in dict.fromkeys(ports[row].interface for row in rows))
@@ -140,13 +139,14 @@ def _words(ports: Sequence[Port], motion: Floats) -> str:
     points = np.array([port.point for port in ports])
     center = points.mean(axis=0)
     rigid = rigid_motion(points - center, np.array([port.component for port in ports]))
-    twist, *_ = np.linalg.lstsq(rigid, motion, rcond=1e-9)
+    twist, *_ = np.linalg.lstsq(rigid, motion, rcond=TOL.told_motion)
     reach = np.abs(points - center).max() or 1.0
-    turns = np.abs(twist[3:]).max() * reach > 1e-6 * np.abs(twist[:3]).max()
+    turns = np.abs(twist[3:]).max() * reach > TOL.no_turn * np.abs(twist[:3]).max()
     axis = twist[3:] if turns else twist[:3]
     if not axis.any():
         return ""
     axis = axis / np.linalg.norm(axis)
     main = int(np.abs(axis).argmax())
-    shown = "xyz"[main] if abs(axis[main]) > 1 - 1e-6 else "(" + ", ".join(f"{value:.2g}" for value in axis) + ")"
+    named = abs(axis[main]) > 1 - TOL.along_axis
+    shown = "xyz"[main] if named else "(" + ", ".join(f"{value:.2g}" for value in axis) + ")"
     return f" (rotation about {shown})" if turns else f" (translation along {shown})"

@@ -9,13 +9,10 @@ import numpy as np
 
 from morembs.base.errors import OutputError
 from morembs.base.types import Complexes, Floats
+from morembs.exporters.tolerances import TOL
 
-# Round-off of double precision in sums of n terms, and of changes of coordinates before the file was written, per n.
-EPS, CHANGED = float(np.finfo(float).eps), 1e-12
-# Half a unit of the last digit of each number adds up to at most the bound; solving adds its own round-off.
-SLACK = 4.0
-# Entries that vanish by symmetry are known to this many units of the largest.
-FLOOR = 100.0
+# Round-off of double precision in sums of n terms, per n.
+EPS = float(np.finfo(float).eps)
 TINY = float(np.finfo(float).tiny)
 
 
@@ -84,7 +81,7 @@ class ReadBack:
         Raises:
             OutputError: H differs at some of the frequencies (k,) by more than the digits of the format explain.
         """
-        unit = 0.5 * 10.0 ** (1 - self.digits) + (CHANGED if self.changed else 0.0)
+        unit = 0.5 * 10.0 ** (1 - self.digits) + (TOL.changed_number if self.changed else 0.0)
         for hz in frequencies_hz.tolist():
             with np.errstate(all="ignore"):
                 try:
@@ -94,7 +91,8 @@ class ReadBack:
                 if H.shape != expected.shape:
                     raise _mismatch(path, f"has {H.shape[0]} motions by {H.shape[1]} loads, not {expected.shape}")
                 largest = float(np.abs(expected).max(initial=0.0))
-                good = np.abs(H - expected) <= SLACK * (off + own) + FLOOR * (unit + len(off) * EPS) * largest
+                floor = TOL.read_back_floor * (unit + len(off) * EPS) * largest
+                good = np.abs(H - expected) <= TOL.read_back_slack * (off + own) + floor
                 worst = np.abs(H - expected).max(initial=0.0) / max(largest, TINY)
             if not good.all():
                 raise _mismatch(path, f"differs at {hz:.6g} Hz by {worst:.2g} of its largest entry")
@@ -115,4 +113,4 @@ def frequencies_between(frequencies_hz: Floats, rigid: int) -> Floats:
         return np.array([1.0])
     ratio = elastic[1:] / elastic[:-1]
     middle = [] if not len(ratio) else [float(np.sqrt(elastic[k] * elastic[k + 1])) for k in [int(np.argmax(ratio))]]
-    return np.array([0.5 * elastic[0], *middle, 1.5 * elastic[-1]])
+    return np.array([0.5 * elastic[0], *middle, TOL.beyond_last_mode * elastic[-1]])

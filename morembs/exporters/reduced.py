@@ -16,13 +16,10 @@ from morembs.body.body import Body
 from morembs.body.stored import StoredBodies
 from morembs.exporters.base import ExportContext
 from morembs.exporters.read_back import SecondOrder
+from morembs.exporters.tolerances import TOL
 from morembs.fem.fe_model import Component
 from morembs.linalg.columns import symmetric
 
-# Ratio of singular values of C, rows scaled to one, below which interface degrees of freedom depend on each other.
-_INDEPENDENT = 1e-9
-# Ratio of eigenvalues below which the held body still has rigid-body modes.
-_HELD = 1e-10
 _ADVICE = 'reduce with method "craig-bampton" or keep more modes, or export to "op4" or "matrix-market"'
 
 
@@ -164,7 +161,7 @@ def to_interfaces(body: Body, C: Floats) -> tuple[Floats, tuple[str, ...]]:
         return boundary, ("coordinates were changed to the interface degrees of freedom",)
     eigenvalues, Y = sl.eigh(symmetric(N.T @ body.stiffness_matrix @ N), symmetric(N.T @ body.mass_matrix @ N))
     N = N @ Y
-    if eigenvalues[0] > _HELD * eigenvalues[-1]:
+    if eigenvalues[0] > TOL.rigid_stiffness * eigenvalues[-1]:
         # With the interfaces held nothing moves freely, so unit motions can be static: K couples nothing then.
         boundary = boundary - N @ ((N.T @ body.stiffness_matrix @ boundary) / eigenvalues[:, None])
     note = "coordinates were changed: interface degrees of freedom, then modes of the body with interfaces held"
@@ -188,12 +185,12 @@ def held_and_free(C: Floats, name: str) -> tuple[Floats, Floats, bool]:
     size = np.linalg.norm(C, axis=1)
     scaled = C / np.where(size > 0, size, 1.0)[:, None]
     values = np.linalg.svd(scaled, compute_uv=False)
-    if m > n or values[-1] <= _INDEPENDENT * values[0]:
+    if m > n or values[-1] <= TOL.dependent_interface * values[0]:
         raise InputError(
             f"the {m} interface degrees of freedom of body {name!r} are not independent in its {n} coordinates, "
             f"so they cannot be coordinates themselves; {_ADVICE}"
         )
-    return np.linalg.pinv(scaled) / size, sl.null_space(scaled, rcond=_INDEPENDENT), False
+    return np.linalg.pinv(scaled) / size, sl.null_space(scaled, rcond=TOL.dependent_interface), False
 
 
 def _first_label(source: StoredBodies, given: int | None, others: int, largest: int) -> tuple[int, tuple[str, ...]]:

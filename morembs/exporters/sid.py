@@ -20,18 +20,20 @@ from morembs.body.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits, names_without_blanks
 from morembs.exporters.read_back import ReadBack, SecondOrder
 from morembs.exporters.sid_reader import INERTIA, NODE_TERMS, Sid, SidNode, Taylor, read_sid
+from morembs.exporters.tolerances import TOL
 from morembs.fem import skew
 from morembs.storage.safefile import replacing
 
-MOST_NODES = 99999
-DIGITS = 12
-LONGEST_NAME = 60
-# Bytes from which the size of a file is said.
-LARGE = 50e6
 # Readers look for these words in any line.
 RESERVED = ("frame", "refmod")
-# Deviation from unit modal mass and diagonal stiffness up to which the coordinates stay as they are.
-NORMAL = 1e-12
+
+
+class SidText:
+    """Text of standard input data (Wallrapp 1994), as FEMBS writes it: fields of nodes, numbers and names."""
+
+    MOST_NODES = 99999
+    DIGITS = 12
+    LONGEST_NAME = 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +52,7 @@ class SidFem(Exporter):
     nodes: Literal["interfaces", "all"] = "interfaces"
 
     def _write(self, context: ExportContext) -> Exported:
-        names_without_blanks([context.body.name], LONGEST_NAME, "a SID file")
+        names_without_blanks([context.body.name], SidText.LONGEST_NAME, "a SID file")
         for word in RESERVED:
             if word in context.body.name:
                 raise InputError(
@@ -61,8 +63,10 @@ class SidFem(Exporter):
         context = replace(context, body=replace(context.body, floating=frame))
         markers = context.markers("a SID file") if self.nodes == "interfaces" else dict(frame.markers)
         count = len(markers) + (len(context.source.coordinates) if self.nodes == "all" else 0)
-        if not 0 < count <= MOST_NODES:
-            raise InputError(f"{count} nodes would be written; a SID file holds 1 to {MOST_NODES}, choose others")
+        if not 0 < count <= SidText.MOST_NODES:
+            raise InputError(
+                f"{count} nodes would be written; a SID file holds 1 to {SidText.MOST_NODES}, choose others"
+            )
         sid = _sid(frame)
         with replacing(context.path) as file:
             for piece in self._pieces(context, sid, markers, count):
@@ -81,7 +85,7 @@ class SidFem(Exporter):
         held = np.vstack([np.zeros((0, frame.count)), *(part.M0 for node in nodes for part in (node.phi, node.psi))])
         found = SecondOrder(M=read.Me.M0, K=read.Ke.M0, D=read.De.M0, B=held.T, C=held)
         expected = SecondOrder(M=frame.integrals.Me, K=frame.Ke, D=frame.De, B=rows.T, C=rows)
-        return ReadBack(found=found, expected=expected, digits=DIGITS, changed=True)
+        return ReadBack(found=found, expected=expected, digits=SidText.DIGITS, changed=True)
 
     def _pieces(
         self, context: ExportContext, sid: Sid, markers: dict[str, InterfaceMarker], count: int
@@ -136,11 +140,7 @@ class SidFem(Exporter):
         if markers:
             notes.append("nodes: " + ", ".join(f"{at} {name}" for at, name in enumerate(markers, start=1)))
         if self.nodes == "all":
-            size = context.path.stat().st_size
-            if size > LARGE:
-                notes.append(
-                    f'the file has {size / 1e6:,.0f} MB of text; nodes = "interfaces" keeps what joints and loads need'
-                )
+            notes += large_file_notes(context.path.stat().st_size)
             notes.append(
                 f"nodes from {len(markers) + 1} on are the stored nodes in their order; they have no rotations"
             )
@@ -152,13 +152,20 @@ class SidFem(Exporter):
         return (*notes, *context.frame.notes)
 
 
+def large_file_notes(size: float) -> list[str]:
+    """What is said of a file of ``size`` bytes: nothing unless it is large."""
+    if size <= TOL.large_file_bytes:
+        return []
+    return [f'the file has {size / 1e6:,.0f} MB of text; nodes = "interfaces" keeps what joints and loads need']
+
+
 def normal_coordinates(frame: FloatingFrame) -> tuple[FloatingFrame, bool]:
     """The frame with coordinates in which Me is one and Ke diagonal, and whether they had to be changed."""
     Me, Ke, integrals = frame.integrals.Me, frame.Ke, frame.integrals
     diagonal = np.diag(np.diag(Ke))
     if (
-        np.abs(Me - np.eye(len(Me))).max() <= NORMAL * len(Me)
-        and np.abs(Ke - diagonal).max() <= NORMAL * len(Me) * diagonal.max()
+        np.abs(Me - np.eye(len(Me))).max() <= TOL.normal_coordinates * len(Me)
+        and np.abs(Ke - diagonal).max() <= TOL.normal_coordinates * len(Me) * diagonal.max()
     ):
         return frame, False
     _, T = sl.eigh(Ke, Me)

@@ -15,16 +15,12 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
+from morembs.exporters.tolerances import TOL
 
 TERMS = ("mdCM", "J", "Ct", "Cr", "Me", "Gr", "Ge", "Oe", "ksigma", "Ke", "De")
 NODE_TERMS = ("origin", "phi", "psi", "AP")
 # Rows and columns of J: 11, 22, 33, 12, 13, 23 (other than those of Oe: 11, 22, 33, 12, 23, 13).
 INERTIA = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-# Largest deviation from an identity, relative to its terms, in files of twelve and of fewer digits.
-AGREES = 1e-6
-# Size of Gr and Ge, relative to the most that mass and inertia allow, below which they are round-off.
-NOISE = 1e-4
-MOST_ENTRIES = 10**9
 _ENTRY = re.compile(r"\s*m([01])\s*\(\s*(\d+)\s*,\s*(\d+)\s*(?:,\s*(\d+)\s*)?\)\s*=\s*(\S+)\s*$")
 _FIELD = re.compile(r"\s*(order|nrow|ncol|nqn|nq|structure)\s*=\s*(\d+)\s*$")
 _FREQUENCY = re.compile(r"ielastq.*:\s*(\S+)\s*Hz", re.IGNORECASE)
@@ -167,7 +163,7 @@ class _Parser:
         if lacking:
             raise InputError(f"{self.path}, before line {last}: {name} has no {lacking[0]}; write the file again")
         shape = (sizes["nrow"], sizes["ncol"])
-        if shape[0] * shape[1] * max(1, sizes["nq"]) > MOST_ENTRIES:
+        if shape[0] * shape[1] * max(1, sizes["nq"]) > TOL.max_sid_entries:
             raise InputError(f"{self.path}, before line {last}: {name} has {shape} entries; that cannot be, check it")
         M0 = np.eye(*shape) if sizes.get("structure") == 4 else np.zeros(shape)
         M1 = np.zeros((shape[0], sizes["nq"], shape[1])) if sizes["order"] else None
@@ -238,20 +234,21 @@ def _layout(path: Path, terms: Mapping[str, Taylor]) -> tuple[Floats, Floats, st
     gr, ge = ({"fembs": axis_major(A, n), "mode-major": mode_major(A, n)} for A in (Gr.M0, Ge.M0))
     # Schwarz's inequality on the integrals.
     modal = np.abs(np.diag(terms["Me"].M0)).max(initial=0.0)
-    least_gr, least_ge = NOISE * 2 * np.sqrt(np.abs(J.M0[:3]).sum() * modal), NOISE * 2 * modal
+    least_gr = TOL.sid_roundoff * 2 * np.sqrt(np.abs(J.M0[:3]).sum() * modal)
+    least_ge = TOL.sid_roundoff * 2 * modal
     off_gr = {
         key: _off(np.stack([(G[:, a, b] + G[:, b, a]) / 2 for a, b in INERTIA], axis=1), J1, least_gr)
         for key, G in gr.items()
     }
     off_ge = {key: _off(G, twice, least_ge) for key, G in ge.items()}
     for name, off in (("Gr", off_gr), ("Ge", off_ge)):
-        if min(off.values()) > AGREES:
+        if min(off.values()) > TOL.sid_identity:
             known = "sym(Gr) = J1" if name == "Gr" else "Ge = 2 Cr1"
             raise InputError(f"{path}: {name} fits no known layout ({known} fails in both); check what wrote the file")
     of_ge = min(off_ge, key=lambda key: off_ge[key])
     # Where both fit (one mode, or a symmetric body), as the other matrix.
-    of_gr = of_ge if off_gr[of_ge] <= AGREES else min(off_gr, key=lambda key: off_gr[key])
-    if off_ge["fembs"] <= AGREES and off_ge["mode-major"] <= AGREES:
+    of_gr = of_ge if off_gr[of_ge] <= TOL.sid_identity else min(off_gr, key=lambda key: off_gr[key])
+    if off_ge["fembs"] <= TOL.sid_identity and off_ge["mode-major"] <= TOL.sid_identity:
         of_gr = min(off_gr, key=lambda key: off_gr[key])
         of_ge = of_gr
     return gr[of_gr], ge[of_ge], of_ge if of_gr == of_ge else "mixed"

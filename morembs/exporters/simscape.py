@@ -22,18 +22,21 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.body.body import Body
 from morembs.exporters.base import ExportContext, Exported, Exporter
+from morembs.exporters.ports import COMPONENTS
 from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import body_transfer, held_and_free, interface_transfer
+from morembs.exporters.tolerances import TOL
 from morembs.linalg.columns import symmetric
 from morembs.storage.safefile import replacing
 
-# Text at the start of a .mat file, always the same.
-HEADER = b"MATLAB 5.0 MAT-file, written by morembs"
-HEADER_BYTES = 116
-RIGID_MOTIONS = 6
-# Of doubles, of which every bit is kept.
-DIGITS = 17
 BLOCK = "the Simscape block"
+
+
+class MatHeader:
+    """Start of a .mat file (MathWorks, MAT-File Format, level 5): descriptive text, here always the same."""
+
+    TEXT = b"MATLAB 5.0 MAT-file, written by morembs"
+    TEXT_BYTES = 116
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +52,7 @@ class Simscape(Exporter):
     def _write(self, context: ExportContext) -> Exported:
         source, body = context.source, context.body
         refuse_not_symmetric(body, BLOCK)
-        if body.rigid_count != RIGID_MOTIONS:
+        if body.rigid_count != len(COMPONENTS):
             raise InputError(
                 f"body {body.name!r} has {body.rigid_count} rigid-body motions; {BLOCK} needs a free body with six, "
                 "leave supports to the simulator"
@@ -83,7 +86,7 @@ class Simscape(Exporter):
         return ReadBack(
             found=interface_transfer(read, len(rows)),
             expected=body_transfer(context.body, rows),
-            digits=DIGITS,
+            digits=TOL.double_digits,
             changed=True,
         )
 
@@ -98,8 +101,8 @@ def write_mat(path: Path, values: Mapping[str, object]) -> None:
     sio.savemat(stream, dict(values), do_compression=True, oned_as="row")
     with replacing(path) as file:
         # scipy puts the time of day there.
-        file.write(HEADER.ljust(HEADER_BYTES))
-        file.write(stream.getvalue()[HEADER_BYTES:])
+        file.write(MatHeader.TEXT.ljust(MatHeader.TEXT_BYTES))
+        file.write(stream.getvalue()[MatHeader.TEXT_BYTES :])
         file.check()
 
 
@@ -110,7 +113,7 @@ def refuse_not_symmetric(body: Body, target: str) -> None:
         InputError: as said.
     """
     matrices = (body.stiffness_matrix, body.mass_matrix, body.damping_matrix)
-    if any(np.abs(A - A.T).max() > 1e-9 * np.abs(A).max() for A in matrices):
+    if any(np.abs(A - A.T).max() > TOL.asymmetry * np.abs(A).max() for A in matrices):
         raise InputError(
             f"body {body.name!r} has matrices that are not symmetric; {target} needs symmetric ones, take a one-sided "
             "reduction of a model without gyroscopic and circulatory terms"

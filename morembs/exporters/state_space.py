@@ -20,6 +20,7 @@ from morembs.body.body import Body
 from morembs.body.stored import StoredBodies, choose_body
 from morembs.exporters.ports import Port, parts_of, ports_of_body, ports_of_file, refuse_loose
 from morembs.exporters.reduced import held_and_free
+from morembs.exporters.tolerances import TOL
 from morembs.linalg.columns import symmetric
 from morembs.linalg.eigen import accurate_eigh
 from morembs.problem.damping import frequency_domain_only
@@ -28,8 +29,6 @@ from morembs.reducers.base import ReducedModel
 # Quantity and row of each degree of freedom that was named.
 Named = Sequence[tuple[str, int]]
 INPUTS, OUTPUTS = ("force", "acceleration", "displacement"), ("displacement", "velocity", "acceleration", "reaction")
-# Part of the products that it is the sum of, below which a damping force of rigid motion is round-off.
-ROUND_OFF = 1e-10
 
 
 @summarised
@@ -297,7 +296,8 @@ def _input_names(ports: Sequence[Port], wanted: Named) -> list[tuple[tuple[str, 
 def _without_round_off(D: Floats, X: Floats) -> Floats:
     """D X, nothing where rigid motion is damped by round-off only."""
     DX = D @ X
-    DX[:, np.abs(DX).max(axis=0, initial=0.0) <= ROUND_OFF * (np.abs(D) @ np.abs(X)).max(axis=0, initial=0.0)] = 0.0
+    terms = (np.abs(D) @ np.abs(X)).max(axis=0, initial=0.0)
+    DX[:, np.abs(DX).max(axis=0, initial=0.0) <= TOL.rigid_damping * terms] = 0.0
     return np.asarray(DX)
 
 

@@ -15,13 +15,12 @@ from morembs.base.errors import InputError
 from morembs.base.limits import Positive
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.read_back import FirstOrder, ReadBack
-from morembs.exporters.simscape import DIGITS, write_mat
+from morembs.exporters.simscape import write_mat
 from morembs.exporters.state_space import StateSpace, state_space
+from morembs.exporters.tolerances import TOL
 from morembs.storage.safefile import replacing
 
 KINDS = ("states", "inputs", "outputs")
-# Poles and entries of the gain that a note shows.
-SHOWN = 12
 
 
 def write_state_space(path: str | Path, system: StateSpace) -> None:
@@ -141,27 +140,28 @@ class StateSpaceExporter(Exporter):
             FirstOrder(A=each.A, B=each.B, C=each.C, D=each.D, dt=each.dt)
             for each in (read_state_space(files[context.path]), system.discrete(self.step) if self.step else system)
         )
-        return ReadBack(found=found, expected=expected, digits=DIGITS)
+        return ReadBack(found=found, expected=expected, digits=TOL.double_digits)
 
 
 def _notes(system: StateSpace, step: float | None) -> list[str]:
     """Size, poles and static gain, for the log."""
     poles = system.poles()
     notes = [f"{len(poles)} states, {system.B.shape[1]} inputs, {len(system.C)} outputs"]
-    rigid = int((np.abs(poles) <= 1e-9 * np.abs(poles).max(initial=0.0)).sum())
+    rigid = int((np.abs(poles) <= TOL.zero_pole * np.abs(poles).max(initial=0.0)).sum())
     if rigid:
         notes.append(f"{rigid} poles at zero: what moves freely, or with a support")
     upper = poles[rigid:][poles[rigid:].imag >= 0]
     if len(upper):
         shown = [f"{abs(pole) / (2 * np.pi):.5g} Hz ({100 * -pole.real / (abs(pole) or 1.0):.3g} %)" for pole in upper]
-        notes.append(f"poles and their damping: {', '.join(shown[:SHOWN])}{' ...' if len(shown) > SHOWN else ''}")
+        more = " ..." if len(shown) > TOL.shown_values else ""
+        notes.append(f"poles and their damping: {', '.join(shown[: TOL.shown_values])}{more}")
     fastest = float(np.abs(poles).max(initial=0.0))
     if step is not None and fastest * step > np.pi:
         notes.append(f"the step is longer than half a period of the highest mode, {np.pi / fastest:.3g} s")
     gain = system.dc_gain()
     if gain is None:
         notes.append("no static gain: the system integrates what goes in")
-    elif gain.size <= SHOWN:
+    elif gain.size <= TOL.shown_values:
         ends = [(out, into) for out in system.names["outputs"] for into in system.names["inputs"]]
         shown = [f"{out} by {into} {value:.5g}" for (out, into), value in zip(ends, gain.ravel(), strict=True)]
         notes.append(f"static gain: {', '.join(shown)}")

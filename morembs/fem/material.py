@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from morembs.base.arguments import checked
+from morembs.base.arguments import check_value, checked
 from morembs.base.errors import InputError
+from morembs.base.limits import PoissonRatio, Positive
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.fem.tolerances import TOL
@@ -31,10 +31,7 @@ class Material:
     density: float
 
     def __post_init__(self) -> None:
-        if not 0 < self.density < math.inf:
-            raise InputError(
-                f"material of set {self.set!r}: density = {self.density:g} kg/m3 was given; expected a positive number"
-            )
+        check_value(f"material of set {self.set!r}: density in kg/m3", self.density, Positive)
         if np.shape(self.stiffness) != (6, 6) or not np.isfinite(self.stiffness).all():
             raise InputError(
                 f"material of set {self.set!r}: a stiffness of the shape {np.shape(self.stiffness)} was given; "
@@ -57,13 +54,8 @@ def isotropic(*, set: str, young: float, poisson: float, density: float) -> Mate
     >>> isotropic(set="all", young=70e9, poisson=0.33, density=2700.0).density
     2700.0
     """
-    if not 0 < young < math.inf:
-        raise InputError(f"material of set {set!r}: young = {young:g} Pa was given; expected a positive number")
-    if not -1 < poisson < 0.5:
-        raise InputError(
-            f"material of set {set!r}: poisson = {poisson} was given; expected a number between -1 and 0.5 "
-            "(exclusive; for rubber take 0.49)"
-        )
+    check_value(f"material of set {set!r}: young in Pa", young, Positive)
+    check_value(f"material of set {set!r}: poisson", poisson, PoissonRatio)
     lam = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
     mu = young / (2 * (1 + poisson))
     C = np.diag([2 * mu] * 3 + [mu] * 3)
@@ -100,8 +92,8 @@ def orthotropic(
     E1, E2, E3 = young
     nu12, nu13, nu23 = poisson
     G12, G13, G23 = shear
-    if not all(0 < modulus < math.inf for modulus in (*young, *shear)):
-        raise InputError(f"material of set {set!r}: young and shear moduli must be positive; got {young}, {shear}")
+    for name, moduli in (("young", young), ("shear", shear)):
+        check_value(f"material of set {set!r}: {name} in Pa", moduli, tuple[Positive, Positive, Positive])
     S = np.zeros((6, 6))
     S[:3, :3] = [[1 / E1, -nu12 / E1, -nu13 / E1], [-nu12 / E1, 1 / E2, -nu23 / E2], [-nu13 / E1, -nu23 / E2, 1 / E3]]
     S[3, 3], S[4, 4], S[5, 5] = 1 / G23, 1 / G13, 1 / G12

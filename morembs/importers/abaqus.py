@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
-from morembs.base.errors import InputError, nearest
+from morembs.base.arguments import check_value
+from morembs.base.errors import InputError
+from morembs.base.limits import one_of
 from morembs.fem import Mesh
 from morembs.importers.abaqus_assembly import Assembly
 from morembs.importers.abaqus_constraints import Constraints
@@ -115,8 +118,7 @@ def import_abaqus(
 
 
 def _known(dialect: str) -> str:
-    if dialect not in DIALECTS:
-        raise InputError(f"dialect = {dialect!r} was given; {nearest(dialect, DIALECTS)}")
+    check_value("dialect", dialect, Annotated[str, one_of(*DIALECTS)])
     return dialect
 
 

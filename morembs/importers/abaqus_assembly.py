@@ -12,9 +12,9 @@ from morembs.base.types import Floats, Ints
 from morembs.fem import ElementBlock, skew
 from morembs.fem.elements import TYPES
 from morembs.fem.middle_nodes import in_order
-from morembs.importers.abaqus_data import LARGEST
 from morembs.importers.abaqus_deck import Deck, Instance, values
 from morembs.importers.abaqus_names import Discrete, Names, Placed, ascending, of_instance
+from morembs.importers.tolerances import TOL
 
 # Type, formulation and mass of solids.
 Kind = tuple[str, str, str]
@@ -53,7 +53,7 @@ class Assembly(Names):
         shift_of = self._shifts([ids for _, ids, _ in node_parts], "node")
         self.ids = np.concatenate([ids + s for (_, ids, _), s in zip(node_parts, shift_of, strict=True)])
         self.xyz = np.concatenate([xyz for *_, xyz in node_parts])
-        if not (np.abs(self.xyz) < LARGEST).all():
+        if not (np.abs(self.xyz) < TOL.largest_number).all():
             raise InputError(f"{deck.name}: coordinates are too large; check the nodes and how instances are moved")
         start = 0
         for placed, ids, _ in node_parts:

@@ -11,9 +11,8 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.importers.abaqus_keywords import Card, decoded
 from morembs.importers.text_matrices import integers, numbers, table
+from morembs.importers.tolerances import TOL
 
-# Beyond it lengths and areas overflow.
-LARGEST = 1e100
 _GAP = re.compile(rb"[0-9.][ \t]+[0-9.+\-]")
 
 
@@ -38,7 +37,7 @@ def number(text: str, card: Card) -> float:
         value = float(text.replace("d", "e").replace("D", "E"))
     except ValueError:
         value = float("nan")
-    if not abs(value) < LARGEST or "_" in text:
+    if not abs(value) < TOL.largest_number or "_" in text:
         raise InputError(f"{card}: {text[:40]!r} cannot be read as a number; expected a finite one")
     return value
 

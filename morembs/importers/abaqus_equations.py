@@ -16,6 +16,7 @@ from morembs.importers.abaqus_deck import Rows, values
 from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_materials import frame_of
 from morembs.importers.abaqus_names import Placed
+from morembs.importers.tolerances import TOL
 
 _TEMPERATURE = "11"
 
@@ -181,7 +182,7 @@ def solved(name: str, sums: Iterable[tuple[str, list[Term]]], axes: Axes) -> Equ
                 if other == node and component < 3:
                     A[i, component] += value
         R, pivot = sl.qr(A, mode="r", pivoting=True)
-        if len(own) > 3 or not abs(R[len(own) - 1, len(own) - 1]) > 1e-10 * abs(R[0, 0]):
+        if len(own) > 3 or not abs(R[len(own) - 1, len(own) - 1]) > TOL.repeated_pivot * abs(R[0, 0]):
             raise InputError(f"{own[0][0]} has others on the same node that say the same; leave them out")
         mix = np.linalg.inv(A[:, pivot[: len(own)]])
         for i, (title, _) in enumerate(own):

@@ -14,10 +14,10 @@ from morembs.fem import skew
 from morembs.importers.abaqus_data import label
 from morembs.importers.abaqus_deck import Members, NamedSet, Rows, Scope, join, values
 from morembs.importers.abaqus_keywords import Card
+from morembs.importers.tolerances import TOL
 
 GENERATING = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY")
 _NOT_HERE = ("SYSTEM", "SINGULAR", "BIAS", "TWO STEP", "POLE", "REFLECT", "ALL NODES")
-_MOST = 50_000_000
 
 
 def generate(scope: Scope, card: Card, rows: Rows) -> dict[str, int]:
@@ -47,7 +47,7 @@ def generate(scope: Scope, card: Card, rows: Rows) -> dict[str, int]:
 
 
 def _add_nodes(scope: Scope, name: str, ids: Ints, xyz: Floats, more: Ints | None = None) -> None:
-    if len(ids) > _MOST:
+    if len(ids) > TOL.max_generated:
         raise InputError(f"{len(ids)} nodes are generated at once; check the numbers of the line")
     scope.node_ids.append(ids)
     scope.xyz.append(xyz)
@@ -117,7 +117,7 @@ def _arc(scope: Scope, card: Card, row: list[str], a: Floats, b: Floats, t: Floa
     if numbers[3:].any():
         axis = numbers[3:] / np.linalg.norm(numbers[3:])
         angle = float(np.arctan2(axis @ normal, from_ @ to)) % (2 * np.pi)
-    elif not np.linalg.norm(normal) > 1e-8 * np.linalg.norm(from_) * np.linalg.norm(to):
+    elif not np.linalg.norm(normal) > TOL.parallel * np.linalg.norm(from_) * np.linalg.norm(to):
         raise InputError(f"{card}: the ends of an arc are on a line with its centre; give the normal of its plane")
     else:
         axis = normal / np.linalg.norm(normal)
@@ -182,7 +182,7 @@ def _rows_of_elements(scope: Scope, card: Card, rows: Rows) -> dict[str, int]:
     more: dict[str, int] = {}
     for row in rows:
         master, *numbers = _integers(card, row, (None, None, None, 1, 1, 0, 0, 1, 0, 0))
-        if min(numbers[::3]) < 1 or np.prod([float(n) for n in numbers[::3]]) > _MOST:
+        if min(numbers[::3]) < 1 or np.prod([float(n) for n in numbers[::3]]) > TOL.max_generated:
             raise InputError(f"{card}: {', '.join(row)[:60]!r} was given; expected positive numbers of elements")
         code, nodes = _element(scope, card, master)
         i, j, k = (g.ravel() for g in np.indices((numbers[6], numbers[3], numbers[0]))[::-1])

@@ -17,10 +17,8 @@ from pathlib import Path
 from morembs.base.errors import InputError
 from morembs.importers.abaqus_words import canonical, canonical_option
 from morembs.importers.includes import Includes, open_text
+from morembs.importers.tolerances import TOL
 
-PIECE = 1 << 22
-_LONGEST_LINE = 1 << 16
-_MOST_LINES = 32
 _COMMENT = re.compile(rb"^[ \t]*\*\*.*\n", re.MULTILINE)
 _WITH_INPUT = ("NODE", "ELEMENT", "NSET", "ELSET")
 # How an included file begins: a keyword, or data of numbers.
@@ -116,13 +114,13 @@ def _texts(path: Path) -> Iterator[tuple[bytes, Callable[[int], int]]]:
     rest, above = b"", 0
     try:
         with open_text(path) as file:
-            while chunk := file.read(PIECE):
+            while chunk := file.read(TOL.piece_bytes):
                 if b"\0" in chunk:
                     raise InputError(f"{path.name} holds binary data; expected an input deck, which is text")
                 text = rest + chunk
                 cut = text.rfind(b"\n") + 1
                 cut = _before_last_keyword(text, cut)
-                if cut == 0 and len(text) > PIECE + _LONGEST_LINE:
+                if cut == 0 and len(text) > TOL.piece_bytes + TOL.longest_line_bytes:
                     raise InputError(f"{path.name} has no ends of lines; expected an input deck, which is text")
                 rest = text[cut:]
                 if cut:
@@ -145,11 +143,12 @@ def _texts(path: Path) -> Iterator[tuple[bytes, Callable[[int], int]]]:
 def _before_last_keyword(text: bytes, cut: int) -> int:
     """``cut``, or the begin of the keyword line that is the last before it: it may go on in the next piece."""
     at = cut
-    for _ in range(_MOST_LINES):
+    for _ in range(TOL.continued_lines):
         at = text.rfind(b"\n", 0, max(at - 1, 0)) + 1
-        if text[at : at + 80].lstrip(b" \t")[:1] == b"*" and text[at : at + 80].lstrip(b" \t")[:2] != b"**":
+        begin = text[at : at + TOL.told_bytes].lstrip(b" \t")[:2]
+        if begin[:1] == b"*" and begin != b"**":
             return at
-        before = text[max(at - 80, 0) : at].rstrip()
+        before = text[max(at - TOL.told_bytes, 0) : at].rstrip()
         if at == 0 or not before.endswith(b","):
             return cut
     return cut
@@ -212,7 +211,7 @@ def _keyword_line(text: bytes, start: int) -> tuple[bytes, int]:
     while True:
         end = text.index(b"\n", at) + 1
         line, at = line + text[at:end].strip(), end
-        following = text[at : at + 200].lstrip(b" \t")[:1]
+        following = text[at : at + TOL.told_bytes_below].lstrip(b" \t")[:1]
         if not line.endswith(b",") or not following.isalpha():
             return line, at
 

@@ -11,11 +11,11 @@ from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats
 from morembs.fem.material import VOIGT, Material, isotropic, orthotropic
 from morembs.importers.abaqus_assembly import Assembly
-from morembs.importers.abaqus_data import LARGEST
 from morembs.importers.abaqus_deck import Deck, Rows, Scope, values
 from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_names import Placed
 from morembs.importers.imported import Lacking
+from morembs.importers.tolerances import TOL
 
 # What has a stiffness of its own, but no linear one.
 _NOT_LINEAR = {
@@ -226,7 +226,7 @@ def _axes(placed: Placed, scope: Scope, deck: Deck, key: str, elset: str, name: 
 
 def frame_of(first: Floats, plane: Floats) -> Floats | None:
     """Orthonormal rows: along ``first``, in its plane with ``plane``, normal to both; None if these are on a line."""
-    if not (np.abs([first, plane]) < LARGEST).all():
+    if not (np.abs([first, plane]) < TOL.largest_number).all():
         return None
     lengths = np.linalg.norm(first), np.linalg.norm(plane)
     if not min(lengths) > 0:
@@ -234,7 +234,7 @@ def frame_of(first: Floats, plane: Floats) -> Floats | None:
     e1 = first / lengths[0]
     normal = np.cross(e1, plane / lengths[1])
     size = np.linalg.norm(normal)
-    if not size > 1e-8:
+    if not size > TOL.parallel:
         return None
     e3 = normal / size
     return np.array([e1, np.cross(e3, e1), e3])

@@ -14,8 +14,8 @@ import scipy.sparse as sp
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.importers.text_matrices import integers, numbers, opened, parallel_map, table, text_blocks
+from morembs.importers.tolerances import TOL
 from morembs.importers.triplets import (
-    SAME,
     Numbering,
     Place,
     Renumbered,
@@ -28,11 +28,13 @@ from morembs.importers.triplets import (
     unique,
 )
 
-# Label and dof as one integer: label * 64 + dof.
-_DOFS = 64
-# Rows for each entry above which a row number must be wrong.
-_SPARSEST = 1000
 _STARRED = re.compile(rb"^[ \t]*\*.*\n", re.MULTILINE)
+
+
+class NodeRow:
+    """A row of *MATRIX OUTPUT (Abaqus Keywords Guide) as one integer: label * ``DOFS`` + dof, a dof from 1 on."""
+
+    DOFS = 64
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +78,7 @@ def read_abaqus_matrix(path: str | Path) -> AbaqusMatrix:
         columns, keywords = _stored(path, store)
         if columns == 3:
             size = 1 + max(max(int(r.max(initial=-1)), int(c.max(initial=-1))) for r, c, _ in store)
-            if size > _SPARSEST * (1 + store.count):
+            if size > TOL.rows_per_entry * (1 + store.count):
                 raise InputError(
                     f"{path.name} names row or column {size} but has only {store.count} entries; it is damaged"
                 )
@@ -84,13 +86,13 @@ def read_abaqus_matrix(path: str | Path) -> AbaqusMatrix:
             node = dof = None
         else:
             codes = unique(store)
-            node, dof = codes // _DOFS, codes % _DOFS
+            node, dof = codes // NodeRow.DOFS, codes % NodeRow.DOFS
             order = np.lexsort((dof, np.abs(node), node < 0))
             places = Numbering(codes, order)
             placed = Renumbered(triplets=store, rows=places, columns=places)
             node, dof = node[order], dof[order]
             half, matrix = _matrix(placed, len(codes), path.name, keywords, partial(_place, node, dof))
-    symmetric = asymmetry(matrix) <= SAME
+    symmetric = asymmetry(matrix) <= TOL.asymmetry
     if "TYPE=SYMMETRIC," in keywords and not symmetric:
         raise InputError(f"{path.name} says TYPE=SYMMETRIC, but its entries (i, j) and (j, i) differ; write it again")
     internal = 0 if node is None else int((node < 0).sum())
@@ -167,9 +169,11 @@ def _triplets(file: str, rows: Floats) -> Triplets:
         return at[:, 0], at[:, 1], rows[:, 2]
     labels = integers(rows[:, :4], "a node label or a dof", file)
     node, dof = labels[:, ::2], labels[:, 1::2]
-    if len(labels) and (dof.min() < 0 or dof.max() >= _DOFS):
-        raise InputError(f"{file} has the dof {dof.min() if dof.min() < 0 else dof.max()}; expected 1 to {_DOFS - 1}")
-    codes = node * _DOFS + dof
+    if len(labels) and (dof.min() < 0 or dof.max() >= NodeRow.DOFS):
+        raise InputError(
+            f"{file} has the dof {dof.min() if dof.min() < 0 else dof.max()}; expected 1 to {NodeRow.DOFS - 1}"
+        )
+    codes = node * NodeRow.DOFS + dof
     return codes[:, 0], codes[:, 1], rows[:, 4]
 
 

@@ -11,8 +11,8 @@ from morembs.base.types import Floats, Ints
 from morembs.fem import ElementBlock
 from morembs.importers.abaqus_data import label
 from morembs.importers.abaqus_deck import Members, NamedSet, Scope
+from morembs.importers.tolerances import TOL
 
-_DEEPEST = 100
 _NONE = np.empty(0, dtype=np.int64)
 
 
@@ -150,7 +150,7 @@ class Names:
                 f"{nearest(name, [named[0].name for named in sets.values()])}"
             )
         key = (id(placed), kind, name.upper())
-        if name.upper() in seen or len(seen) > _DEEPEST:
+        if name.upper() in seen or len(seen) > TOL.max_references:
             raise InputError(f"{self.deck}: the {kind} set {name!r} contains itself; expected labels or other sets")
         if key not in self._cache:
             pieces = [

@@ -13,6 +13,7 @@ from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_names import Discrete, Placed
 from morembs.importers.discrete import spring
 from morembs.importers.imported import DiscreteElement, PointMass
+from morembs.importers.tolerances import TOL
 
 _MATRIX = {"SPRING": "K", "DASHPOT": "D"}
 _PROPERTY_OF = {
@@ -166,7 +167,7 @@ def point_value(placed: Placed, card: Card, rows: Rows) -> Floats:
         return np.asarray(row[0] * np.eye(3))
     a = np.array([*row, *[0.0] * 6])[:6]
     J = np.array([[a[0], a[3], a[4]], [a[3], a[1], a[5]], [a[4], a[5], a[2]]])
-    if not row or len(row) > 6 or np.linalg.eigvalsh(J)[0] < -1e-12 * np.abs(J).max():
+    if not row or len(row) > 6 or np.linalg.eigvalsh(J)[0] < -TOL.negative_rotary_inertia * np.abs(J).max():
         raise InputError(
             f"{card} of {card.need('ELSET')!r} gives {row or 'nothing'}; expected I11, I22, I33, I12, I13, I23"
         )

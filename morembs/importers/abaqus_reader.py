@@ -20,12 +20,11 @@ from morembs.importers.deck_options import DeckOptions
 from morembs.importers.formulations import dialect_of, dialects_of_comments
 from morembs.importers.includes import open_text
 from morembs.importers.problems import Problem, Problems
+from morembs.importers.tolerances import TOL
 
 _OF_ENGINE = re.compile(r"S[3468]|B3[123]|M3D|T3D")
 # Elements that have neither stiffness nor mass.
 _EMPTY = ("SFM3D",)
-# Bytes at the begin of a deck whose comments may name the program that wrote it.
-_HEAD = 1 << 16
 
 
 def read_deck(path: Path, *, outside: bool = False, dialect: str = "auto", options: DeckOptions | None = None) -> Deck:
@@ -54,7 +53,7 @@ def read_deck(path: Path, *, outside: bool = False, dialect: str = "auto", optio
             )
     _others(deck)
     with open_text(path) as file:
-        deck.dialects |= dialects_of_comments(file.read(_HEAD))
+        deck.dialects |= dialects_of_comments(file.read(TOL.head_bytes))
     told = deck.dialects if dialect == "auto" else {dialect}
     deck.guessed = len(told) != 1
     deck.dialect = ("abaqus" if deck.parts else "calculix") if deck.guessed else next(iter(told))

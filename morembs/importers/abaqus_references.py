@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 
 from morembs.fem.constraints import AverageElement
 from morembs.importers.problems import Problem
+from morembs.importers.tolerances import TOL
 
 _IN_CALCULIX = {
     "COUPLING": "CalculiX leaves it loose",
     "DISTRIBUTING COUPLING": "CalculiX moves it by their mean displacement, without their rotation",
 }
 _LEFT_OUT = {"EQUATION": "--skip EQUATION", "MPC": "--skip MPC", "BOUNDARY": "--boundary drop"}
-# A distance below this part of the size of a coupling is none.
-_NO_ARM = 1e-9
 
 
 def problems_of_references(
@@ -62,4 +61,4 @@ def _has_arm(element: AverageElement, xyz: NDArray[np.float64]) -> bool:
     """Whether the reference is away from the mean place of the nodes, so that their rotation moves it."""
     places = xyz[element.nodes]
     arm = xyz[element.reference] - np.average(places, axis=0, weights=element.weights)
-    return float(np.linalg.norm(arm)) > _NO_ARM * float(np.ptp(places, axis=0).max())
+    return float(np.linalg.norm(arm)) > TOL.no_arm * float(np.ptp(places, axis=0).max())

@@ -22,11 +22,8 @@ from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_surfaces import Surface, Surfaces
 from morembs.importers.facing import Facing
 from morembs.importers.projection import face_size, project
+from morembs.importers.tolerances import TOL
 
-# Part of the mean size of the master's faces within which nodes are tied where a deck says nothing (Abaqus).
-_TOLERANCE = 0.05
-# Gaps below this part of the model's extent are round-off.
-_TOUCHING = 1e-9
 _SECTORS = ("CYCLIC SYMMETRY", "MULTISTAGE", "FLUID PERIODIC", "FLUID CYCLIC")
 Pair = tuple[Placed, Card, list[str]]
 
@@ -97,7 +94,7 @@ class Glue:
         late, nodes = int((~free).sum()), nodes[free]
         given = _given(card, contact=contact)
         if facing is None:
-            least = _TOLERANCE * face_size(xyz, master.faces)
+            least = TOL.tie_distance * face_size(xyz, master.faces)
             tolerance = max(given, least) if contact or not given else given
             projection = project(xyz[nodes], xyz, master.faces)
             near = projection.distance <= tolerance
@@ -112,7 +109,7 @@ class Glue:
             self.notes.append(
                 f"{title}: {int(near.sum())} nodes were moved to the faces they follow, by up to {gap:.3g}."
             )
-        elif gap > _TOUCHING * np.ptp(xyz, axis=0).max():
+        elif gap > TOL.tie_gap * np.ptp(xyz, axis=0).max():
             also = ", as in CalculiX" if self.dialect == "calculix" else ""
             self.warnings.append(
                 f"{title}: {int(near.sum())} nodes follow faces up to {gap:.3g} away without being moved there "
@@ -143,7 +140,7 @@ class Glue:
         xyz, total = self.assembly.xyz, 0
         for pair in combinations(self._bodies(), 2):
             fine, coarse = sorted(pair, key=lambda faces: face_size(xyz, faces))
-            tolerance = _TOLERANCE * face_size(xyz, coarse)
+            tolerance = TOL.tie_distance * face_size(xyz, coarse)
             inner, nodes = (np.unique(np.concatenate([rows.ravel() for _, rows in faces])) for faces in (coarse, fine))
             box = xyz[inner].min(axis=0) - tolerance, xyz[inner].max(axis=0) + tolerance
             nodes = nodes[((xyz[nodes] >= box[0]) & (xyz[nodes] <= box[1])).all(axis=1)]
@@ -157,8 +154,8 @@ class Glue:
                 self.equations.append(_equations(title, nodes[near], projection.nodes[near], projection.weights[near]))
                 total += int(near.sum())
         self.warnings.append(
-            f"general contact was glued where outer faces of different bodies are within {_TOLERANCE:.0%} of a face of "
-            f"each other ({total} nodes) [contact-tied]"
+            f"general contact was glued where outer faces of different bodies are within {TOL.tie_distance:.0%} of a "
+            f"face of each other ({total} nodes) [contact-tied]"
         )
 
     def _bodies(self) -> list[list[tuple[str, Ints]]]:

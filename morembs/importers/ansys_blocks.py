@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.importers.includes import open_text
+from morembs.importers.tolerances import TOL
 
 _FORMAT = re.compile(r"(\d*)([IEFGD])(\d+)(?:\.\d+(?:E\d+)?)?")
-_CHUNK = 1 << 16
-_WIDEST, _MOST = 64, 200
 
 
 class Lines:
@@ -90,7 +89,7 @@ def layout(line: bytes, block: str, name: str) -> Layout:
     counts = [(kind == "I", int(count or 1), int(width)) for count, kind, width in parts if len(count + width) < 6]
     shape = [whole for whole, _, _ in counts]
     if shape not in ([True], [True, False], [False]) or any(
-        not (0 < n <= _MOST and 0 < w <= _WIDEST) for _, n, w in counts
+        not (0 < n <= TOL.block_numbers and 0 < w <= TOL.block_number_characters) for _, n, w in counts
     ):
         raise InputError(f"{name}: {block} has the format {text[:40]!r}; expected one such as (3i9,6e21.13e3)")
     whole = counts[0] if shape[0] else (True, 0, 1)
@@ -108,19 +107,24 @@ def columns(lines: list[bytes], form: Layout, block: str, name: str) -> tuple[In
         return np.zeros((0, form.whole), dtype=np.int64), np.zeros((0, form.real))
     longest = max(map(len, lines))
     if longest > form.length and max(len(line.rstrip()) for line in lines) > form.length:
-        bad = next(line for line in lines if len(line.rstrip()) > form.length)
-        raise InputError(f"{name}: a line of {block} is longer than its format: {bad.decode('latin-1')[:80]!r}")
+        bad = _shown(next(line for line in lines if len(line.rstrip()) > form.length))
+        raise InputError(f"{name}: a line of {block} is longer than its format: {bad!r}")
     text = np.array([line[: form.length].ljust(form.length) for line in lines], dtype=f"S{form.length}")
     table = text.view("S1").reshape(len(lines), form.length)
     cut = form.whole * form.width
     whole = _numbers(table[:, :cut], form.width, np.int64, lines, block, name)
     real = _numbers(table[:, cut:], form.real_width, np.float64, lines, block, name)
     if not np.isfinite(real).all():
-        bad = lines[int(np.flatnonzero(~np.isfinite(real).all(axis=1))[0])]
-        raise InputError(f"{name}: {block} holds a number that is not finite: {bad.decode('latin-1')[:80]!r}")
+        bad = _shown(lines[int(np.flatnonzero(~np.isfinite(real).all(axis=1))[0])])
+        raise InputError(f"{name}: {block} holds a number that is not finite: {bad!r}")
     if len(whole) and whole.size and np.abs(whole).max() >= 2**31:
         raise InputError(f"{name}: {block} holds an integer of more than 31 bits; it is damaged")
     return whole, real
+
+
+def _shown(line: bytes) -> str:
+    """Its begin, as messages quote it."""
+    return line.decode("latin-1")[: TOL.shown_line]
 
 
 def _numbers(table: NDArray[np.bytes_], width: int, kind: type, lines: list[bytes], block: str, name: str) -> NDArray:  # type: ignore[type-arg]
@@ -137,8 +141,7 @@ def _numbers(table: NDArray[np.bytes_], width: int, kind: type, lines: list[byte
         try:
             row.astype(kind)
         except (ValueError, OverflowError) as error:
-            shown = line.decode("latin-1")[:80]
-            raise InputError(f"{name}: a line of {block} is not as its format says: {shown!r}") from error
+            raise InputError(f"{name}: a line of {block} is not as its format says: {_shown(line)!r}") from error
     raise InputError(f"{name}: {block} cannot be read")
 
 
@@ -147,7 +150,7 @@ def _chunks(lines: Lines, block: str, ends: tuple[bytes, ...]) -> Iterator[list[
     chunk: list[bytes] = []
     while not (line := lines.take(block)).lstrip().upper().startswith(ends):
         chunk.append(line)
-        if len(chunk) == _CHUNK:
+        if len(chunk) == TOL.lines_at_once:
             yield chunk
             chunk = []
     yield chunk
@@ -241,8 +244,7 @@ def element_types(lines: Lines) -> list[list[int]]:
         for line in chunk:
             words = line.split()
             if len(words) < 2 or not all(word.lstrip(b"-").isdigit() and len(word) < 10 for word in words):
-                shown = line.decode("latin-1")[:80]
-                raise InputError(f"{lines.name}: a line of ETBLOCK is not a list of integers: {shown!r}")
+                raise InputError(f"{lines.name}: a line of ETBLOCK is not a list of integers: {_shown(line)!r}")
             rows.append([int(word) for word in words])
     return rows
 

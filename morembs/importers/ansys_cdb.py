@@ -14,7 +14,17 @@ from morembs.fem import ElementBlock, Mesh, Nodes
 from morembs.fem.constraints import Equations, solved_for_first
 from morembs.fem.material import Material
 from morembs.importers.ansys_archive import Archive, read_commands
-from morembs.importers.ansys_elements import CARRIERS, CONTACT, HANGING, NAMES, SOLIDS, Elements, element_name, solids
+from morembs.importers.ansys_elements import (
+    CARRIERS,
+    CONTACT,
+    HANGING,
+    NAMES,
+    SOLIDS,
+    Elements,
+    Routine,
+    element_name,
+    solids,
+)
 from morembs.importers.ansys_properties import material
 from morembs.importers.ansys_sets import element_sets_of, node_sets
 from morembs.importers.ansys_ties import ends, sums, ties_of
@@ -191,7 +201,7 @@ def _sorted_elements(
         elif routine in HANGING:
             hanging.append((kind, elements))
         elif routine in SOLIDS:
-            if routine in (45, 95) and keys.get(1, 0) and elements.system.any():
+            if routine in (Routine.SOLID45, Routine.SOLID95) and keys.get(1, 0) and elements.system.any():
                 raise InputError(f"{archive.name}: {name} with axes along its edges (KEYOPT(1)) is not supported")
             parts += [
                 _Part(

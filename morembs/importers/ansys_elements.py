@@ -8,6 +8,7 @@ M = N = O = P too, and a pyramid M = N = O = P only.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,34 @@ from numpy.typing import NDArray
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 
-# Number of the element -> nodes of its full form.
-SOLIDS = {45: 8, 185: 8, 95: 20, 186: 20, 92: 10, 187: 10, 285: 4}
+
+class Routine(IntEnum):
+    """Routine numbers of elements that are read (Mechanical APDL Element Reference), by the names they have there."""
+
+    COMBIN14 = 14
+    MASS21 = 21
+    MPC184 = 184
+    SOLID45 = 45
+    SOLID92 = 92
+    SOLID95 = 95
+    SOLID185 = 185
+    SOLID186 = 186
+    SOLID187 = 187
+    SOLID285 = 285
+
+
+# Nodes of the full form.
+SOLIDS: dict[int, int] = {
+    Routine.SOLID45: 8,
+    Routine.SOLID185: 8,
+    Routine.SOLID95: 20,
+    Routine.SOLID186: 20,
+    Routine.SOLID92: 10,
+    Routine.SOLID187: 10,
+    Routine.SOLID285: 4,
+}
 # Masses, springs and rigid beams.
-HANGING = MASS, SPRING, RIGID = 21, 14, 184
+HANGING = (Routine.MASS21, Routine.COMBIN14, Routine.MPC184)
 # They have neither stiffness nor mass of a structure: meshing facets, and surfaces that carry loads.
 CARRIERS = {152: "SURF152", 153: "SURF153", 154: "SURF154", 200: "MESH200", 201: "FOLLW201"}
 # Contact and its targets.

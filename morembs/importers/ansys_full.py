@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
@@ -20,18 +21,48 @@ from morembs.base.types import Ints
 from morembs.importers.ansys_nodes import joined
 from morembs.importers.imported import Imported
 from morembs.importers.text_matrices import opened
+from morembs.importers.tolerances import TOL
 from morembs.importers.triplets import Triplets, assembled
 
 Words = NDArray[np.int32]
 
-# Places in the header of the file (words from 0); 64-bit numbers are a low and a high word.
-_NEQN, _NMROW, _KAN, _LENBAC, _NUMDOF, _LUMPED, _UNSYMMETRIC = 1, 2, 4, 6, 7, 10, 13
-_EQUATIONS, _NODES, _DISTRIBUTED, _DOFS = 20, 32, 62, (35, 36)
+
+class Place(IntEnum):
+    """Places in the header of a .full file, words from 0 (Programmer's Reference of Mechanical APDL, fdfull).
+
+    Numbers of 64 bits are a low and a high word.
+    """
+
+    EQUATIONS = 1
+    ANALYSIS = 4
+    DOFS_PER_NODE = 7
+    LUMPED = 10
+    UNSYMMETRIC = 13
+    CONSTRAINTS = 20
+    NODES = 32
+    DOFS_LOW = 35
+    DOFS_HIGH = 36
+    DISTRIBUTED = 62
+    LENGTH = 160
+
+
+class Code:
+    """Values in headers and in front of records of ANSYS binary files (the same reference)."""
+
+    STANDARD_HEADER_WORDS = 100
+    FULL_FILE = 4
+    BUCKLING = 1
+    # Flags of a record: kinds and compression are bits, the sign says integers.
+    INTEGERS = -(1 << 31)
+    DOUBLES = 0
+    FLAGS = (1 << 31) - 1
+    LOW_WORD = (1 << 32) - 1
+
+
+# Low and high word of the number of entries, and of the place.
+
 _TERMS = {"K": (8, 9), "M": (33, 21), "D": (34, 39)}
 _PLACE = {"K": (18, 19), "M": (26, 27), "D": (28, 29)}
-_STANDARD_HEADER, _FULL_FILE, _BUCKLING = 100, 4, 1
-_INTEGER, _DOUBLE = -(2**31), 0
-_ROWS = 1 << 14
 _OTHER = "write the matrices as text instead (HBMAT with Mapping = YES) and import those"
 
 
@@ -96,7 +127,7 @@ def read_ansys_full(path: str | Path) -> AnsysFull:
     path = Path(path)
     with opened(path):
         pass
-    if path.stat().st_size < 4 * _STANDARD_HEADER:
+    if path.stat().st_size < 4 * Code.STANDARD_HEADER_WORDS:
         raise InputError(f"{path.name} is too short for an ANSYS binary file; write it again")
     words = np.memmap(path, dtype=np.int32, mode="r", shape=(path.stat().st_size // 4,))
     return _File(path.name, words).full()
@@ -109,42 +140,46 @@ class _File:
         # Single words come several times faster from a view without numpy's scalars.
         self.name, self.array, self.words, self.size = name, array, memoryview(array), len(array)  # type: ignore[arg-type]
         expected = "expected the .full file of a Mechanical APDL analysis"
-        if array[0] != _STANDARD_HEADER:
+        if array[0] != Code.STANDARD_HEADER_WORDS:
             raise InputError(f"{name} does not start as an ANSYS binary file does (little-endian); {expected}")
         standard, after = self.integers(0)
-        if len(standard) != _STANDARD_HEADER or standard[0] != _FULL_FILE:
+        if len(standard) != Code.STANDARD_HEADER_WORDS or standard[0] != Code.FULL_FILE:
             raise InputError(f"{name} is an ANSYS binary file of the kind {standard[0]}, not a .full file; {expected}")
         header, self.after_header = self.integers(after)
-        self.header = np.zeros(160, dtype=np.int64)
-        self.header[: min(160, len(header))] = header[:160]
+        self.header = np.zeros(Place.LENGTH, dtype=np.int64)
+        self.header[: len(header)] = header[: Place.LENGTH]
         self._refuse()
-        self.rows = int(self.header[_NEQN])
+        self.rows = int(self.header[Place.EQUATIONS])
 
     def damaged(self, what: str) -> InputError:
         return InputError(f"{self.name} is cut off or damaged: {what}; write it again")
 
     def _refuse(self) -> None:
         h = self.header
-        if h[0] != -_FULL_FILE:
+        if h[0] != -Code.FULL_FILE:
             raise InputError(f"{self.name} was written by the frontal solver, which is not read; {_OTHER}")
         reasons = {
-            "unsymmetric matrices": h[_UNSYMMETRIC] != 0,
-            "the part of one process of a distributed run": h[_DISTRIBUTED] != 0,
-            "a buckling analysis, whose second matrix is not the mass": h[_KAN] == _BUCKLING,
+            "unsymmetric matrices": h[Place.UNSYMMETRIC] != 0,
+            "the part of one process of a distributed run": h[Place.DISTRIBUTED] != 0,
+            "a buckling analysis, whose second matrix is not the mass": h[Place.ANALYSIS] == Code.BUCKLING,
         }
         for what, present in reasons.items():
             if present:
                 raise InputError(f"{self.name} holds {what}, which is not read; write a symmetric modal analysis")
-        if h[_EQUATIONS]:
+        if h[Place.CONSTRAINTS]:
             raise InputError(
-                f"{self.name} holds {h[_EQUATIONS]} constraint equations or couplings (CE, CP, CERIG, RBE3, MPC "
+                f"{self.name} holds {h[Place.CONSTRAINTS]} constraint equations or couplings (CE, CP, CERIG, RBE3, MPC "
                 f"contact), which are not read from there; {_OTHER}, where they are eliminated"
             )
-        if not 0 < h[_NEQN] < self.size or not 0 < h[_NODES] < self.size or not 0 < h[_NUMDOF] < 64:
-            raise self.damaged(f"its header says {h[_NEQN]} equations and {h[_NODES]} nodes")
+        if (
+            not 0 < h[Place.EQUATIONS] < self.size
+            or not 0 < h[Place.NODES] < self.size
+            or not 0 < h[Place.DOFS_PER_NODE] < 64
+        ):
+            raise self.damaged(f"its header says {h[Place.EQUATIONS]} equations and {h[Place.NODES]} nodes")
 
     def long(self, places: tuple[int, int]) -> int:
-        low, high = (int(self.header[p]) & 0xFFFFFFFF for p in places)
+        low, high = (int(self.header[p]) & Code.LOW_WORD for p in places)
         return (high << 32) | low
 
     def record(self, at: int, flags: int) -> tuple[int, int, int]:
@@ -156,14 +191,14 @@ class _File:
         if length < 0 or at + 2 + length >= self.size or words[at + 2 + length] != length:
             raise self.damaged(f"the record at the word {at} does not end where it should")
         if words[at + 1] != flags:
-            if words[at + 1] & 0x7FFFFFFF:
+            if words[at + 1] & Code.FLAGS:
                 raise InputError(f"{self.name} has compressed or single-precision records, not read; {_OTHER}")
             raise self.damaged(f"the record at the word {at} is not of the expected type")
         return at + 2, length, at + 3 + length
 
     def integers(self, at: int) -> tuple[Ints, int]:
         """Record of integers, and where the next record starts."""
-        start, length, after = self.record(at, _INTEGER)
+        start, length, after = self.record(at, Code.INTEGERS)
         return self.array[start : start + length].astype(np.int64), after
 
     def full(self) -> AnsysFull:
@@ -174,7 +209,7 @@ class _File:
                 "ROTX ROTY ROTZ (1 to 6): a structural model in space"
             )
         label, _ = self.integers(at)
-        per_node, at = self.integers(self.long(_DOFS))
+        per_node, at = self.integers(self.long((Place.DOFS_LOW, Place.DOFS_HIGH)))
         dof, _ = self.integers(at)
         if (per_node < 0).any() or per_node.sum() != self.rows or len(dof) != self.rows or len(label) < len(per_node):
             raise self.damaged(f"its table of dofs does not fit {self.rows} equations")
@@ -199,7 +234,7 @@ class _File:
             node=node[order_free],
             component=component[order_free],
             constrained=np.column_stack([node[held], component[held]]),
-            lumped=bool(self.header[_LUMPED]),
+            lumped=bool(self.header[Place.LUMPED]),
         )
 
     def matrix(self, which: str, place: Ints, size: int) -> sp.csr_array | None:
@@ -209,8 +244,8 @@ class _File:
         if terms > self.size:
             raise self.damaged(f"its header says {terms} entries of {which}")
         length, flags, _ = self.words[at : at + 3] if at < self.size - 2 else (0, 0, 0)
-        if which == "M" and self.header[_LUMPED] and (length, flags) == (2 * self.rows, _DOUBLE):
-            start, _, _ = self.record(at, _DOUBLE)
+        if which == "M" and self.header[Place.LUMPED] and (length, flags) == (2 * self.rows, Code.DOUBLES):
+            start, _, _ = self.record(at, Code.DOUBLES)
             diagonal = np.frombuffer(self.array[start : start + length].tobytes(), dtype=np.float64)
             kept = np.zeros(size)
             kept[place[place >= 0]] = diagonal[place >= 0]
@@ -229,8 +264,8 @@ class _Rows:
         # Where the columns and values of each row start, and how many there are.
         self.columns, self.values, self.counts = (np.empty(file.rows, dtype=np.int64) for _ in range(3))
         for row in range(file.rows):
-            start, count, at = file.record(at, _INTEGER)
-            first, length, at = file.record(at, _DOUBLE)
+            start, count, at = file.record(at, Code.INTEGERS)
+            first, length, at = file.record(at, Code.DOUBLES)
             if length != 2 * count:
                 complex_ = length == 4 * count and count
                 what = f"row {row + 1} of {which} has {count} columns and {length // 2} values"
@@ -245,8 +280,8 @@ class _Rows:
 
     def __iter__(self) -> Iterator[Triplets]:
         words = np.asarray(self.file.array)
-        for begin in range(0, self.file.rows, _ROWS):
-            part = slice(begin, begin + _ROWS)
+        for begin in range(0, self.file.rows, TOL.full_rows_at_once):
+            part = slice(begin, begin + TOL.full_rows_at_once)
             counts = self.counts[part]
             within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
             row = np.repeat(np.arange(begin, begin + len(counts)), counts)

@@ -13,10 +13,10 @@ import scipy.sparse as sp
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.importers.text_matrices import integers, numbers, opened
+from morembs.importers.tolerances import TOL
 from morembs.importers.triplets import assembled
 
 _FORMAT = re.compile(r"\(\s*(?:\d+P)?,?\s*(\d*)\s*([IEFGD])(\d+)(?:\.\d+)?(?:E\d+)?\s*\)")
-_LONGEST = 1 << 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,7 @@ def read_harwell_boeing(path: Path) -> sp.csr_array:
 
 
 def _header(file: BinaryIO, path: Path) -> _Head:
-    lines = [file.readline(_LONGEST).decode("latin-1") for _ in range(4)]
+    lines = [file.readline(TOL.longest_matrix_line_bytes).decode("latin-1") for _ in range(4)]
     expected = "expected Matrix Market (*EXPORT,,MMF) or Harwell-Boeing text (HBMAT with Form = ASCII)"
     cards, kind = lines[1].split(), lines[2].split()
     whole = [*cards, *kind[1:]]
@@ -74,9 +74,10 @@ def _header(file: BinaryIO, path: Path) -> _Head:
     counts = [int(word) for word in cards]
     with_right = len(counts) == 5 and counts[4] > 0
     if with_right:
-        file.readline(_LONGEST)
+        file.readline(TOL.longest_matrix_line_bytes)
     formats = [(int(count or 1), int(width)) for count, _, width in _FORMAT.findall(lines[3].upper())]
-    if len(formats) < 3 or any(not (0 < n < 200 and 0 < w < 100) for n, w in formats):
+    most, widest = TOL.harwell_numbers, TOL.harwell_number_characters
+    if len(formats) < 3 or any(not (0 < n < most and 0 < w < widest) for n, w in formats):
         raise InputError(f"{path.name} has the formats {lines[3].strip()[:60]!r}; expected three such as (1I14)")
     if rows != columns or rows < 1 or max(rows, entries) > path.stat().st_size:
         raise InputError(
@@ -101,7 +102,7 @@ def _section(file: BinaryIO, what: str, lines: int, form: tuple[int, int], count
         )
     text = []
     for _ in range(lines):
-        line = file.readline(_LONGEST)
+        line = file.readline(TOL.longest_matrix_line_bytes)
         if not line.endswith(b"\n"):
             raise InputError(f"{name} ends within its {what}; it is cut off, write it again")
         # Numbers may touch each other, so fields are cut by their width.

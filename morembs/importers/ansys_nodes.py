@@ -14,9 +14,8 @@ from morembs.fem import DofMap, Nodes, rigid_motion
 from morembs.importers.ansys_cdb import read_ansys_archive
 from morembs.importers.imported import Imported, picked_nodes
 from morembs.importers.text_matrices import text_blocks
+from morembs.importers.tolerances import TOL
 
-# |K R| over |K| |R|: round-off of printed digits stays below, a wrong order of rows is near one.
-FREE = 1e-5
 COMPONENTS = ("UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ")
 
 
@@ -58,7 +57,7 @@ def joined(
     dofs = DofMap(node=np.searchsorted(used, node), component=component)
     K = matrices["K"]
     said = list(notes)
-    if K is not None and free and (share := _held(K, kept, dofs)) > FREE:
+    if K is not None and free and (share := _held(K, kept, dofs)) > TOL.held_share:
         if not sure:
             raise InputError(
                 f"{source}: rigid motion needs forces of {share:.2g} of those in K. Either the model is held by "

@@ -9,6 +9,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.fem.material import Material, isotropic, orthotropic
 from morembs.importers.imported import Lacking
+from morembs.importers.tolerances import TOL
 
 ELASTIC = {"EX", "EY", "EZ", "NUXY", "NUYZ", "NUXZ", "PRXY", "PRYZ", "PRXZ", "GXY", "GYZ", "GXZ", "DENS"}
 # Damping and temperature: said, not kept. Conductivity and the like say nothing about a structure and are passed over.
@@ -19,7 +20,6 @@ SAID = {
     "DMPR": "damping ratio",
     "DMPS": "damping ratio",
 }
-_DEFAULT_POISSON = 0.3
 
 
 def material(
@@ -48,7 +48,7 @@ def material(
     if any(key in given for key in major) and any(key in given for key in minor):
         raise InputError(f"material {number} has both PRXY and NUXY (or their like); expected one kind")
     if any(key in given for key in minor):
-        nuxy = given.get("NUXY", _DEFAULT_POISSON)
+        nuxy = given.get("NUXY", TOL.ansys_poisson)
         nu = (
             tuple(
                 value * ratio
@@ -60,15 +60,16 @@ def material(
             else (nuxy,) * 3
         )
     else:
-        prxy = given.get("PRXY", _DEFAULT_POISSON)
+        prxy = given.get("PRXY", TOL.ansys_poisson)
         nu = prxy, given.get("PRXZ", prxy), given.get("PRYZ", prxy)
         if "PRXY" not in given:
             notes.append(f"material {number} has no Poisson's ratio; 0.3 was taken, as ANSYS does")
     one_shear = e1 / (2 * (1 + nu[0])) if nu[0] != -1 else e1
     gxy = given.get("GXY", one_shear)
     shear = gxy, given.get("GXZ", gxy), given.get("GYZ", gxy)
-    same = np.allclose([e2, e3], e1, rtol=1e-9) and np.allclose(nu, nu[0], rtol=1e-9, atol=0)
-    if same and np.allclose(shear, one_shear, rtol=1e-6):
+    rtol = TOL.same_modulus
+    same = np.allclose([e2, e3], e1, rtol=rtol) and np.allclose(nu, nu[0], rtol=rtol, atol=0)
+    if same and np.allclose(shear, one_shear, rtol=TOL.same_shear_modulus):
         return isotropic(set=name, young=e1, poisson=nu[0], density=given["DENS"])
     if turned:
         raise InputError(

@@ -13,7 +13,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem.constraints import RigidElement, Term
 from morembs.importers.ansys_archive import Archive
-from morembs.importers.ansys_elements import MASS, RIGID, Elements, element_name
+from morembs.importers.ansys_elements import Elements, Routine, element_name
 from morembs.importers.discrete import spring
 from morembs.importers.imported import DiscreteElement, Imported, PointMass
 from morembs.importers.problems import Problems
@@ -44,7 +44,7 @@ def sums(archive: Archive, of_solids: Ints, rotated: set[int], notes: list[str])
 
 def ends(archive: Archive, kind: int, elements: Elements) -> Ints:
     """Labels (k, 1 or 2) of the nodes of elements that hang on a part."""
-    return elements.nodes[:, : 1 if archive.types[kind][0] == MASS else 2]
+    return elements.nodes[:, : 1 if archive.types[kind][0] == Routine.MASS21 else 2]
 
 
 def ties_of(
@@ -65,11 +65,11 @@ def ties_of(
     for kind, elements in hanging:
         (routine, keys), rows = archive.types[kind], np.searchsorted(used, ends(archive, kind, elements))
         with problems.collected(flags=(f"--skip {element_name(routine)}",)):
-            if routine == MASS:
+            if routine == Routine.MASS21:
                 points, others = point_masses(elements, keys, archive.reals, rows[:, 0].tolist(), archive.name)
                 masses += points
                 discrete += others
-            elif routine == RIGID:
+            elif routine == Routine.MPC184:
                 rigid += rigid_beams(elements, keys, rows, solid, archive.name)
             else:
                 discrete += springs(elements, keys, archive.reals, rows, xyz, rotated, archive.name)

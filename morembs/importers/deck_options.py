@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
-import numpy as np
-
+from morembs.base.arguments import check_value
 from morembs.base.errors import InputError, nearest
+from morembs.base.limits import Positive, one_of
 from morembs.fem.material import Material
 from morembs.importers.imported import Lacking
 from morembs.importers.problems import Problem, Problems
 
-CONTACT = ("refuse", "skip", "tie")
+Contact = Annotated[str, one_of("refuse", "skip", "tie")]
+# What becomes of supports where a program assembles.
+Boundary = Annotated[str, one_of("drop", "keep")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,12 +108,10 @@ def deck_options(density: float | Mapping[str, float] | None, contact: str, skip
     Raises:
         InputError: another word for contact, or densities that are not positive.
     """
-    if contact not in CONTACT:
-        raise InputError(f"contact = {contact!r} was given; {nearest(contact, CONTACT)}")
+    check_value("contact", contact, Contact)
     given = dict(density) if isinstance(density, Mapping) else {} if density is None else {"all": density}
     for name, value in given.items():
-        if not (np.isfinite(value) and value > 0):
-            raise InputError(f"density = {value!r} was given for {name!r}; expected a positive number")
+        check_value(f"density of {name!r}", value, Positive)
     words = skip.split(",") if isinstance(skip, str) else skip
     plain = frozenset(" ".join(word.upper().split()).lstrip("*") for word in words if word)
     return DeckOptions(density=given, contact=contact, skip=plain)

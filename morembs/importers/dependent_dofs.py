@@ -19,10 +19,9 @@ from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel, rigid_motion
 from morembs.fem.constraints import AverageElement, DependentDofs, Equations, RigidElement
 from morembs.fem.interface import Average, Interface, Rigid, averaging
+from morembs.importers.tolerances import TOL
 
 ALL = (0, 1, 2, 3, 4, 5)
-# Entries that a reference with stiffness or mass of its own may spread over its nodes.
-MOST_SPREAD = 50_000_000
 
 
 def dof_table(model: FEModel) -> Ints:
@@ -114,10 +113,11 @@ def _mean_rows(model: FEModel, element: AverageElement, table: Ints) -> tuple[In
     interface.kind.check(model, interface)
     dofs = table[element.reference][list(element.components)]
     loaded = any(A is not None and (np.diff(A.indptr)[dofs] > 0).any() for A in (model.K, model.M, model.D))
-    if loaded and columns.size**2 > MOST_SPREAD:
+    if loaded and columns.size**2 > TOL.max_spread_entries:
+        most = int(TOL.max_spread_entries**0.5) // 3
         raise InputError(
             f"the reference of average element {element.name!r} carries a mass or elements over {len(interface.nodes)} "
-            f"nodes, which would fill the matrices; take at most {int(MOST_SPREAD**0.5) // 3} nodes, or a rigid element"
+            f"nodes, which would fill the matrices; take at most {most} nodes, or a rigid element"
         )
     T = averaging(interface, model.nodes.xyz[interface.nodes])[list(element.components)]
     return np.repeat(dofs, columns.size), np.tile(columns.ravel(), len(dofs)), T.ravel()

@@ -15,6 +15,7 @@ from morembs.base.units import Units
 from morembs.fem import FEModel
 from morembs.importers.dependent_dofs import dof_table
 from morembs.importers.imported import DiscreteElement
+from morembs.importers.tolerances import TOL
 
 
 def si_discrete(element: DiscreteElement, units: Units) -> DiscreteElement:
@@ -104,7 +105,7 @@ def _condensed(elements: Sequence[DiscreteElement], table: Ints, model: FEModel)
         nodes, components = own[kept] // width, own[kept] % width
         moving = np.ix_(components < 3, components < 3)
         before, after = A[np.ix_(kept, kept)][moving], values[moving]
-        tiny = 1e-9 * np.abs(before).max(initial=0.0)
+        tiny = TOL.no_stiffness * np.abs(before).max(initial=0.0)
         if np.linalg.matrix_rank(after, tiny) < np.linalg.matrix_rank(before, tiny):
             label = model.nodes.ids[own[~kept][0] // width]
             raise InputError(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +19,27 @@ from morembs.base.types import Ints
 from morembs.importers.dmig_cards import Column, columns_of
 from morembs.importers.nastran_cards import Cards
 from morembs.importers.nastran_text import BulkText
+from morembs.importers.tolerances import TOL
 from morembs.importers.triplets import Numbering, Renumbered, TripletStore, assembled, completed
 
-SQUARE, SYMMETRIC, RECTANGULAR = 1, 6, (2, 9)
-COMPONENTS = 8
-_MOST_COLUMNS = 100_000_000
+
+class Form(IntEnum):
+    """Forms of a matrix (MSC Nastran Quick Reference Guide, DMIG); columns are labelled, or numbered."""
+
+    SQUARE = 1
+    RECTANGULAR = 2
+    SYMMETRIC = 6
+    NUMBERED_COLUMNS = 9
+
+
+class GridRow:
+    """A row (the same guide) as one integer: grid * ``COMPONENTS`` + component, 1 to 6, or that of scalar points."""
+
+    COMPONENTS = 8
+    SCALAR_POINT = 0
+
+
+_RECTANGULAR = (Form.RECTANGULAR, Form.NUMBERED_COLUMNS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,10 +103,11 @@ def _take(file: str, named: dict[str, _Named], column: Column, stack: ExitStack)
         raise InputError(f"{file}: the DMIG {column.name} is real (type {kind}) but has imaginary parts; check it")
     if polar:
         a, b = a * np.cos(np.deg2rad(b)), a * np.sin(np.deg2rad(b))
-    rows = column.grid * COMPONENTS + column.component
-    columns = column.column_grid * COMPONENTS + (0 if form == 9 else column.column_component)
+    rows = column.grid * GridRow.COMPONENTS + column.component
+    numbered = form == Form.NUMBERED_COLUMNS
+    columns = column.column_grid * GridRow.COMPONENTS + (0 if numbered else column.column_component)
     matrix.entries += len(rows)
-    matrix.labels.append(np.unique(np.concatenate([rows, columns]) if form not in RECTANGULAR else rows))
+    matrix.labels.append(np.unique(np.concatenate([rows, columns]) if form not in _RECTANGULAR else rows))
     matrix.real.add(rows, columns, a)
     if b.any():
         matrix.imaginary.add(rows, columns, b)
@@ -103,7 +121,7 @@ def _header(file: str, column: Column) -> tuple[int, int, bool, int]:
         count = int(fields[5] or "0")
     except ValueError:
         raise InputError(f"{file}: the header of the DMIG {column.name} has fields {fields}; give numbers") from None
-    if form not in (SQUARE, SYMMETRIC, *RECTANGULAR) or kind not in (1, 2, 3, 4):
+    if form not in tuple(Form) or kind not in (1, 2, 3, 4):
         raise InputError(
             f"{file}: the DMIG {column.name} has form {form} and type {kind}; expected form 1, 2, 6 or 9, type 1 to 4"
         )
@@ -117,38 +135,38 @@ def _matrix(file: str, name: str, read: _Named) -> DmigMatrix:
         raise InputError(f"{file}: the DMIG {name} has a header but no entries; it is cut off")
     rows = Numbering(codes)
     columns = rows
-    if form in RECTANGULAR:
+    if form in _RECTANGULAR:
         columns = Numbering(_column_codes(file, name, read, form, count))
     parts = []
     for store in (read.real, read.imaginary):
         placed = Renumbered(triplets=store, rows=rows, columns=columns)
         parts.append(_assembled(file, name, placed, (len(rows), len(columns)), form))
     matrix = sp.csr_array(parts[0] + 1j * parts[1]) if kind > 2 else parts[0]
-    labels = [np.stack([c.codes // COMPONENTS, c.codes % COMPONENTS], axis=1) for c in (rows, columns)]
+    labels = [np.stack([c.codes // GridRow.COMPONENTS, c.codes % GridRow.COMPONENTS], axis=1) for c in (rows, columns)]
     return DmigMatrix(matrix=matrix, rows=labels[0], columns=labels[1], form=form, type=kind)
 
 
 def _column_codes(file: str, name: str, read: _Named, form: int, count: int) -> Ints:
     parts = [np.unique(columns) for store in (read.real, read.imaginary) for _, columns, _ in store]
     codes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *parts]))
-    if form == 9:
-        largest = int(codes.max(initial=0)) // COMPONENTS
-        if largest > count or count > _MOST_COLUMNS or (len(codes) and codes.min() < COMPONENTS):
+    if form == Form.NUMBERED_COLUMNS:
+        largest = int(codes.max(initial=0)) // GridRow.COMPONENTS
+        if largest > count or count > TOL.max_dmig_columns or (len(codes) and codes.min() < GridRow.COMPONENTS):
             raise InputError(f"{file}: the DMIG {name} has column {largest}, but its header says {count} columns")
-        return np.arange(1, count + 1) * COMPONENTS
+        return np.arange(1, count + 1) * GridRow.COMPONENTS
     return codes
 
 
 def _assembled(file: str, name: str, placed: Renumbered, shape: tuple[int, int], form: int) -> sp.csr_array:
     def place(row: int, column: int) -> str:
         (a, b), (c, d) = (
-            divmod(int(codes[at]), COMPONENTS)
+            divmod(int(codes[at]), GridRow.COMPONENTS)
             for codes, at in ((placed.rows.codes, row), (placed.columns.codes, column))
         )
         return f"the row of grid {a}, component {b}, the column of grid {c}, component {d}"
 
     name = f"{file}: the DMIG {name}"
-    if form == SYMMETRIC:
+    if form == Form.SYMMETRIC:
         half, matrix = completed(placed, shape[0], name, place)
         if not half and (matrix != matrix.T).nnz:
             raise InputError(

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from morembs.base.types import Floats, Ints
 from morembs.importers.projection import Projection, on_face
+from morembs.importers.tolerances import TOL
 
-_PART, _MOST = 0.025, 100
 # Triangles of a face by its corners and middles; edge i of a triangle is that without its corner i.
 _TRIANGLES = {
     "tri3": ((0, 1, 2),),
@@ -52,7 +52,7 @@ class Facing:
         along = np.roll(x, -2, axis=1) - self._base
         self._out = _unit(np.cross(along, self._normal[:, None]))
         first = np.einsum("tx,tx->t", self._out[:, 0], self._center - self._base[:, 0])
-        self.tolerance = _PART * float(np.abs(first).mean()) if len(first) else 0.0
+        self.tolerance = TOL.crossed_part * float(np.abs(first).mean()) if len(first) else 0.0
         self._beyond = _neighbours(self._corners)
 
     def on(self, points: Floats, xyz: Floats, master: int, tolerance: float) -> tuple[Projection, NDArray[np.bool_]]:
@@ -85,9 +85,9 @@ class Facing:
 
         at = start + cKDTree(self._center[start:end]).query(points)[1]
         result, before = np.full(len(points), -1), np.full(len(points), -1)
-        seen = np.full((len(points), _MOST), -1)
+        seen = np.full((len(points), TOL.walked_triangles), -1)
         walking = np.arange(len(points))
-        for step in range(_MOST + 1):
+        for step in range(TOL.walked_triangles + 1):
             here = at[walking]
             gap = points[walking, None] - self._base[here]
             outside = np.einsum("nex,nex->ne", self._out[here], gap) > self.tolerance
@@ -96,7 +96,7 @@ class Facing:
             result[walking[arrived]] = here[arrived]
             on = ~arrived & (to >= 0) & ~(seen[walking] == to[:, None]).any(axis=1)
             walking, here, to = walking[on], here[on], to[on]
-            if not len(walking) or step == _MOST:
+            if not len(walking) or step == TOL.walked_triangles:
                 break
             seen[walking, step], before[walking], at[walking] = to, here, to
         return result

@@ -10,6 +10,8 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
+from morembs.importers.ansys_elements import Routine
+
 DIALECTS = ("auto", "abaqus", "calculix")
 
 
@@ -192,7 +194,7 @@ def nastran_mass_warnings(count: int, *, consistent: bool) -> list[str]:
 def ansys_meaning(routine: int, keys: Mapping[int, int], shape: str) -> Meaning:
     """What elements SOLID``routine`` with key options ``keys`` that became ``shape`` mean."""
     meaning = _ANSYS.get(routine, _plain)(keys, shape)
-    if keys.get(6, 0) and routine in (185, 186, 187):
+    if keys.get(6, 0) and routine in (Routine.SOLID185, Routine.SOLID186, Routine.SOLID187):
         return Meaning(meaning.formulation, meaning.mass, _HYBRID)
     return meaning
 
@@ -239,9 +241,9 @@ def _solid95(keys: Mapping[int, int], shape: str) -> Meaning:
 
 
 _ANSYS: dict[int, Callable[[Mapping[int, int], str], Meaning]] = {
-    45: _solid45,
-    95: _solid95,
-    185: _solid185,
-    186: _solid186,
-    285: lambda keys, shape: Meaning(differs=f"softer, as the pressure is an unknown there; {_UNSEEN}"),
+    Routine.SOLID45: _solid45,
+    Routine.SOLID95: _solid95,
+    Routine.SOLID185: _solid185,
+    Routine.SOLID186: _solid186,
+    Routine.SOLID285: lambda keys, shape: Meaning(differs=f"softer, as the pressure is an unknown there; {_UNSEEN}"),
 }

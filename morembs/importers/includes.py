@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 from morembs.base.errors import InputError
+from morembs.importers.tolerances import TOL
 
-DEEPEST, MOST, LARGEST_SUM = 50, 1000, 1 << 32
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-_LOOK = 1 << 16
 ALLOW = "--allow-includes-outside"
 
 
@@ -82,9 +81,10 @@ class Includes:
         if resolved in above:
             chain = " -> ".join(path.name for path in (*above, resolved))
             raise InputError(f"{path.name} includes itself ({chain}); remove the include that closes the circle")
-        if len(above) > DEEPEST:
+        if len(above) > TOL.max_include_depth:
             raise InputError(
-                f"{self.path.name} includes files {len(above)} deep; at most {DEEPEST} are followed; join them"
+                f"{self.path.name} includes files {len(above)} deep; at most {TOL.max_include_depth} are followed; "
+                "join them"
             )
         self.count += 1
         try:
@@ -92,10 +92,11 @@ class Includes:
             self._refuse_other(path, where, begin)
         except OSError as error:
             raise InputError(f"{path.name}, which {where} names, cannot be opened: {error.strerror}") from error
-        if self.count > MOST or self.total > LARGEST_SUM:
+        if self.count > TOL.max_includes or self.total > TOL.max_include_bytes:
             raise InputError(
                 f"{self.path.name} includes {self.count} files of {self.total / 1e6:.0f} MB together (files that are "
-                f"included again count again); at most {MOST} files and {LARGEST_SUM / 1e6:.0f} MB are read; join them"
+                f"included again count again); at most {TOL.max_includes} files and "
+                f"{TOL.max_include_bytes / 1e6:.0f} MB are read; join them"
             )
         return path
 
@@ -109,7 +110,7 @@ class Includes:
 
     def _refuse_other(self, path: Path, where: str, begin: re.Pattern[bytes]) -> None:
         with open_text(path) as file:
-            text = file.read(_LOOK)
+            text = file.read(TOL.head_bytes)
         lines = (line.strip() for line in text.replace(b"\r", b"\n").split(b"\n"))
         first = next((line for line in lines if line and not line.startswith((b"**", b"$"))), b"")
         if first and not begin.match(first):

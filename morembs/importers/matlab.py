@@ -14,6 +14,7 @@ from morembs.importers.hdf5_sparse import checked_csr, import_hdf5
 from morembs.importers.imported import Imported
 from morembs.importers.matlab_v5 import read_matlab_v5
 from morembs.importers.named import Wanted, matrices_by_name
+from morembs.importers.tolerances import TOL
 
 
 def import_matlab(
@@ -54,7 +55,7 @@ def import_matlab(
     except MorembsError:
         raise
     except Exception as error:  # damage shows in every kind of error here, some without a base of their own
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        reason = " ".join(str(error).split())[: TOL.shown_reason] or type(error).__name__
         raise InputError(f"{path.name} cannot be read as a MATLAB file ({reason}); save it again") from error
     left = [f"{name} ({kind})" for name, kind in other.items()]
     notes = (f"left out, as they are no matrices: {', '.join(left)}",) if left else ()

@@ -9,6 +9,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 from typing import BinaryIO
 
@@ -20,8 +21,39 @@ from morembs.base.memory import refuse_too_large
 from morembs.base.types import Values
 from morembs.importers.hdf5_sparse import checked_csc
 
-_HEADER = 128
-_MATRIX, _COMPRESSED = 14, 15
+
+class Header:
+    """First bytes of a file (MathWorks, MAT-File Format, level 5): places of the version and of the byte order."""
+
+    VERSION = slice(124, 126)
+    BYTE_ORDER = slice(126, 128)
+    BYTES = 128
+
+
+class Element(IntEnum):
+    """Types of data elements that hold variables (the same manual); ``_STORED`` are those of numbers."""
+
+    MATRIX = 14
+    COMPRESSED = 15
+
+
+class Class(IntEnum):
+    """Classes of arrays (the same manual) beside those of ``_FULL`` and ``_KINDS``."""
+
+    SPARSE = 5
+    OPAQUE = 17
+
+
+class Bits:
+    """Bits of the flags of an array, and of a tag whose numbers stand in it (the same manual)."""
+
+    CLASS = 0xFF
+    LOGICAL = 0x200
+    COMPLEX = 0x800
+    SMALL_TYPE = 0xFFFF
+    SMALL_COUNT = 16
+
+
 # Types of stored numbers, and of the arrays that they stand for.
 _STORED = {
     1: "i1",
@@ -38,11 +70,8 @@ _STORED = {
     17: "u2",
     18: "u4",
 }
-_SPARSE = 5
 _FULL = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
 _KINDS = {1: "cell", 2: "struct", 3: "object", 4: "text", 16: "function", 17: "object"}
-_COMPLEX, _LOGICAL = 0x800, 0x200
-_DIMENSIONS = 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,9 +90,9 @@ def read_matlab_v5(path: Path) -> Held:
     """
     held = Held(matrices={}, other={})
     with path.open("rb") as file:
-        head = file.read(_HEADER)
-        order = {b"IM": "<", b"MI": ">"}.get(head[126:128])
-        if len(head) < _HEADER or order is None or struct.unpack(order + "H", head[124:126])[0] >> 8 != 1:
+        head = file.read(Header.BYTES)
+        order = {b"IM": "<", b"MI": ">"}.get(head[Header.BYTE_ORDER])
+        if len(head) < Header.BYTES or order is None or struct.unpack(order + "H", head[Header.VERSION])[0] >> 8 != 1:
             raise _unreadable(path.name, "its first 128 bytes are not those of such a file")
         for body in _variables(file, order, path.name):
             name, value = _variable(_Reader(body, order, path.name))
@@ -88,12 +117,12 @@ def _variables(file: BinaryIO, order: str, name: str) -> Iterator[bytes]:
         if len(tag) < 8:
             raise _unreadable(name, "it ends within a variable")
         kind, count = struct.unpack(order + "II", tag)
-        if kind not in (_MATRIX, _COMPRESSED):
+        if kind not in (Element.MATRIX, Element.COMPRESSED):
             raise _unreadable(name, f"an element is of the type {kind}, where a variable was expected")
         body = file.read(count)
         if len(body) < count:
             raise _unreadable(name, "it ends within a variable")
-        if kind == _COMPRESSED:
+        if kind == Element.COMPRESSED:
             body = _unpacked(body, order, name)
         yield body
 
@@ -107,7 +136,7 @@ def _unpacked(body: bytes, order: str, name: str) -> bytes:
         whole = tag + packed.decompress(packed.unconsumed_tail, count + 1)
     except zlib.error as error:
         raise _unreadable(name, f"a packed variable is damaged: {error}") from error
-    if len(whole) < 8 or struct.unpack(order + "II", whole[:8]) != (_MATRIX, len(whole) - 8):
+    if len(whole) < 8 or struct.unpack(order + "II", whole[:8]) != (Element.MATRIX, len(whole) - 8):
         raise _unreadable(name, "a packed variable is damaged")
     return whole[8:]
 
@@ -125,8 +154,8 @@ class _Reader:
             raise _unreadable(self.name, f"a variable ends before its {what}")
         first, count = struct.unpack(self.order + "II", tag)
         start, step = self.at + 8, 8 + -(-count // 8) * 8
-        if first >> 16:  # up to four bytes stand in the tag itself
-            first, count, start, step = first & 0xFFFF, first >> 16, self.at + 4, 8
+        if first >> Bits.SMALL_COUNT:  # up to four bytes stand in the tag itself
+            first, count, start, step = first & Bits.SMALL_TYPE, first >> Bits.SMALL_COUNT, self.at + 4, 8
         stored = _STORED.get(first)
         if stored is None or (step == 8 and count > 4) or start + count > len(self.body):
             raise _unreadable(self.name, f"the {what} of a variable are damaged")
@@ -144,19 +173,20 @@ def _variable(reader: _Reader) -> tuple[str, Values | sp.csr_array | str]:
     flags = reader.numbers("flags")
     if len(flags) != 2:
         raise _unreadable(reader.name, "the flags of a variable are damaged")
-    kind, complex_, logical = int(flags[0]) & 0xFF, bool(int(flags[0]) & _COMPLEX), bool(int(flags[0]) & _LOGICAL)
-    if kind == 17:  # an object of a class has its name here and no size
+    bits = int(flags[0])
+    kind, complex_, logical = bits & Bits.CLASS, bool(bits & Bits.COMPLEX), bool(bits & Bits.LOGICAL)
+    if kind == Class.OPAQUE:  # an object of a class has its name here and no size
         return _text(reader.numbers("name")), _KINDS[kind]
     size = tuple(int(n) for n in reader.numbers("size"))
     name = _text(reader.numbers("name"))
-    if kind not in _FULL and kind != _SPARSE:
+    if kind not in _FULL and kind != Class.SPARSE:
         if kind not in _KINDS:
             raise _unreadable(reader.name, f"{name[:40]!r} is of the unknown kind {kind}")
         return name, _KINDS[kind]
-    if len(size) != _DIMENSIONS or min(size) < 0:
+    if len(size) != 2 or min(size) < 0:
         return name, f"array of the size {size}"
     shape = (size[0], size[1])
-    if kind == _SPARSE:
+    if kind == Class.SPARSE:
         # Sparse matrices of yes and no are bytes that are called doubles.
         return name, _sparse(reader, name, shape, complex_, "u1" if logical else None)
     return name, _full(reader, name, shape, kind, complex_)

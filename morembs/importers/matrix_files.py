@@ -15,7 +15,7 @@ from morembs.fem import DofMap, Nodes
 from morembs.fem.fe_model import Component
 from morembs.importers.abaqus_matrices import AbaqusMatrix, aligned, read_abaqus_matrix
 from morembs.importers.calculix_matrices import read_calculix_matrices
-from morembs.importers.dmig import DmigMatrix, read_dmig
+from morembs.importers.dmig import DmigMatrix, GridRow, read_dmig
 from morembs.importers.imported import Imported
 from morembs.importers.named import Wanted, matrices_by_name, square_csr
 from morembs.importers.nastran_cards import Cards
@@ -24,8 +24,6 @@ from morembs.importers.nastran_text import BulkText
 from morembs.importers.op4 import read_op4
 
 _GRID = re.compile(rb"^GRID[ *,][^\n]*\n(?:[*+ ,][^\n]*\n)*", re.MULTILINE)
-# The component of rows of scalar points.
-_SCALAR_POINT = 0
 # Names that Nastran gives the matrices of a superelement, and those by which it takes them.
 _USUAL = {
     "K": ("KAAX", "KAA", "K2GG", "K2PP"),
@@ -84,7 +82,9 @@ def import_dmig(
         np.concatenate([np.empty((0, 2), dtype=np.int64), *(read.rows for read in matrices.values())]), axis=0
     )
     grown = {name: _spread(read, labels) for name, read in matrices.items()}
-    nodes, dofs = labelled(labels[:, 0], np.where(labels[:, 1] == _SCALAR_POINT, Component.SCALAR, labels[:, 1] - 1))
+    nodes, dofs = labelled(
+        labels[:, 0], np.where(labels[:, 1] == GridRow.SCALAR_POINT, Component.SCALAR, labels[:, 1] - 1)
+    )
     nodes = _placed(nodes, text)
     given = {"K": K, "M": M, "D": D}
     for role, names in _USUAL.items():

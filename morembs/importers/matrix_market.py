@@ -16,14 +16,13 @@ from morembs.base.types import Values
 from morembs.importers.imported import Imported
 from morembs.importers.named import Wanted, square_csr
 from morembs.importers.text_matrices import integers, numbers, parallel_map, table, text_blocks
+from morembs.importers.tolerances import TOL
 from morembs.importers.triplets import TripletStore, assembled, refuse_outside
 
 Matrix = TypeVar("Matrix", sp.csr_array, Values)
 BANNER = b"%%matrixmarket"
 _FIELDS = ("real", "double", "integer", "unsigned-integer", "complex")
 _SYMMETRIES = ("general", "symmetric", "skew-symmetric", "hermitian")
-# Rows for each entry above which the size must be wrong.
-_SPARSEST = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +105,7 @@ def _head(block: bytes, name: str, plain: bool) -> tuple[_Head, bytes]:
     rows, columns, *entries = map(int, size)
     if (symmetry != "general" and rows != columns) or max(rows, columns) >= 2**31:
         raise _unreadable(name, f"it announces a {symmetry} matrix of the shape ({rows}, {columns}), which cannot be")
-    if entries and rows > _SPARSEST * (1 + entries[0]):
+    if entries and rows > TOL.rows_per_entry * (1 + entries[0]):
         raise _unreadable(name, f"it announces {rows} rows but only {entries[0]} entries")
     head = _Head(
         sparse=layout == "coordinate", complex=field == "complex", symmetry=symmetry, size=(rows, columns, *entries)

@@ -19,6 +19,7 @@ from morembs.fem import ElementBlock, Mesh, Nodes
 from morembs.fem.elements import TYPES
 from morembs.importers.abaqus import read_abaqus
 from morembs.importers.imported import Imported, picked_nodes
+from morembs.importers.tolerances import TOL
 from morembs.storage.hdf5 import refuse_unsafe_file
 
 if TYPE_CHECKING:
@@ -34,7 +35,6 @@ SOLIDS = {
     "wedge15": "wedge15",
 }
 # How formats begin, and their last line; a text of any other format ends with an end of line.
-_HEAD = 1 << 12
 _LAST_LINES = (
     (
         re.compile(rb"\s*\$MeshFormat"),
@@ -47,8 +47,6 @@ _LAST_LINES = (
     (re.compile(rb"\s*MeshVersionFormatted", re.IGNORECASE), re.compile(rb"End", re.IGNORECASE)),
 )
 _BINARY = re.compile(rb"^BINARY\s*$|[\x00-\x08\x0e-\x1f\x7f-\xff]", re.MULTILINE)
-# Node tags up to this many, and this many for each node, are taken: a table of them is no larger than a mesh.
-SPARSE_TAGS, SPARSE_RATIO = 1_000_000, 20
 # Meshes of Salome, and results of code_aster, which hold one too.
 _MED = (".med", ".rmed")
 # Cells that carry a name for their nodes but neither mass nor stiffness here.
@@ -128,7 +126,7 @@ def _read(path: Path) -> meshio.Mesh:
         raise
     except (SystemExit, Exception) as error:
         said = words.getvalue().strip() or (str(error) if not isinstance(error, SystemExit) else "")
-        reason = " ".join(said.split())[:300] or type(error).__name__
+        reason = " ".join(said.split())[: TOL.shown_mesh_reason] or type(error).__name__
         raise InputError(
             f"{path.name} cannot be read as a mesh ({reason}); expected a format that meshio reads "
             "(.msh, .vtk, .vtu, .med, .bdf, ...) or an Abaqus .inp file"
@@ -159,7 +157,8 @@ def _bounded_tags() -> Iterator[None]:
         def read_nodes(*arguments: Any) -> Any:
             nodes = read(*arguments)
             tags = np.asarray(nodes[1])
-            if len(tags) and (tags.max() > SPARSE_TAGS + SPARSE_RATIO * len(tags) or tags.min() < 0):
+            largest = TOL.sparse_tags + TOL.sparse_tags_per_node * len(tags)
+            if len(tags) and (tags.max() > largest or tags.min() < 0):
                 raise ValueError(
                     f"{len(tags)} nodes have tags from {tags.min():.0f} to {tags.max():.0f}; renumber them in gmsh"
                 )
@@ -181,8 +180,8 @@ def _refuse_cut(path: Path) -> None:
     """Refuse a text that ends within a line, or before the mark that its format ends with: meshio reads on without."""
     try:
         with path.open("rb") as file:
-            head = file.read(_HEAD)
-            file.seek(-min(path.stat().st_size, _HEAD), 2)
+            head = file.read(TOL.mesh_end_bytes)
+            file.seek(-min(path.stat().st_size, TOL.mesh_end_bytes), 2)
             tail = file.read()
     except OSError as error:
         raise InputError(f"{path.name} cannot be opened: {error.strerror}; check the path") from error

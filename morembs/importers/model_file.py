@@ -18,12 +18,11 @@ from morembs.base.types import Ints
 from morembs.fem import FEModel, Mesh
 from morembs.fem.constraints import RigidElement
 from morembs.fem.fe_model import MATRICES
-from morembs.importers.native import FORMAT, FORMAT_VERSION, MODEL, import_native
+from morembs.importers.native import FORMAT, MODEL, Version, import_native
 from morembs.importers.to_model import model_of
+from morembs.importers.tolerances import TOL
 from morembs.storage.hdf5 import holds_format
 from morembs.storage.writer import writing
-
-_BLOCK = 1 << 24
 
 
 @with_progress_argument
@@ -91,8 +90,8 @@ def write_model(
 def _version(model: FEModel) -> int:
     """The lowest version of the format that holds the model."""
     if model.G is not None or model.N is not None:
-        return FORMAT_VERSION
-    return 2 if model.equations else 1
+        return Version.WITHOUT_SYMMETRY
+    return Version.WITH_EQUATIONS if model.equations else Version.PLAIN
 
 
 @with_budget_argument
@@ -123,7 +122,7 @@ def sha256(path: Path) -> str:
     total = hashlib.sha256()
     try:
         with path.open("rb") as file:
-            while block := file.read(_BLOCK):
+            while block := file.read(TOL.hashed_bytes):
                 total.update(block)
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); check the path") from error

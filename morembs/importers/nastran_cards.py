@@ -9,20 +9,28 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.importers.nastran_text import LINE, BulkText, Piece
+from morembs.importers.nastran_text import BulkText, Columns, Piece
 from morembs.importers.text_matrices import integers, numbers
+from morembs.importers.tolerances import TOL
 
 Bytes = NDArray[np.uint8]
-_LARGEST = 1e100
-_WIDTH = 24
-_SMALL, _LARGE, _FREE, _FREE_LARGE = 1, 2, 3, 4
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([ED]?[+-]?\d+)?", re.IGNORECASE)
+
+
+class Form(IntEnum):
+    """Forms of a line: fields of 8 or 16 columns, or between commas, eight or four of them."""
+
+    SMALL = 1
+    LARGE = 2
+    FREE = 3
+    FREE_LARGE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +78,8 @@ class Table:
 
     def rows(self) -> list[list[str]]:
         """The fields of each card as text, without blank ones at the end."""
-        flat = np.ascontiguousarray(self.fields).reshape(-1, _WIDTH).view(f"S{_WIDTH}").ravel()
+        width = TOL.field_characters
+        flat = np.ascontiguousarray(self.fields).reshape(-1, width).view(f"S{width}").ravel()
         texts = np.char.strip(flat).reshape(self.fields.shape[:2])
         rows = [[text.decode("latin-1") for text in row] for row in texts.tolist()]
         for row in rows:
@@ -81,7 +90,7 @@ class Table:
     def _part(self, first: int, last: int) -> Bytes:
         part = self.fields[:, first:last]
         if part.shape[1] < last - first:
-            more = np.full((len(part), last - first - part.shape[1], _WIDTH), 32, dtype=np.uint8)
+            more = np.full((len(part), last - first - part.shape[1], TOL.field_characters), 32, dtype=np.uint8)
             part = np.concatenate([part, more], axis=1)
         return part
 
@@ -94,7 +103,7 @@ def real(text: str, what: str) -> float:
     if match:
         base, power = match.group(1), (match.group(2) or "0").upper().lstrip("ED")
         value = float(f"{'-' if text[0] == '-' else ''}{base}e{power}")
-        if abs(value) < _LARGEST:
+        if abs(value) < TOL.largest_number:
             return value
     raise InputError(f"{what}: {text[:24]!r} cannot be read as a number; expected a finite one")
 
@@ -120,17 +129,17 @@ class Cards:
 
     def __init__(self, piece: Piece, text: BulkText) -> None:
         self.file = piece.file
-        codes = self.codes = np.frombuffer(piece.text + b" " * (LINE + _WIDTH), dtype=np.uint8)
+        codes = self.codes = np.frombuffer(piece.text + b" " * (Columns.ALL + TOL.field_characters), dtype=np.uint8)
         ends = np.flatnonzero(codes == 10)
         starts = np.concatenate([[0], ends[:-1] + 1]) if len(ends) else np.empty(0, dtype=np.int64)
         lengths = ends - starts
-        lines = np.lib.stride_tricks.sliding_window_view(codes, LINE)[starts].copy()
-        lines[np.arange(LINE) >= lengths[:, None]] = 32
+        lines = np.lib.stride_tricks.sliding_window_view(codes, Columns.ALL)[starts].copy()
+        lines[np.arange(Columns.ALL) >= lengths[:, None]] = 32
         full = (lines != 32).any(axis=1)
-        for i in np.flatnonzero(lengths > LINE).tolist():
+        for i in np.flatnonzero(lengths > Columns.ALL).tolist():
             line = bytes(codes[starts[i] : ends[i]])
-            if line[LINE:].strip() and not (full[i] and b"," in line):
-                text.unread(piece.file, piece.above + i + 1, line[LINE:].decode("latin-1").strip())
+            if line[Columns.ALL :].strip() and not (full[i] and b"," in line):
+                text.unread(piece.file, piece.above + i + 1, line[Columns.ALL :].decode("latin-1").strip())
         lines, self.starts, self.lengths = lines[full], starts[full], lengths[full]
         self.number = piece.above + 1 + np.flatnonzero(full)
         self.lines = lines
@@ -138,9 +147,9 @@ class Cards:
         begins = _letters(first)
         # A name may stand behind blanks within its eight columns, where it is not the mark of the line above.
         inner = np.flatnonzero(first == 32)
-        inner = inner[(lines[inner, 1:8] != 32).any(axis=1)]
+        inner = inner[(lines[inner, Columns.MARK] != 32).any(axis=1)]
         named = _letters(lines[inner, (lines[inner, :8] != 32).argmax(axis=1)])
-        begins[inner] = named & (lines[inner - 1, 73:80] != lines[inner, 1:8]).any(axis=1)
+        begins[inner] = named & (lines[inner - 1, Columns.MARK_BELOW] != lines[inner, Columns.MARK]).any(axis=1)
         odd = np.flatnonzero(~begins & ~np.isin(first, np.frombuffer(b"+* ,", dtype=np.uint8)))
         if len(odd) or (len(lines) and not begins[0]):
             words = bytes(lines[odd[0] if len(odd) else 0]).decode("latin-1").strip()
@@ -149,8 +158,8 @@ class Cards:
         self.commas = np.flatnonzero(commas)
         self.commas_before = np.concatenate([[0], np.cumsum(commas)])
         free = self.commas_before[self.starts + self.lengths] > self.commas_before[self.starts]
-        self.form = np.where((lines[:, :8] == ord("*")).any(axis=1), _LARGE, _SMALL)
-        self.form[free] = np.where(_star_in_first(lines[free]), _FREE_LARGE, _FREE)
+        self.form = np.where((lines[:, :8] == ord("*")).any(axis=1), Form.LARGE, Form.SMALL)
+        self.form[free] = np.where(_star_in_first(lines[free]), Form.FREE_LARGE, Form.FREE)
         _check_marks(lines, begins, self.form, self.file)
         self.owner, self.heads = np.cumsum(begins) - 1, np.flatnonzero(begins)
         self.names = _names(lines[self.heads])
@@ -173,11 +182,11 @@ class Cards:
     def fours(self, name: bytes) -> tuple[Table, Ints]:
         """Fields of all cards of a name, in the order of the file and in groups of four, and the card of each group."""
         lines = np.flatnonzero((self.names == name)[self.owner])
-        count = np.where(np.isin(self.form[lines], (_SMALL, _FREE)), 2, 1)
-        first, fields = np.cumsum(count) - count, np.empty((int(count.sum()), 4, _WIDTH), dtype=np.uint8)
+        count = np.where(np.isin(self.form[lines], (Form.SMALL, Form.FREE)), 2, 1)
+        first, fields = np.cumsum(count) - count, np.empty((int(count.sum()), 4, TOL.field_characters), dtype=np.uint8)
         for form in np.unique(self.form[lines]).tolist():
             chosen = self.form[lines] == form
-            groups = self._fields(lines[chosen]).reshape(int(chosen.sum()), -1, 4, _WIDTH)
+            groups = self._fields(lines[chosen]).reshape(int(chosen.sum()), -1, 4, TOL.field_characters)
             for k in range(groups.shape[1]):
                 fields[first[chosen] + k] = groups[:, k]
         return Table(name.decode(), fields, self.file), np.repeat(self.owner[lines], count)
@@ -189,30 +198,31 @@ class Cards:
             InputError: more fields than a line has, or longer ones.
         """
         lines, form = self.lines[rows], int(self.form[rows[0]])
-        if form in (_SMALL, _LARGE):
-            width = 8 if form == _SMALL else 16
-            fixed = np.full((len(lines), 64 // width, _WIDTH), 32, dtype=np.uint8)
-            fixed[:, :, :width] = lines[:, 8:72].reshape(len(lines), -1, width)
+        if form in (Form.SMALL, Form.LARGE):
+            width = 8 if form == Form.SMALL else 16
+            fixed = np.full((len(lines), 64 // width, TOL.field_characters), 32, dtype=np.uint8)
+            fixed[:, :, :width] = lines[:, Columns.FIELDS].reshape(len(lines), -1, width)
             return fixed
         codes, total, starts = self.codes, self.commas_before, self.starts[rows]
         stops = starts + self.lengths[rows]
-        count = 8 if form == _FREE else 4
+        count = 8 if form == Form.FREE else 4
         first, count_of = total[starts], total[stops] - total[starts]
         padded = np.append(self.commas, np.full(count + 2, len(codes)))
         at = padded[first[:, None] + np.arange(count + 2)]
         at = np.where(np.arange(count + 2) < count_of[:, None], at, stops[:, None])
         begin, end = np.minimum(at[:, :count] + 1, at[:, 1 : count + 1]), at[:, 1 : count + 1]
         # Blanks before a field do not count.
-        for _ in range(LINE):
+        for _ in range(Columns.ALL):
             move = (begin < end) & (codes[begin] == 32)
             if not move.any():
                 break
             begin = begin + move
-        index = begin[:, :, None] + np.arange(_WIDTH)
+        most = TOL.field_characters
+        index = begin[:, :, None] + np.arange(most)
         text = np.where(index < end[:, :, None], codes[np.minimum(index, len(codes) - 1)], 32).astype(np.uint8)
         beyond = np.flatnonzero(count_of > count + 1)
         tail = [i for i in beyond.tolist() if bytes(codes[at[i, count + 1] : stops[i]]).strip(b", ")]
-        long = ((end - begin > _WIDTH) & (codes[np.minimum(begin + _WIDTH, len(codes) - 1)] != 32)).any(axis=1)
+        long = ((end - begin > most) & (codes[np.minimum(begin + most, len(codes) - 1)] != 32)).any(axis=1)
         for i in [*tail, *np.flatnonzero(long).tolist()][:1]:
             line = bytes(codes[starts[i] : stops[i]]).decode("latin-1")
             raise InputError(
@@ -222,6 +232,7 @@ class Cards:
 
 
 def _letters(codes: Bytes) -> NDArray[np.bool_]:
+    # Without the bit of small letters.
     return np.asarray(((codes & 0xDF) >= ord("A")) & ((codes & 0xDF) <= ord("Z")))
 
 
@@ -239,7 +250,7 @@ def _star_in_first(lines: Bytes) -> NDArray[np.bool_]:
     """Whether there is a star before the first comma of the line."""
     star, comma = lines == ord("*"), lines == 44
     return np.asarray(
-        star.any(axis=1) & (star.argmax(axis=1) < np.where(comma.any(axis=1), comma.argmax(axis=1), LINE))
+        star.any(axis=1) & (star.argmax(axis=1) < np.where(comma.any(axis=1), comma.argmax(axis=1), Columns.ALL))
     )
 
 
@@ -257,8 +268,8 @@ def _names(lines: Bytes) -> NDArray[np.bytes_]:
 
 def _check_marks(lines: Bytes, begins: NDArray[np.bool_], form: Ints, file: str) -> None:
     """Refuse continuations that do not follow the line whose mark they carry."""
-    pair = np.flatnonzero(~begins[1:] & (form[1:] < _FREE) & (form[:-1] < _FREE))
-    before, after = lines[pair, 73:80], lines[pair + 1, 1:8]
+    pair = np.flatnonzero(~begins[1:] & (form[1:] < Form.FREE) & (form[:-1] < Form.FREE))
+    before, after = lines[pair, Columns.MARK_BELOW], lines[pair + 1, Columns.MARK]
     wrong = (before != after).any(axis=1) & (before != 32).any(axis=1) & (after != 32).any(axis=1)
     if wrong.any():
         line = bytes(lines[pair[wrong][0] + 1]).decode("latin-1").strip()

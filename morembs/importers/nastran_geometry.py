@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.importers.abaqus_data import LARGEST
 from morembs.importers.abaqus_materials import frame_of
 from morembs.importers.nastran_cards import Table, integer, real
+from morembs.importers.tolerances import TOL
 
-_DEEPEST = 100
 # For each card: corner type and count, full type and its nodes in VTK order. Nastran lists the middles of
 # bottom edges, of upright edges, of top edges; VTK bottom, top, upright.
 _HEX20 = (*range(12), *range(16, 20), *range(12, 16))
@@ -54,7 +53,7 @@ class Systems:
             return self._known[number]
         if number not in self._cards:
             raise InputError(f"{self.file} names the coordinate system {number}, which is not defined")
-        if number in above or len(above) > _DEEPEST:
+        if number in above or len(above) > TOL.max_references:
             raise InputError(f"{self.file}: the coordinate system {number} is defined by way of itself")
         name, row = self._cards[number]
         what, above = f"{self.file}: {name} {number}", (*above, number)
@@ -185,7 +184,7 @@ class Grids:
             if number > 0:
                 systems.frame(number, self)
         self.xyz, self.cp = placed, np.zeros_like(self.cp)
-        if not (np.abs(self.xyz) < LARGEST).all():
+        if not (np.abs(self.xyz) < TOL.largest_number).all():
             raise InputError(f"{self.file}: coordinates are too large; check the grids and coordinate systems")
 
     def add_middles(self, pairs: Ints) -> None:

@@ -12,11 +12,10 @@ from morembs.base.types import Floats, Ints
 from morembs.fem.constraints import Equations, solved_for_first
 from morembs.importers.nastran_cards import integer
 from morembs.importers.nastran_geometry import Grids, Systems
+from morembs.importers.tolerances import TOL
 
 # A component of a grid along its own axes: row of the grid, 0 to 5.
 Motion = tuple[int, int]
-# The smallest pivot of equations, over the largest.
-_SINGULAR = 1e-9
 
 
 def components(text: str, what: str) -> tuple[int, ...]:
@@ -66,9 +65,10 @@ class Motions:
             )
         x = self.grids.xyz[independent[0][0]]
         R = self.rigid_motion([*independent, *dependent], x)
-        size = max(float(np.abs(self.grids.xyz[[row for row, _ in (*independent, *dependent)]] - x).max()), 1e-300)
+        rows = [row for row, _ in (*independent, *dependent)]
+        size = max(float(np.abs(self.grids.xyz[rows] - x).max()), TOL.least_size)
         scaled = R[:6] / np.array([1.0, 1.0, 1.0, size, size, size])
-        if not np.linalg.cond(scaled) < 1e8:
+        if not np.linalg.cond(scaled) < TOL.undetermined_condition:
             raise InputError(f"{what}: its independent components do not determine rigid motion; check them")
         T = np.linalg.solve(R[:6].T, R[6:].T).T
         return self.solved(what, np.hstack([-T, np.eye(len(dependent))]), [*independent, *dependent], dependent)
@@ -78,22 +78,22 @@ class Motions:
         parts: dict[Motion, Floats] = {}
         for column, motion in zip(A.T, motions, strict=True):
             direction = self.direction(motion)
-            for c in np.flatnonzero(np.abs(direction) > 1e-14).tolist():
+            for c in np.flatnonzero(np.abs(direction) > TOL.no_part).tolist():
                 key = motion[0], c
                 parts[key] = parts.get(key, np.zeros(len(A))) + direction[c] * column
         led = [(motion[0], self.direction(motion)) for motion in dependent]
-        candidates = {(row, c) for row, part in led for c in np.flatnonzero(np.abs(part) > 1e-14).tolist()}
+        candidates = {(row, c) for row, part in led for c in np.flatnonzero(np.abs(part) > TOL.no_part).tolist()}
         keys = sorted(parts, key=lambda key: key not in candidates)
         B, count = np.array([parts[key] for key in keys]).T, sum(key in candidates for key in keys)
         # Pivots that are along the axes as given come first, so that plain cards keep their own dependent components.
         _, r, order = qr(B[:, :count], mode="economic", pivoting=True)
         pivots = np.abs(np.diag(r))
-        if len(pivots) < len(B) or not pivots[len(B) - 1] > _SINGULAR * pivots[0]:
+        if len(pivots) < len(B) or not pivots[len(B) - 1] > TOL.dependent_pivot * pivots[0]:
             raise InputError(f"{what}: its dependent components do not follow from the others; check them")
         chosen = order[: len(B)].tolist()
         B = np.linalg.solve(B[:, chosen], B)
         rest = [i for i in range(len(keys)) if i not in set(chosen)]
-        tiny = 1e-14 * np.abs(B).max()
+        tiny = TOL.no_part * np.abs(B).max()
         sums = []
         for line, lead in zip(B, chosen, strict=True):
             terms = [(*keys[lead], 1.0)]

@@ -11,6 +11,7 @@ from morembs.importers.abaqus_materials import turned
 from morembs.importers.imported import Lacking
 from morembs.importers.nastran_cards import integer, real
 from morembs.importers.nastran_geometry import Grids, Systems
+from morembs.importers.tolerances import TOL
 
 Rows = list[list[str]]
 # Nastran orders shear xy, yz, zx; here it is yz, zx, xy.
@@ -88,7 +89,7 @@ class Materials:
             given[2] = True
         if sum(given) < 2:
             raise InputError(f"{what} gives {sum(given)} of E, G and NU; expected two")
-        if all(given) and G and abs(E / (2 * G) - 1 - nu) > 1e-2 * (1 + abs(nu)):
+        if all(given) and G and abs(E / (2 * G) - 1 - nu) > TOL.disagreeing_poisson * (1 + abs(nu)):
             self.warnings.append(
                 f"MAT1 {mid}: G = {G:g} does not fit E = {E:g} and NU = {nu:g}, which solids take; check the card"
             )

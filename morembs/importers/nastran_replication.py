@@ -10,11 +10,11 @@ import re
 from decimal import Decimal
 
 from morembs.base.errors import InputError
+from morembs.importers.tolerances import TOL
 
 BLOCK = re.compile(rb"(?:^[ \t]*=[^\n]*\n(?:[ \t]*\n)*)+", re.MULTILINE)
 _AGAIN = re.compile(r"=\(?(\d{1,6})\)?")
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[EDed]?([+-]\d+)|[EDed](\d+))?")
-_MOST = 1_000_000
 
 
 def replicated(above: bytes, block: bytes, where: str) -> bytes:
@@ -37,8 +37,8 @@ def replicated(above: bytes, block: bytes, where: str) -> bytes:
             raise InputError(f"{where}: {line.decode('latin-1').strip()!r} repeats no line; write the cards out")
         rule = rule if again else fields
         count = int(again[1]) if again else 1
-        if len(cards) + count > _MOST:
-            raise InputError(f"{where}: more than {_MOST} cards are replicated; check the count")
+        if len(cards) + count > TOL.max_replicated:
+            raise InputError(f"{where}: more than {TOL.max_replicated} cards are replicated; check the count")
         for _ in range(count):
             card = _next(card, rule, where)
             cards.append(",".join(card))

@@ -14,10 +14,9 @@ from morembs.importers.nastran_bulk import Bulk
 from morembs.importers.nastran_cards import integer
 from morembs.importers.nastran_motions import components
 from morembs.importers.nastran_properties import labels_of, padded
+from morembs.importers.tolerances import TOL
 
 _SPC = re.compile(r"^[ \t]*SPC[ \t]*=[ \t]*(\d+)", re.MULTILINE | re.IGNORECASE)
-# Directions whose part in others is smaller than this say nothing new.
-_SAME = 1e-12
 
 
 def held_directions(bulk: Bulk) -> dict[int, Floats]:
@@ -73,7 +72,7 @@ def _chosen(bulk: Bulk) -> set[int] | None:
 
 def held_equations(held: dict[int, Floats], there: Bools) -> Equations | None:
     """Equations that hold the directions, among the dofs that are ``there`` (n, 6); None where nothing is held."""
-    nodes, dofs, offsets = list[int](), list[int](), [0]
+    nodes, dofs, offsets, least = list[int](), list[int](), [0], TOL.repeated_direction
     term_nodes, term_components, coefficients = list[int](), list[int](), list[float]()
     for row, directions in held.items():
         own = np.flatnonzero(there[row])
@@ -81,10 +80,10 @@ def held_equations(held: dict[int, Floats], there: Bools) -> Equations | None:
             continue
         # The directions that stand out are solved for first.
         R, order = sl.qr(directions[:, own], mode="r", pivoting=True)
-        rank = int((np.abs(np.diag(R)) > _SAME).sum())
+        rank = int((np.abs(np.diag(R)) > least).sum())
         follows = -np.linalg.solve(R[:rank, :rank], R[:rank, rank:])
         for i in range(rank):
-            terms = [(own[order[rank + j]], value) for j, value in enumerate(follows[i]) if abs(value) > _SAME]
+            terms = [(own[order[rank + j]], value) for j, value in enumerate(follows[i]) if abs(value) > least]
             nodes.append(row)
             dofs.append(int(own[order[i]]))
             term_nodes += [row] * len(terms)

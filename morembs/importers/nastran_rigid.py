@@ -15,6 +15,7 @@ from morembs.importers.nastran_cards import integer, real
 from morembs.importers.nastran_geometry import Grids, Systems
 from morembs.importers.nastran_motions import Motion, Motions, components
 from morembs.importers.nastran_properties import Rows, labels_of, padded
+from morembs.importers.tolerances import TOL
 
 _ALL = (0, 1, 2, 3, 4, 5)
 _MPC = re.compile(r"^[ \t]*MPC[ \t]*=[ \t]*(\d+)", re.MULTILINE | re.IGNORECASE)
@@ -192,7 +193,7 @@ class Ties:
         w = np.array([weight[motion] * (length**2 if motion[1] > 2 else 1.0) for motion in motions])
         R = self.motions.rigid_motion(motions, x) / np.array([1.0, 1.0, 1.0, length, length, length])
         normal = R.T @ (w[:, None] * R)
-        if not np.linalg.cond(normal) < 1e12:
+        if not np.linalg.cond(normal) < TOL.undetermined_normal_condition:
             raise InputError(
                 f"{what}: its grids and components do not determine the motion of its reference; give it more of them"
             )
@@ -251,7 +252,7 @@ class Ties:
         # The card gives int x1 x2 dm, which is the negative entry of the inertia.
         J = np.array([[i11, -i21, -i31], [-i21, i22, -i32], [-i31, -i32, i33]])
         x = np.array(offset)
-        if mass < 0 or np.linalg.eigvalsh(J)[0] < -1e-9 * np.abs(J).max():
+        if mass < 0 or np.linalg.eigvalsh(J)[0] < -TOL.negative_inertia * np.abs(J).max():
             raise InputError(f"{what} has a negative mass or inertia; expected none")
         if system < 0:
             x = x - self.grids.xyz[node]

@@ -14,12 +14,8 @@ from typing import BinaryIO
 from morembs.base.errors import InputError
 from morembs.importers.includes import Includes, open_text
 from morembs.importers.nastran_replication import BLOCK, replicated
+from morembs.importers.tolerances import TOL
 
-PIECE = 1 << 22
-_LONGEST_CARD = 1 << 28
-# The last column that a line of fixed fields has.
-LINE = 80
-_SHOWN = 24
 _BEGIN = re.compile(rb"^[ \t]*BEGIN[ \t,]+(BULK|SUPER)[^\n]*\n?", re.MULTILINE | re.IGNORECASE)
 _END = re.compile(rb"^[ \t]*ENDDATA.*", re.MULTILINE | re.IGNORECASE | re.DOTALL)
 _INCLUDE = re.compile(
@@ -29,6 +25,18 @@ _INCLUDE = re.compile(
 _FIRST = re.compile(
     rb"(PARAM|INCLUDE|ENDDATA|BEGIN|GRDSET|DMIG)\b|[A-Z]\w{0,7} *\*? *[ ,\t][ ,\t]*[-+.0-9]|[+*,]", re.IGNORECASE
 )
+
+
+class Columns:
+    """Columns of a line of fixed fields, from 0 (MSC Nastran Quick Reference Guide, format of bulk data entries).
+
+    A mark at its end stands at the begin of the line that continues it.
+    """
+
+    MARK = slice(1, 8)
+    FIELDS = slice(8, 72)
+    MARK_BELOW = slice(73, 80)
+    ALL = 80
 
 
 @dataclass(frozen=True)
@@ -60,7 +68,8 @@ class BulkText:
 
     def unread(self, file: str, line: int, text: str) -> None:
         """Note ``text`` of the ``line`` of a file, counted from 1, that lies beyond the fields of its card."""
-        short = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+        most = TOL.shown_unread
+        short = text if len(text) <= most else f"{text[:most]}..."
         self._first.setdefault(file, f"line {line}: the text {short!r}")
         self._count[file] = self._count.get(file, 0) + 1
 
@@ -69,7 +78,7 @@ class BulkText:
         """Warnings about the text, a sentence each, once its pieces were read."""
         cut = f"{self.file} has BEGIN BULK and no ENDDATA at its end; cards may be missing there"
         return (() if self._ended else (cut,)) + tuple(
-            f"{file}, {first} beyond column {LINE}, where the fields of a card end, was not read"
+            f"{file}, {first} beyond column {Columns.ALL}, where the fields of a card end, was not read"
             + (f", nor that of {count - 1} further lines" if (count := self._count[file]) > 1 else "")
             + "; check the columns of these cards"
             for file, first in self._first.items()
@@ -132,14 +141,14 @@ def _head_of(path: Path) -> tuple[bytes, int]:
     """What stands above BEGIN BULK (empty without it), and where bulk data begin."""
     text, at = b"", 0
     with _opened(path) as file:
-        while chunk := file.read(PIECE):
+        while chunk := file.read(TOL.piece_bytes):
             text += chunk
             # A search for a plain word takes a tenth of the time.
             if b"BEGIN" in text.upper() and (match := _BEGIN.search(text)):
                 return text[: match.start()], at + match.end()
             # Case control is short; what does not fit here is bulk data.
             keep = min(len(text), 1 << 12)
-            if at == 0 and len(text) <= PIECE:
+            if at == 0 and len(text) <= TOL.piece_bytes:
                 continue
             at, text = at + len(text) - keep, text[-keep:]
     return b"", 0
@@ -156,12 +165,12 @@ def _cards(path: Path, start: int) -> Iterator[tuple[bytes, bool]]:
     with _opened(path) as file:
         file.seek(start, 1)
         while True:
-            chunk = file.read(PIECE)
+            chunk = file.read(TOL.piece_bytes)
             if b"\0" in chunk:
                 raise InputError(f"{path.name} holds binary data; expected bulk data, which are text")
             text = rest + chunk
             cut = _last_card(text, len(rest)) if chunk else len(text)
-            if chunk and not cut and len(text) > _LONGEST_CARD:
+            if chunk and not cut and len(text) > TOL.longest_card_bytes:
                 raise InputError(
                     f"{path.name} has a card of {len(text) / 1e6:.0f} MB, or no ends of lines; expected bulk data, "
                     "which are text"

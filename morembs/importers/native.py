@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +27,15 @@ from morembs.storage.table import Row, Table, read_rows
 from morembs.storage.table_check import TableCheck
 
 FORMAT = "morembs-model"
-# Files with equations have version 2, those with G or N version 3, as older readers would leave these out; others have
-# version 1.
-FORMAT_VERSION = 3
 CURE = "import the model again"
+
+
+class Version(IntEnum):
+    """Versions of model files; older readers, which would leave equations or G and N out, refuse higher ones."""
+
+    PLAIN = 1
+    WITH_EQUATIONS = 2
+    WITHOUT_SYMMETRY = 3
 
 
 def _matrix(units: str) -> Table:
@@ -217,7 +223,7 @@ def import_native(path: Path) -> Imported:
         InputError: no such file, another kind of file, one of a newer version, or one that is damaged.
     """
     path, hint = Path(path), "; see morembs import"
-    with reading_format(path, "a model file", FORMAT, FORMAT_VERSION, cure=CURE, hint=hint) as file:
+    with reading_format(path, "a model file", FORMAT, max(Version), cure=CURE, hint=hint) as file:
         TableCheck(path, file, "model file", CURE).table("", MODEL, {})
         values = read_rows(file, MODEL)
         dofs, source = DofMap(node=values["node"], component=values["component"]), values["source"]

@@ -13,11 +13,10 @@ from morembs.base.types import Values
 from morembs.importers.hdf5_sparse import checked_csc, checked_csr
 from morembs.importers.imported import Imported
 from morembs.importers.named import Matrices, Wanted, matrices_by_name
+from morembs.importers.tolerances import TOL
 from morembs.storage.archive import refuse_unsafe_archive
 
 _PARTS = ("data", "indices", "indptr", "shape")
-# Rows for each entry above which a shape must be wrong.
-_SPARSEST = 1000
 
 
 def import_npz(
@@ -56,7 +55,7 @@ def import_npz(
     except MorembsError:
         raise
     except Exception as error:  # zipfile, zlib and numpy's own reader of headers raise many kinds
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        reason = " ".join(str(error).split())[: TOL.shown_reason] or type(error).__name__
         raise InputError(f"{path.name} cannot be read as a NumPy archive ({reason}); save it again") from error
     return matrices_by_name(path.name, matrices, wanted, notes=notes, besides=other)
 
@@ -86,7 +85,7 @@ def _saved(source: str, held: Mapping[str, Values]) -> tuple[sp.csr_array, tuple
     kind = held["format"].item()
     kind = kind.decode("ascii", "replace") if isinstance(kind, bytes) else str(kind)
     shape, data = _sizes(source, held["shape"]), held["data"]
-    if max(shape) > _SPARSEST * (1 + data.size):
+    if max(shape) > TOL.rows_per_entry * (1 + data.size):
         raise InputError(f"{source} has the shape {shape} but only {data.size} entries; it is damaged, save it again")
     if kind in ("csr", "csc"):
         checked = checked_csr if kind == "csr" else checked_csc

@@ -18,13 +18,12 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError, nearest
 from morembs.base.types import Ints
-from morembs.importers.op4_columns import Collector, Header, OP4Matrix, header
+from morembs.importers.op4_columns import Collector, Header, OP4Matrix, Packed, header
 from morembs.importers.op4_text import read_op4_text
 from morembs.importers.text_matrices import opened
+from morembs.importers.tolerances import TOL
 
 __all__ = ["OP4Matrix", "read_op4"]
-# Words taken at a time, which need about 30 MB.
-_BLOCK = 1 << 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +55,8 @@ def read_op4(path: str | Path, names: Collection[str] | None = None) -> dict[str
     wanted = None if names is None else {name.upper() for name in names}
     seen: list[str] = []
     with opened(path) as file:
-        layout = _layout(file.read(72))
+        # The first record with its marks, at most.
+        layout = _layout(file.read(8 + 48 + 8))
         if layout is None:
             matrices = read_op4_text(path, wanted, seen)
         elif path.stat().st_size % 4:
@@ -172,7 +172,8 @@ class _Binary:
         storage = ("bigmat" if head.bigmat else "nonbigmat") if strings else "dense"
         size = self._value(head).itemsize // self.layout.word
         collector = Collector(self.file, head, int(words.sum()) // size, storage)
-        cuts = np.searchsorted(np.cumsum(words), np.arange(_BLOCK, int(words.sum()) + _BLOCK, _BLOCK))
+        block = TOL.op4_block_words
+        cuts = np.searchsorted(np.cumsum(words), np.arange(block, int(words.sum()) + block, block))
         begin = 0
         for cut in np.unique(np.append(cuts, len(words))):
             part = slice(begin, cut + 1)
@@ -199,7 +200,7 @@ class _Binary:
                 length, row = self._integers(at) - 1, self._integers(at + unit)
             else:
                 packed = self._integers(at)
-                length, row = (packed >> 16) - 1, packed & 0xFFFF
+                length, row = (packed >> Packed.LENGTH_BITS) - 1, packed & Packed.ROW_MASK
             at = at + marks * unit
             if (length < 1).any() or (at + length * unit > end).any():
                 self._refuse_strings(head)

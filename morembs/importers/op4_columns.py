@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -11,16 +12,33 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
+from morembs.importers.tolerances import TOL
 from morembs.importers.triplets import asymmetry
 
-SQUARE, RECTANGULAR, DIAGONAL, SYMMETRIC, IDENTITY = 1, 2, 3, 6, 8
 FORMS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 15)
 TYPES = {1: np.float32, 2: np.float64, 3: np.complex64, 4: np.complex128}
-# Rows from which a matrix is written with row numbers of their own even without a negative row count.
-BIGMAT_ROWS = 65536
-_TOLERANCE = 1e-5
-# Entries up to which a copy in the other order is made without thinking of memory.
-_COPIED = 1 << 22
+
+
+class Form(IntEnum):
+    """Forms of a matrix that matter here (MSC Nastran DMAP Programmer's Guide, OUTPUT4); ``FORMS`` are all."""
+
+    SQUARE = 1
+    RECTANGULAR = 2
+    DIAGONAL = 3
+    SYMMETRIC = 6
+    IDENTITY = 8
+
+
+class Packed:
+    """Row and length of a string in one 32-bit integer, row + 65536 (words + 1), of files that are not "bigmat".
+
+    Matrices with as many ``ROWS`` or more are "bigmat" even without a negative row count (the same guide).
+    """
+
+    LENGTH_BITS = 16
+    ROWS = 1 << LENGTH_BITS
+    ROW_MASK = ROWS - 1
+    MOST_WORDS = (1 << 15) - 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,14 +83,14 @@ def header(file: str, columns: int, rows: int, form: int, kind: int, name: str) 
     Raises:
         InputError: sizes, form, type or name that no matrix has.
     """
-    bigmat = rows < 0 or rows >= BIGMAT_ROWS
+    bigmat = rows < 0 or rows >= Packed.ROWS
     rows = abs(rows)
     if columns < 1 or rows < 1 or form not in FORMS or kind not in TYPES:
         raise InputError(
             f"{file}: the matrix {name!r} is said to have {rows} rows, {columns} columns, form {form} and type {kind}; "
             "expected sizes above 0, a form of 1 to 15 and a type of 1 to 4; check that this is a whole OP4 file"
         )
-    if form in (SQUARE, SYMMETRIC, IDENTITY) and rows != columns:
+    if form in (Form.SQUARE, Form.SYMMETRIC, Form.IDENTITY) and rows != columns:
         raise InputError(
             f"{file}: the matrix {name!r} has form {form} (square) but {rows} rows and {columns} columns; "
             "write it again"
@@ -132,18 +150,18 @@ class Collector:
         head, indptr = self.head, np.cumsum(self.counts).astype(self.indices.dtype)
         self.data.resize(self.used, refcheck=False)
         self.indices.resize(self.used, refcheck=False)
-        if head.form == IDENTITY and not self.used:
+        if head.form == Form.IDENTITY and not self.used:
             eye = sp.eye_array(head.rows, format="csr")
             return OP4Matrix(matrix=sp.csr_array(eye), form=head.form, type=head.type, storage=self.storage)
         by_column = sp.csc_array((self.data, self.indices, indptr), shape=(head.rows, head.columns))
-        mirrored = head.form == SYMMETRIC and self.below != self.above
+        mirrored = head.form == Form.SYMMETRIC and self.below != self.above
         if mirrored:
             result = sp.csr_array(by_column + by_column.T - sp.diags_array(by_column.diagonal()))
-        elif head.form == SYMMETRIC:
+        elif head.form == Form.SYMMETRIC:
             self._refuse_asymmetric(by_column.T)
             # A' = A but for round-off, so the columns of a large matrix serve as rows, without a copy.
-            result = by_column.T if self.used > _COPIED else sp.csr_array(by_column)
-        elif head.form == DIAGONAL and head.columns == 1:
+            result = by_column.T if self.used > TOL.copied_entries else sp.csr_array(by_column)
+        elif head.form == Form.DIAGONAL and head.columns == 1:
             result = sp.csr_array(sp.diags_array(by_column.toarray().ravel()))
         else:
             result = sp.csr_array(by_column)
@@ -157,7 +175,7 @@ class Collector:
         )
 
     def _refuse_asymmetric(self, matrix: sp.csr_array) -> None:
-        if asymmetry(matrix) > _TOLERANCE:
+        if asymmetry(matrix) > TOL.op4_asymmetry:
             raise InputError(
                 f"{self.file}: the matrix {self.head.name!r} has form 6 (symmetric) but its two triangles differ; "
                 "write it again"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.importers.op4_columns import Collector, Header, OP4Matrix, header
+from morembs.importers.op4_columns import Collector, Header, OP4Matrix, Packed, header
 from morembs.importers.text_matrices import integers, numbers, text_blocks
 
 Codes = NDArray[np.uint8]
@@ -227,7 +227,7 @@ def _strings(file: str, head: Header, width: int, text: bytes) -> Strings:
             said = said - 1
         else:
             packed = _packed(file, text, own, length[integer][~is_column])
-            said, string_row = (packed >> 16) - 1, packed & 0xFFFF
+            said, string_row = (packed >> Packed.LENGTH_BITS) - 1, packed & Packed.ROW_MASK
         count = held[~is_column]
         total = np.bincount(owner, weights=said + (2 if head.bigmat else 1), minlength=len(column))
         bad_column = (row != 0) | (held[is_column] != 0) | (total != words)

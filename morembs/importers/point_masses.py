@@ -17,6 +17,7 @@ from morembs.fem.constraints import AverageElement, Equations, RigidElement
 from morembs.fem.fe_model import MATRICES
 from morembs.importers.dependent_dofs import dof_table
 from morembs.importers.imported import DiscreteElement, PointMass, Ties, nodes_of
+from morembs.importers.tolerances import TOL
 
 
 def si_mass(mass: PointMass, units: Units) -> PointMass:
@@ -28,7 +29,7 @@ def si_mass(mass: PointMass, units: Units) -> PointMass:
     inertia, offset = mass.inertia * units.mass * units.length**2, mass.offset * units.length
     finite = np.isfinite(mass.mass) and np.isfinite(inertia).all() and np.isfinite(offset).all()
     J = 0.5 * (inertia + inertia.T)
-    small = 1e-9 * max(float(np.abs(J).max(initial=0.0)), np.finfo(float).tiny)
+    small = TOL.negative_inertia * max(float(np.abs(J).max(initial=0.0)), np.finfo(float).tiny)
     if not finite or mass.mass < 0 or np.linalg.eigvalsh(J)[0] < -small:
         raise InputError(f"point mass {mass.name!r} has a negative or infinite mass or inertia; mend the file")
     return replace(mass, mass=mass.mass * units.mass, inertia=J, offset=offset)

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from morembs.base.errors import InputError
+from morembs.importers.tolerances import TOL
 
-MOST = 20
 _OWN_NAMES = re.compile(r"'[^']*'|\"[^\"]*\"|\([^()]*\)|\d+(\.\d*)?(e[-+]?\d+)?", re.IGNORECASE)
 
 
@@ -109,8 +109,8 @@ def _message(source: str, problems: Sequence[Problem], given: Sequence[str]) -> 
     if len(problems) == 1:
         text = problems[0].what
     else:
-        lines = [f"({i}) {_line(same)}" for i, same in enumerate(list(kinds.values())[:MOST], start=1)]
-        rest = len(kinds) - MOST
+        lines = [f"({i}) {_line(same)}" for i, same in enumerate(list(kinds.values())[: TOL.shown_problems], start=1)]
+        rest = len(kinds) - TOL.shown_problems
         lines += [f"and {rest} more kinds"] * (rest > 0)
         text = f"{source} has {len(problems)} problems: {'; '.join(lines)}"
     answer = answered_by(source, problems, given)

@@ -8,12 +8,7 @@ import numpy as np
 
 from morembs.base.types import Floats, Ints
 from morembs.fem.elements import FACES
-
-# Faces that are tried for each point, by the distance of their centres.
-_TRIED = 9
-_STEPS = 25
-# Shape functions below this are round-off of a point that is on an edge or a node.
-_NONE = 1e-9
+from morembs.importers.tolerances import TOL
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +51,7 @@ def project(points: Floats, xyz: Floats, faces: list[tuple[str, Ints]]) -> Proje
     )
     for kind, nodes in faces:
         tree = cKDTree(xyz[nodes].mean(axis=1))
-        tried = min(_TRIED, len(nodes))
+        tried = min(TOL.tried_faces, len(nodes))
         near = tree.query(points, k=tried)[1].reshape(len(points), tried)
         for candidate in near.T:
             corners = xyz[nodes[candidate]]
@@ -77,7 +72,7 @@ def on_face(kind: str, points: Floats, corners: Floats) -> tuple[Floats, Floats]
     s = _descended(kind, points, corners, np.zeros(2), np.eye(2))
     foot = _place(kind, s, corners)
     far = s.sum(axis=1) if triangle else s.max(axis=1)
-    border = np.flatnonzero((s.min(axis=1) < _NONE) | (far > 1 - _NONE))
+    border = np.flatnonzero((s.min(axis=1) < TOL.no_shape) | (far > 1 - TOL.no_shape))
     ends = np.array([[0.0, 0], [1, 0], [0, 1]] if triangle else [[0.0, 0], [1, 0], [1, 1], [0, 1]])
     for begin, end in zip(ends, np.roll(ends, -1, axis=0), strict=True):
         # Steps that are cut off at the border end beside the nearest point of it.
@@ -86,7 +81,7 @@ def on_face(kind: str, points: Floats, corners: Floats) -> tuple[Floats, Floats]
         nearer = _square(points[border] - place) < _square(points[border] - foot[border])
         s[border[nearer]], foot[border[nearer]] = t[nearer], place[nearer]
     N, _ = FACES[kind].shape(s)
-    N[np.abs(N) < _NONE] = 0.0
+    N[np.abs(N) < TOL.no_shape] = 0.0
     N /= N.sum(axis=1, keepdims=True)
     return N, foot
 
@@ -98,15 +93,15 @@ def _descended(kind: str, points: Floats, corners: Floats, origin: Floats, along
     """
     face, triangle = FACES[kind], kind.startswith("tri") and len(along) == 2
     t = np.full((len(points), len(along)), 1 / 3 if triangle else 0.5)
-    for _ in range(_STEPS):
+    for _ in range(TOL.foot_steps):
         N, dN = face.shape(origin + t @ along)
         J = np.einsum("nki,nkx,mi->nxm", dN, corners, along)
         gap = points - np.einsum("nk,nkx->nx", N, corners)
         normal = np.einsum("nxi,nxj->nij", J, J)
         size = np.trace(normal, axis1=1, axis2=2)
-        normal += 1e-14 * np.maximum(size, np.finfo(float).tiny)[:, None, None] * np.eye(len(along))
+        normal += TOL.foot_shift * np.maximum(size, np.finfo(float).tiny)[:, None, None] * np.eye(len(along))
         moved = _inside(t + np.linalg.solve(normal, np.einsum("nxi,nx->ni", J, gap)[..., None])[..., 0], triangle)
-        done = np.abs(moved - t).max(initial=0.0) < 1e-15
+        done = np.abs(moved - t).max(initial=0.0) < TOL.settled_foot
         t = moved
         if done:
             break

@@ -22,13 +22,13 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
+from morembs.importers.tolerances import TOL
 
-BLOCK = 1 << 20
 _ALLOWED = b"0123456789+-.eEdD \t\r\n,"
 _ONE_PER_LINE = bytes.maketrans(b" ,\t\rDde", b"\n\n\n\nEEE")
 _BLANKS = bytes.maketrans(b",\t\rDd", b"   EE")
-_INT32 = 2**31 - 1
-_NEWLINE = 10
+_INT32 = np.iinfo(np.int32).max
+_NEWLINE = ord("\n")
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _IMPLIED = re.compile(rb"([0-9.])([+-])")
 _NUMBER = re.compile(rb"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(E[+-]?[0-9]+)?")
@@ -36,14 +36,13 @@ _NUMBER = re.compile(rb"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(E[+-]?[0-9]+)?")
 _CLASS = bytes.maketrans(b"0123456789.+-E\n", b"\0" * 10 + b"\1\2\2\3\4")
 _FOLLOWS = {0: (0, 1, 2, 3, 4), 1: (0, 2, 3, 4), 2: (0, 1), 3: (0, 2), 4: (0, 1, 2, 4)}
 _PAIRS = bytes(8 * left + right for left, rights in _FOLLOWS.items() for right in rights)
-_SIGN_BEHIND_DIGIT = (2, 10)
-_LARGEST_LABEL = 2**53
-_MOST_THREADS = 4
+# A sign behind a digit or a dot.
+_SIGN_BEHIND_DIGIT = tuple(8 * left + 2 for left in (0, 1))
 Given = TypeVar("Given")
 Made = TypeVar("Made")
 
 
-def text_blocks(path: Path, size: int = BLOCK) -> Iterator[bytes]:
+def text_blocks(path: Path, size: int = TOL.text_block_bytes) -> Iterator[bytes]:
     """Blocks of whole lines, about ``size`` bytes each, of a text that may be packed (gzip).
 
     Raises:
@@ -95,7 +94,7 @@ def parallel_map(work: Callable[[Given], Made], blocks: Iterable[Given]) -> Iter
 
     What reads numbers from text lets other threads run meanwhile. As many blocks as there are cores are in memory.
     """
-    count = min(os.cpu_count() or 1, _MOST_THREADS)
+    count = min(os.cpu_count() or 1, TOL.reading_threads)
     with ThreadPoolExecutor(count) as pool:
         waiting: deque[Future[Made]] = deque()
         try:
@@ -245,8 +244,8 @@ def integers(values: Floats, what: str, name: str) -> Ints:
     Raises:
         InputError: one is not; ``what`` says what they are.
     """
-    result = values.astype(np.int64, casting="unsafe") if (np.abs(values) < _LARGEST_LABEL).all() else None
+    result = values.astype(np.int64, casting="unsafe") if (np.abs(values) < TOL.largest_label).all() else None
     if result is None or not np.array_equal(result, values):
-        bad = values[(np.abs(values) >= _LARGEST_LABEL) | (values != np.round(values))][0]
+        bad = values[(np.abs(values) >= TOL.largest_label) | (values != np.round(values))][0]
         raise InputError(f"{name}: {bad:.6g} was given as {what}; expected an integer")
     return result

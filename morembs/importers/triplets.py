@@ -12,18 +12,11 @@ import scipy.sparse as sp
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
+from morembs.importers.tolerances import TOL
 
 Triplets = tuple[Ints, Ints, Floats]
 # Words for a row and a column counted from 0.
 Place = Callable[[int, int], str]
-
-# Asymmetry that is round-off.
-SAME = 1e-9
-_LARGEST_TABLE = 1 << 26
-# Entries beyond which sums of products may overflow.
-_LARGEST = 1e150
-# Rows looked at a time.
-_ROWS = 1 << 12
 
 
 class TripletStore(Closing):
@@ -111,11 +104,11 @@ def refuse_twice(matrix: sp.csr_array, name: str, place: Place = row_and_column,
     if matrix.has_canonical_format:
         return
     count, first, equal = 0, None, True
-    for begin in range(0, matrix.shape[0], _ROWS):
-        low, high = matrix.indptr[begin], matrix.indptr[min(begin + _ROWS, matrix.shape[0])]
+    for begin in range(0, matrix.shape[0], TOL.rows_at_once):
+        low, high = matrix.indptr[begin], matrix.indptr[min(begin + TOL.rows_at_once, matrix.shape[0])]
         row = np.repeat(
-            np.arange(begin, begin + _ROWS)[: matrix.shape[0] - begin],
-            np.diff(matrix.indptr[begin : begin + _ROWS + 1]),
+            np.arange(begin, begin + TOL.rows_at_once)[: matrix.shape[0] - begin],
+            np.diff(matrix.indptr[begin : begin + TOL.rows_at_once + 1]),
         )
         column, value = matrix.indices[low:high], matrix.data[low:high]
         twice = np.flatnonzero((np.diff(row) == 0) & (np.diff(column) == 0) & ~(mirrored & (column < row)[1:]))
@@ -160,7 +153,7 @@ def unique(triplets: Iterable[Triplets]) -> Ints:
     if not ends:
         return np.empty(0, dtype=np.int64)
     low, high = min(a for a, _ in ends), max(b for _, b in ends)
-    if high - low < _LARGEST_TABLE:
+    if high - low < TOL.largest_table:
         there = np.zeros(high - low + 1, dtype=bool)
         for rows, columns, _ in triplets:
             there[rows - low], there[columns - low] = True, True
@@ -182,7 +175,7 @@ class Numbering:
         if order is not None:
             self.places[order] = np.arange(len(codes))
         span = int(codes[-1] - codes[0]) + 1 if len(codes) else 0
-        self._table = np.zeros(span, dtype=np.int64) if span <= _LARGEST_TABLE else None
+        self._table = np.zeros(span, dtype=np.int64) if span <= TOL.largest_table else None
         if self._table is not None and span:
             self._table[codes - codes[0]] = self.places
 
@@ -223,7 +216,7 @@ def completed(
     if above != below:
         return True, assembled(triplets, (size, size), mirror=True, name=name, place=place)
     matrix = assembled(triplets, (size, size), mirror=False, name=name, place=place)
-    if asymmetry(matrix) > SAME:
+    if asymmetry(matrix) > TOL.asymmetry:
         # Entries of a half may lie in both triangles, as the order of the equations is not that of the labels.
         pattern = sp.csr_array((np.ones(matrix.nnz, dtype=np.int8), matrix.indices, matrix.indptr), matrix.shape)
         if (pattern * pattern.T).nnz <= np.count_nonzero(matrix.diagonal()):
@@ -236,13 +229,13 @@ def asymmetry(A: sp.csr_array) -> float:
 
     Needs vectors only (a copy where products would overflow). Rows are compared in units of their own size.
     """
-    if float(np.abs(A.data).max(initial=0.0)) > _LARGEST:
+    if float(np.abs(A.data).max(initial=0.0)) > TOL.largest_entry:
         A = A / np.abs(A.data).max()
     z = np.random.default_rng(60).standard_normal(A.shape[0])
     forward, backward = A @ z, A.T @ z
     largest = np.zeros(A.shape[0])
-    for at in range(0, A.shape[0], _ROWS):
-        part = abs(A[at : at + _ROWS])
-        largest[at : at + _ROWS] = np.asarray(part.sum(axis=1)).ravel()
+    for at in range(0, A.shape[0], TOL.rows_at_once):
+        part = abs(A[at : at + TOL.rows_at_once])
+        largest[at : at + TOL.rows_at_once] = np.asarray(part.sum(axis=1)).ravel()
     scale = float(largest.max(initial=0.0))
     return float(np.abs(forward - backward).max(initial=0.0)) / scale if scale else 0.0

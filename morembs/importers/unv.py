@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,37 @@ SOLIDS: dict[int, tuple[str, tuple[int, ...]]] = {
     113: ("wedge15", _WEDGE15),
     116: ("hex20", _HEX20),
 }
-_BEAMS, _ROD = (21, 22, 23, 24), 11
+
+
+class Descriptor(IntEnum):
+    """Descriptors of elements of one dimension (I-DEAS, Universal File Datasets, number 2412)."""
+
+    ROD = 11
+    LINEAR_BEAM = 21
+    TAPERED_BEAM = 22
+    CURVED_BEAM = 23
+    PARABOLIC_BEAM = 24
+
+
+class Dataset(IntEnum):
+    """Numbers of datasets (the same manual); former programs write others of nodes and elements."""
+
+    SINGLE_PRECISION_NODES = 15
+    UNITS = 164
+    FORMER_ELEMENTS = 780
+    FORMER_NODES = 781
+    NODES = 2411
+    ELEMENTS = 2412
+
+
+class Entity(IntEnum):
+    """Kinds of members of groups (the same manual, number 2467)."""
+
+    NODE = 7
+    ELEMENT = 8
+
+
+_BEAMS = (Descriptor.LINEAR_BEAM, Descriptor.TAPERED_BEAM, Descriptor.CURVED_BEAM, Descriptor.PARABOLIC_BEAM)
 # Elements that may carry groups and have no mass or stiffness here.
 _FLAT = (
     *range(11, 14),
@@ -54,10 +85,11 @@ _FLAT = (
     161,
     171,
 )
-_NODES, _ELEMENTS = {15: 1, 781: 2, 2411: 2}, (780, 2412)
+# Lines of a node.
+_NODES = {Dataset.SINGLE_PRECISION_NODES: 1, Dataset.FORMER_NODES: 2, Dataset.NODES: 2}
+_ELEMENTS = (Dataset.FORMER_ELEMENTS, Dataset.ELEMENTS)
 # Each member has four numbers, of which the first two are its kind and label.
 _GROUPS = (2435, 2452, 2467, 2477)
-_NODE, _ELEMENT = 7, 8
 
 
 @dataclass
@@ -124,11 +156,11 @@ def _datasets(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _take(number: int, lines: list[str], contents: _Contents, name: str) -> None:
-    if number == 164:
+    if number == Dataset.UNITS:
         said = lines[0][10:30].strip() or lines[0].split()[0]
         contents.notes.append(f"{name} says that its units are {said} (dataset 164)")
     elif number in _NODES:
-        step = _NODES[number]
+        step = _NODES[Dataset(number)]
         for at in range(0, len(lines) - step + 1, step):
             words = " ".join(lines[at : at + step]).replace("D", "E").replace("d", "e").split()
             if len(words) != 7:
@@ -148,7 +180,7 @@ def _take_elements(lines: list[str], contents: _Contents, name: str) -> None:
         words = [int(word) for word in lines[at].split()]
         label, kind, count = words[0], words[1], words[-1]
         # Beams have a line of their own in front of their nodes; some programs write it for rods as well.
-        at += 2 if kind in _BEAMS or (kind == _ROD and len(lines[at + 1].split()) > count) else 1
+        at += 2 if kind in _BEAMS or (kind == Descriptor.ROD and len(lines[at + 1].split()) > count) else 1
         nodes: list[int] = []
         while len(nodes) < count:
             nodes += [int(word) for word in lines[at].split()]
@@ -203,8 +235,8 @@ def _mesh(contents: _Contents, name: str) -> Mesh:
         contents.notes.append(f"{contents.flat} elements that are no solids were left out")
     node_sets, element_sets = {}, {}
     for title, members in contents.groups.items():
-        of_nodes = np.array([label for kind, label in members if kind == _NODE], dtype=np.int64)
-        of_elements = np.array([label for kind, label in members if kind == _ELEMENT], dtype=np.int64)
+        of_nodes = np.array([label for kind, label in members if kind == Entity.NODE], dtype=np.int64)
+        of_elements = np.array([label for kind, label in members if kind == Entity.ELEMENT], dtype=np.int64)
         chosen = np.flatnonzero(np.isin(ids, of_nodes))
         if len(chosen):
             node_sets[title] = chosen

@@ -10,7 +10,7 @@ from morembs.fem.elements import TYPES
 from morembs.fem.mass import mass_properties
 from morembs.fem.material import isotropic, orthotropic
 from morembs.importers.abaqus import import_abaqus, read_abaqus
-from morembs.importers.abaqus_keywords import PIECE
+from morembs.importers.tolerances import TOL
 from morembs.problem import Problem
 from tests.support.decks import damaged, filled
 from tests.support.mesh_decks import ABAQUS_CODES, abaqus_mesh
@@ -110,7 +110,7 @@ def test_where_pieces_of_a_file_end_does_not_matter(within, deck):
     """Below comments so long that the first piece that is read ends within the text; also within a keyword's lines."""
     text = FULL + abaqus_mesh(box("tet10", (1, 1, 1), (1.0, 1.0, 1.0)), shift=1000)
     whole = deck(text)
-    parts = deck(filled("**", PIECE - within) + text)
+    parts = deck(filled("**", TOL.piece_bytes - within) + text)
     assert np.array_equal(whole.nodes.xyz, parts.nodes.xyz) and whole.notes == parts.notes
     assert all(np.array_equal(a.nodes, b.nodes) for a, b in zip(whole.mesh.blocks, parts.mesh.blocks, strict=True))
     assert {k: v.tolist() for k, v in whole.nodes.sets.items()} == {k: v.tolist() for k, v in parts.nodes.sets.items()}

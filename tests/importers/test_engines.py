@@ -386,7 +386,7 @@ def test_hard_limits_of_a_queue_are_kept(tmp_path):
         (["--engine", "calculx"], "did you mean 'calculix'?"),
         (["--engine", "calculix:/nowhere/ccx"], "no file that can be run"),
         (["--engine", "calculix", "--preload", "1"], "supports carry the load"),
-        (["--engine", "calculix", "--boundary", "hold"], "known: drop, keep"),
+        (["--engine", "calculix", "--boundary", "hold"], 'expected "drop" or "keep"'),
         (["--engine", "calculix", "--dialect", "abaqus"], "--dialect was given with --engine calculix"),
         (["--boundary", "keep"], "--boundary was given without --engine"),
         (["--engine", "calculix", "--format", "nastran"], "reads decks of Abaqus or CalculiX"),

@@ -371,10 +371,10 @@ def test_all_problems_are_told_at_once_with_their_cures(tmp_path):
             "--engine mystran reads Nastran bulk data; deck.bdf is Abaqus or",
         ),
         (["--engine", "mystran:/nowhere/mystran"], "no file that can be run"),
-        (["--engine", "mystran", "--boundary", "hold"], "known: drop, keep"),
+        (["--engine", "mystran", "--boundary", "hold"], 'expected "drop" or "keep"'),
         (["--engine", "mystran", "--preload", "1"], "preload"),
         (["--engine", "mystran", "--contact", "tie"], "--contact was given with --engine mystran"),
-        (["--engine", "mystran", "--set", "jobs=0"], "expected positive numbers"),
+        (["--engine", "mystran", "--set", "jobs=0"], "jobs = 0 was given; expected an integer, 1 or more"),
         ([], "MYSTRAN would read this deck: --engine mystran"),
     ],
 )

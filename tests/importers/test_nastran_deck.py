@@ -12,9 +12,9 @@ from morembs.fem.material import isotropic, orthotropic
 from morembs.fem.surface import nodal_areas, outer_faces
 from morembs.importers.nastran import import_nastran, read_nastran
 from morembs.importers.nastran_cards import real
-from morembs.importers.nastran_text import PIECE
 from morembs.importers.problems import DeckError
 from morembs.importers.to_model import model_of
+from morembs.importers.tolerances import TOL
 from morembs.problem import Problem
 from tests.support.decks import damaged, filled
 from tests.support.mesh_decks import nastran_card, nastran_mesh
@@ -114,8 +114,8 @@ def test_where_pieces_of_a_file_end_does_not_matter(part, bulk):
     """Comments so long that a piece ends within what stands above the bulk data, and one within these."""
     whole = bulk(FULL)
     head, begin, data = FULL.partition("BEGIN BULK\n")
-    above = filled("$", PIECE - part * len(head + begin) // 8)
-    parts = bulk(above + head + begin + filled("$", PIECE - 3 - part * len(data) // 9) + data)
+    above = filled("$", TOL.piece_bytes - part * len(head + begin) // 8)
+    parts = bulk(above + head + begin + filled("$", TOL.piece_bytes - 3 - part * len(data) // 9) + data)
     assert np.array_equal(whole.nodes.xyz, parts.nodes.xyz) and sorted(whole.notes) == sorted(parts.notes)
     assert np.array_equal(whole.mesh.blocks[0].nodes, parts.mesh.blocks[0].nodes)
     assert [tie.name for tie in whole.rigid] == [tie.name for tie in parts.rigid]

@@ -25,7 +25,7 @@ from morembs.dynamics.assembly.belonging import basis_of, eliminations, refuse_o
 from morembs.dynamics.assembly.bodies import AssembledModel, joined
 from morembs.dynamics.assembly.parts import Placed, PlacedBody, Substructure
 from morembs.fem.fe_model import Component
-from morembs.importers.dependent_dofs import MOST_SPREAD
+from morembs.importers.tolerances import TOL as IMPORTED
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 from morembs.responses.direct import why_no_response
@@ -249,11 +249,11 @@ def _motions(
         columns = np.flatnonzero((source.input_interface == number) & (chosen < 0))
         own = sp.csr_array(W.T @ B[:, columns])
         rows = np.flatnonzero(np.diff(own.indptr))
-        if len(rows) ** 2 > MOST_SPREAD:
+        if len(rows) ** 2 > IMPORTED.max_spread_entries:
             raise InputError(
                 f"part {part.name!r}: interface {list(source.interfaces)[number]!r} is the mean of {len(rows):,} "
                 f"dofs, which would fill the matrices; certificates against unreduced parts take up to "
-                f"{int(MOST_SPREAD**0.5):,}: take a rigid interface, or fewer nodes"
+                f"{int(IMPORTED.max_spread_entries**0.5):,}: take a rigid interface, or fewer nodes"
             )
         free = rows[~np.isin(rows, chosen)]
         A = own[free].toarray()

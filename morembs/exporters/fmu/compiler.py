@@ -18,12 +18,12 @@ import numpy as np
 
 from morembs.base.types import Floats
 from morembs.exporters.fmu.sources import Code
+from morembs.exporters.tolerances import TOL
 
 _CURE = (
     "install one (Debian: sudo apt-get install gcc libc6-dev; macOS: xcode-select --install), or name it by CC=..., "
     "and export again"
 )
-SINGLE_STEPS = 1000
 _FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
 
 
@@ -67,13 +67,14 @@ def compiled(sources: Mapping[str, str], *flags: str) -> bytes | str:
     for code in _FULL:
         if os.strerror(code) in ended.stderr:
             raise OSError(code, os.strerror(code))
-    first = next((line for line in ended.stderr.splitlines() if "error" in line.lower()), ended.stderr.strip()[:200])
+    start = ended.stderr.strip()[: TOL.shown_compiler_words]
+    first = next((line for line in ended.stderr.splitlines() if "error" in line.lower()), start)
     return f"the C compiler {command[0]} failed ({first}); {_CURE}"
 
 
 def single_error(code: Code) -> float | str:
     """Largest difference of the outputs of ``code`` to those in double precision, relative to the largest of their
-    kind, over ``SINGLE_STEPS`` of random inputs (infinite where a step fails); or why that is not known.
+    kind, over ``single_precision_steps`` of random inputs (infinite where a step fails); or why that is not known.
     """
     results = []
     for precision in ("single", "double"):
@@ -93,18 +94,19 @@ def single_error(code: Code) -> float | str:
 
 
 def _outputs(code: Code, library: bytes) -> Floats:
-    """Outputs (SINGLE_STEPS, m) under random inputs of about one."""
+    """Outputs (steps, m) under random inputs of about one."""
     real: Any = ctypes.c_double if code.precision == "double" else ctypes.c_float
     fields = [(key, (ctypes.c_int if kind == "int" else real) * size) for key, (kind, size) in code.fields().items()]
     kind = type("Body", (ctypes.Structure,), {"_fields_": fields})
-    inputs = np.random.default_rng(1).standard_normal((SINGLE_STEPS, len(code.system.inputs)))
-    outputs = np.full((SINGLE_STEPS, len(code.system.outputs)), np.inf)
+    steps = TOL.single_precision_steps
+    inputs = np.random.default_rng(1).standard_normal((steps, len(code.system.inputs)))
+    outputs = np.full((steps, len(code.system.outputs)), np.inf)
     with TemporaryDirectory(prefix="morembs-") as folder:
         path = Path(folder) / "body.so"
         path.write_bytes(library)
         loaded, body = ctypes.CDLL(str(path)), kind()
         getattr(loaded, f"{code.name}_start")(ctypes.byref(body))
-        for k in range(SINGLE_STEPS):
+        for k in range(steps):
             body.u[: inputs.shape[1]] = inputs[k].tolist()
             if getattr(loaded, f"{code.name}_step")(ctypes.byref(body)):
                 break

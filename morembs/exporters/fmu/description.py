@@ -8,6 +8,7 @@ from typing import Literal
 from xml.sax.saxutils import quoteattr
 
 from morembs.exporters.fmu.system import System, Variable
+from morembs.exporters.tolerances import TOL
 from morembs.version import VERSION
 
 Version = Literal["2.0", "3.0"]
@@ -25,7 +26,6 @@ UNITS: dict[str, dict[str, int]] = {
     "Pa": {"kg": 1, "m": -1, "s": -2},
     "s": {"s": 1},
 }
-_STEP = 1e-3
 _XML = '<?xml version="1.0" encoding="UTF-8"?>'
 
 
@@ -89,7 +89,7 @@ def _lines(system: System, name: str, identifier: str, token: str, version: Vers
         powers = "".join(f' {key}="{power}"' for key, power in base.items())
         yield f'<Unit name="{unit}"><BaseUnit{powers}/></Unit>'
     yield "</UnitDefinitions>"
-    yield f'<DefaultExperiment startTime="0" stopTime="1" stepSize="{_STEP}"/>'
+    yield f'<DefaultExperiment startTime="0" stopTime="1" stepSize="{TOL.proposed_step_s}"/>'
     yield "<ModelVariables>"
     for reference, entry in enumerate(entries):
         yield _variable(reference, entry, second=second)

@@ -24,10 +24,9 @@ from morembs.exporters.fmu.system import (
     stress_rows,
     variables,
 )
+from morembs.exporters.tolerances import TOL
 
 _QUATERNION = "wxyz"
-# Error of a step per length of the body, unless another is given.
-_TOLERANCE = 1e-6
 
 
 def floating_system(context: ExportContext, *, stress: Sequence[int], damping_ratio: float) -> System:
@@ -49,7 +48,7 @@ def floating_system(context: ExportContext, *, stress: Sequence[int], damping_ra
     outputs = [variable for name in known.values() for variable in _motion(name)]
     length = _length(frame)
     tolerance = Variable(
-        name="tolerance", unit="1", start=_TOLERANCE, about="co-simulation: error of a step per length of the body"
+        name="tolerance", unit="1", start=TOL.step_error, about="co-simulation: error of a step per length of the body"
     )
     return System(
         structure="floating",

@@ -26,12 +26,11 @@ from morembs.exporters.fmu.system import (
     variables,
 )
 from morembs.exporters.reduced import refuse_two_sided, to_interfaces
+from morembs.exporters.tolerances import TOL
 from morembs.linalg.columns import symmetric
 from morembs.linalg.eigen import accurate_eigh
 
 _REACTIONS = (("reaction_force", "N"), ("reaction_moment", "N.m"))
-# Smallest part of a rigid motion, by singular values, that the held degrees of freedom must have to hold it.
-_HELD = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,7 +135,7 @@ def _coordinates(context: ExportContext, fixed: Ints) -> _Coordinates:
         moved = C @ Y[:, :rigid]
         size = np.linalg.norm(moved, axis=1)
         moved = moved / np.where(size > 0, size, 1.0)[:, None]
-        rigid -= int((np.linalg.svd(moved, compute_uv=False) > _HELD).sum()) if rigid else 0
+        rigid -= int((np.linalg.svd(moved, compute_uv=False) > TOL.held_motion).sum()) if rigid else 0
         values, inner = accurate_eigh(K, M) if N.shape[1] else (np.zeros(0), np.zeros((0, 0)))
         Y = N @ inner
     values[:rigid] = 0.0
@@ -193,7 +192,8 @@ def _tables(
 def _states(context: ExportContext, omega: Floats) -> tuple[Variable, ...]:
     nodes = context.source.coordinates
     length = float(np.linalg.norm(np.ptp(nodes, axis=0))) if len(nodes) > 1 else 1.0
-    return oscillators(length * np.sqrt(max(context.source.mass, 1e-12)), omega, "normal coordinate")
+    mass = max(context.source.mass, TOL.least_nominal_mass_kg)
+    return oscillators(length * np.sqrt(mass), omega, "normal coordinate")
 
 
 def state_space(system: System) -> tuple[Floats, Floats]:

@@ -13,6 +13,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.exporters.fmu.system import System, Variable, identifier
+from morembs.exporters.tolerances import TOL
 
 Precision = Literal["double", "single"]
 # Files of each structure, in their order: what both targets have, then steps of any size or of one size.
@@ -20,7 +21,6 @@ _COMMON = {"linear": ("common", "linear_accelerations", "linear"), "floating": (
 _FREE = {"linear": ("linear_rates", "linear_free"), "floating": ("floating_rates", "gauss_free")}
 _FIXED = {"linear": ("linear_fixed",), "floating": ("gauss_fixed",)}
 _SINGLE = "".join(f"#define {name} {name}f\n" for name in ("sqrt", "sin", "cos", "fabs"))
-_PER_LINE = 8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,7 +149,8 @@ class Code:
     def _table(self, name: str, table: Floats) -> str:
         """A table by columns."""
         numbers = self._numbers(table.ravel(order="F")) or ["0"]
-        lines = (", ".join(numbers[k : k + _PER_LINE]) for k in range(0, len(numbers), _PER_LINE))
+        count = TOL.table_numbers_per_line
+        lines = (", ".join(numbers[k : k + count]) for k in range(0, len(numbers), count))
         return f"static const real {name}[{len(numbers)}] = {{\n" + ",\n".join(lines) + "};\n"
 
     def _numbers(self, values: Floats) -> list[str]:

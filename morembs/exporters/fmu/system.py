@@ -15,6 +15,7 @@ from morembs.base.types import Floats
 from morembs.body.recovery_shapes import Recovery
 from morembs.body.vtkhdf_series import stored_recovery
 from morembs.exporters.base import ExportContext
+from morembs.exporters.tolerances import TOL
 from morembs.fem.fe_model import Component
 
 AXES = "xyz"
@@ -22,8 +23,6 @@ LOADS = (("force", "N"), ("moment", "N.m"))
 MOTIONS = (("displacement", "m"), ("rotation", "rad"))
 VELOCITIES = (("velocity", "m/s"), ("angular_velocity", "rad/s"))
 ACCELERATIONS = (("acceleration", "m/s2"), ("angular_acceleration", "rad/s2"))
-# Part of the length of a body by which nominal values deflect it.
-_DEFLECTION = 1e-3
 _TENSOR = ("xx", "yy", "zz", "xy", "yz", "zx")
 # Keywords of C, and files beside which those of a body lie.
 _KEYWORDS = frozenset(
@@ -113,8 +112,8 @@ GRAVITY = tuple(
 
 def oscillators(unit: Floats | float, omega: Floats, about: str) -> tuple[Variable, ...]:
     """Coordinates q[1], q[2], ... and then their rates, at rest; nominal values are those of one energy in all modes,
-    that of a deflection of ``unit`` times ``_DEFLECTION`` in the slowest."""
-    speed = _DEFLECTION * np.broadcast_to(unit, omega.shape) * np.min(omega[omega > 0], initial=np.inf)
+    that of a deflection of ``unit`` times ``nominal_deflection`` in the slowest."""
+    speed = TOL.nominal_deflection * np.broadcast_to(unit, omega.shape) * np.min(omega[omega > 0], initial=np.inf)
     speed = np.where(np.isfinite(speed), speed, 1.0)
     size = speed / np.where(omega > 0, omega, np.min(omega[omega > 0], initial=np.inf))
     sizes = (("q", about, np.where(size > 0, size, 1.0)), ("q_rate", f"rate of a {about}", speed))

@@ -17,12 +17,13 @@ from morembs.base.errors import InputError
 from morembs.base.limits import NotNegative, Positive
 from morembs.base.types import Floats
 from morembs.exporters.base import LOSSES, ExportContext, Exported, Exporter
-from morembs.exporters.fmu.compiler import SINGLE_STEPS, compiled, single_error
+from morembs.exporters.fmu.compiler import compiled, single_error
 from morembs.exporters.fmu.description import Version, build_description, model_description
 from morembs.exporters.fmu.floating import floating_system
 from morembs.exporters.fmu.linear import linear_system, state_space
 from morembs.exporters.fmu.sources import Code, Precision, glue, token_of
 from morembs.exporters.fmu.system import System, identifier, renamed_note
+from morembs.exporters.tolerances import TOL
 from morembs.storage.safefile import replacing, replacing_all
 
 Structure = Literal["auto", "linear", "floating"]
@@ -36,8 +37,6 @@ _PLATFORMS = {
 _PROCESSORS = {"arm64": "aarch64", "amd64": "x86_64"}
 # The first day that a zip file knows, so that the same body gives the same bytes.
 _DAY = (1980, 1, 1, 0, 0, 0)
-# Part of the outputs that single precision may cost.
-_TOO_MUCH = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,17 +197,17 @@ def _single_words(code: Code) -> str:
     Raises:
         InputError: it costs too much.
     """
-    error = single_error(code)
+    error, steps, allowed = single_error(code), TOL.single_precision_steps, TOL.single_precision_error
     if isinstance(error, str):
         return f"what single precision costs was not measured: {error}"
-    if not error < _TOO_MUCH:
+    if not error < allowed:
         raise InputError(
-            f'precision = "single" was given; over {SINGLE_STEPS} steps of random loads outputs differ from double by '
-            f"{error:.0%} of their largest, expected less than {_TOO_MUCH:.0%}. Take --frame mean-axes, another step, "
+            f'precision = "single" was given; over {steps} steps of random loads outputs differ from double by '
+            f"{error:.0%} of their largest, expected less than {allowed:.0%}. Take --frame mean-axes, another step, "
             'or precision = "double"'
         )
     return (
-        f"single precision: over {SINGLE_STEPS} steps of random loads outputs differ from double by {error:.1e} of "
+        f"single precision: over {steps} steps of random loads outputs differ from double by {error:.1e} of "
         "their largest"
     )
 
@@ -227,6 +226,7 @@ def _zipped(members: Mapping[str, bytes]) -> bytes:
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in members.items():
             info = zipfile.ZipInfo(name, _DAY)
+            # Written by the owner, read by all.
             info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(info, data)
     return stream.getvalue()

@@ -25,6 +25,7 @@ from morembs.importers.engines.calculix_deck import FlatDeck
 from morembs.importers.engines.calculix_expansion import read_expansion
 from morembs.importers.engines.calculix_rows import Expanded
 from morembs.importers.engines.run import Program, find_executable, run
+from morembs.importers.tolerances import TOL
 from morembs.storage.safefile import copy_into
 
 CURE = "no program ccx was found; install calculix-ccx (Debian, conda-forge) or give calculix:PATH"
@@ -33,8 +34,6 @@ _DONE = "Job finished"
 _EXPORT = "*STEP{}\n*FREQUENCY, SOLVER=MATRIXSTORAGE\n*END STEP"
 _SHAPE = "*STEP\n*NO ANALYSIS\n*NODE OUTPUT, OUTPUT=3D\nU\n*END STEP"
 _NUMBER = re.compile(r"\b(element|node)\s+(\d+)", re.IGNORECASE)
-# Difference of K with and without springs to the same dofs.
-SAME = 1e-9
 
 
 def find_ccx(given: str = "") -> Program:
@@ -150,7 +149,7 @@ class Ccx(Closing):
         S = -sp.csr_array(with_springs.K[at[order]][:, rest])
         S.eliminate_zeros()
         change = with_springs.K[rest][:, rest] - S.T @ S - plain.K
-        if not steps and abs(change).max() > SAME * abs(plain.K).max():
+        if not steps and abs(change).max() > TOL.same_stiffness * abs(plain.K).max():
             raise InputError(_UNTOLD)
         return S
 
@@ -218,4 +217,6 @@ def _errors(said: str) -> list[str]:
 
 def _last_words(said: str) -> str:
     lines = [line.strip() for line in said.splitlines() if line.strip()]
-    return f"it ended without a word that it finished; its last line is {lines[-1][:120]!r}" if lines else "no output"
+    if not lines:
+        return "no output"
+    return f"it ended without a word that it finished; its last line is {lines[-1][: TOL.shown_last_line]!r}"

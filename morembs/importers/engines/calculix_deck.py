@@ -23,7 +23,7 @@ from morembs.importers.abaqus_keywords import Card
 from morembs.importers.abaqus_names import Placed
 from morembs.importers.abaqus_surfaces import FACES, Surfaces
 from morembs.importers.engines.calculix_read import EngineDeck
-from morembs.importers.engines.calculix_text import ENTRIES, element_lines, node_lines, numeral, sixteen
+from morembs.importers.engines.calculix_text import Line, element_lines, node_lines, numeral, sixteen
 
 # What the fields of data lines are: n a node or a set of such, e an element or set, s a surface, o an orientation,
 # m a material, . as it stands. The last letter holds for all fields behind it.
@@ -146,7 +146,9 @@ class FlatDeck:
         data = []
         for row in rows:
             fields = [self.translated(kinds[min(i, len(kinds) - 1)], placed, text, card) for i, text in enumerate(row)]
-            data += [", ".join(fields[i : i + ENTRIES]) for i in range(0, len(fields), ENTRIES)] or [""]
+            data += [", ".join(fields[i : i + Line.SET_ENTRIES]) for i in range(0, len(fields), Line.SET_ENTRIES)] or [
+                ""
+            ]
         return "\n".join([head, *data])
 
     def _option(self, placed: Placed, card: Card, key: str, text: str) -> str:

@@ -16,7 +16,7 @@ _LABEL = re.compile(r'with label "(\w+)')
 _KNOT = re.compile(r"KNOT was generated in node +(\d+)")
 _BLOCK = b"    2C"
 # Places in the expanded element that each node of its parent becomes; both in CalculiX' order.
-_LAYERS3 = ((0, 3), (1, 4), (2, 5))
+_LAYERS3 = tuple((i, i + 3) for i in range(3))
 _LAYERS4 = tuple((i, i + 4) for i in range(4))
 _LAYERS6 = ((0, 3, 12), (1, 4, 13), (2, 5, 14), (6, 9), (7, 10), (8, 11))
 _LAYERS8 = (*((i, i + 4, i + 16) for i in range(4)), *((i + 8, i + 12) for i in range(4)))

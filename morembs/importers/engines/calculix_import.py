@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from morembs.base.errors import InputError, nearest
+from morembs.base.arguments import check_value
+from morembs.base.errors import InputError
+from morembs.base.limits import Count, Positive
 from morembs.importers.abaqus_assembly import Assembly
-from morembs.importers.deck_options import DeckOptions, deck_options
+from morembs.importers.deck_options import Boundary, DeckOptions, deck_options
 from morembs.importers.engines.calculix import Ccx, find_ccx
 from morembs.importers.engines.calculix_flat import Choices, flat_deck
 from morembs.importers.engines.calculix_model import Exported
 from morembs.importers.engines.calculix_read import EngineDeck, read_for_engine
 from morembs.importers.engines.calculix_ties import Flat
 from morembs.importers.imported import Imported
-
-BOUNDARY = ("drop", "keep")
+from morembs.importers.tolerances import TOL
 
 
 def import_with_calculix(
@@ -26,7 +27,7 @@ def import_with_calculix(
     skip: list[str] | str = "",
     boundary: str = "drop",
     preload: int = 0,
-    timeout: float = 600.0,
+    timeout: float = TOL.engine_seconds,
     keep_files: str = "",
     allow_includes_outside: bool = False,
 ) -> Imported:
@@ -83,10 +84,9 @@ def _flat(path: Path, choices: Choices, *, outside: bool) -> tuple[EngineDeck, A
 
 
 def _choices(options: DeckOptions, boundary: str, preload: int, timeout: float) -> Choices:
-    if boundary not in BOUNDARY:
-        raise InputError(f"--boundary {boundary} was given; {nearest(boundary, BOUNDARY)}")
-    if preload < 0 or not timeout > 0:
-        raise InputError(f"--preload {preload}, --engine-timeout {timeout:g} were given; expected no negative numbers")
+    check_value("--boundary", boundary, Boundary)
+    check_value("--preload", preload, Count)
+    check_value("--engine-timeout", timeout, Positive)
     if preload and boundary == "drop":
         raise InputError(
             f"--preload {preload} was given with --boundary drop, but supports carry the load; give --boundary keep, "

@@ -23,18 +23,13 @@ from morembs.importers.calculix_matrices import CalculixMatrices
 from morembs.importers.engines.calculix import Ccx
 from morembs.importers.engines.calculix_flat import Choices
 from morembs.importers.engines.calculix_read import EngineDeck
-from morembs.importers.engines.calculix_rows import STRAINED, Expanded, RowMap, map_rows, strain
+from morembs.importers.engines.calculix_rows import Expanded, RowMap, map_rows, strain
 from morembs.importers.engines.calculix_ties import Flat
 from morembs.importers.formulations import deck_warnings
 from morembs.importers.imported import Imported, nodes_of, on_rows, sets_on
+from morembs.importers.tolerances import TOL
 
 FOLLOWS = "constraints of CalculiX"
-# Sums below this part of their terms are round-off; CalculiX writes 14 digits.
-_ROUNDED = 1e-12
-# Difference of the masses along the axes above which it is told.
-UNEVEN = 1e-6
-# Above all internal numbers of nodes.
-_MADE = 1 << 40
 
 
 class Exported:
@@ -184,12 +179,12 @@ class Exported:
         warnings = [*skipped_warnings(self.deck), *deck_warnings(hybrid, "calculix", guessed=False)]
         moves = (mapped.component[:, None] == np.arange(3)).astype(float)
         along = np.einsum("ia,ia->a", moves, self.read.M @ moves)
-        if np.ptp(along) > UNEVEN * along.max() and not choices.keep:
+        if np.ptp(along) > TOL.uneven_mass * along.max() and not choices.keep:
             warnings.append(
                 f"the mass of what CalculiX wrote is {along[0]:.6g}, {along[1]:.6g}, {along[2]:.6g} along x, y and z: "
                 "equations that hold some of it, or rows that went to wrong nodes; then please report it [engine-map]"
             )
-        if self.strain > STRAINED and not choices.keep:
+        if self.strain > TOL.rigid_strain and not choices.keep:
             warnings.append(
                 f"rigid motion strains the stiffness that CalculiX wrote by {self.strain:.1e} of its terms: springs to "
                 "the ground, equations that hold the body, or elements C3D8R that are distorted, whose hourglass "
@@ -237,7 +232,7 @@ class Exported:
         scalar = mapped.component == Component.SCALAR
         own = (mapped.owner < 0) | ((mapped.owner == 0) & (~scalar | named_by))
         if own.any():
-            group_key = _MADE + 5 * mapped.group + scalar * (1 + self.read.dof)
+            group_key = TOL.made_label + 5 * mapped.group + scalar * (1 + self.read.dof)
             key = np.where(mapped.owner < 0, -mapped.owner, group_key)
             keys, where, inverse = np.unique(key[own], return_index=True, return_inverse=True)
             at[own] = len(nodes) + inverse
@@ -278,7 +273,7 @@ def _changed(A: sp.csr_array, T: sp.csr_array) -> sp.csr_array:
     """T' A T, symmetric, without what is round-off of its terms: a truss has no stiffness across its axis."""
     product, terms = sp.csr_array(T.T @ A @ T), abs(T).T @ abs(A) @ abs(T)
     product = sp.csr_array(0.5 * (product + product.T))
-    left = sp.csr_array(product.multiply(abs(product) > _ROUNDED * 0.5 * (terms + terms.T)))
+    left = sp.csr_array(product.multiply(abs(product) > TOL.cancelled_sum * 0.5 * (terms + terms.T)))
     # Both are semidefinite: a diagonal that is zero has nothing beside it.
     kept = sp.diags_array((left.diagonal() > 0).astype(float))
     left = sp.csr_array(kept @ left @ kept)

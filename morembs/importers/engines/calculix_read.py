@@ -20,6 +20,7 @@ from morembs.importers.deck_options import DeckOptions
 from morembs.importers.formulations import dialects_of_comments
 from morembs.importers.includes import open_text
 from morembs.importers.problems import Problem, Problems
+from morembs.importers.tolerances import TOL
 
 # Elements of CalculiX that are expanded or stand for contact, and how many nodes they have.
 WIDTHS = {
@@ -62,8 +63,6 @@ _PLAIN = {
     "T3D2H": "T3D2",
     "T3D3H": "T3D3",
 }
-# Bytes at the begin of a deck whose comments may name the program that wrote it.
-_HEAD = 1 << 16
 # Elements without stiffness and mass.
 _EMPTY = ("SFM3D",)
 _PLANE = ("CPE", "CPS", "CAX", "SAX", "MAX", "B21", "B22", "T2D", "CGAX", "PIPE21", "PIPE22")
@@ -97,7 +96,7 @@ def read_for_engine(path: Path, options: DeckOptions, *, outside: bool = False) 
             raise InputError(f"{path.name} ends inside *{reader.open[-1]}; the file may be cut off")
     _refuse_others(deck)
     with open_text(path) as file:
-        deck.dialects |= dialects_of_comments(file.read(_HEAD)) | ({"abaqus"} if deck.parts else set())
+        deck.dialects |= dialects_of_comments(file.read(TOL.head_bytes)) | ({"abaqus"} if deck.parts else set())
     return deck
 
 

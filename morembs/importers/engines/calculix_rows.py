@@ -19,15 +19,7 @@ from numpy.typing import NDArray
 from morembs.base.types import Bools, Floats, Ints
 from morembs.fem import rigid_motion
 from morembs.fem.fe_model import Component
-
-# How near R_u must come to that of a place or motion, of 1 for displacements, and of lengths of the model.
-NEAR = 1e-3
-# Residual of rigid motion against what cancels above which an assignment is wrong.
-STRAINED = 1e-9
-# Shift of the scaled stiffness and how often it is taken back: eigenvalues above the shift converge.
-_PROXIMAL, _ROUNDS, _SETTLED = 1e-7, 40, 1e-13
-# Residual of rows that were told by their rigid motion, and how far around others the dofs may be that they follow.
-LEFT, _RINGS = 1e-8, 4
+from morembs.importers.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -181,7 +173,8 @@ class _Solved:
         exact, untold = self.R.copy(), list[int]()
         taken: set[tuple[int, int]] = set()
         # Modes inside elements and across sections, most of all: they stay where they are.
-        resting = np.maximum.reduceat(np.abs(self.R).max(axis=1), self.edges[:-1]) < NEAR * min(1.0, 1.0 / self.length)
+        least = TOL.near_motion * min(1.0, 1.0 / self.length)
+        resting = np.maximum.reduceat(np.abs(self.R).max(axis=1), self.edges[:-1]) < least
         rows = (resting & ~self.known)[self.given.group]
         self.owner[rows], self.component[rows], self.place[rows], exact[rows] = 0, Component.SCALAR, self.center, 0.0
         for g in np.flatnonzero(~self.known & ~resting):
@@ -199,7 +192,7 @@ class _Solved:
             exact[own] = rigid_motion(np.tile((place - self.center) / self.length, (len(axes), 1)), components)
             exact[own] /= np.where((components > 2) & (components < Component.SCALAR), self.length, 1.0)[:, None]
         force = np.abs(self.K @ exact).max(axis=1)
-        wrong = force > LEFT * (abs(self.K) @ np.abs(exact)).max(axis=1)
+        wrong = force > TOL.told_residual * (abs(self.K) @ np.abs(exact)).max(axis=1)
         bad = np.unique(self.given.group[wrong & ~self.known[self.given.group]])
         rest = np.union1d(np.array(untold, dtype=np.int64), bad)
         change = self._relative(rest) if len(rest) else None
@@ -232,9 +225,9 @@ class _Solved:
         """Owner, place and components of rows with the rigid motion ``seen`` (k, 6)."""
         nowhere = np.full(3, np.nan)
         turned = np.eye(3)[axes]
-        if turns or (np.abs(seen[:, :3]).max() < NEAR and np.abs(seen[:, 3:] * self.length - turned).max() < NEAR):
+        best, least = None, TOL.near_motion
+        if turns or (np.abs(seen[:, :3]).max() < least and np.abs(seen[:, 3:] * self.length - turned).max() < least):
             return 0, nowhere, axes + 3
-        best, least = None, NEAR
         for owner, place in candidates:
             if any((owner, int(axis)) in taken for axis in axes):
                 continue
@@ -259,11 +252,12 @@ class _Solved:
             own = np.arange(self.edges[g], self.edges[g + 1])
             self.component[own], self.owner[own], self.place[own] = Component.SCALAR, 0, self.center
             near = own
-            for _ in range(_RINGS):
+            for _ in range(TOL.followed_rings):
                 near = np.unique(self.K[near].indices)
                 ground = near[told[near]]
-                W = np.linalg.lstsq(self.R[ground].T, self.R[own].T, rcond=1e-10)[0].T if len(ground) else None
-                if W is not None and np.abs(W @ self.R[ground] - self.R[own]).max() < 1e-9:
+                given, wanted = self.R[ground].T, self.R[own].T
+                W = np.linalg.lstsq(given, wanted, rcond=TOL.dependent_followed)[0].T if len(ground) else None
+                if W is not None and np.abs(W @ self.R[ground] - self.R[own]).max() < TOL.followed_error:
                     break
             if W is None:
                 continue
@@ -296,12 +290,12 @@ def _motion(K: sp.csr_array, R: Floats, known: NDArray[np.bool_]) -> Floats:
     D = sp.diags_array(1.0 / size[:, 0])
     scaled = sp.csc_array(D @ inner @ D)
     right = -(part[:, np.flatnonzero(known)] @ R[known]) / size
-    factor = sla.splu(sp.csc_array(scaled + _PROXIMAL * sp.eye_array(len(rest), format="csc")))
+    factor = sla.splu(sp.csc_array(scaled + TOL.proximal_shift * sp.eye_array(len(rest), format="csc")))
     motion = R[rest] * size
-    for _ in range(_ROUNDS):
+    for _ in range(TOL.proximal_steps):
         step = factor.solve(right - scaled @ motion)
         motion = motion + step
-        if np.abs(step).max() < _SETTLED * np.abs(motion).max():
+        if np.abs(step).max() < TOL.settled_motion * np.abs(motion).max():
             break
     return np.asarray(motion / size)
 

@@ -8,8 +8,16 @@ from morembs.base.types import Ints
 from morembs.fem import ElementBlock
 from morembs.importers.abaqus_assembly import Assembly
 
-# CalculiX takes this many characters of a number, and entries of a line of a set or an element.
-_DIGITS, ENTRIES, _PER_ELEMENT = 20, 16, 10
+
+class Line:
+    """What CalculiX takes of a line (CalculiX CrunchiX User's Manual): characters of a number, entries of sets and
+    elements."""
+
+    NUMBER_CHARACTERS = 20
+    SET_ENTRIES = 16
+    ELEMENT_ENTRIES = 10
+
+
 # Types by shape and formulation, as ``formulations`` has them for CalculiX.
 _CODES = {
     ("tet4", "full"): "C3D4",
@@ -29,13 +37,13 @@ _DISCRETE = ("SPRING1", "SPRING2", "SPRINGA")
 def numeral(value: float) -> str:
     """A number in the characters that CalculiX reads."""
     text = repr(float(value))
-    return text if len(text) <= _DIGITS else f"{value:.12e}"
+    return text if len(text) <= Line.NUMBER_CHARACTERS else f"{value:.12e}"
 
 
 def sixteen(labels: Ints) -> list[str]:
     """Data lines of a set."""
     entries = list(map(str, labels.tolist()))
-    return [", ".join(entries[i : i + ENTRIES]) + "," for i in range(0, len(entries), ENTRIES)]
+    return [", ".join(entries[i : i + Line.SET_ENTRIES]) + "," for i in range(0, len(entries), Line.SET_ENTRIES)]
 
 
 def node_lines(assembly: Assembly) -> list[str]:
@@ -46,7 +54,7 @@ def node_lines(assembly: Assembly) -> list[str]:
 
 def element_lines(assembly: Assembly, blocks: tuple[ElementBlock, ...], masses: set[int]) -> list[str]:
     """All elements in the order of their numbers, of point masses some."""
-    lines, number = [], 1
+    lines, number, most = [], 1, Line.ELEMENT_ENTRIES
 
     def block(code: str, nodes: Ints) -> None:
         nonlocal number
@@ -54,8 +62,8 @@ def element_lines(assembly: Assembly, blocks: tuple[ElementBlock, ...], masses: 
         for row in (nodes + 1).tolist():
             entries = [str(number), *map(str, row)]
             lines.extend(
-                ", ".join(entries[i : i + _PER_ELEMENT]) + ("," if i + _PER_ELEMENT < len(entries) else "")
-                for i in range(0, len(entries), _PER_ELEMENT)
+                ", ".join(entries[i : i + most]) + ("," if i + most < len(entries) else "")
+                for i in range(0, len(entries), most)
             )
             number += 1
 

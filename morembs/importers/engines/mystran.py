@@ -31,6 +31,7 @@ from morembs.importers.engines.mystran_cards import card
 from morembs.importers.engines.mystran_elements import Elements
 from morembs.importers.engines.run import Program, find_executable, run
 from morembs.importers.op4 import OP4Matrix, read_op4
+from morembs.importers.tolerances import TOL
 from morembs.storage.safefile import copy_into
 
 CURE = (
@@ -232,7 +233,7 @@ class Mystran(Closing):
     def _matrices(self, output: Path, log: str, said: str, group: Group) -> dict[str, OP4Matrix]:
         """KGG and MGG, where all cards were read; what MYSTRAN says of modes comes behind them and does not count."""
         lines = [line.strip() for line in said.splitlines() if line.strip()]
-        reason = f"its last line is {lines[-1][:120]!r}" if lines else "it says nothing"
+        reason = f"its last line is {lines[-1][: TOL.shown_last_line]!r}" if lines else "it says nothing"
         if _PASSED_OVER in log:
             reason = "it passed over cards"
         elif output.is_file() and output.stat().st_size:

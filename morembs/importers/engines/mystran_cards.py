@@ -8,6 +8,7 @@ import numpy as np
 
 from morembs.importers.nastran_bulk import Bulk
 from morembs.importers.nastran_cards import real
+from morembs.importers.tolerances import TOL
 
 Field = str | int | float
 
@@ -22,7 +23,7 @@ def number16(value: float) -> str:
     digits = room - 2 - len(f"{int(power):+d}")
     mantissa, power = f"{size:.{digits}e}".split("e")
     texts = [f"{mantissa}{int(power):+d}"]
-    if 1e-4 < size < 1e14:
+    if TOL.plain_from < size < TOL.plain_below:
         whole = len(str(int(size))) if size >= 1 else 0
         texts.append(f"{size:.{room - whole - 1}f}".removeprefix("0"))
     readable = [text for text in texts if len(text) <= room]

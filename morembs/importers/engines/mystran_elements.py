@@ -16,6 +16,7 @@ from morembs.importers.nastran_bulk import Bulk
 from morembs.importers.nastran_cards import integer, real
 from morembs.importers.nastran_geometry import SOLIDS, card_of
 from morembs.importers.nastran_properties import padded
+from morembs.importers.tolerances import TOL
 
 # For each card: the kind of its properties and how many grids it has.
 STRUCTURES = {
@@ -158,7 +159,8 @@ class Structures:
             vector = np.array([real(text, what) for text in words[4:7]]) @ axes
         along = self.bulk.grids.xyz[b] + offsets[1] @ self._axes(b) - self.bulk.grids.xyz[a]
         along = along - offsets[0] @ self._axes(a)
-        if not np.linalg.norm(np.cross(along, vector)) > 1e-9 * np.linalg.norm(along) * np.linalg.norm(vector):
+        least = TOL.parallel_orientation * np.linalg.norm(along) * np.linalg.norm(vector)
+        if not np.linalg.norm(np.cross(along, vector)) > least:
             raise InputError(f"{what} has no length, or its orientation lies along it; mend it")
         pins = [integer(text, what) for text in words[8:10]]
         tail: list[Field] = [*map(float, vector), "", *(pin or "" for pin in pins)]

@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.base.errors import InputError, nearest
+from morembs.base.arguments import check_value
+from morembs.base.errors import InputError
+from morembs.base.limits import Positive, PositiveCount
 from morembs.base.types import Ints
 from morembs.fem import DofMap, Mesh, Nodes, rigid_motion
 from morembs.fem.constraints import Equations
 from morembs.fem.handedness import right_handed
-from morembs.importers.deck_options import DeckOptions, deck_options, lacking_problems
+from morembs.importers.deck_options import Boundary, DeckOptions, deck_options, lacking_problems
 from morembs.importers.engines.mystran import Mystran, cores, mystran_path
 from morembs.importers.engines.mystran_elements import STRUCTURES, Structures, solid_elements
 from morembs.importers.engines.mystran_rotations import turning, with_springs
@@ -23,8 +25,8 @@ from morembs.importers.nastran import bulk_mesh, grids_of, notes_of, sets_of, sk
 from morembs.importers.nastran_bulk import Bulk
 from morembs.importers.nastran_names import RESTRAINTS
 from morembs.importers.nastran_restraints import held_directions, held_equations
+from morembs.importers.tolerances import TOL
 
-BOUNDARY = ("drop", "keep")
 # Cards beside those of the own reader.
 CARDS_READ = (
     *STRUCTURES,
@@ -37,12 +39,6 @@ CARDS_READ = (
     "SPC1",
     "SPCADD",
 )
-# Grids of one run, by which the time is least: MYSTRAN writes dense matrices, and needs 40 ms for a start.
-MOST_GRIDS = 150
-# Force under rigid motion above this part of what cancels in it is told.
-STRAINED = 1e-9
-# Difference of the masses along the axes above which it is told.
-UNEVEN = 1e-6
 
 
 def import_with_mystran(
@@ -52,9 +48,9 @@ def import_with_mystran(
     density: float | dict[str, float] | None = None,
     skip: list[str] | str = "",
     boundary: str = "drop",
-    timeout: float = 600.0,
+    timeout: float = TOL.engine_seconds,
     keep_files: str = "",
-    grids: int = MOST_GRIDS,
+    grids: int = TOL.run_grids,
     jobs: int | None = None,
     allow_includes_outside: bool = False,
 ) -> Imported:
@@ -78,12 +74,10 @@ def import_with_mystran(
         InputError: no MYSTRAN, options that are not known, or a run that fails.
     """
     program = mystran_path(executable)
-    if boundary not in BOUNDARY:
-        raise InputError(f"--boundary {boundary} was given; {nearest(boundary, BOUNDARY)}")
-    if not timeout > 0 or grids < 1 or (jobs is not None and jobs < 1):
-        raise InputError(
-            f"--engine-timeout {timeout:g}, grids = {grids}, jobs = {jobs} were given; expected positive numbers"
-        )
+    check_value("--boundary", boundary, Boundary)
+    check_value("--engine-timeout", timeout, Positive)
+    check_value("grids", grids, PositiveCount)
+    check_value("jobs", jobs, PositiveCount | None)
     deck = _Deck(Path(path), deck_options(density, "refuse", skip), boundary == "keep", allow_includes_outside)
     keep = Path(keep_files) if keep_files else None
     with Mystran(
@@ -247,13 +241,13 @@ class _Deck:
         """Warnings that follow from the matrices."""
         R = rigid_motion(self.nodes.xyz[dofs.node] - self.nodes.xyz.mean(axis=0), dofs.component)
         strain = float(np.abs(K @ R).max() / (abs(K) @ np.abs(R)).max())
-        if strain > STRAINED:
+        if strain > TOL.rigid_strain:
             self.warnings.append(
                 f"rigid motion strains the stiffness that MYSTRAN wrote by {strain:.1e} of its terms: its CQUAD4 "
                 "resist rotation where their four grids are not in a plane [engine-rotation]"
             )
         along = [float(R[:, axis] @ (M @ R[:, axis])) for axis in range(3)]
-        if max(along) - min(along) > UNEVEN * max(along):
+        if max(along) - min(along) > TOL.uneven_mass * max(along):
             listed = ", ".join(f"{mass:.6g}" for mass in along)
             self.warnings.append(
                 f"the mass that MYSTRAN wrote is {listed} along x, y and z; please report it [engine-map]"

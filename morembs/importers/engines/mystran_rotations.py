@@ -18,11 +18,7 @@ from morembs.fem import rigid_motion
 from morembs.fem.constraints import AverageElement, Equations, RigidElement
 from morembs.importers.engines.mystran_elements import Elements
 from morembs.importers.imported import DiscreteElement, PointMass, Ties
-
-# Part of a grid's largest rotational stiffness below which there is none (AUTOSPC_RAT of Nastran).
-NONE = 1e-8
-# Difference between a direction and its image in the motion of an element that tells it.
-_TOLD = 1e-9
+from morembs.importers.tolerances import TOL
 
 
 def turning(ties: Sequence[Ties], count: int) -> NDArray[np.bool_]:
@@ -60,7 +56,7 @@ def with_springs(
     """
     stiff, heavy = _rotational(K, len(xyz)), _rotational(M, len(xyz))
     values = np.linalg.eigvalsh(stiff)
-    loose = (values[:, 2] > 0) & (values[:, 0] < NONE * values[:, 2]) & ~tied
+    loose = (values[:, 2] > 0) & (values[:, 0] < TOL.no_rotational_stiffness * values[:, 2]) & ~tied
     beside = _elements_of(blocks, loose)
     rows, columns, entries = [], [], []
     count = 0
@@ -102,12 +98,12 @@ def _free(stiff: Floats, heavy: Floats, held: Floats | None) -> Floats:
     """Axes (m, 3) about which a grid turns freely, but for those whose rows are empty and are left out."""
     there = np.flatnonzero((np.diag(stiff) > 0) | (np.diag(heavy) > 0))
     values, vectors = np.linalg.eigh(stiff[np.ix_(there, there)])
-    axes = np.zeros((int((values < NONE * values[-1]).sum()), 3))
+    axes = np.zeros((int((values < TOL.no_rotational_stiffness * values[-1]).sum()), 3))
     axes[:, there] = vectors[:, : len(axes)].T
     if held is None or not len(axes):
         return axes
     # What holds a rotation about such an axis holds it.
-    touched = (np.abs(held[:, 3:] @ axes.T) > _TOLD).any(axis=0)
+    touched = (np.abs(held[:, 3:] @ axes.T) > TOL.told_direction).any(axis=0)
     return np.asarray(axes[~touched])
 
 
@@ -122,9 +118,9 @@ def _followed(grid: int, axes: Floats, elements: Sequence[Ints], xyz: Floats) ->
             x = xyz[nodes] - xyz[nodes].mean(axis=0)
             size = np.abs(x).max()
             R = rigid_motion(np.repeat(x / size, 3, axis=0), np.tile(np.arange(3), len(nodes)))
-            weights = axis @ np.linalg.pinv(R, rcond=1e-6)[3:] / size
+            weights = axis @ np.linalg.pinv(R, rcond=TOL.told_rotation)[3:] / size
             turned = weights @ R[:, 3:] * size
-            if np.abs(turned - axis).max() < _TOLD:
+            if np.abs(turned - axis).max() < TOL.told_direction:
                 dofs = (6 * nodes[:, None] + np.arange(3)).ravel()
                 own = 6 * grid + 3 + np.arange(3)
                 result.append((np.concatenate([axis, -weights]), np.concatenate([own, dofs])))

@@ -18,6 +18,7 @@ from morembs.importers.nastran import is_full
 from morembs.importers.nastran_bulk import Bulk
 from morembs.importers.nastran_cards import integer, real
 from morembs.importers.nastran_properties import padded
+from morembs.importers.tolerances import TOL
 
 # What the properties of each kind of elements may be.
 CARDS = {
@@ -263,7 +264,7 @@ class _Property:
             mids[1],
             self._real(4, 1.0),
             mids[2],
-            self._real(6, 0.833333),
+            self._real(6, TOL.shear_thickness),
             self._real(7),
         ]
         return card("PSHELL", fields)

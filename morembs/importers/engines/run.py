@@ -13,13 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from morembs.base.errors import InputError
-
-# The end of what a program printed that is looked at: one that repeats itself may print gigabytes.
-_TAIL = 1 << 20
-# Files of a run may not grow beyond this part of the free space of their disk.
-_DISK = 0.8
-# Seconds after which a run looks whether it is to end.
-_PIECE = 0.5
+from morembs.importers.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +68,7 @@ def run(
         InputError: it cannot be started, did not finish in time, or was ended.
     """
     log = folder / "output.txt"
-    disk = int(_DISK * shutil.disk_usage(folder).free)
+    disk = int(TOL.disk_part * shutil.disk_usage(folder).free)
 
     def limits() -> None:
         # Only what exists on this system, and without anything that could wait for another thread.
@@ -107,7 +101,7 @@ def run(
         finally:
             _end(process)
     with log.open("rb") as text:
-        text.seek(max(log.stat().st_size - _TAIL, 0))
+        text.seek(max(log.stat().st_size - TOL.log_bytes, 0))
         return text.read().decode("utf-8", "replace")
 
 
@@ -117,7 +111,7 @@ def _wait(process: subprocess.Popen[bytes], seconds: float, late: str, stop: thr
     while True:
         left = end - time.monotonic()
         try:
-            process.wait(timeout=left if stop is None else min(left, _PIECE))
+            process.wait(timeout=left if stop is None else min(left, TOL.look_seconds))
             return
         except subprocess.TimeoutExpired as error:
             if stop is not None and stop.is_set():
