@@ -131,7 +131,7 @@ def tolerances() -> Iterator[str]:
     """A table for each room that has tolerances: the names, the values and the comments above the fields."""
     for file in sorted((ROOT / "morembs").rglob("tolerances.py")):
         module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
-        held = next(one for one in vars(import_module(module)).values() if type(one).__name__.endswith("Tolerances"))
+        held = import_module(module).TOL
         derived, above = {}, ""
         # Fields of one group may share the comment above the first.
         for words, name in re.findall(r"((?: {4}# .*\n)*) {4}(\w+): \w", file.read_text(encoding="utf-8")):

@@ -66,8 +66,8 @@ class EquilibriumSearch:
             x, multipliers = a.moved(x, short * step), multipliers + short * more
         raise SolverError(
             f"no equilibrium was found in {TOL.equilibrium_iterations} iterations (forces off by "
-            f"{left / forces:.1e}, joints open by {np.abs(Phi).max(initial=0.0):.1e}); start nearer to it (guess, or places of the "
-            "bodies), or let the loads grow with load_steps = 10"
+            f"{left / forces:.1e}, joints open by {np.abs(Phi).max(initial=0.0):.1e}); start nearer to it (guess, "
+            "or places of the bodies), or let the loads grow with load_steps = 10"
         )
 
     def _measure(self, x: Floats) -> None:

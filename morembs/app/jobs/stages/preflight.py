@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.stage import asked
+from morembs.app.jobs.tolerances import TOL
 from morembs.base.budget import UNLIMITED, Budget
 from morembs.base.progress import duration_words
 from morembs.body.diagnostics.warnings import examined, examined_mesh
 from morembs.fem import FEModel
 from morembs.reducers import Facts
 from morembs.reducers.facts import Shifted
-
-# Interface degrees of freedom beyond which methods that follow all responses take minutes.
-MANY_INTERFACE_DOFS = 60
 
 
 def model_warnings(job: Job, model: FEModel, budget: Budget = UNLIMITED) -> tuple[str, ...]:
@@ -42,7 +40,7 @@ def shifted_of(job: Job, facts: Facts) -> dict[str, Shifted]:
 
 
 def _many_motions(job: Job, facts: Facts) -> list[str]:
-    if facts.inputs <= MANY_INTERFACE_DOFS:
+    if facts.inputs <= TOL.many_interface_dofs:
         return []
     took = {words: took for stage in asked(job) for words, took in stage.followed_seconds(job, facts).items()}
     if not took:
