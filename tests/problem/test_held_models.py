@@ -345,7 +345,9 @@ def test_damping_of_a_guided_beam_leaves_its_free_motion_alone() -> None:
         M = np.diag(RNG(k).uniform(0.3, 3.0, 2).repeat(6) * np.tile([1, 1, 1, 0.02, 0.03, 0.04], 2))
         model = model_on(K, M, xyz, range(6), np.array([1, 4, 5, 7, 8, 9]))
         model = replace(model, D=1e-5 * model.K)
-        problem = Problem(model, [make_interface(model, name="slide", nodes=np.arange(2), coupling="direct", components=[1])])
+        problem = Problem(
+            model, [make_interface(model, name="slide", nodes=np.arange(2), coupling="direct", components=[1])]
+        )
         assert problem.rigid.shape[1] == 1
         assert not problem.damps_rigid_motion
         grounded = replace(model, D=model.D + sp.csr_array(np.diag([1e-3, 0, 0, 0, 0, 0])))
