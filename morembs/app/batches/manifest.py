@@ -29,11 +29,13 @@ except ImportError:  # not on this system
 
 
 class ManifestFormat:
-    """Format of a manifest, and its first line."""
+    """Format of a manifest."""
 
     NAME = "morembs-batch"
     VERSION = 1
-    FIRST = {"event": "begun", "format": NAME, "version": VERSION}  # noqa: RUF012
+
+
+_FIRST = {"event": "begun", "format": ManifestFormat.NAME, "version": ManifestFormat.VERSION}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +72,7 @@ class Manifest(Closing):
             # Of each job that has begun, the last attempt.
             self._started = {event["output"]: event for event in events if event.get("event") == "started"}
             if not events:
-                self._write(ManifestFormat.FIRST)
+                self._write(_FIRST)
             elif len(events) > max(TOL.manifest_lines, 4 * len(self._ended)):
                 self._compact()
             self._write({"event": "opened", "pid": os.getpid(), "host": platform.node()})
@@ -156,7 +158,7 @@ class Manifest(Closing):
         with contextlib.suppress(OSError):
             new.unlink()
         old, self._handle = self._handle, _locked(new)
-        self._write(ManifestFormat.FIRST, *self._started.values(), *self._ended.values())
+        self._write(_FIRST, *self._started.values(), *self._ended.values())
         if fcntl is None:
             # Windows gives no open file another name, nor that of one that is open.
             os.close(old)

@@ -232,12 +232,12 @@ def solvers(
     ] = False,
 ) -> None:
     """List the sparse solvers, and why some cannot run here."""
-    from morembs.linalg.sparse.select import available_solvers
-
     with messages(), printing():
         if tolerances:
             _list_tolerances(as_json)
             return
+        from morembs.linalg.sparse.select import available_solvers
+
         known = available_solvers()
         if as_json:
             print_json([{"name": name, "available": not why, "reason": why} for name, why in known.items()])

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 class CommandTolerances:
     """Quantities that decide, each with the line that derives or cites it."""
 
-    # MAC below which a message counts a mode of the full model as missing: the body
-    # then holds less of it than it misses.
+    # MAC below which a message counts a mode of the full model as missing: the body then
+    # holds less of it than it misses.
     missing_mac: float = 0.5
     # Frequency of a coordinate that follows responses beside one of the full model, as a part of it:
     # both are in one row.
