@@ -36,12 +36,12 @@ UNITS = {60, 90, 100, 180, 360, 3600, 10**3, 10**6, 10**9}
 # The greatest count that is allowed, and the one that is aimed at.
 LIMITS = {
     "rooms": (16, 16),
-    "context parameters": (70, 0),
-    "module constants": (607, 0),
-    "names of several constants": (88, 0),
+    "context parameters": (0, 0),
+    "module constants": (0, 0),
+    "names of several constants": (0, 0),
     "tolerances without a line": (0, 0),
-    "literals": (395, 0),
-    "formatter switched off": (20, 20),
+    "literals": (0, 0),
+    "formatter switched off": (3, 20),
     "aliases defined twice": (0, 0),
     "types of a body": (1, 1),
 }

@@ -12,9 +12,10 @@ import re
 import sys
 from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields
-from importlib import import_module
+from itertools import groupby
 from pathlib import Path
 
+from morembs.app.cli.tolerance_table import tolerances
 from morembs.app.jobs.schema import JobTables
 from morembs.base.arguments import hints_of
 from morembs.base.key_tables import expected, holds_several, inner_table
@@ -127,20 +128,17 @@ def left_out(key: Field[object]) -> str:
     return "none" if value is None else f"`{in_toml(value)}`".replace("'", '"')
 
 
-def tolerances() -> Iterator[str]:
+def tolerance_tables() -> Iterator[str]:
     """A table for each room that has tolerances: the names, the values and the comments above the fields."""
-    for file in sorted((ROOT / "morembs").rglob("tolerances.py")):
-        module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
-        held = import_module(module).TOL
-        derived, above = {}, ""
-        # Fields of one group may share the comment above the first.
-        for words, name in re.findall(r"((?: {4}# .*\n)*) {4}(\w+): \w", file.read_text(encoding="utf-8")):
-            above = re.sub(r"\s*# (--- .*\n)?", " ", words).strip() or above
-            derived[name] = above
-        yield from (f"\n## `{module}`\n", "| quantity | value | where it comes from |", "|---|---|---|")
-        for field in fields(held):
-            value = repr(getattr(held, field.name)).replace("_", "")
-            yield f"| `{field.name}` | {value} | {derived[field.name].replace('|', chr(92) + '|')} |"
+    for room, quantities in groupby(tolerances(), lambda quantity: quantity.room):
+        yield from (
+            f"\n## `morembs.{room}.tolerances`\n",
+            "| quantity | value | where it comes from |",
+            "|---|---|---|",
+        )
+        for quantity in quantities:
+            value, reason = repr(quantity.value).replace("_", ""), quantity.reason.replace("|", r"\|")
+            yield f"| `{quantity.name}` | {value} | {reason} |"
 
 
 def renewed(text: str) -> str:
@@ -152,7 +150,7 @@ def renewed(text: str) -> str:
         elif match[1] == "job keys":
             head, rows = ["| table | key | default | what to give |", "|---|---|---|---|"], list(job_keys())
         elif match[1] == "tolerances":
-            head, rows = [], list(tolerances())
+            head, rows = [], list(tolerance_tables())
         else:
             head = ["| dataset | shape | type | unit | meaning |", "|---|---|---|---|---|"]
             rows = [line for at, part in SHOWN[match[1]] for line in lines(at, part)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from morembs.base.budget import UNLIMITED, Budget, current_budget
 from morembs.base.errors import InputError, OutputError
 from morembs.base.scratch import ScratchFolder, free_bytes
 from morembs.base.types import Values
+from morembs.dynamics.nonlinear.total_lagrangian import SaintVenantKirchhoff
 from morembs.fem.interface import make_interface
 from morembs.linalg.congruence import congruence, magnitudes
 from morembs.linalg.lanczos import BlockLanczos
@@ -465,3 +467,12 @@ def test_the_argument_of_before_works_and_warns() -> None:
         problem = Problem(model, budget=Budget(widest=4))
     assert problem.budget.widest == 4 == problem.space.budget.widest
     problem.close()
+
+
+def test_another_process_gets_the_limits_and_no_files(tmp_path: Path) -> None:
+    with Budget(memory=10**12, scratch=tmp_path, in_memory=0, widest=4) as budget:
+        solid = SaintVenantKirchhoff(steel(box("hex8", (2, 1, 1), (0.2, 0.05, 0.03))))
+        held = budget.empty((10, 3))
+        assert budget.files == 1 and len(held) == 10
+        there = pickle.loads(pickle.dumps(solid)).budget
+    assert (there.memory, there.scratch, there.in_memory, there.widest, there.files) == (10**12, tmp_path, 0, 4, 0)

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, Self
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -196,6 +196,10 @@ class Budget(Closing):
         left = self.left()
         if left is not None and self._mapped and left < TOL.tight_share * (self.memory or 0):
             self.release_pages()
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Another process gets the limits; files it makes are its own.
+        return {**self.__dict__, "_folder": None, "_mapped": [], "_count": 0}
 
     def close(self) -> None:
         """Remove the files; arrays in them stay readable as long as somebody holds them."""

@@ -8,6 +8,14 @@ from collections.abc import Iterable
 from morembs.base.tolerances import TOL
 
 
+class ExitCode:
+    """Exit codes of commands, and of the jobs of a batch, that say themselves what happened."""
+
+    FAULT = 1
+    BAD_INPUT = 2
+    ALL = (FAULT, BAD_INPUT)
+
+
 class MorembsError(Exception):
     """Base of all errors raised on purpose: the message says what was given, expected, and what to do.
 

@@ -173,7 +173,7 @@ def _causes(standard: ReferenceResponse, body: Response, cells: BandCells, loose
 def _undamped_pole(terms: PoleResidueForm, low: float, high: float) -> float | None:
     """The first pole in the band that lies on the axis of frequencies, up to round-off; None if there is none."""
     z = terms.z.ravel()
-    on = z.real[(np.abs(z.imag) <= 1e-12 * np.abs(z)) & (z.real >= low) & (z.real <= high)]
+    on = z.real[(np.abs(z.imag) <= TOL.undamped_pole * np.abs(z)) & (z.real >= low) & (z.real <= high)]
     return float(on.min()) if len(on) else None
 
 

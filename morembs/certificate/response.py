@@ -15,6 +15,7 @@ from morembs.base.errors import InputError
 from morembs.base.former_names import with_progress_argument
 from morembs.base.optional import optional
 from morembs.base.types import Complexes, Floats
+from morembs.certificate.tolerances import TOL
 from morembs.fem.interface import Interface
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
@@ -47,7 +48,7 @@ def reduced_response(reduced: ReducedModel, omega: Floats) -> Complexes:
 
 
 @with_progress_argument
-def full_response(problem: Problem, omega: Floats, *, tolerance: float = 1e-8) -> Complexes:
+def full_response(problem: Problem, omega: Floats, *, tolerance: float = TOL.full_response_error) -> Complexes:
     """Elastic part of H (nf, m, m) of the full coupled model at ``omega`` (nf,) in rad/s.
 
     Forces and moments are scaled to equal static energy; the estimated error of every entry is below

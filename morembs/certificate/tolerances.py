@@ -22,6 +22,10 @@ class CertificateTolerances:
     max_merge_ratio: float = 1e6
     # Frequencies in a cell at which the cause of its limit is looked for: eight equal steps.
     cause_samples: int = 9
+    # Distance of a pole from the axis of frequencies, over its size, that is round-off of no damping: 4500 eps.
+    undamped_pole: float = 1e-12
+    # Error of the full response over its largest entry, unless another is asked for: eight digits.
+    full_response_error: float = 1e-8
     # Response over its envelope that counts as a zero: a relative error of 1 there is 1 % of the envelope.
     zero_response: float = 1e-2
 

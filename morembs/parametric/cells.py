@@ -250,6 +250,13 @@ def least_ratio(A: sp.csr_array, space: GlobalSpace) -> float:
     inner = [sp.csr_array(B)[keep][:, keep] for B in (A, K)]
     start = np.random.default_rng(3).standard_normal(n)
     values = spl.eigsh(
-        inner[0], k=1, M=inner[1], Minv=inverse, which="SA", v0=start, tol=1e-3, return_eigenvectors=False
+        inner[0],
+        k=1,
+        M=inner[1],
+        Minv=inverse,
+        which="SA",
+        v0=start,
+        tol=TOL.least_ratio_residual,
+        return_eigenvectors=False,
     )
     return float(values[0])

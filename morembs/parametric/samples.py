@@ -28,7 +28,7 @@ def frequencies(values: Floats, damping: Damping, low: float, high: float) -> Fl
     """Frequencies (nf,) in rad/s over a band where the bound is looked at: steps, and flanks of resonances."""
     inside = values[(values > low**2) & (values < high**2)]
     omega = np.sqrt(inside)
-    width = np.maximum(0.5 * damping.at_resonance(inside), 1e-3 * omega)
+    width = np.maximum(0.5 * damping.at_resonance(inside), TOL.least_flank * omega)
     flanks = (omega + width * np.array([[-1.0], [0.0], [1.0]])).ravel()
     return np.concatenate([np.linspace(low, high, TOL.band_samples), flanks[(flanks > low) & (flanks < high)]])
 

@@ -135,5 +135,14 @@ class ParametricTolerances:
     # Points that are sampled at once.
     volumes_at_once: int = 4096
 
+    # Tolerance of bodies where none is given: 0.1 % of the envelope.
+    default_tolerance: float = 1e-3
+    # Relative residual of the least eigenvalue on a cell, which is an estimate.
+    least_ratio_residual: float = 1e-3
+    # Distance of a sample from its resonance, as a part of it, at least: that of responses.
+    least_flank: float = 1e-3
+    # Relative change of parameters, of the sum of squares and of its slope at which a fit ends: ten digits.
+    fit_change: float = 1e-10
+
 
 TOL = ParametricTolerances()

@@ -161,9 +161,9 @@ class _Fit:
             jac=self.jacobian,
             bounds=(0.0, 1.0),
             method="trf",
-            xtol=1e-10,
-            ftol=1e-10,
-            gtol=1e-10,
+            xtol=TOL.fit_change,
+            ftol=TOL.fit_change,
+            gtol=TOL.fit_change,
         )
         if not fit.success:
             raise SolverError(

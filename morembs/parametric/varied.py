@@ -174,7 +174,7 @@ def varied_model(
     materials: Sequence[Material],
     parameters: Sequence[Parameter],
     *,
-    tolerance: float = 1e-3,
+    tolerance: float = TOL.default_tolerance,
     mass_integration: str = "element",
     seams: bool = False,
 ) -> VariedModel:

@@ -31,7 +31,7 @@ def band_frequencies(
     (np.float64(0.0), np.float64(3000.0))
     """
     low, high = checked_band(band_hz)
-    first = low if low > 0 else 1e-3 * high
+    first = low if low > 0 else TOL.least_band_part * high
     grid = [np.linspace(low, high, points - points // 2), np.geomspace(first, high, points // 2)]
     modes = problem.elastic_modes(below=beyond(high))
     omega = np.sqrt(modes.eigenvalues)

@@ -156,7 +156,7 @@ def _dampers(D: sp.csr_array) -> Floats:
     if not 0 < len(rows) <= TOL.damper_rows:
         return np.zeros((D.shape[0], 0))
     values, U = sl.eigh(D[rows][:, rows].toarray())
-    kept = U[:, np.abs(values) > 1e-12 * np.abs(values).max()]
+    kept = U[:, np.abs(values) > TOL.no_damping * np.abs(values).max()]
     forces = np.zeros((D.shape[0], kept.shape[1]))
     forces[rows] = kept
     return forces

@@ -97,7 +97,9 @@ class Comparison:
     def resolved(self, low: Floats, high: Floats) -> NDArray[np.bool_]:
         """Whether cells are far enough from the poles to be worth a look."""
         middle = 0.5 * (low + high)
-        return np.asarray(0.5 * (high - low) < 0.7 * np.minimum(*(terms.nearest(middle) for terms in self.both)))
+        return np.asarray(
+            0.5 * (high - low) < TOL.resolved_cell * np.minimum(*(terms.nearest(middle) for terms in self.both))
+        )
 
     def bounds(self, low: Floats, high: Floats) -> Bounds:
         """Limits of the quantities on cells."""

@@ -55,6 +55,7 @@ class PoleResidueForm:
     def second_order(cls, s: NDArray[Any], d: NDArray[Any], N: NDArray[Any]) -> Self:
         """sum_p N_p / (s_p + i w d_p - w^2)."""
         s, d = np.asarray(s, dtype=complex), np.asarray(d, dtype=complex)
+        # The roots of w^2 - i w d_p - s_p.
         root = np.sqrt(s - 0.25 * d * d)
         half = 0.5j * d
         # The larger one first: the other one follows without cancellation.

@@ -102,7 +102,7 @@ def reference_model(
     problem: Problem,
     omega: Floats,
     *,
-    tolerance: float = 1e-8,
+    tolerance: float = TOL.default_reference_error,
     inertia_loads: bool = False,
     damping: Damping | None = None,
 ) -> ModalReference:

@@ -100,6 +100,7 @@ class Residual:
             return 0.0
         some = slice(self.k, None)
         poles, b, values = PoleResidueForm(z=self.poles.z[some], N=self.poles.N[some]), self.b[some], self.values[some]
+        # values are sigma_p^2, and their power is sigma_p^3.
         lost = np.sqrt(self.ratio * values**1.5) * self.lost[some] * np.linalg.norm(b, axis=1)
         least = Residual._away(poles.z, *(np.array([end]) for end in band))[0]
         return largest(poles, b, form(values, self.tau[:, some], self.ratio), band) + float((lost / least).sum())
@@ -155,12 +156,12 @@ class Residual:
                 left = 1 - gamma * kappa - nu
                 gain = np.where(left > 0, gamma / np.maximum(left, TOL.closest_mode), np.inf)
             off = gain * ((double * whole**2 + mu**2) / (1.0 / ends @ size) + rest)
-            fine = half < 0.1 * T.nearest(middle)
+            fine = half < TOL.final_cell * T.nearest(middle)
             return Bounds(upper=off[:, None], lower=np.zeros((len(lo), 1)), at=middle[:, None], final=fine[:, None])
 
         cells = branch_and_bound(
             bounds,
-            lambda lo, hi: 0.5 * (hi - lo) < 0.7 * T.nearest(0.5 * (lo + hi)),
+            lambda lo, hi: 0.5 * (hi - lo) < TOL.resolved_cell * T.nearest(0.5 * (lo + hi)),
             initial_partition(low, high, T.z.real.ravel()),
             lambda bounds, _: bounds.upper <= tolerance,
             quantities=1,
@@ -171,6 +172,7 @@ class Residual:
     def _modal(self) -> Floats:
         """(k,) roots of w d_p sigma_p^2 / (2 theta_p w)."""
         k = self.k
+        # values are sigma_p^2, and their power is sigma_p^3.
         return np.sqrt(self.ratio * self.values[:k] ** 1.5 * self.own[:k])
 
     def _weakest(self, lo: Floats, hi: Floats) -> Floats:

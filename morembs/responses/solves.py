@@ -131,7 +131,7 @@ class Solves:
         x, off = self.problem.shared("random solutions", self._random)
         z = x - U @ ((U.T @ (self.problem.K @ x)) / values[:, None])
         grown, least = float(_norms(z, self.weights).max()), TOL.least_random_part - off
-        proven = least > 0.1 * TOL.least_random_part
+        proven = least > TOL.proven_random_part * TOL.least_random_part
         return Softness(value=float(np.sqrt(grown / (least if proven else TOL.least_random_part))), proven=proven)
 
     def _random(self) -> tuple[Floats, float]:

@@ -149,5 +149,16 @@ class ResponseTolerances:
     # Columns of a block of residuals, at most.
     block_columns: int = 16
 
+    # Error of a reference model where none is asked for: far below any certificate.
+    default_reference_error: float = 1e-8
+    # Lowest sample of a band from 0 Hz, over its upper end: three decades.
+    least_band_part: float = 1e-3
+    # Half of a cell over the distance of its middle from the nearest pole, up to which it is worth a look; chosen.
+    resolved_cell: float = 0.7
+    # The same, from which on a cell of residuals is fine enough to be the last; chosen.
+    final_cell: float = 0.1
+    # Part of least_random_part that has to be left beside round-off for a proof; chosen.
+    proven_random_part: float = 0.1
+
 
 TOL = ResponseTolerances()

@@ -30,6 +30,7 @@ from morembs.app.jobs.run import run_job
 from morembs.body.drawing import viewed_axes
 from morembs.body.file import read_body
 from morembs.importers import read_mesh
+from morembs.responses.tolerances import TOL as RESPONSES
 from tests.support.commands import FACTORISING, factorisations, without_progress
 from tests.support.decks import BEAM, HINGED, deck, folder
 from tests.support.progress import Heard
@@ -219,6 +220,16 @@ def test_solvers() -> None:
     assert list(solvers) == list(morembs.available_solvers())
     assert solvers["superlu"] == {"available": True, "reason": ""}
     assert "superlu: available" in RUNNER.invoke(cli.app, ["solvers"]).stdout
+
+
+def test_solvers_tells_all_tolerances_with_their_reasons() -> None:
+    told = json.loads(RUNNER.invoke(cli.app, ["solvers", "--tolerances", "--json"]).stdout)
+    assert all(each["reason"].endswith(".") for each in told)
+    values = {(each["room"], each["name"]): each["value"] for each in told}
+    assert len(values) == len(told)
+    assert values["responses", "sharpness"] == RESPONSES.sharpness and values["dynamics.multibody", "max_turn"] == 0.5
+    lines = RUNNER.invoke(cli.app, ["solvers", "--tolerances"]).stdout.splitlines()
+    assert len(lines) == len(told) and f"responses: sharpness = {RESPONSES.sharpness}: " in "\n".join(lines)
 
 
 def test_several_jobs_go_on_after_a_failure(tmp_path: Path) -> None:

@@ -15,16 +15,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from morembs.app.batches.tolerances import TOL
 from morembs.app.batches.workers import Worker
 from morembs.base.closing import Closing
 from morembs.base.scratch import PrivateFolder
 from morembs.storage.safefile import PREFIX
 from morembs.version import VERSION
-
-# Seconds until a file that is written on another machine is seen: network disks may remember that it was not there.
-_PATIENCE = 10.0
-# Of the memory of a worker, where nobody says how much of that jobs may take.
-_SHARE = 0.9
 
 
 def admitted(
@@ -46,7 +42,7 @@ def admitted(
     rooms = {}
     for name in (name for name in told if not faults[name]):
         known, room, slots = fresh[name]["resources"], told[name], fresh[name]["nthreads"]
-        size = _SHARE * (room["limit"] or room["memory"] / sharing[room["host"]])
+        size = TOL.memory_share * (room["limit"] or room["memory"] / sharing[room["host"]])
         size, cores = 1e6 * known.get("MB", size / 1e6), int(known.get("cores", slots))
         if not {"MB", "cores"} <= known.keys():
             client.run(_declare, size / 1e6, cores, workers=[name])
@@ -93,7 +89,7 @@ class Probes(Closing):
 
 def _seen(path: Path, text: str) -> bool:
     """Whether a file with this text is there soon."""
-    end = time.monotonic() + _PATIENCE
+    end = time.monotonic() + TOL.file_seconds
     while True:
         with suppress(OSError):
             os.listdir(path.parent)
@@ -101,7 +97,7 @@ def _seen(path: Path, text: str) -> bool:
                 return True
         if time.monotonic() > end:
             return False
-        time.sleep(0.1)
+        time.sleep(TOL.file_look_seconds)
 
 
 def answer(path: Path, text: str) -> dict[str, str]:

@@ -18,16 +18,13 @@ from dataclasses import dataclass, field
 from threading import Thread
 from typing import Any
 
+from morembs.app.batches.tolerances import TOL
 from morembs.app.batches.workers import Finished, Heard, Task, Worker
 from morembs.base import stopping
 from morembs.base.closing import Closing
 
 _PROGRAM = (sys.executable, "-m", "morembs")
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-# How long a child may take to leave once it is asked to, in seconds.
-_PATIENCE = 10.0
-# How often the end of this process is thought of while nobody says anything, in seconds.
-_LOOK = 0.5
 
 
 @dataclass(eq=False)
@@ -94,7 +91,7 @@ class Children(Closing):
         """What is heard next of any of them; None where nobody says anything for a while."""
         stopping.check()
         try:
-            news = self._news.get(timeout=_LOOK)
+            news = self._news.get(timeout=TOL.news_seconds)
         except queue.Empty:
             return None
         if isinstance(news, Heard):
@@ -107,14 +104,14 @@ class Children(Closing):
         """End those that run: they may clean up for some seconds, and are killed then."""
         for child in self._children:
             _ask_to_end(child.process)
-        end = time.monotonic() + _PATIENCE
+        end = time.monotonic() + TOL.leaving_seconds
         for child in self._children:
             # Each has a thread that waits for its end, which alone may do so.
             while child.process.returncode is None and time.monotonic() < end:
-                time.sleep(0.01)
+                time.sleep(TOL.leaving_look_seconds)
             while child.process.returncode is None:
                 _kill(child.process)
-                time.sleep(0.01)
+                time.sleep(TOL.leaving_look_seconds)
         self._children.clear()
 
     def _listen(self, child: _Child) -> None:

@@ -27,14 +27,12 @@ from morembs.app.batches.admission import Probes, admitted
 from morembs.app.batches.children import Children
 from morembs.app.batches.cluster_file import Place
 from morembs.app.batches.queues import queue_of, room_of
+from morembs.app.batches.tolerances import TOL
 from morembs.app.batches.workers import Finished, Heard, Task, Worker
 from morembs.base import stopping
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError
 
-# Seconds: until a scheduler or its first worker has to be there, between two looks at the workers, until the processes
-# of a batch that is ended are gone.
-_ANSWER, _LOOK, _PATIENCE = 10.0, 1.0, 11.0
 # Tasks that run on this worker, by their batch.
 _running: dict[str, int] = {}
 _lock = Lock()
@@ -70,7 +68,7 @@ def workers_of(given: Any, folders: Iterable[Path], tell: Callable[[str], None])
 def _client(scheduler: Any) -> Any:
     new: Any = distributed.Client
     try:
-        return new(scheduler, timeout=_ANSWER)
+        return new(scheduler, timeout=TOL.scheduler_seconds)
     except (OSError, TimeoutError, ValueError) as error:
         raise InputError(f"no scheduler answers at {scheduler}; start one with: dask scheduler") from error
 
@@ -183,10 +181,10 @@ class DaskWorkers(Closing):
     def next(self) -> Heard | Finished | None:
         """What is heard next; None from time to time."""
         stopping.check()
-        if time.monotonic() - self._looked > _LOOK:
+        if time.monotonic() - self._looked > TOL.workers_look_seconds:
             self._look()
         try:
-            news = self._news.get(timeout=_LOOK / 2)
+            news = self._news.get(timeout=TOL.workers_look_seconds / 2)
         except queue.Empty:
             return None
         if isinstance(news, Finished):
@@ -202,9 +200,9 @@ class DaskWorkers(Closing):
             if self._tasks:
                 self._client.cancel([future for _, future in self._tasks.values()], force=True)
                 self._tasks.clear()
-                end = time.monotonic() + _PATIENCE
+                end = time.monotonic() + TOL.ended_seconds
                 while time.monotonic() < end and any(self._client.run(_still, self._batch, on_error="ignore").values()):
-                    time.sleep(0.1)
+                    time.sleep(TOL.ended_look_seconds)
             self._client.unsubscribe_topic(self._batch)
         self._probes.close()
         if self._own:
@@ -222,10 +220,10 @@ class DaskWorkers(Closing):
         worker, _ = self._tasks.get(number, ("", None))
         if future.status == "finished":
             with suppress(Exception):
-                result = future.result(timeout=_ANSWER)
+                result = future.result(timeout=TOL.scheduler_seconds)
                 self._news.put(_lost(number, worker) if result is None else Finished(**result))
                 return
-        error = future.exception(timeout=_ANSWER) if future.status == "error" else None
+        error = future.exception(timeout=TOL.scheduler_seconds) if future.status == "error" else None
         if error is None or isinstance(error, distributed.scheduler.KilledWorker):
             self._news.put(_lost(number, worker))
         else:
@@ -265,14 +263,14 @@ class DaskWorkers(Closing):
         self._begun = self._begun or bool(self._admitted)
 
     def _wait_for_workers(self) -> None:
-        end = time.monotonic() + _ANSWER
+        end = time.monotonic() + TOL.scheduler_seconds
         while not self._admitted:
             stopping.check()
             self._look()
             if not self._admitted and time.monotonic() > end:
                 address = self._client.scheduler.address
                 raise InputError(f"the scheduler at {address} has no workers; start some with: dask worker {address}")
-            time.sleep(0.0 if self._admitted else 0.2)
+            time.sleep(0.0 if self._admitted else TOL.scheduler_look_seconds)
 
 
 def _lost(number: int, worker: str) -> Finished:

@@ -19,18 +19,12 @@ from morembs.app.batches.ledger import placed
 from morembs.app.batches.manifest import Ended, Manifest
 from morembs.app.batches.plan import Part, unchanged
 from morembs.app.batches.records import Listener, Record
+from morembs.app.batches.tolerances import TOL
 from morembs.app.batches.workers import Finished, Heard, Task, Worker, Workers
 from morembs.base import stopping
-from morembs.base.errors import MorembsError, OverwriteError
+from morembs.base.errors import ExitCode, MorembsError, OverwriteError
 from morembs.storage.attempts import take
 from morembs.storage.contents import Content, note_input, refuse_input
-
-# What a forecast of memory is taken to be wrong by, and what a killed process may have needed more than was seen.
-_MARGIN, _MORE = 1.15, 1.5
-# Exit codes that say themselves what happened.
-_TOLD = (1, 2)
-# Jobs that one process checks at most.
-_CHECKED = 50
 
 
 @dataclass(eq=False)
@@ -121,7 +115,7 @@ class Coordinator:
     def _check(self, due: Sequence[Part]) -> None:
         """Have jobs checked, some by each process."""
         slots = max(1, self._workers.count * self._workers.largest.slots)
-        count = max(min(slots, len(due)), -(-len(due) // _CHECKED))
+        count = max(min(slots, len(due)), -(-len(due) // TOL.jobs_per_check))
         needs = Worker(bytes=0.0, cores=1, slots=1, seconds=0.0)
         for first in range(count):
             insort(self._waiting, _Work(parts=due[first::count], needs=needs, checks=True))
@@ -204,7 +198,7 @@ class Coordinator:
         """Begin killed work once more: with more memory where the want of it may have been the reason."""
         most, needs = self._workers.largest.bytes, work.needs.bytes
         if not end.lost and not work.checks:
-            needs = max(needs, _MORE * end.peak_memory_bytes) if end.peak_memory_bytes else most
+            needs = max(needs, TOL.killed_margin * end.peak_memory_bytes) if end.peak_memory_bytes else most
         self._listener.told(f"{work.parts[0].name}: {end.message}; begun again")
         if not work.checks and self._manifest is not None:
             self._manifest.lost(work.parts[0].loaded.output, worker=work.worker, message=end.message)
@@ -241,7 +235,10 @@ class Coordinator:
             return
         threads = self._workers.threads(part.loaded.tables.solver.threads, self._count)
         needs = Worker(
-            bytes=min(_MARGIN * forecast, most.bytes), cores=min(threads, most.cores), slots=1, seconds=seconds
+            bytes=min(TOL.forecast_margin * forecast, most.bytes),
+            cores=min(threads, most.cores),
+            slots=1,
+            seconds=seconds,
         )
         work = _Work(parts=[part], needs=needs, threads=threads, forecast=document)
         if self._checked:
@@ -277,10 +274,17 @@ class Coordinator:
             )
         self._end(part, state="done", facts=facts, seconds=end.seconds)
 
-    def _fail(self, part: Part, message: str, code: int = 2, seconds: float = 0.0) -> None:
+    def _fail(self, part: Part, message: str, code: int = ExitCode.BAD_INPUT, seconds: float = 0.0) -> None:
         if part.job is not None and self._manifest:
             self._manifest.failed(part.job.output, message)
-        self._end(part, state="failed", facts={}, message=message, code=code if code in _TOLD else 2, seconds=seconds)
+        self._end(
+            part,
+            state="failed",
+            facts={},
+            message=message,
+            code=code if code in ExitCode.ALL else ExitCode.BAD_INPUT,
+            seconds=seconds,
+        )
 
     def _end(self, part: Part, **values: Any) -> None:
         output = "" if part.job is None else str(part.job.output)

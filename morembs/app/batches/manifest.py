@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from morembs.app.batches.tolerances import TOL
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError, OutputError
 from morembs.storage.contents import Content, own_files
@@ -26,11 +27,15 @@ try:
 except ImportError:  # not on this system
     fcntl = None  # type: ignore[assignment]
 
-FORMAT = "morembs-batch"
-VERSION = 1
-# Written anew when more lines than this, and than twice the jobs, are history.
-_HISTORY = 200
-_FIRST = {"event": "begun", "format": FORMAT, "version": VERSION}
+
+class ManifestFormat:
+    """Format of a manifest."""
+
+    NAME = "morembs-batch"
+    VERSION = 1
+
+
+_FIRST = {"event": "begun", "format": ManifestFormat.NAME, "version": ManifestFormat.VERSION}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +73,7 @@ class Manifest(Closing):
             self._started = {event["output"]: event for event in events if event.get("event") == "started"}
             if not events:
                 self._write(_FIRST)
-            elif len(events) > max(_HISTORY, 4 * len(self._ended)):
+            elif len(events) > max(TOL.manifest_lines, 4 * len(self._ended)):
                 self._compact()
             self._write({"event": "opened", "pid": os.getpid(), "host": platform.node()})
         except BaseException:
@@ -170,6 +175,7 @@ def _locked(path: Path) -> int:
     try:
         # Flags that only some systems have: no links; on Windows no other ends of lines.
         more = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+        # The process may write it, and all may read it.
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | more, 0o644)
     except OSError as error:
         raise OutputError(f"{path} cannot be written ({error.strerror}); give another --manifest") from error
@@ -204,7 +210,7 @@ def _events(path: Path, handle: int) -> list[dict[str, Any]]:
     for number, line in enumerate(whole, start=1):
         try:
             event = json.loads(line)
-            known = isinstance(event, dict) and (number > 1 or event.get("format") == FORMAT)
+            known = isinstance(event, dict) and (number > 1 or event.get("format") == ManifestFormat.NAME)
             if known and event["event"] in ("started", "ended"):
                 known = isinstance(event["output"], str) and isinstance(event.get("attempt", 0), int)
         except (ValueError, RecursionError, KeyError):
@@ -213,8 +219,10 @@ def _events(path: Path, handle: int) -> list[dict[str, Any]]:
             what = "is not a manifest of a batch" if number == 1 else f"cannot be read in line {number}"
             raise InputError(f"{path} {what}; move it away to begin anew, or give another --manifest")
         events.append(event)
-    if events and events[0].get("version") != VERSION:
-        raise InputError(f"{path} has the format version {events[0].get('version')}; this morembs reads {VERSION}")
+    if events and events[0].get("version") != ManifestFormat.VERSION:
+        raise InputError(
+            f"{path} has the format version {events[0].get('version')}; this morembs reads {ManifestFormat.VERSION}"
+        )
     if rest and not events:
         raise InputError(f"{path} is not a manifest of a batch; give another --manifest")
     if rest:

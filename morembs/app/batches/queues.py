@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from morembs.app.batches.cluster_file import Place
+from morembs.app.batches.tolerances import TOL
 from morembs.app.batches.workers import Worker
 from morembs.base.errors import InputError
 
 _QUEUES = {"slurm": "SLURMCluster", "pbs": "PBSCluster", "lsf": "LSFCluster", "sge": "SGECluster"}
-# Of the memory of a worker.
-_SHARE = 0.9
 
 
 def queue_of(place: Place) -> Any:
@@ -53,4 +52,4 @@ def queue_of(place: Place) -> Any:
 
 def room_of(place: Place) -> Worker:
     """What a worker of a queue has."""
-    return Worker(bytes=_SHARE * place.bytes, cores=place.cores, slots=place.cores, seconds=place.seconds)
+    return Worker(bytes=TOL.memory_share * place.bytes, cores=place.cores, slots=place.cores, seconds=place.seconds)

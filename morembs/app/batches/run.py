@@ -14,6 +14,7 @@ from morembs.app.batches.coordinator import Coordinator
 from morembs.app.batches.manifest import Manifest
 from morembs.app.batches.plan import Part, parts_of
 from morembs.app.batches.records import Listener, Nobody, Record
+from morembs.app.batches.tolerances import TOL
 from morembs.app.batches.workers import Worker, Workers
 from morembs.base.errors import InputError
 from morembs.base.memory import available_bytes
@@ -24,10 +25,6 @@ if TYPE_CHECKING:
     from distributed import Client
 
 MANIFEST = "batch.manifest"
-# Of the memory that is free at the start.
-_SHARE = 0.9
-# As many cores as nobody has: how many run at once is given then.
-_MANY = 1 << 20
 
 
 @keeping_ledger()
@@ -121,7 +118,9 @@ def _workers(place: Place | Client | None, due: Sequence[Part], listener: Listen
         return workers_of(place, [path.resolve().parent for part in due for path in part.outputs], listener.told)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     count = place.workers if isinstance(place, Place) else None
-    room = Worker(bytes=_SHARE * available_bytes(), cores=_MANY if count else cores, slots=count or cores)
+    room = Worker(
+        bytes=TOL.memory_share * available_bytes(), cores=TOL.unlimited_cores if count else cores, slots=count or cores
+    )
     return Children(room, cores)
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from rich.console import Console
 
 from morembs.app.cli.tables import plain_table, titled
+from morembs.app.cli.tolerances import TOL
 from morembs.base.summary import upwards
 
 MEASURES = ("envelope", "peak", "pointwise")
 KINDS = {"bound": "proven", "estimate": "estimate", "none": "sampled"}
-MISSING = 0.5
 LEGEND = (
     "error of the frequency response relative to the sum of its modes (envelope), to its largest value (peak), to "
     "itself (pointwise); block: of the worst pair of interfaces, by the envelope; static: at 0 Hz; modes, residues, "
@@ -116,9 +116,9 @@ def _does_not_serve(certified: Certified, interfaces: Sequence[str]) -> list[str
     least, _, at_hz = np.asarray(values["limits/envelope"], dtype=float)
     if not least > 1:
         return []
-    lost = np.asarray(values["mode_frequencies_hz"])[
-        (np.asarray(values["mode_mac"]) < MISSING) & np.isfinite(np.asarray(values["residue_deviation"], dtype=float))
-    ]
+    reached = np.isfinite(np.asarray(values["residue_deviation"], dtype=float))
+    missing = (np.asarray(values["mode_mac"]) < TOL.missing_mac) & reached
+    lost = np.asarray(values["mode_frequencies_hz"])[missing]
     if len(lost):
         listed = ", ".join(f"{f:,.6g}" for f in lost[:5]) + ("" if len(lost) <= 5 else ", ...")
         why = f"modes not in this body: {listed} Hz"

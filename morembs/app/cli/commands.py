@@ -225,11 +225,19 @@ app.add_typer(modes)
 
 
 @app.command(epilog=EPILOG)
-def solvers(as_json: AsJson = False) -> None:
+def solvers(
+    as_json: AsJson = False,
+    tolerances: Annotated[
+        bool, typer.Option("--tolerances", help="Tolerances and limits of all of morembs in place of that list.")
+    ] = False,
+) -> None:
     """List the sparse solvers, and why some cannot run here."""
-    from morembs.linalg.sparse.select import available_solvers
-
     with messages(), printing():
+        if tolerances:
+            _list_tolerances(as_json)
+            return
+        from morembs.linalg.sparse.select import available_solvers
+
         known = available_solvers()
         if as_json:
             print_json([{"name": name, "available": not why, "reason": why} for name, why in known.items()])
@@ -237,6 +245,17 @@ def solvers(as_json: AsJson = False) -> None:
         for name, reason in known.items():
             typer.echo(f"{name}: {reason or 'available'}")
         typer.echo('Models differ: "auto" weighs those that can run for each one, and says which it takes and why.')
+
+
+def _list_tolerances(as_json: bool) -> None:
+    """Room, name, value and reason of each."""
+    from morembs.app.cli.tolerance_table import tolerances
+
+    if as_json:
+        print_json([asdict(quantity) for quantity in tolerances()])
+        return
+    for quantity in tolerances():
+        typer.echo(f"{quantity.room}: {quantity.name} = {quantity.value!r}: {quantity.reason}")
 
 
 def _show_version(wanted: bool) -> None:

@@ -9,8 +9,9 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
-from morembs.app.cli.messages import BAD_INPUT, FAULT, echo, failure, print_json, printing, tell
+from morembs.app.cli.messages import echo, failure, print_json, printing, tell
 from morembs.base import stopping
+from morembs.base.errors import ExitCode
 from morembs.base.python_warnings import speak_plainly
 from morembs.linalg.sparse.interruptible import calls_running
 from morembs.version import VERSION
@@ -28,7 +29,7 @@ def main() -> None:
 def console() -> None:
     """Entry point of the command ``morembs``, whose process ends with it."""
     # Until its own end is known: a library that ends the process has failed.
-    stopping.end_with(FAULT)
+    stopping.end_with(ExitCode.FAULT)
     code = _run(ends=True)
     stopping.end_with(code)
     _print_the_rest()
@@ -68,8 +69,8 @@ def _exit_code() -> int:
     except SystemExit as end:
         if isinstance(end.__context__, OSError):
             # Typer leaves without a word where nobody reads its help.
-            return BAD_INPUT
-        return end.code if isinstance(end.code, int) else BAD_INPUT
+            return ExitCode.BAD_INPUT
+        return end.code if isinstance(end.code, int) else ExitCode.BAD_INPUT
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
     except Exception as error:

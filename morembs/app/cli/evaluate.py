@@ -15,6 +15,7 @@ import typer
 from morembs.app.cli.bodies import BodyFile, BodyName, values_of
 from morembs.app.cli.families import parametric_of, read_values
 from morembs.app.cli.messages import print_json, printing, warn
+from morembs.app.cli.style import STYLE
 from morembs.app.cli.terminal import EPILOG, AsJson, messages
 from morembs.base.errors import InputError
 from morembs.storage.safefile import check_writable
@@ -31,8 +32,6 @@ At = Annotated[
     str | None, typer.Option("--at", metavar="NAME=VALUE,...", help="Values in SI units; others are nominal.")
 ]
 Values = Annotated[Path | None, typer.Option("--table", metavar="FILE.csv", help="Values, a row for each body.")]
-# Frequencies that are printed.
-SHOWN = 6
 KIND = {"bound": "proven bound", "estimate": "estimate of a bound"}
 
 
@@ -44,7 +43,7 @@ def evaluate(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="A body file for --at; a .csv or .h5 file for --table.")
     ] = None,
-    frequencies: Annotated[int, typer.Option(help="How many elastic frequencies.")] = SHOWN,
+    frequencies: Annotated[int, typer.Option(help="How many elastic frequencies.")] = STYLE.evaluated_frequencies,
     bound_hz: Annotated[
         str | None, typer.Option("--bound", metavar="HZ,...", help="Bounds of the error of H at these frequencies.")
     ] = None,

@@ -11,13 +11,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
-from morembs.base.errors import MorembsError, OutputError
+from morembs.base.errors import ExitCode, MorembsError, OutputError
 from morembs.version import VERSION
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-FAULT, BAD_INPUT = 1, 2
 
 
 def echo(text: str, stream: TextIO | None = None) -> None:
@@ -49,21 +47,22 @@ class Failure(NamedTuple):
 def failure(error: Exception) -> Failure:
     """What a user is told of ``error``; the traceback of a fault of the program goes to a file."""
     if isinstance(error, MorembsError):
-        return Failure(str(error), BAD_INPUT)
+        return Failure(str(error), ExitCode.BAD_INPUT)
     if isinstance(error, MemoryError):
         return Failure(
             "the memory did not suffice; give [solver] a memory budget and a scratch folder, take fewer modes, "
             'or see "morembs check" for a forecast',
-            BAD_INPUT,
+            ExitCode.BAD_INPUT,
         )
     if isinstance(error, OSError):
         where = "" if error.filename is None else f" at {str(error.filename)!r}"
         reason = error.strerror or str(error) or type(error).__name__
-        return Failure(f"the operating system refused a request{where}: {reason}", BAD_INPUT)
-    return Failure(_fault(error), FAULT)
+        return Failure(f"the operating system refused a request{where}: {reason}", ExitCode.BAD_INPUT)
+    return Failure(_fault(error), ExitCode.FAULT)
 
 
 def _fault(error: Exception) -> str:
+    # Messages of libraries may be long: 200 characters of the first line.
     first = (str(error).strip().splitlines() or [""])[0][:200]
     words = f"a fault of this program, {type(error).__name__}{first and ': '}{first}"
     trace = "".join(traceback.format_exception(error))
@@ -95,9 +94,10 @@ def printing(written: Sequence[str] = ()) -> Iterator[None]:
 
 def console() -> Console:
     """Standard output; a pipe or a file has no width that tables must fit."""
-    from morembs.app.cli.screen import PIPE_WIDTH, Screen
+    from morembs.app.cli.screen import Screen
+    from morembs.app.cli.style import STYLE
 
-    return Screen() if sys.stdout.isatty() else Screen(width=PIPE_WIDTH)
+    return Screen() if sys.stdout.isatty() else Screen(width=STYLE.pipe_width)
 
 
 def print_json(documents: Sequence[object]) -> None:

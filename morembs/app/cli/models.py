@@ -9,6 +9,7 @@ import typer
 
 from morembs.app.cli.messages import print_json, print_names, printing
 from morembs.app.cli.terminal import EPILOG, AsJson, messages, progress_line
+from morembs.app.cli.tolerances import TOL
 from morembs.base.errors import InputError
 from morembs.base.options import pairs
 
@@ -52,7 +53,9 @@ def import_model(
     ] = None,
     boundary: Annotated[str, typer.Option(help="With --engine: drop what the deck holds, or keep it.")] = "drop",
     preload: Annotated[int, typer.Option(help="With --engine: the steps up to this one run first.")] = 0,
-    engine_timeout: Annotated[float, typer.Option(help="With --engine: seconds for each run of it.")] = 600.0,
+    engine_timeout: Annotated[
+        float, typer.Option(help="With --engine: seconds for each run of it.")
+    ] = TOL.engine_seconds,
     keep_files: Annotated[
         Path | None, typer.Option(metavar="DIR", help="With --engine: a folder for what it read and wrote.")
     ] = None,
@@ -135,7 +138,7 @@ def _engine_options(boundary: str, preload: int, timeout: float, keep: Path | No
     given = {
         "boundary": (boundary, "drop"),
         "preload": (preload, 0),
-        "timeout": (timeout, 600.0),
+        "timeout": (timeout, TOL.engine_seconds),
         "keep_files": ("" if keep is None else str(keep), ""),
     }
     return {name: value for name, (value, default) in given.items() if value != default}

@@ -14,6 +14,7 @@ from urllib.parse import quote
 import numpy as np
 
 from morembs.app.cli.certificates import KINDS, MEASURES
+from morembs.app.cli.style import STYLE
 from morembs.app.cli.tables import bytes_words
 from morembs.base.errors import InputError, MorembsError
 from morembs.base.progress import duration_words
@@ -27,11 +28,8 @@ from morembs.version import VERSION
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FREQUENCIES = 5
 # Stages of a job in the order in which they run; files keep them by name.
 STAGES = ("read", "assemble", "couple", "preload", "factorise", "reduce", "certify", "compare", "response", "deliver")
-# Width, height in inches and dots per inch: of the small picture in a row, of shapes and of responses.
-SMALL, SHAPES, RESPONSE = (1.6, 1.0, 80), (9.0, 4.0, 90), (9.0, 4.6, 90)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +115,7 @@ def _part(number: int, entry: Entry, report: Path) -> dict[str, Any]:
         "dofs": _number(stored.recipe.get("dofs")),
         "order": _number(shown["order"]),
         "error": (shown["value"], shown["limits"][shown["measure"]] if shown["limits"] else "-"),
-        "frequencies": shown["frequencies"][:FREQUENCIES],
+        "frequencies": shown["frequencies"][: STYLE.page_frequencies],
         "lowest": shown["lowest"],
         "mass": (stored.mass, f"{stored.mass:.4g} kg"),
         "seconds": (-1, "-") if entry.seconds is None else (entry.seconds, duration_words(entry.seconds)),
@@ -154,7 +152,7 @@ def _body(name: str, stored: StoredBodies) -> dict[str, Any]:
         "order": len(body.mass_matrix),
         "method": str(body.recipe.get("method", "-")),
         "limits": {},
-        "frequencies": [f"{f:,.6g}" for f in elastic[: 2 * FREQUENCIES]],
+        "frequencies": [f"{f:,.6g}" for f in elastic[: 2 * STYLE.page_frequencies]],
         "lowest": min(elastic, default=-1.0),
         "kind": "none",
         "band": "",
@@ -197,10 +195,12 @@ def _pictures(stored: StoredBodies, shown: str) -> dict[str, Any]:
     response = stored_response(stored)
     pictures = []
     if shapes is not None:
-        pictures.append((f"modes of {shown}", _png(SHAPES, lambda figure: draw_shapes(figure, shapes))))
+        pictures.append((f"modes of {shown}", _png(STYLE.shapes_picture, lambda figure: draw_shapes(figure, shapes))))
     if response is not None:
-        pictures.append(("response and error", _png(RESPONSE, lambda figure: draw_response(figure, response))))
-    small = "" if shapes is None else _png(SMALL, lambda figure: draw_first(figure, shapes))
+        pictures.append(
+            ("response and error", _png(STYLE.response_picture, lambda figure: draw_response(figure, response)))
+        )
+    small = "" if shapes is None else _png(STYLE.row_picture, lambda figure: draw_first(figure, shapes))
     return {"small": small, "pictures": pictures}
 
 

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from morembs.app.cli.certificates import Certified, print_certificates
 from morembs.app.cli.messages import without_nan
+from morembs.app.cli.style import STYLE
 from morembs.app.cli.tables import (
     bytes_words,
     frame_words,
@@ -25,6 +26,7 @@ from morembs.app.cli.tables import (
     titled,
     words,
 )
+from morembs.app.cli.tolerances import TOL
 from morembs.app.jobs.pareto import Contender
 from morembs.app.jobs.run import JobResult
 from morembs.app.jobs.stages.forecast import JobForecast
@@ -37,8 +39,6 @@ from morembs.storage.checksums import whole_sum
 if TYPE_CHECKING:
     from morembs.certificate.certify import Certificate
 
-SHOWN_FREQUENCIES = 10
-BODIES_PER_TABLE = 2
 # Rows of a forecast that their keys do not explain.
 LABELS = {
     "stiffness_nonzeros": "nonzeros of K",
@@ -61,8 +61,8 @@ LABELS = {
 }
 # Left out where there is nothing beside the one factorisation and the one process.
 BESIDE = ("shift_factor_entries", "shift_factor_bytes", "shift_seconds", "processes", "process_bytes")
-# Coordinates that follow responses. A mode of theirs is listed beside one of the full model within this part of it.
-RESPONSES, NEAR = {"krylov", "gramian", "balanced"}, 0.01
+# Coordinates that follow responses.
+RESPONSES = {"krylov", "gramian", "balanced"}
 
 
 def result_json(result: JobResult) -> dict[str, Any]:
@@ -135,8 +135,8 @@ def print_result(console: Console, result: JobResult, told: Sequence[str] = ()) 
         if body.ranking:
             console.print(f"    inertia terms: {ranking_words(body.ranking)}", highlight=False, soft_wrap=True)
     # Side by side as far as 80 columns hold them.
-    for first in range(0, len(result.bodies), BODIES_PER_TABLE):
-        table = _frequencies(result.bodies[first : first + BODIES_PER_TABLE])
+    for first in range(0, len(result.bodies), STYLE.bodies_per_table):
+        table = _frequencies(result.bodies[first : first + STYLE.bodies_per_table])
         titled(console, "free-free frequencies, rigid-body modes left out", table)
         if result.bodies[0].full_frequencies_hz is not None and any("-" in column.cells for column in table.columns):
             console.print("-: the body has no such mode, or none that stands for one of the full model", soft_wrap=True)
@@ -241,7 +241,7 @@ def _frequencies(bodies: Sequence[Body]) -> Table:
         columns += [f"{body.name} Hz{held}"] + ["off by %"] * (full is not None)
     table = plain_table(*columns)
     elastic = None if full is None else full[rigid:]
-    rows = SHOWN_FREQUENCIES if elastic is None else len(elastic)
+    rows = STYLE.reported_frequencies if elastic is None else len(elastic)
     frequencies = [body.frequencies_hz[body.reduced.rigid_count :] for body in bodies]
     if elastic is not None:
         frequencies = [
@@ -270,7 +270,7 @@ def beside(full: Floats, own: Floats) -> Floats:
     partner, first = np.full(len(full), np.nan), 0
     for k, hz in enumerate(full):
         near = first + int(np.abs(own[first:] - hz).argmin()) if first < len(own) else len(own)
-        if near < len(own) and abs(own[near] - hz) <= NEAR * hz:
+        if near < len(own) and abs(own[near] - hz) <= TOL.same_row * hz:
             partner[k], first = own[near], near + 1
     return partner
 

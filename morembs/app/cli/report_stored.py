@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from morembs.app.cli.messages import console, printing, without_nan
+from morembs.app.cli.style import STYLE
 from morembs.base.errors import InputError
 from morembs.body.delivery_check import refuse_unsound, stored_findings
 from morembs.body.diagnostics.findings import Diagnosis
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from morembs.body import Body
-
-SHOWN_FREQUENCIES = 10
 PROOFS = "docs/methods.md"
 
 
@@ -181,7 +180,7 @@ def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: M
         console.print(f"  interface {name}: {interface['coupling']}, {interface['nodes']:,} nodes", highlight=False)
     for name, body in stored.bodies.items():
         console.print(f"  {name}: {words(body.mode_kind)}", highlight=False)
-        elastic = body.frequencies_hz[body.rigid_count :][:SHOWN_FREQUENCIES]
+        elastic = body.frequencies_hz[body.rigid_count :][: STYLE.reported_frequencies]
         listed = ", ".join(f"{f:,.1f}" for f in elastic) or "none"
         console.print(f"    elastic Hz: {listed}", highlight=False, soft_wrap=True)
         if body.floating is not None:

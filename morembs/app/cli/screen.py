@@ -9,11 +9,8 @@ from typing import Any
 
 from rich.console import Console
 
+from morembs.app.cli.tolerances import TOL
 from morembs.base.progress import Progress
-
-# Shorter work shows no progress.
-PATIENCE_SECONDS = 1.0
-PIPE_WIDTH = 160
 
 
 class Screen(Console):
@@ -30,7 +27,7 @@ class Screen(Console):
 class TerminalProgress:
     """A line on standard error that says what is going on, once that takes more than ``patience`` seconds."""
 
-    def __init__(self, screen: Console, visible: bool, *, patience: float = PATIENCE_SECONDS) -> None:
+    def __init__(self, screen: Console, visible: bool, *, patience: float = TOL.progress_patience_seconds) -> None:
         # Not at the top: what shows tables alone does without.
         from rich.progress import Progress as Bar
         from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn

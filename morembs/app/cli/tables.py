@@ -9,14 +9,11 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
+from morembs.app.cli.style import STYLE
+from morembs.app.cli.tolerances import TOL
 from morembs.base.types import Floats
 from morembs.body.floating.frame import FloatingFrame
 from morembs.body.floating.ranking import RankedTerm
-
-# Terms of a ranking that are shown.
-SHOWN_TERMS = 8
-# No table is wider, in columns.
-WIDEST = 1000
 
 
 def titled(console: Console, title: str, table: Table) -> None:
@@ -27,7 +24,9 @@ def titled(console: Console, title: str, table: Table) -> None:
         words = texts if column.no_wrap else [word for text in texts for word in text.split()]
         column.min_width = max(map(len, words), default=0)
     width = console.width
-    console.width = max(width, Measurement.get(console, console.options.update(width=WIDEST), table).minimum)
+    console.width = max(
+        width, Measurement.get(console, console.options.update(width=STYLE.max_table_width), table).minimum
+    )
     console.print(table, crop=False)
     console.width = width
 
@@ -48,7 +47,7 @@ def plain_table(*columns: str) -> Table:
 
 
 def percent(ratio: float) -> str:
-    return "0" if abs(ratio) < 1e-11 else f"{100 * ratio:.2g}"
+    return "0" if abs(ratio) < TOL.zero_ratio else f"{100 * ratio:.2g}"
 
 
 def mass_table(mass: float, center: Floats, inertia: Floats) -> Table:
@@ -62,7 +61,7 @@ def mass_table(mass: float, center: Floats, inertia: Floats) -> Table:
 
 def _clean(values: Floats) -> Floats:
     """What lies below the digits shown, against the largest entry, becomes zero."""
-    return np.where(np.abs(values) < 1e-7 * np.abs(values).max(initial=0.0), 0.0, values)
+    return np.where(np.abs(values) < TOL.zero_entry * np.abs(values).max(initial=0.0), 0.0, values)
 
 
 def listed(values: Floats | None) -> list[float] | None:
@@ -89,10 +88,10 @@ def frame_words(frame: FloatingFrame) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.0f}" if share >= 0.1 else f"{100 * share:.2g}"
+    return f"{100 * share:.0f}" if share >= TOL.whole_percent_share else f"{100 * share:.2g}"
 
 
 def ranking_words(terms: Sequence[RankedTerm]) -> str:
     """``Oe 45 % (elastic), ...``: the inertia terms that matter most."""
-    shown = [f"{term.name} {_percent(term.share)} % ({term.equation})" for term in terms[:SHOWN_TERMS]]
-    return ", ".join(shown) + (", ..." if len(terms) > SHOWN_TERMS else "")
+    shown = [f"{term.name} {_percent(term.share)} % ({term.equation})" for term in terms[: STYLE.ranked_terms]]
+    return ", ".join(shown) + (", ..." if len(terms) > STYLE.ranked_terms else "")

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from morembs.app.cli.messages import Failure, failure, print_json, printing, tell
+from morembs.app.cli.tolerances import TOL
 from morembs.base import stopping
 from morembs.base.errors import InputError
 from morembs.base.memory import release
@@ -24,10 +25,6 @@ from morembs.base.progress import SILENT, Progress, listening
 if TYPE_CHECKING:
     from morembs.app.jobs.order import Order
 
-# Shorter work writes no lines of progress.
-PATIENCE_OF_LINES = 5.0
-# Lines: a new stage is told after this, and a stage that goes on is told again each so many seconds.
-STAGE_SECONDS, REPEAT_SECONDS = 1.0, 15.0
 
 EPILOG = (
     "Exit codes: 0 done; 1 a fault of this program (a file holds the traceback); 2 input that cannot be used, a model "
@@ -78,12 +75,12 @@ class LineProgress:
         write: Callable[[str], object],
         clock: Callable[[], float] = time.monotonic,
         *,
-        patience: float = PATIENCE_OF_LINES,
+        patience: float = TOL.lines_patience_seconds,
     ) -> None:
         self._write, self._clock, self._patience = write, clock, patience
         self._start = clock()
         self._stage, self._news, self._told = "", "", ""
-        self._last = -REPEAT_SECONDS
+        self._last = -TOL.repeat_seconds
         self._lock, self._end = Lock(), Event()
 
     def stage(self, name: str) -> None:
@@ -103,14 +100,14 @@ class LineProgress:
         with self._lock:
             elapsed = self._clock() - self._start
             since = elapsed - self._last
-            due = since >= (STAGE_SECONDS if self._stage != self._told else REPEAT_SECONDS)
+            due = since >= (TOL.stage_seconds if self._stage != self._told else TOL.repeat_seconds)
             if elapsed < self._patience or not due or not (self._stage or self._news):
                 return
             self._told, self._last = self._stage, elapsed
             self._write(f"[{elapsed:,.0f} s] " + ": ".join(filter(None, (self._stage, self._news))))
 
     def _watch(self) -> None:
-        while not self._end.wait(min(STAGE_SECONDS, REPEAT_SECONDS) / 2):
+        while not self._end.wait(min(TOL.stage_seconds, TOL.repeat_seconds) / 2):
             self.look()
 
     @contextmanager

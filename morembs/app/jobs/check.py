@@ -26,6 +26,7 @@ from morembs.app.jobs.stages.forecast import (
 from morembs.app.jobs.stages.model import ReadModel, materials_of, mesh_of
 from morembs.app.jobs.stages.preflight import model_warnings, preflight, shifted_of
 from morembs.app.jobs.stages.stage import asked, computes_modes
+from morembs.app.jobs.tolerances import TOL
 from morembs.base import progress
 from morembs.base.memory import available_bytes, resident_bytes
 from morembs.base.progress import Progress, listening
@@ -43,9 +44,6 @@ from morembs.problem.rigid_motions import need_factor
 from morembs.reducers import ProblemSummary
 from morembs.responses.massless import without_mass_perhaps
 from morembs.storage.contents import keeping_ledger
-
-# More pieces than this are not searched for hinges.
-MANY_PIECES = 300
 
 
 @keeping_ledger()
@@ -201,7 +199,7 @@ def rigid_modes(mesh: Mesh, frames: list[Interface]) -> int:
 
     Elements that share faces, and nodes held by one rigid interface, move together as a piece. Pieces that
     share nodes move alike there: 6 unknowns for each piece, 3 equations for each shared node, and what the
-    equations leave is the answer. Beyond ``MANY_PIECES`` pieces only whole unconnected parts are counted.
+    equations leave is the answer. Beyond ``TOL.max_searched_pieces`` pieces only whole unconnected parts are counted.
     """
     pieces = _pieces(mesh)
     count = max(int(p.max(initial=-1)) for p in pieces) + 1
@@ -216,7 +214,7 @@ def rigid_modes(mesh: Mesh, frames: list[Interface]) -> int:
         return 6
     shape = (count, len(mesh.nodes))
     C = sp.csr_array((np.ones(len(piece), dtype=np.int32), (piece, node)), shape=shape)
-    if count > MANY_PIECES:
+    if count > TOL.max_searched_pieces:
         parts, _ = connected_components(C @ C.T, directed=False)
         return 6 * int(parts)
     return 6 * count - _shared_rank(mesh.nodes.xyz, C)
@@ -238,7 +236,7 @@ def _shared_rank(xyz: Floats, C: sp.csr_array) -> int:
             row[:, 6 * first : 6 * first + 6], row[:, 6 * other : 6 * other + 6] = R, -R
             gram += row.T @ row
     values = np.linalg.eigvalsh(gram)
-    return int((values > 1e-10 * max(values[-1], np.finfo(float).tiny)).sum())
+    return int((values > TOL.independent_motion * max(values[-1], np.finfo(float).tiny)).sum())
 
 
 def _pieces(mesh: Mesh) -> list[Ints]:

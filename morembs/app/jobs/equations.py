@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.app.jobs.job import Job
+from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
 from morembs.fem import FEModel
 from morembs.fem.fe_model import split_unsymmetric
@@ -16,9 +17,6 @@ from morembs.fem.selection import select_nodes
 from morembs.fem.tubes import Flow, conveying
 from morembs.importers.to_model import rows_of_labels
 from morembs.problem import Problem
-
-# Part of a rigid motion by which neighbours move apart as a tube turns; round-off of translations is far below.
-TURNED = 1e-9
 
 
 def equations_of_motion(job: Job, model: FEModel) -> FEModel:
@@ -47,7 +45,7 @@ def _refuse_loose_tubes(model: FEModel, paths: Sequence[NDArray[np.int64]]) -> N
     places = rigid[model.dofs.table(len(model.nodes))[:, :3]]
     for path in paths:
         turned = np.abs(np.diff(places[path], axis=0)).max(initial=0.0)
-        if turned > TURNED * np.abs(places).max(initial=0.0):
+        if turned > TOL.turned_tube * np.abs(places).max(initial=0.0):
             raise InputError(
                 "[[flow]]: nothing keeps the tube from turning as a whole, and the pull of the fluid, which keeps its "
                 "direction, would turn it; hold it in the model at one end or more"

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from morembs.app.jobs.schema import JobTables, ReduceTable
+from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
 from morembs.base.key_tables import read_table
 from morembs.base.options import Text, pairs, read_options, readings
@@ -19,7 +20,6 @@ from morembs.reducers import REDUCERS
 from morembs.reducers.base import Reducer
 from morembs.storage.attempts import attempt_at
 
-MOST_BYTES = 2.0**60
 BYTES = {"": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}
 BYTES |= {"b": 1, "kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40}
 
@@ -145,7 +145,7 @@ def parse_memory(text: str, table: str = "[solver]") -> int:
     size = float(match[1]) * BYTES[match[2]] if match and match[2] in BYTES else 0.0
     if match and not match[2]:
         raise InputError(f'{table}: memory = {text!r} has no unit; expected a text such as "4 GiB" or "500 MB"')
-    if not 1 <= size < MOST_BYTES:
+    if not 1 <= size < TOL.max_memory_bytes:
         raise InputError(f'{table}: memory = {text!r} was given; expected a text such as "4 GiB" or "500 MB"')
     return int(size)
 

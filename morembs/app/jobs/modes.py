@@ -22,6 +22,8 @@ from morembs.app.jobs.stages.model import materials_of
 from morembs.app.jobs.stages.preload import preload_of
 from morembs.app.jobs.stages.spin import rotation_of
 from morembs.app.jobs.stages.stage import MODEL, Work, asked, computes_modes, run_stages
+from morembs.app.jobs.style import STYLE
+from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
 from morembs.base.memory import PeakMemory, resident_bytes
 from morembs.base.progress import Progress, Stopwatch, listening
@@ -36,8 +38,6 @@ from morembs.problem import Problem
 from morembs.storage.safefile import replacing
 
 COLORS = dict(zip(("forward", "backward", "mixed"), BODY_COLORS, strict=False))
-# Frequencies that differ by less than this part are one.
-SAME = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +122,7 @@ def _whole(problem: Problem, count: int) -> Modes:
     while count < most:
         modes = problem.elastic_modes(count=count + 1)
         last, beyond = modes.frequencies_hz[-2:]
-        if beyond - last > SAME * beyond:
+        if beyond - last > TOL.same_frequency * beyond:
             return modes
         count += 1
     return problem.elastic_modes(count=count)
@@ -135,7 +135,7 @@ def _decays(problem: Problem, modes: Modes) -> NDArray[np.float64]:
         return 0.5 * damping
     omega, P = modes.frequencies_hz, modes.vectors.T @ np.asarray(problem.D @ modes.vectors)
     # Modes of one frequency are any of their span: those that D does not couple have damping of their own.
-    together = np.split(np.arange(len(omega)), 1 + np.flatnonzero(np.diff(omega) > SAME * omega[1:]))
+    together = np.split(np.arange(len(omega)), 1 + np.flatnonzero(np.diff(omega) > TOL.same_frequency * omega[1:]))
     return np.asarray(0.5 * (damping + np.concatenate([np.linalg.eigvalsh(P[np.ix_(k, k)]) for k in together])))
 
 
@@ -200,7 +200,7 @@ def draw_campbell(path: Path, rows: Sequence[ModeRow], title: str) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    figure = Figure(figsize=(8.0, 5.0), dpi=150, facecolor="white")
+    figure = Figure(figsize=(8.0, 5.0), dpi=STYLE.dots_per_inch, facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     for word, color in COLORS.items():
@@ -209,12 +209,19 @@ def draw_campbell(path: Path, rows: Sequence[ModeRow], title: str) -> None:
             axes.plot(*np.array(chosen).T, ".", color=color, markersize=4, label=word)
     top = max(row.damped_hz for row in rows)
     speeds = np.array([min(row.speed for row in rows), max(row.speed for row in rows)])
-    axes.plot(speeds, speeds / (2 * math.pi), color="#607d8b", linewidth=0.9, linestyle=(0, (6, 3)), label="speed")
-    axes.set_ylim(0, 1.05 * top)
+    axes.plot(
+        speeds,
+        speeds / (2 * math.pi),
+        color="#607d8b",
+        linewidth=STYLE.limit_line,
+        linestyle=(0, (6, 3)),
+        label="speed",
+    )
+    axes.set_ylim(0, STYLE.frequency_room * top)
     axes.set_title(title, loc="left")
     axes.set_xlabel("speed in rad/s")
     axes.set_ylabel("frequency in the frame that turns, Hz")
-    axes.grid(True, color="#d0d4d8", linewidth=0.6)
+    axes.grid(True, color="#d0d4d8", linewidth=STYLE.grid_line)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1, 1))
     save(figure, path)

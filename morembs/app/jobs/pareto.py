@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from morembs.app.jobs.run import JobResult
+from morembs.app.jobs.style import STYLE
+from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,7 +18,6 @@ if TYPE_CHECKING:
 
 # What is drawn: label, attribute, marker.
 ERRORS = (("largest", "error", "o"), ("static", "static_error", "s"), ("an interface held, median", "held_error", "^"))
-LEAST = 1e-16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,9 +107,11 @@ def draw_contenders(path: Path, compared: tuple[Contender, ...], title: str) -> 
 
     from morembs.app.jobs.picture import save
 
-    figure = Figure(figsize=(12.0, 4.6), dpi=150, facecolor="white", layout="constrained")
+    figure = Figure(
+        figsize=(12.0, STYLE.contenders_height), dpi=STYLE.dots_per_inch, facecolor="white", layout="constrained"
+    )
     FigureCanvasAgg(figure)
-    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
+    figure.suptitle(title, x=STYLE.contenders_title_left, ha="left", fontweight="bold")
     panels = [figure.add_subplot(1, 3, number) for number in (1, 2, 3)]
     scales: tuple[tuple[str, list[float]], ...] = (
         ("reduced coordinates", [contender.order for contender in compared]),
@@ -121,8 +124,8 @@ def draw_contenders(path: Path, compared: tuple[Contender, ...], title: str) -> 
                 value = getattr(contender, attribute)
                 if value is not None:
                     panel.plot(
-                        max(x[number], 1e-3),
-                        max(value, LEAST),
+                        max(x[number], TOL.least_drawn_cost),
+                        max(value, TOL.least_drawn_error),
                         marker=marker,
                         color=f"C{number % 10}",
                         linestyle="",
@@ -134,7 +137,7 @@ def draw_contenders(path: Path, compared: tuple[Contender, ...], title: str) -> 
         else:
             panel.xaxis.set_major_locator(MaxNLocator(5, integer=label == "reduced coordinates"))
         panel.set_xlabel(label)
-        panel.grid(True, which="major", color="#d0d4d8", linewidth=0.6)
+        panel.grid(True, which="major", color="#d0d4d8", linewidth=STYLE.grid_line)
         panel.spines[["top", "right"]].set_visible(False)
     front = sorted((contender.order, contender.error) for contender in compared if contender.best)
     panels[0].plot([n for n, _ in front], [e for _, e in front], color="#9aa0a6", linewidth=1.0, zorder=0)

@@ -12,6 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 
 from morembs.app.jobs.compare import FrequencyResponse
+from morembs.app.jobs.style import STYLE
+from morembs.app.jobs.tolerances import TOL
 from morembs.body import Body
 from morembs.body.drawing import FULL_COLOR, draw_shapes
 from morembs.body.shapes import Shapes
@@ -28,8 +30,9 @@ def draw(path: Path, bodies: Sequence[Body], shapes: Shapes | None, response: Fr
     """
     style = {"font.size": 9, "axes.titlesize": 10, "font.family": "DejaVu Sans", "svg.hashsalt": "morembs"}
     with mpl.rc_context(cast(Any, style)):
-        height = 0.35 + (4.7 if shapes is not None else 0.0) + (5.2 if response is not None else 0.0)
-        figure = Figure(figsize=(10.0, height), dpi=150, facecolor="white")
+        height = STYLE.margin_height + (STYLE.shapes_height if shapes is not None else 0.0)
+        height += STYLE.response_height if response is not None else 0.0
+        figure = Figure(figsize=(10.0, height), dpi=STYLE.dots_per_inch, facecolor="white")
         FigureCanvasAgg(figure)
         _fill(figure, bodies, shapes, response)
         save(figure, path)
@@ -50,10 +53,12 @@ def save(figure: Figure, path: Path) -> None:
 def _fill(figure: Figure, bodies: Sequence[Body], shapes: Shapes | None, response: FrequencyResponse | None) -> None:
     source = bodies[0].part.source or "model"
     first = next((body for body in bodies if shapes is not None and body.name == shapes.body), bodies[0])
-    heights = [0.3] + [4.2] * (shapes is not None) + [4.6] * (response is not None)
+    drawn = (True, shapes is not None, response is not None)
+    ratios = (STYLE.title_ratio, STYLE.shapes_ratio, STYLE.response_ratio)
+    heights = [ratio for ratio, there in zip(ratios, drawn, strict=True) if there]
     head, *rows = list(figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False).ravel())
     title = f"{source}, reduced to {first.reduced.order} coordinates ({first.name})"
-    head.text(0.025, 0.25, title, ha="left", va="center", fontweight="bold", fontsize=12)
+    head.text(STYLE.title_left, STYLE.title_bottom, title, ha="left", va="center", fontweight="bold", fontsize=12)
     if shapes is not None:
         draw_shapes(rows.pop(0), shapes)
     if response is not None:
@@ -62,20 +67,41 @@ def _fill(figure: Figure, bodies: Sequence[Body], shapes: Shapes | None, respons
 
 def draw_response(figure: Figure | SubFigure, response: FrequencyResponse) -> None:
     """The size of the transfer functions above, the relative error of the reduced ones below."""
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.7, 1.0])
-    figure.subplots_adjust(left=0.115, right=0.975, top=0.92, bottom=0.115, hspace=0.2)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[STYLE.upper_panel_ratio, 1.0])
+    figure.subplots_adjust(
+        left=STYLE.panel_left,
+        right=STYLE.panel_right,
+        top=STYLE.panel_top,
+        bottom=STYLE.panel_bottom,
+        hspace=STYLE.panel_gap,
+    )
     hz = response.frequencies_hz
-    upper.loglog(hz, response.full, color=FULL_COLOR, linewidth=2.4, label="full model")
+    upper.loglog(hz, response.full, color=FULL_COLOR, linewidth=STYLE.full_line, label="full model")
     for number, name in enumerate(response.reduced):
         color = BODY_COLORS[number % len(BODY_COLORS)]
-        upper.loglog(hz, response.reduced[name], color=color, linewidth=1.3, linestyle=(0, (5, 2)), label=name)
-        lower.loglog(hz, np.maximum(response.error[name], 1e-16), color=color, linewidth=1.3, label=name)
+        upper.loglog(
+            hz, response.reduced[name], color=color, linewidth=STYLE.body_line, linestyle=(0, (5, 2)), label=name
+        )
+        lower.loglog(
+            hz,
+            np.maximum(response.error[name], TOL.least_drawn_error),
+            color=color,
+            linewidth=STYLE.body_line,
+            label=name,
+        )
         if name in response.bound:
             ends, limit = response.bound[name]
-            limit = np.where(np.isfinite(limit), np.maximum(limit, 1e-16), np.nan)
-            lower.loglog(ends, limit, color=color, linewidth=0.9, linestyle=(0, (1, 1.5)), label=f"{name}, limit")
+            limit = np.where(np.isfinite(limit), np.maximum(limit, TOL.least_drawn_error), np.nan)
+            lower.loglog(
+                ends,
+                limit,
+                color=color,
+                linewidth=STYLE.limit_line,
+                linestyle=(0, STYLE.limit_dots),
+                label=f"{name}, limit",
+            )
         if name in response.tolerance:
-            lower.axhline(response.tolerance[name], color=color, linewidth=0.9, linestyle=(0, (6, 3)))
+            lower.axhline(response.tolerance[name], color=color, linewidth=STYLE.limit_line, linestyle=(0, (6, 3)))
     upper.set_title("Elastic frequency response between the interfaces", loc="left")
     upper.set_ylabel("‖H‖ in m/N")
     lower.set_ylabel("error")
@@ -86,7 +112,7 @@ def draw_response(figure: Figure | SubFigure, response: FrequencyResponse) -> No
     lower.set_xlabel("frequency in Hz")
     upper.legend(frameon=False, ncols=min(4, 1 + len(response.reduced)), loc="best")
     for panel in (upper, lower):
-        panel.grid(True, which="major", color="#d0d4d8", linewidth=0.6)
-        panel.grid(True, which="minor", color="#eceef0", linewidth=0.4)
+        panel.grid(True, which="major", color="#d0d4d8", linewidth=STYLE.grid_line)
+        panel.grid(True, which="minor", color="#eceef0", linewidth=STYLE.fine_grid_line)
         panel.set_xlim(hz[hz > 0][0], hz[-1])
         panel.spines[["top", "right"]].set_visible(False)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
 from morembs.base.units import Units, parse_units
 from morembs.fem import FEModel, Mesh
@@ -16,12 +17,6 @@ from morembs.importers import read_mesh
 from morembs.importers.model_file import is_model_file, read_model
 from morembs.storage.contents import keeping_ledger, same_place
 
-# Steel in SI units.
-YOUNG, POISSON, DENSITY = 2.1e11, 0.3, 7850.0
-# Meshes without declared units that are longer than this are taken in mm, others in m.
-LONGEST_IN_METRES = 5.0
-# Sets that become interfaces; others are named in a comment.
-INTERFACES = 2
 Selections = tuple[list[str], list[str]]
 
 
@@ -42,7 +37,11 @@ def job_text(file: Path, folder: Path, units: Units | None = None) -> str:
             model = read_model(file)
             head = _model(path, model)
             couplings = [f"coupling:{name}" for name in model.couplings]
-            choices = (couplings[:INTERFACES], couplings[INTERFACES:]) if couplings else _node_sets(model)
+            choices = (
+                (couplings[: TOL.template_interfaces], couplings[TOL.template_interfaces :])
+                if couplings
+                else _node_sets(model)
+            )
         else:
             mesh = read_mesh(file)
             head, choices = _mesh(path, mesh, units), _node_sets(mesh)
@@ -55,7 +54,7 @@ def job_text(file: Path, folder: Path, units: Units | None = None) -> str:
 def _mesh(path: str, mesh: Mesh, given: Units | None) -> list[str]:
     size = np.ptp(mesh.nodes.xyz, axis=0)
     extent = " x ".join(f"{length:.4g}" for length in size)
-    units = given or parse_units("m-kg-s" if size.max() <= LONGEST_IN_METRES else "mm-t-s")
+    units = given or parse_units("m-kg-s" if size.max() <= TOL.longest_in_metres else "mm-t-s")
     guessed = "" if given else ": guessed from its size"
     sets = ", ".join(mesh.element_sets) or "none"
     return [
@@ -65,9 +64,9 @@ def _mesh(path: str, mesh: Mesh, given: Units | None) -> list[str]:
         "",
         f"[[material]]                # steel; one table for each material. Element sets of the mesh: {sets}",
         'set = "all"',
-        f"young = {YOUNG / units.stress:.6g}",
-        f"poisson = {POISSON}",
-        f"density = {DENSITY / units.density:.6g}",
+        f"young = {TOL.steel_young / units.stress:.6g}",
+        f"poisson = {TOL.steel_poisson}",
+        f"density = {TOL.steel_density / units.density:.6g}",
         "",
     ]
 
@@ -84,7 +83,7 @@ def _node_sets(source: Mesh | FEModel) -> Selections:
         if len(rows) <= len(nodes) // 2 and not taken[rows].any() and _spread(nodes.xyz[rows]):
             fit.append(name)
             taken[rows] = True
-    chosen = fit[:INTERFACES]
+    chosen = fit[: TOL.template_interfaces]
     return [f"set:{name}" for name in chosen], [f"set:{name}" for name in nodes.sets if name not in chosen]
 
 
@@ -93,7 +92,7 @@ def _spread(xyz: NDArray[np.float64]) -> bool:
     if len(xyz) < 3:
         return False
     size = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)
-    return bool(size[1] > 1e-6 * size[0])
+    return bool(size[1] > TOL.points_in_line * size[0])
 
 
 def _interfaces(chosen: Sequence[str], others: Sequence[str]) -> list[str]:

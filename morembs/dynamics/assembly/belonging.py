@@ -11,12 +11,11 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.body.body import Body
 from morembs.dynamics.assembly.parts import Substructure
+from morembs.dynamics.assembly.tolerances import TOL
 from morembs.fem.interface.base import Elimination
 from morembs.problem import Problem
 
 MEND = "run the job that made the body again, or name that job"
-# Parts by which mass and places, and products of reduced matrices, may differ.
-SAME, ALIKE = 1e-8, 1e-5
 
 
 def eliminations(problem: Problem) -> Mapping[str, Elimination]:
@@ -75,12 +74,12 @@ def check_same_model(part: Substructure, problem: Problem) -> None:
         if (stored.coupling, stored.components) != (own.coupling, own.components):
             given = [f"{each.coupling} {list(each.components)}" for each in (stored, own)]
             raise InputError(f"{what}: interface {name!r} is {' and '.join(given)}; {MEND}")
-        _refuse_apart(f"{what}: interface {name!r} is at", stored.point, own.point, SAME * size)
+        _refuse_apart(f"{what}: interface {name!r} is at", stored.point, own.point, TOL.same_part * size)
     mass, center, inertia = problem.mass_properties
-    if abs(source.mass - mass) > SAME * mass:
+    if abs(source.mass - mass) > TOL.same_part * mass:
         raise InputError(f"{what}: the masses are {source.mass:.10g} and {mass:.10g} kg; {MEND}")
-    _refuse_apart(f"{what}: the centre of mass is at", source.center_of_mass, center, SAME * size)
-    _refuse_apart(f"{what}: the inertia is", source.inertia, inertia, SAME * float(np.abs(inertia).max()))
+    _refuse_apart(f"{what}: the centre of mass is at", source.center_of_mass, center, TOL.same_part * size)
+    _refuse_apart(f"{what}: the inertia is", source.inertia, inertia, TOL.same_part * float(np.abs(inertia).max()))
     dofs = source.recipe.get("dofs", problem.model.size)
     if dofs != problem.model.size:
         raise InputError(f"{what}: the models have {dofs:,} and {problem.model.size:,} dofs; {MEND}")
@@ -89,7 +88,7 @@ def check_same_model(part: Substructure, problem: Problem) -> None:
     rows = order[np.minimum(np.searchsorted(nodes.ids[order], source.node_ids), len(order) - 1)]
     for label in source.node_ids[nodes.ids[rows] != source.node_ids][:1].tolist():
         raise InputError(f"{what}: it keeps node {label}, which the model does not have; {MEND}")
-    far = np.flatnonzero((np.abs(nodes.xyz[rows] - source.coordinates) > SAME * size).any(axis=1))
+    far = np.flatnonzero((np.abs(nodes.xyz[rows] - source.coordinates) > TOL.same_part * size).any(axis=1))
     for at in far[:1]:
         _refuse_apart(f"{what}: node {source.node_ids[at]} is at", source.coordinates[at], nodes.xyz[rows[at]], 0.0)
 
@@ -116,18 +115,18 @@ def refuse_other_matrices(part: Substructure, body: Body, problem: Problem, V: F
         y = scale[:, None] * x
         true = more @ y if A is None else more @ y + V.T @ (A @ (V @ y))
         off, size = (np.linalg.norm(scale[:, None] * value) for value in (true - stored @ y, stored @ y))
-        if not off <= ALIKE * size:
+        if not off <= TOL.same_product * size:
             apart = f"by {off / size:.1e} of it" if size else "and it has none"
             raise InputError(f"{what}: its {name} is not V' A V of the model, {apart}; {MEND}")
     motions = problem.B.T @ V
-    if not np.abs(motions - body.output_matrix).max() <= ALIKE * np.abs(body.output_matrix).max():
+    if not np.abs(motions - body.output_matrix).max() <= TOL.same_product * np.abs(body.output_matrix).max():
         raise InputError(f"{what}: the motions of its interfaces are others; {MEND}")
 
 
 def _scale(A: Floats) -> Floats:
     """Of each coordinate, so that all entries of ``A`` (n, n) count alike; those without any as the smallest."""
     size = np.abs(np.diag(A))
-    least = float(size[size > SAME * size.max(initial=0.0)].min(initial=np.inf))
+    least = float(size[size > TOL.same_part * size.max(initial=0.0)].min(initial=np.inf))
     return np.asarray(1.0 / np.sqrt(np.maximum(size, least if np.isfinite(least) else 1.0)))
 
 

@@ -15,14 +15,11 @@ from scipy.spatial import cKDTree
 
 from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
+from morembs.dynamics.assembly.tolerances import TOL
 from morembs.fem import DofMap, Nodes, rigid_motion
 from morembs.fem.constraints import Equations
 
-# Distance of two interfaces that are coupled, and that which is round-off, as parts of the size of the assembly.
-APART, TOGETHER = 1e-6, 1e-13
 ALL = (0, 1, 2, 3, 4, 5)
-# Relative motion of two sides, as part of the motion of the parts, above which couplings leave it free.
-FREE = 10 * APART
 MOTIONS = tuple(f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz")
 
 
@@ -65,12 +62,12 @@ class Joints:
         if len(sides[0]) != len(sides[1]):
             raise InputError(f"{what} have {len(sides[0])} and {len(sides[1])} nodes; couple interfaces that match")
         distance, match = cKDTree(xyz[1]).query(xyz[0])
-        if distance.max() > APART * self.extent or len(set(match.tolist())) < len(match):
+        if distance.max() > TOL.coupled_distance * self.extent or len(set(match.tolist())) < len(match):
             raise InputError(
-                f"{what} are {distance.max():.3g} m apart; expected at most {APART * self.extent:.1g} m, by their "
-                "position and rotation"
+                f"{what} are {distance.max():.3g} m apart; expected at most {TOL.coupled_distance * self.extent:.1g} "
+                "m, by their position and rotation"
             )
-        if distance.max() > TOGETHER * self.extent and (self.table[sides[1], 3:6] < 0).any():
+        if distance.max() > TOL.coincident_distance * self.extent and (self.table[sides[1], 3:6] < 0).any():
             self.warnings.append(
                 f"{what} are {distance.max():.1e} m apart and coupled as one, without rotations that would tell the "
                 "difference, which strains the assembly as it turns; give positions and rotations with all their digits"
@@ -175,10 +172,10 @@ class Joints:
             rows.append(one - other)
         held = np.vstack(rows)
         values, Z = np.linalg.eigh(held.T @ held)
-        Z, words = Z[:, values <= FREE**2], []
+        Z, words = Z[:, values <= TOL.free_motion**2], []
         for couple, first, second in self.pairs:
             one, other = (motion(np.repeat(node[side[:1]], len(ALL)), np.array(ALL)) for side in (first, second))
-            free = np.flatnonzero(np.linalg.norm((one - other) @ Z, axis=1) > FREE)
+            free = np.flatnonzero(np.linalg.norm((one - other) @ Z, axis=1) > TOL.free_motion)
             if len(free):
                 names = ", ".join(MOTIONS[k] for k in free)
                 words.append(f"{names} of {couple.between[1]} against {couple.between[0]}")

@@ -13,15 +13,12 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.body.body import Body
 from morembs.body.stored import StoredBodies, choose_body
+from morembs.dynamics.assembly.tolerances import TOL
 from morembs.exporters.ports import ports_of_file
 from morembs.exporters.reduced import to_interfaces
 from morembs.fem.fe_model import Component, rigid_motion
 from morembs.linalg.columns import symmetric
 from morembs.problem import STRUCTURAL, Problem
-
-# Force of rigid motion, part of what cancels in it and of the largest entry, that is round-off of a reduction.
-STRAINED, NOTHING = 1e-6, 1e-10
-SIX = 6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,7 +94,7 @@ class PlacedBody(Placed):
         inside = np.vstack((points, source.coordinates[shown]))
         xyz = inside @ turn.T + place
         _refuse_loose(part.name, ready["K"], xyz[node[:m]], component[:m])
-        if m == SIX:
+        if m == TOL.frame_dofs:
             # One frame moves the part as a whole: what stiffness it seems to have is round-off.
             free = sp.diags_array((np.arange(ready["K"].shape[0]) >= m).astype(float))
             ready["K"] = sp.csr_array(free @ ready["K"] @ free)
@@ -126,7 +123,7 @@ def _rotation(part: Substructure) -> Floats:
         raise InputError(f"part {part.name!r}: position or rotation are no numbers") from None
     if place.shape != (3,) or not np.isfinite(place).all() or not np.isfinite(R).all():
         raise InputError(f"part {part.name!r}: position = {place.tolist()} was given; expected three finite numbers")
-    if R.shape != (3, 3) or not np.allclose(R.T @ R, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
+    if R.shape != (3, 3) or not np.allclose(R.T @ R, np.eye(3), atol=TOL.rotation_error) or np.linalg.det(R) < 0:
         raise InputError(f"part {part.name!r}: rotation is no rotation matrix (3, 3); expected R'R = 1 and det R = 1")
     U, _, Vt = np.linalg.svd(R)
     return np.asarray(U @ Vt)
@@ -154,7 +151,9 @@ def _refuse_loose(name: str, K: sp.csr_array, points: Floats, component: Ints) -
     m = len(component)
     R = rigid_motion(points - points.mean(axis=0), component)
     force, size = K[:, :m] @ R, abs(K[:, :m]) @ np.abs(R)
-    level = STRAINED * size.max(axis=0) + NOTHING * np.abs(K.data).max(initial=0.0) * np.abs(R).max(axis=0)
+    level = TOL.rigid_strain * size.max(axis=0) + TOL.rigid_force * np.abs(K.data).max(initial=0.0) * np.abs(R).max(
+        axis=0
+    )
     if np.linalg.matrix_rank(R) < 6 or (np.abs(force) > level).any():
         raise InputError(
             f"part {name!r}: the motions of its interfaces do not tell its rigid motion (or the part is held); take "

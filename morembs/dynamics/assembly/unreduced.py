@@ -24,18 +24,12 @@ from morembs.body.body import Body
 from morembs.dynamics.assembly.belonging import basis_of, eliminations, refuse_other_matrices
 from morembs.dynamics.assembly.bodies import AssembledModel, joined
 from morembs.dynamics.assembly.parts import Placed, PlacedBody, Substructure
+from morembs.dynamics.assembly.tolerances import TOL
 from morembs.fem.fe_model import Component
 from morembs.importers.tolerances import TOL as IMPORTED
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 from morembs.responses.direct import why_no_response
-
-# Dofs of a part up to which its damping may be a full matrix.
-WHOLE = 2000
-# Matrices of a part that exist at once, and bytes of an entry.
-COPIES, ENTRY = 4, 12
-# Ratio of pivots below which the motions of an interface depend on each other.
-INDEPENDENT = 1e-9
 
 
 class Unreduced(Closing):
@@ -171,11 +165,11 @@ def _damping(name: str, problem: Problem, pick: sp.csr_array, C: sp.csr_array) -
     D = sp.csr_array((dofs, dofs)) if model.D is None else _symmetric(pick @ model.D @ pick.T)
     if not (damping.is_modal or damping.alpha):
         return sp.csr_array(D + damping.beta * _symmetric(pick @ model.K @ pick.T)) if damping.beta else D
-    if size > WHOLE:
+    if size > TOL.max_full_damping_dofs:
         raise InputError(
             f"part {name!r} has {'modal damping' if damping.is_modal else 'alpha of rayleigh damping'}, which resists "
             f"its elastic motion by a full matrix of {size:,} dofs; certificates against unreduced parts take up to "
-            f"{WHOLE:,} of them: give [damping] to the assembly instead, or take beta alone"
+            f"{TOL.max_full_damping_dofs:,} of them: give [damping] to the assembly instead, or take beta alone"
         )
     full = sp.csr_array(C.T @ damping.matrix(problem.M.toarray(), problem.K.toarray(), problem.rigid) @ C)
     full.resize((dofs, dofs))
@@ -260,7 +254,7 @@ def _motions(
         size = np.linalg.norm(A, axis=0)
         R, order = sl.qr((A / np.where(size > 0, size, 1.0)).T, mode="r", pivoting=True)
         k = len(columns)
-        if len(free) < k or abs(R[k - 1, k - 1]) < INDEPENDENT * abs(R[0, 0]):
+        if len(free) < k or abs(R[k - 1, k - 1]) < TOL.dependent_motion * abs(R[0, 0]):
             raise InputError(f"part {part.name!r}: the motions of its interfaces depend on each other")
         pivots = free[order[:k]]
         others = rows[~np.isin(rows, pivots)]
@@ -292,7 +286,7 @@ def _symmetric(A: sp.csr_array) -> sp.csr_array:
 def _refuse_too_large(given: Problem, parts: Sequence[Substructure]) -> None:
     left = given.budget.left()
     entries = sum(part.problem.K.nnz + part.problem.M.nnz for part in parts if part.problem is not None)
-    needed = COPIES * ENTRY * entries
+    needed = TOL.matrix_copies * TOL.entry_bytes * entries
     if left is not None and needed > left:
         raise BudgetError(
             f"the matrices of the {len(parts)} unreduced parts take about {needed / 1e6:.0f} MB, and "

@@ -20,6 +20,7 @@ from morembs.base.arguments import checked
 from morembs.base.errors import InputError, SolverError, nearest
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.member import ReducedMember
+from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.multibody.component import (
     Marker,
     MarkerState,
@@ -70,7 +71,7 @@ class ParameterisedBody(VectorComponent):
             checked_rotation(f"{label}: rotation", rotation),
         )
         speed = vector(f"{label}: velocity", velocity) @ self.axes
-        if abs(speed[2]) > 1e-9 * max(1.0, float(np.abs(speed).max())) or not math.isfinite(spin):
+        if abs(speed[2]) > TOL.velocity_out_of_plane * max(1.0, float(np.abs(speed).max())) or not math.isfinite(spin):
             raise InputError(
                 f"{label}: a velocity of {speed[2]:.3g} m/s across its plane and a spin of {spin} rad/s were given; "
                 "expected a motion in the plane"

@@ -14,6 +14,7 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
+from morembs.dynamics.gmp.tolerances import TOL
 from morembs.storage.checksums import Checksums
 from morembs.storage.contents import own_files
 from morembs.storage.hdf5 import reading, refuse_newer
@@ -23,8 +24,15 @@ from morembs.storage.table_check import TableCheck
 from morembs.storage.writer import writing
 
 Key = tuple[int, int, int, int]
-# The attribute ``kind`` is this and the version.
-_KIND, _VERSION = "morembs equilibria", 1
+
+
+class _Format:
+    """Format of a file of equilibria, whose attribute ``kind`` is the name and the version."""
+
+    NAME = "morembs equilibria"
+    VERSION = 1
+
+
 _EQUILIBRIA = Table(
     (
         Row("signature", "real", "any", doc="of the component"),
@@ -45,8 +53,6 @@ _EQUILIBRIA = Table(
     )
 )
 _NAMES = ("X", "W", "moments", "modes")
-# Time between two files per time that one takes; relative difference of signatures of one component.
-_SELDOM, _SAME = 10.0, 1e-8
 
 
 class Checkpoint:
@@ -77,9 +83,9 @@ class Checkpoint:
         cure = "give the name of another such file, or of a new one"
         with own_files(), reading(self.path, "equilibria of an earlier run", cure) as file:
             kind, _, version = str(file.attrs.get("kind")).rpartition(" ")
-            if kind != _KIND or not version.isdecimal():
+            if kind != _Format.NAME or not version.isdecimal():
                 raise KeyError("kind")
-            refuse_newer(self.path, int(version), _VERSION, f"install a newer one, or {cure}")
+            refuse_newer(self.path, int(version), _Format.VERSION, f"install a newer one, or {cure}")
             if len(file["keys"]):
                 TableCheck(self.path, file, "file of equilibria", cure).table("", _EQUILIBRIA, {})
             values = read_rows(file, _EQUILIBRIA)
@@ -87,7 +93,9 @@ class Checkpoint:
             if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
                 raise ValueError("notes")
             Checksums(self.path, file).verify()
-        same = signature.shape == self.signature.shape and np.allclose(signature, self.signature, rtol=_SAME, atol=0)
+        same = signature.shape == self.signature.shape and np.allclose(
+            signature, self.signature, rtol=TOL.same_signature, atol=0
+        )
         if not same or options != self.options:
             what = f"with the options {options}, not {self.options}" if same else "of another component"
             raise InputError(
@@ -107,7 +115,7 @@ class Checkpoint:
     def add(self, key: Key, **values: Any) -> None:
         """One equilibrium more; a file is written where the last is not too recent."""
         self.equilibria[key], self._unsaved = values, True
-        if time.monotonic() - self._last >= _SELDOM * self._took:
+        if time.monotonic() - self._last >= TOL.checkpoint_interval * self._took:
             self.save()
 
     def save(self) -> None:
@@ -121,7 +129,7 @@ class Checkpoint:
         begin = time.monotonic()
         with writing(self.path) as out:
             file = out.file
-            file.attrs["kind"] = f"{_KIND} {_VERSION}"
+            file.attrs["kind"] = f"{_Format.NAME} {_Format.VERSION}"
             file["signature"], file["options"] = self.signature, self.options
             file["reach"], file["notes"] = self.reach, json.dumps(self.notes)
             file["keys"] = np.array(list(self.equilibria), dtype=np.int64).reshape(-1, 4)

@@ -15,12 +15,10 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.data import Formulation
 from morembs.dynamics.gmp.member import ReducedMember
+from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.mechanism import Angle, Mechanism, Point
 from morembs.dynamics.nonlinear.nodal import LeftTablesError, MechanismMotion, simulate
 from morembs.dynamics.nonlinear.planar_beam import PlanarBeam
-
-# Part of the tables' range that a new division aims at.
-_WITHIN = 0.75
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +55,13 @@ class DividedMember:
         """
         step = second.position - first.position
         direction, distance = math.atan2(step[1], step[0]), float(np.hypot(*step))
-        if abs(distance - self.length) > 1e-6 * self.length:
+        if abs(distance - self.length) > TOL.length_mismatch * self.length:
             raise InputError(
                 f"the points of a divided member are {distance:.6g} m apart; expected {self.length:.6g} m, the "
                 "distance of its ends"
             )
         for given in (start, end):
-            if given is not None and abs(given.value - direction) > 1e-6:
+            if given is not None and abs(given.value - direction) > TOL.angle_mismatch:
                 raise InputError(
                     f"an angle of {given.value:.6g} rad was given for a divided member whose chord is along "
                     f"{direction:.6g} rad; expected the same number, also where its axis leaves the chord"
@@ -127,7 +125,7 @@ def divided_member(
         piece = _piece(beam, a, b)
         # Pieces that differ by less than round-off are one.
         shape = (piece.reference / beam.lengths.sum(), piece.directions.ravel())
-        key = (np.round(np.concatenate(shape) / 1e-9).astype(np.int64)).tobytes()
+        key = (np.round(np.concatenate(shape) / TOL.same_piece).astype(np.int64)).tobytes()
         if key not in made:
             made[key] = ReducedMember(piece, formulation=kind, **options)
         members.append(made[key])
@@ -154,14 +152,14 @@ def _cuts(beam: PlanarBeam, pieces: int) -> list[int]:
     """Numbers of the nodes where pieces end, the first and the last included."""
     elements, turns = len(beam.lengths), beam.directions
     bends = np.abs(turns[:, 1] - turns[:, 0])
-    corners = np.flatnonzero(np.abs(turns[1:, 0] - turns[:-1, 1]) > 1e-6) + 1
+    corners = np.flatnonzero(np.abs(turns[1:, 0] - turns[:-1, 1]) > TOL.least_bend) + 1
     if not len(corners) < pieces <= elements:
         raise InputError(
             f"{pieces} pieces of a beam of {elements} elements with {len(corners)} corners were asked for; expected "
             f"{len(corners) + 1} to {elements}"
         )
     share = beam.lengths / beam.lengths.sum()
-    if bends.sum() > 1e-6:
+    if bends.sum() > TOL.least_bend:
         share = (share + bends / bends.sum()) / 2
     along = np.concatenate(([0.0], np.cumsum(share)))
     fixed = [0, *corners.tolist(), elements]
@@ -213,7 +211,7 @@ def divide_until_within(
         try:
             return simulate(mechanism, end=end, step=step, **options), pieces
         except LeftTablesError as error:
-            wanted, left = min(max(2 * pieces, math.ceil(pieces * error.share / _WITHIN)), most), error
+            wanted, left = min(max(2 * pieces, math.ceil(pieces * error.share / TOL.wanted_table_part)), most), error
             # Of the numbers that are larger than the wanted one the first, else of those that are smaller.
             counts = [*range(max(wanted, pieces + 1), most + 1), *range(wanted - 1, pieces, -1)]
 

@@ -13,10 +13,7 @@ from morembs.base.types import Floats
 from morembs.dynamics.gmp.equilibria import Equilibrium
 from morembs.dynamics.gmp.plan import AngleRange
 from morembs.dynamics.gmp.symmetry import Symmetry
-
-_SHARE, _SMALLEST, _ITERATIONS = 1 / 4, 1 / 256, 12
-# Change of angles (rad) at which Newton's method ends, the largest step, room beyond the angles of a moment.
-_CLOSE, _LONGEST, _MARGIN, _LARGEST = 1e-5, 0.4, 1.05, 3.0
+from morembs.dynamics.gmp.tolerances import TOL
 
 
 class Loaded(Protocol):
@@ -60,18 +57,18 @@ def target(
                 f"({why}); the range ends there",
             )
         angle_range = max(angle_range, float(np.abs(t).max()))
-    if angle_range < 1e-6:
+    if angle_range < TOL.least_range:
         raise InputError(
             f"the envelope turns the ends by no more than {angle_range:.2g} rad; expected larger loads, or an angle"
         )
-    return min(_MARGIN * angle_range, _LARGEST), notes
+    return min(TOL.range_margin * angle_range, TOL.max_range), notes
 
 
 def _followed(
     balanced: Callable[[Equilibrium, Floats], Equilibrium], start: Equilibrium, turns: Any, moments: Floats
 ) -> tuple[Floats, float, str]:
     """Angles under the moments, or under the part of them that is borne."""
-    now, done, share, why = start, 0.0, _SHARE, ""
+    now, done, share, why = start, 0.0, TOL.first_moment_part, ""
     while done < 1:
         aim = min(1.0, done + share)
         try:
@@ -80,7 +77,7 @@ def _followed(
             raise
         except (SolverError, InputError) as error:
             share, why = share / 2, str(error)
-            if share < _SMALLEST:
+            if share < TOL.least_moment_part:
                 break
     return now.X[turns], done, why
 
@@ -91,14 +88,14 @@ def _balanced(work: Loaded, turns: Any, now: Equilibrium, moments: Floats) -> Eq
     Raises:
         SolverError: none, or one that would not last under these moments.
     """
-    for _ in range(_ITERATIONS):
+    for _ in range(TOL.moment_iterations):
         S = now.modes.T @ (work.tangent(now.X) @ now.modes)
         if np.linalg.eigvalsh(0.5 * (S + S.T))[0] <= 0:
             raise SolverError("the member gives way under these moments")
         step = np.linalg.solve(S, moments - now.moments)
-        if not np.abs(step).max() < _LONGEST:
+        if not np.abs(step).max() < TOL.max_moment_step:
             raise SolverError("the angles grow too fast")
-        if np.abs(step).max() < _CLOSE:
+        if np.abs(step).max() < TOL.moment_angle_change:
             return now
         now = work.toward(now.X, now.modes, now.X[turns] + step)
     raise SolverError("no equilibrium was found")

@@ -16,15 +16,10 @@ import numpy as np
 
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats
+from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.component import NonlinearComponent
 from morembs.dynamics.nonlinear.member import ends
 from morembs.dynamics.nonlinear.statics import Factor, newton
-
-_DIVISIONS = 6
-# Longest step of both angles, in rad.
-_LONGEST = 0.35
-# Largest correction of a guess per length of its step; a longer one may lead to another branch of equilibria.
-_CORRECTION = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,7 +35,7 @@ class Equilibrium:
 
 def first_share(way: Floats) -> float:
     """The part of a way (2,) in rad that the first step takes."""
-    return 1.0 / max(1.0, float(np.ceil(np.hypot(*way) / _LONGEST)))
+    return 1.0 / max(1.0, float(np.ceil(np.hypot(*way) / TOL.longest_step)))
 
 
 class NotFollowedError(InputError):
@@ -76,7 +71,7 @@ class Solver:
                 f"the equilibrium is not stable ({factor.negative} negative eigenvalue(s) of the tangent stiffness), "
                 "a bifurcation was crossed"
             )
-        if X[self.second[0]] <= 0.05 * self.length:
+        if X[self.second[0]] <= TOL.least_chord * self.length:
             raise SolverError("the ends of the component meet, its chord has no direction")
         modes = np.zeros((component.size, 2))
         modes[self.turns, [0, 1]] = 1
@@ -100,19 +95,19 @@ class Solver:
         at, now, done = known.X[self.turns], known, 0.0
         step = longest = first_share(t - at)
         while done < 1:
-            goal = done + step if done + step < 1 - 1e-9 else 1.0
+            goal = done + step if done + step < 1 - TOL.negligible_step else 1.0
             change = at + goal * (t - at) - now.X[self.turns]
             guess = now.X + now.modes @ change
             guess[self.turns] = at + goal * (t - at)
             try:
                 reached = self._solved(guess)
                 moved, corrected = (float(np.abs(reached.X - other).max()) for other in (now.X, guess))
-                if corrected > _CORRECTION * max(moved, 1e-9):
+                if corrected > TOL.max_correction * max(moved, TOL.least_moved):
                     raise SolverError("Newton's method runs to other equilibria, far from the last one")
                 now, done = reached, goal
             except (SolverError, InputError) as error:
                 step /= 2
-                if step < longest * 0.5**_DIVISIONS:
+                if step < longest * 0.5**TOL.step_halvings:
                     stuck = now.X[self.turns]
                     raise NotFollowedError(
                         f"the static equilibria cannot be followed to t1 = {t[0]:.4g}, t2 = {t[1]:.4g} rad, only to "

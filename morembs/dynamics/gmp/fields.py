@@ -13,11 +13,9 @@ import scipy.sparse as sp
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
+from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.component import NonlinearComponent
 from morembs.linalg.columns import fix_signs
-
-# Smallest singular value kept, per largest of the scaled shapes.
-_KEPT = 1e-11
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,7 +70,7 @@ def fields(component: NonlinearComponent, shapes: Floats) -> Fields:
     M = component.M
     Mx, My = (M[at[:, k]][:, at[:, k]] for k in (0, 1))
     mixed = [M[at[:, 0]][:, at[:, 1]], M[at.ravel()][:, turning]]
-    if max(abs(block).max() for block in (Mx - My, *mixed) if block.nnz) > 1e-9 * abs(M).max():
+    if max(abs(block).max() for block in (Mx - My, *mixed) if block.nnz) > TOL.mass_mismatch * abs(M).max():
         raise InputError(
             "the mass matrix couples x, y and rotations, or differs along x and y; expected one that stays the same "
             "when the component is turned. Take lumped or consistent masses of beams"
@@ -90,7 +88,7 @@ def fields(component: NonlinearComponent, shapes: Floats) -> Fields:
     )
 
 
-def spanning(columns: Floats, kept: float = _KEPT) -> Floats:
+def spanning(columns: Floats, kept: float = TOL.kept_singular_value) -> Floats:
     """Orthogonal functions of mean square one that span the columns (n, k) and the constant, which is the first."""
     if not len(columns):
         return np.zeros((0, 0))

@@ -15,11 +15,10 @@ from morembs.dynamics.gmp.chebyshev import ChebyshevTable, points
 from morembs.dynamics.gmp.equilibria import BeamWork, Equilibrium, Solver
 from morembs.dynamics.gmp.offline import Tabulated, tabulated
 from morembs.dynamics.gmp.plan import Plan
+from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.component import NonlinearComponent
 
 __all__ = ["Equilibrium", "Manifold", "Solver", "manifold"]
-# Largest error of the derivatives of the tables; beyond it the grid misses what the equilibria do.
-COARSE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,8 +80,9 @@ def refuse_coarse(errors: tuple[float, float], reach: float, count: int) -> None
     Raises:
         InputError: there are too few points.
     """
-    if max(errors) > COARSE:
+    if max(errors) > TOL.max_derivative_error:
         raise InputError(
             f"tables of {count} points per angle on +-{reach:g} rad miss the reactions or the motion of the "
-            f"component by {max(errors):.2g}; expected at most {COARSE}. Take more points or a smaller range"
+            f"component by {max(errors):.2g}; expected at most {TOL.max_derivative_error}. Take more points or a "
+            "smaller range"
         )

@@ -16,8 +16,9 @@ from morembs.base.arguments import checked
 from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.data import Formulation, Parameterised
-from morembs.dynamics.gmp.plan import TOLERANCE, AngleRange, Plan, Report
+from morembs.dynamics.gmp.plan import AngleRange, Plan, Report
 from morembs.dynamics.gmp.shapes import shapes
+from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.component import NonlinearComponent
 from morembs.dynamics.nonlinear.member import MemberState
 
@@ -50,9 +51,9 @@ class ReducedMember:
         *,
         modes: int,
         formulation: Formulation = "tangent",
-        reach: float | AngleRange = 0.8,
+        reach: float | AngleRange = TOL.default_reach,
         points_per_angle: int | None = None,
-        tolerance: float = TOLERANCE,
+        tolerance: float = TOL.table_error,
         workers: int = 1,
         checkpoint: str | Path | None = None,
         symmetric: bool = True,

@@ -12,12 +12,9 @@ import scipy.sparse.linalg as spl
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
+from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.component import NonlinearComponent
 from morembs.linalg.columns import fix_signs
-
-_DENSE = 600
-# A mode with more than this share of its kinetic energy along the chord is one of stretching.
-_ALONG = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +47,7 @@ def bending_modes(component: NonlinearComponent, count: int, stretch: Floats | N
         g = np.asarray((full_K @ stretch)[free] / np.sqrt(stretch @ (full_K @ stretch)))
     tried = count + max(4, count // 2)
     while True:
-        if tried + 1 >= len(free) or len(free) <= _DENSE:
+        if tried + 1 >= len(free) or len(free) <= TOL.dense_modes_dofs:
             omega_squared, shapes = _all_modes(K.toarray() - np.outer(g, g), M.toarray())
         else:
             start = np.random.default_rng(7).standard_normal(len(free))
@@ -62,7 +59,7 @@ def bending_modes(component: NonlinearComponent, count: int, stretch: Floats | N
         along = np.zeros_like(full)
         along[component.translations[:, 0]] = full[component.translations[:, 0]]
         share = np.einsum("ik,ik->k", along, component.M @ along)
-        bending = np.flatnonzero(share < _ALONG)
+        bending = np.flatnonzero(share < TOL.stretching_share)
         if len(bending) >= count:
             break
         if len(omega_squared) == len(free):
@@ -74,7 +71,7 @@ def bending_modes(component: NonlinearComponent, count: int, stretch: Floats | N
     kept = bending[:count]
     Psi = fix_signs(full[:, kept])
     last = omega_squared[kept[-1]] if count else 0.0
-    excluded = omega_squared[(share >= _ALONG) & (omega_squared < last)]
+    excluded = omega_squared[(share >= TOL.stretching_share) & (omega_squared < last)]
     return BendingModes(Psi=Psi, squares=omega_squared[kept], excluded=excluded)
 
 

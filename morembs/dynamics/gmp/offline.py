@@ -23,10 +23,9 @@ from morembs.dynamics.gmp.equilibria import Equilibrium, NotFollowedError
 from morembs.dynamics.gmp.plan import AngleRange, Plan, Report
 from morembs.dynamics.gmp.sampling import Sampling, TabulatedMember, between, grid, shells
 from morembs.dynamics.gmp.symmetry import Symmetry, symmetries
+from morembs.dynamics.gmp.tolerances import TOL
 
 LEVELS = (3, 5, 9, 17)
-# Part of the range that was reached which is tried next; part of what was asked for below which that ends.
-_BACK, _LEAST = 0.9, 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,10 +92,10 @@ def _ranged(
             break
         except NotFollowedError as stuck:
             last = float(np.abs(stuck.reached).max())
-            if not isinstance(plan.reach, AngleRange) or _BACK * last < _LEAST * asked:
+            if not isinstance(plan.reach, AngleRange) or TOL.retried_reach * last < TOL.least_reach * asked:
                 raise
-            notes = (*notes, f"the range is +-{_BACK * last:.4g} rad, not {reach:.4g}: {stuck}")
-            reach = _BACK * last
+            notes = (*notes, f"the range is +-{TOL.retried_reach * last:.4g} rad, not {reach:.4g}: {stuck}")
+            reach = TOL.retried_reach * last
     keys = grid(count)
     report = Report(
         reach=reach,
@@ -152,7 +151,7 @@ def _signature(work: TabulatedMember) -> Floats:
     """Numbers (k,) that tell a component from others: its shape, energies and forces of two deflections."""
     component, random = work.component, np.random.default_rng(5)
     numbers = [float(component.size), work.length, float(component.reference @ random.uniform(1, 2, component.size))]
-    for size in (1e-3, 2e-2):
+    for size in TOL.signature_deflections:
         x = component.reference + size * work.length * random.uniform(-1, 1, component.size)
         numbers += [work.energy(x), float(np.abs(component.force(x)) @ random.uniform(1, 2, component.size))]
     return np.array(numbers)

@@ -10,8 +10,8 @@ from typing import Annotated
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.limits import Positive, number
+from morembs.dynamics.gmp.tolerances import TOL
 
-TOLERANCE = 2e-3
 EndAngle = Annotated[float, number("an angle in rad above zero and below pi", gt=0, lt=math.pi)]
 
 
@@ -57,9 +57,9 @@ class Plan:
         symmetric: take equilibria from others by the symmetries that the component is found to have.
     """
 
-    reach: EndAngle | AngleRange = 0.8
+    reach: EndAngle | AngleRange = TOL.default_reach
     points_per_angle: Annotated[int, number("an integer, 2 or more", ge=2)] | None = None
-    tolerance: Positive = TOLERANCE
+    tolerance: Positive = TOL.table_error
     workers: int = 1
     checkpoint: str | Path | None = None
     symmetric: bool = True

@@ -34,18 +34,16 @@ from morembs.dynamics.gmp.manifold import Manifold, refuse_coarse
 from morembs.dynamics.gmp.modes import BendingModes, bending_modes
 from morembs.dynamics.gmp.offline import tabulated
 from morembs.dynamics.gmp.plan import AngleRange, Plan, Report
+from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.component import NonlinearComponent
 from morembs.dynamics.nonlinear.planar_beam import PlanarBeam
 from morembs.dynamics.nonlinear.statics import Factor
 
-# Modes tabulated only to see whether they would have answered.
-EXTRA = 2
-_STEP = 1e-2
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sample:
-    """Shapes and stiffness at one t, see above: ``X``, ``A`` (N,), ``k`` N m, ``c`` (m + EXTRA,), ``H`` (m, m)."""
+    """Shapes and stiffness at one t, see above, with e spare modes: ``X``, ``A`` (N,), ``k`` N m, ``c`` (m + e,), ``H``
+    (m, m)."""
 
     X: Floats
     A: Floats
@@ -133,7 +131,7 @@ def _mean_stretch(component: NonlinearComponent, formulation: Formulation) -> Fl
     """
     if not isinstance(component, PlanarBeam) or formulation == "linear":
         return None
-    if np.abs(component.directions).max() < 1e-9:
+    if np.abs(component.directions).max() < TOL.straight_angle:
         return None
     if formulation == "membrane":
         raise InputError(
@@ -150,7 +148,7 @@ def _scaled(component: NonlinearComponent, X: Floats) -> Floats:
 
 
 def _with_extra(component: NonlinearComponent, count: int, kept: BendingModes, stretch: Floats | None) -> BendingModes:
-    for extra in range(EXTRA, 0, -1):
+    for extra in range(TOL.spare_modes, 0, -1):
         try:
             return bending_modes(component, count + extra, stretch)
         except InputError:
@@ -191,7 +189,7 @@ class _Law:
 
         The central difference of a tangent that is quadratic in positions, as that of a beam, is exact.
         """
-        h = _STEP / max(1.0, float(np.abs(direction).max()))
+        h = TOL.tangent_step / max(1.0, float(np.abs(direction).max()))
         return (self.component.tangent(X + h * direction) - self.component.tangent(X - h * direction)) / (2 * h)
 
     def _plain(self, X: Floats, A: Floats) -> Sample:
@@ -211,7 +209,7 @@ class _Law:
 
     @cached_property
     def _expansion(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """At t = 0: second derivatives of X (N, 2, 2), c (m + EXTRA,), its first derivatives (m + EXTRA, 2), and H."""
+        """At t = 0: second derivatives of X (N, 2, 2), c (m + e,), its first derivatives (m + e, 2), and H."""
         free, Y = self.solver.free, self.start.modes
         factor = Factor(self.K[free][:, free])
         second, c1 = np.zeros((self.component.size, 2, 2)), np.zeros((self.Psi.shape[1], 2))
@@ -227,7 +225,7 @@ class _Law:
         return np.asarray(Psi.T @ (self._slope(X, A) @ Psi) / k)
 
     def straight_diagonal(self) -> Floats:
-        """Diagonal of H at the straight shape, of all modes (m + EXTRA,)."""
+        """Diagonal of H at the straight shape, of all modes (m + e,)."""
         slope = self._slope(self.start.X, self.stretch)
         return np.asarray(np.einsum("nk,nk->k", self.Psi, slope @ self.Psi) / self.k)
 

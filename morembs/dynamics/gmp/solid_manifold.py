@@ -17,14 +17,11 @@ from morembs.base.closing import Closing
 from morembs.base.errors import BudgetError, InputError, SolverError
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.equilibria import NotFollowedError, first_share
+from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.continuation import Newton, Tangents
 from morembs.dynamics.nonlinear.solid import NonlinearSolid
 from morembs.linalg.columns import fix_signs
 from morembs.linalg.sparse.solver import LinearSolver
-
-_DIVISIONS, _TOLERANCE = 6, 1e-10
-# A mode with more kinetic energy across the plane than this share of that along y is none of bending in the plane.
-_ACROSS = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +50,7 @@ class SolidEquilibria(Closing):
         self.solid, self.first, self.second = solid, solid.frames["start"], solid.frames["end"]
         a, b = solid.reference[self.first[:3]], solid.reference[self.second[:3]]
         self.length = float(b[0])
-        if self.length <= 0 or np.abs(np.concatenate((a, b[1:]))).max() > 1e-9 * self.length:
+        if self.length <= 0 or np.abs(np.concatenate((a, b[1:]))).max() > TOL.off_axis * self.length:
             raise InputError(
                 f"the interfaces start and end are at {a} and {b}; expected the origin and a point on the x axis. Turn "
                 "and shift the mesh"
@@ -62,7 +59,9 @@ class SolidEquilibria(Closing):
         self.held = np.concatenate((self.first, self.second[1:]))
         self.free = np.setdiff1d(np.arange(solid.size), self.held)
         self.tangents = Tangents(self.free, solver)
-        self._newton = Newton(solid, self.tangents, self.held, lambda x: np.zeros(solid.size), _TOLERANCE, True)
+        self._newton = Newton(
+            solid, self.tangents, self.held, lambda x: np.zeros(solid.size), TOL.solid_newton_step, True
+        )
         self._solver = solver
 
     def __reduce__(self) -> tuple[Callable[..., SolidEquilibria], tuple[NonlinearSolid, LinearSolver | None]]:
@@ -74,7 +73,7 @@ class SolidEquilibria(Closing):
 
     def _settled(self, guess: Floats, resultants: Floats | None) -> SolidEquilibrium:
         X = self._newton.equilibrium(guess, np.zeros(len(self.held)), 1.0, resultants)
-        if X[self.second[0]] <= 0.05 * self.length:
+        if X[self.second[0]] <= TOL.least_chord * self.length:
             raise SolverError("the ends of the component meet, its chord has no direction")
         K = self.solid.tangent(X)
         modes = np.zeros((self.solid.size, 2))
@@ -103,7 +102,7 @@ class SolidEquilibria(Closing):
         share = longest = first_share(t - at)
         now: SolidEquilibrium | None = None
         while True:
-            goal = done + share if done + share < 1 - 1e-9 else 1.0
+            goal = done + share if done + share < 1 - TOL.negligible_step else 1.0
             step = modes @ (at + goal * (t - at) - X[self.turns])
             try:
                 now = self._settled(X + step, self.solid.resultants_after(X, step))
@@ -111,7 +110,7 @@ class SolidEquilibria(Closing):
                 raise
             except SolverError as error:
                 share /= 2
-                if share < longest * 0.5**_DIVISIONS:
+                if share < longest * 0.5**TOL.step_halvings:
                     raise NotFollowedError(
                         f"the static equilibria cannot be followed to t1 = {t[0]:.4g}, t2 = {t[1]:.4g} rad, only to "
                         f"{X[self.turns[0]]:.4g}, {X[self.turns[1]]:.4g} ({done:.2g} of the way): {error}. Take a "
@@ -160,10 +159,10 @@ def plane_bending_modes(solid: NonlinearSolid, count: int, solver: LinearSolver 
         inverse = spl.LinearOperator((len(free),) * 2, matvec=factor.solve)
         start = factor.solve(along @ np.random.default_rng(7).standard_normal(len(free)))
         flexible, shapes = spl.eigsh(along, tried, K[free][:, free].tocsc(), Minv=inverse, which="LA", v0=start)
-    shown = flexible > 1e-12 * flexible.max()
+    shown = flexible > TOL.no_flexibility * flexible.max()
     omega_squared, shapes = 1 / flexible[shown][::-1], shapes[:, shown][:, ::-1]
     shapes = shapes / np.sqrt(np.einsum("ik,ik->k", shapes, along @ shapes))
-    bending = np.flatnonzero(np.einsum("ik,ik->k", shapes, across @ shapes) < _ACROSS)[:count]
+    bending = np.flatnonzero(np.einsum("ik,ik->k", shapes, across @ shapes) < TOL.out_of_plane_share)[:count]
     if len(bending) < count:
         raise InputError(
             f"{count} modes were given; only {len(bending)} of bending in the plane were found among {tried}"

@@ -27,7 +27,7 @@ from morembs.dynamics.gmp.fields import Fields, spanning
 from morembs.dynamics.gmp.manifold import refuse_coarse
 from morembs.dynamics.gmp.member import ReducedMember
 from morembs.dynamics.gmp.offline import Tabulated, tabulated
-from morembs.dynamics.gmp.plan import TOLERANCE, AngleRange, Plan
+from morembs.dynamics.gmp.plan import AngleRange, Plan
 from morembs.dynamics.gmp.solid_manifold import (
     PlaneModes,
     SolidEquilibria,
@@ -35,11 +35,9 @@ from morembs.dynamics.gmp.solid_manifold import (
     plane_bending_modes,
     stretch,
 )
+from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.solid import NonlinearSolid
 from morembs.linalg.sparse.solver import LinearSolver
-
-# Modes tabulated only to see whether they would have answered; smallest singular value of the functions kept.
-_EXTRA, _KEPT, _STEP, _DEGREE = 2, 1e-9, 1e-2, 14
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,9 +62,9 @@ def solid_member(
     solid: NonlinearSolid,
     *,
     modes: int,
-    reach: float | AngleRange = 0.8,
+    reach: float | AngleRange = TOL.default_reach,
     points_per_angle: int | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: float = TOL.table_error,
     workers: int = 1,
     checkpoint: str | Path | None = None,
     symmetric: bool = True,
@@ -96,7 +94,7 @@ def solid_member(
         checkpoint=checkpoint,
         symmetric=symmetric,
     )
-    kept = plane_bending_modes(solid, modes + _EXTRA, solver)
+    kept = plane_bending_modes(solid, modes + TOL.spare_modes, solver)
     with SolidEquilibria(solid, solver) as equilibria:
         law = _Law(solid, equilibria, kept, modes, stretch(solid, equilibria.length, solver))
         tables = tabulated(SolidWork(equilibria, law), plan)
@@ -156,8 +154,9 @@ class _Law:
         self._aside = solid.step_of_nodes(solid.reference, linear) - X[:, :1] * np.eye(3)[0]
         # The axis and two directions of the sections as polynomials along the member, fitted to all nodes.
         stations = len(np.unique(np.round(X[:, 0] / equilibria.length, 6)))
-        self._T = chebvander(2 * X[:, 0] / equilibria.length - 1, min(_DEGREE, stations - 1))
-        self._fit = np.linalg.pinv(np.hstack((self._T, X[:, 1:2] * self._T, X[:, 2:] * self._T)), rcond=1e-10)
+        self._T = chebvander(2 * X[:, 0] / equilibria.length - 1, min(TOL.section_degree, stations - 1))
+        along = np.hstack((self._T, X[:, 1:2] * self._T, X[:, 2:] * self._T))
+        self._fit = np.linalg.pinv(along, rcond=TOL.fit_singular_value)
 
     def stretched(self, x: Floats, d0: float) -> Floats:
         """A (n, 3) of the shape x (n, 3) with the chord d0."""
@@ -181,7 +180,7 @@ class _Law:
 
     def _slope(self, X: Floats, A: Floats, Psi: Floats) -> Floats:
         """Derivative of K Psi along A; the central difference of a tangent that is quadratic in x is exact."""
-        h = _STEP
+        h = TOL.tangent_step
         return np.asarray((self.solid.tangent(X + h * A) @ Psi - self.solid.tangent(X - h * A) @ Psi) / (2 * h))
 
     def sample(self, equilibrium: Equilibrium) -> _Sample:
@@ -269,11 +268,11 @@ def _fields(solid: NonlinearSolid, shapes: Floats) -> Fields:
     """
     M = sp.csr_array(solid.model.M)
     Mx, My, Mz = (M[axis::3][:, axis::3] for axis in range(3))
-    if max(abs(Mx - My).max(), abs(Mx - Mz).max()) > 1e-9 * abs(Mx).max():
+    if max(abs(Mx - My).max(), abs(Mx - Mz).max()) > TOL.mass_mismatch * abs(Mx).max():
         raise InputError("the mass matrix differs along x, y and z; expected that of solid elements")
     n = shapes.shape[1]
-    U = spanning(np.hstack((shapes[:, :, 0].T, shapes[:, :, 1].T)), _KEPT)
-    Uz = spanning(shapes[:, :, 2].T, _KEPT)
+    U = spanning(np.hstack((shapes[:, :, 0].T, shapes[:, :, 1].T)), TOL.kept_solid_singular_value)
+    Uz = spanning(shapes[:, :, 2].T, TOL.kept_solid_singular_value)
     r, rz = U.shape[1], Uz.shape[1]
     small = np.zeros((2 * r + rz,) * 2)
     small[:r, :r] = small[r : 2 * r, r : 2 * r] = U.T @ (Mx @ U)

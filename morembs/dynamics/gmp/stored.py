@@ -19,7 +19,14 @@ from morembs.storage.table import Row, Table, read_rows
 from morembs.storage.table_check import TableCheck
 from morembs.storage.writer import writing
 
-FORMAT, FORMAT_VERSION = "morembs-members", 1
+
+class MemberFormat:
+    """Format of files of ``write_members``."""
+
+    NAME = "morembs-members"
+    VERSION = 1
+
+
 _FORMULATIONS = ", ".join(get_args(Formulation))
 _FIELDS = (
     Row("U", "real", "n r", "functions over the nodes, of the x and of the y of positions"),
@@ -124,7 +131,7 @@ def write_members(path: str | Path, members: Mapping[str, Parameterised]) -> Pat
         raise InputError(f"{wrong[0]!r} was given as the name of a member; expected one without slashes")
     with writing(target) as out:
         bodies = {name: {"parameterised": data} for name, data in members.items()}
-        out.rows("", _MEMBERS, {"format": FORMAT, "format_version": FORMAT_VERSION, "bodies": bodies})
+        out.rows("", _MEMBERS, {"format": MemberFormat.NAME, "format_version": MemberFormat.VERSION, "bodies": bodies})
     return target
 
 
@@ -136,8 +143,8 @@ def read_members(path: str | Path) -> dict[str, Parameterised]:
     """
     with reading(Path(path), "a file of write_members") as file:
         # Files of 0.1.0 have neither; those of other kinds have versions of their own.
-        if is_format(file, FORMAT):
-            refuse_newer(Path(path), int(file["format_version"][()]), FORMAT_VERSION)
+        if is_format(file, MemberFormat.NAME):
+            refuse_newer(Path(path), int(file["format_version"][()]), MemberFormat.VERSION)
         bodies = {name: body for name, body in file.get("bodies", {}).items() if "parameterised" in body}
         members = {name: _checked(Path(path), body["parameterised"]) for name, body in bodies.items()}
         if not members:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from morembs.base.types import Floats, Ints
+from morembs.dynamics.gmp.tolerances import TOL
 
 # Name, signs of x and of y, what becomes of the end angles.
 _MOTIONS: tuple[tuple[str, float, float, tuple[tuple[int, int], tuple[int, int]]], ...] = (
@@ -23,9 +24,6 @@ _MOTIONS: tuple[tuple[str, float, float, tuple[tuple[int, int], tuple[int, int]]
     ("exchange of the ends", -1.0, 1.0, ((0, -1), (-1, 0))),
     ("half turn", -1.0, -1.0, ((0, 1), (1, 0))),
 )
-# Distance of a node from its image per length, and difference of inner forces per largest.
-_NEAR, _SAME = 1e-7, 1e-9
-_STATES = 3
 
 
 class Shaped(Protocol):
@@ -110,7 +108,7 @@ def _matched(
     images = places * Q
     images[:, 0] += length * (x < 0)
     distance, to = KDTree(places).query(images)
-    if distance.max() > _NEAR * length or len(np.unique(to)) < len(to):
+    if distance.max() > TOL.image_distance * length or len(np.unique(to)) < len(to):
         return None
     order, sign, along = np.arange(component.size), np.ones(component.size), np.zeros(component.size)
     order[at[to]], sign[at[to]] = at, Q
@@ -131,12 +129,13 @@ def _holds(component: Shaped, symmetry: Symmetry, length: float) -> bool:
     s = component.reference[at[:, 0]] / length
     reference = component.reference
     rest = np.setdiff1d(np.arange(component.size), at.ravel())
-    for _ in range(_STATES):
+    for _ in range(TOL.symmetry_states):
         x = reference.copy()
         for axis in range(2):
-            x[at[:, axis]] += 0.1 * length * np.polynomial.polynomial.polyval(s, random.uniform(-1, 1, 4))
-        x[rest] += random.uniform(-0.3, 0.3, len(rest))
+            shape = np.polynomial.polynomial.polyval(s, random.uniform(-1, 1, 4))
+            x[at[:, axis]] += TOL.symmetry_deflection * length * shape
+        x[rest] += random.uniform(-TOL.symmetry_turn, TOL.symmetry_turn, len(rest))
         before, after = component.force(x), component.force(symmetry.moved(x))
-        if np.abs(after - symmetry.sign * before[symmetry.order]).max() > _SAME * np.abs(before).max():
+        if np.abs(after - symmetry.sign * before[symmetry.order]).max() > TOL.image_force * np.abs(before).max():
             return False
     return True

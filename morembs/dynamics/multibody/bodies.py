@@ -16,6 +16,7 @@ from morembs.body.floating.stiffening import Stiffening
 from morembs.dynamics.multibody.component import Marker, checked_rotation, numbers, vector
 from morembs.dynamics.multibody.floating_body import FloatingBody
 from morembs.dynamics.multibody.inertia import Foreshortening, Inertia
+from morembs.dynamics.multibody.tolerances import TOL
 
 
 def _placed(
@@ -69,7 +70,7 @@ class RigidBody(FloatingBody):
             raise InputError(f"{label}: mass = {mass:g} kg was given; expected a positive mass")
         square = np.diag(inertia) if np.ndim(inertia) == 1 else inertia
         J = numbers(f"{label}: inertia", square, (3, 3))
-        if np.abs(J - J.T).max() > 1e-9 * np.abs(J).max() or np.linalg.eigvalsh(J)[0] <= 0:
+        if np.abs(J - J.T).max() > TOL.inertia_asymmetry * np.abs(J).max() or np.linalg.eigvalsh(J)[0] <= 0:
             raise InputError(f"{label}: the inertia given is not symmetric with three positive principal moments")
         c = vector(f"{label}: center_of_mass", center_of_mass)
         about_origin = J + mass * (c @ c * np.eye(3) - np.outer(c, c))

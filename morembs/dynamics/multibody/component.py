@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.rotations import is_rotation, orthonormal
+from morembs.dynamics.multibody.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
@@ -199,6 +200,6 @@ def checked_rotation(what: str, value: ArrayLike | None) -> Floats:
     if value is None:
         return np.eye(3)
     R = numbers(what, value, (3, 3))
-    if not is_rotation(R, 1e-6):
+    if not is_rotation(R, TOL.rotation_error):
         raise InputError(f"{what}: the matrix given is no rotation; expected R'R = 1 and det R = 1, see rotation()")
     return orthonormal(orthonormal(R))

@@ -27,6 +27,7 @@ from morembs.dynamics.multibody.component import checked_rotation, vector
 from morembs.dynamics.multibody.joints import FixedJoint
 from morembs.dynamics.multibody.result import Result
 from morembs.dynamics.multibody.system import System
+from morembs.dynamics.multibody.tolerances import TOL
 from morembs.fem import FEModel, Mesh, Nodes
 from morembs.fem.assembly import assemble
 from morembs.fem.interface import make_interface
@@ -35,10 +36,6 @@ from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 
 START, END = "START", "END"
-# Difference of pieces, per size and per largest entry, up to which they are equal.
-SAME = 1e-8
-# Points of the line for each piece, to which elements are counted.
-POINTS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +117,8 @@ def divided_body(models: Sequence[FEModel], *, modes: int) -> DividedBody:
             frame = _reduced(model, modes)
             made.append((model, frame))
         ends = [turn @ (frame.markers[name].point + frame.origin) + step for name in ("start", "end")]
-        if points and np.linalg.norm(points[-1] - ends[0]) > 1e-6 * np.linalg.norm(np.ptp(model.nodes.xyz, axis=0)):
+        size = np.linalg.norm(np.ptp(model.nodes.xyz, axis=0))
+        if points and np.linalg.norm(points[-1] - ends[0]) > TOL.gap_of_pieces * size:
             raise InputError(
                 f"piece {number + 1} starts at {ends[0].tolist()} m, the one before ends at {points[-1].tolist()} m; "
                 "expected pieces that meet, in their order"
@@ -153,7 +151,7 @@ def _motion(a: FEModel, b: FEModel) -> tuple[Floats, Floats] | None:
     # Kabsch (1976); pieces of a straight line have no own rotation, and are tried without one.
     U, _, Vt = np.linalg.svd(q.T @ p)
     for turn in (np.eye(3), U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt):
-        if np.abs(p @ turn.T - q).max() > SAME * np.abs(p).max():
+        if np.abs(p @ turn.T - q).max() > TOL.same_piece * np.abs(p).max():
             continue
         T = _turned_dofs(a, turn)
         if all(_equal(T @ own @ T.T, other) for own, other in ((a.K, b.K), (a.M, b.M))):
@@ -177,7 +175,7 @@ def _turned_dofs(model: FEModel, turn: Floats) -> sp.csr_array:
 
 
 def _equal(a: sp.csr_array, b: sp.csr_array) -> bool:
-    return bool(abs(a - b).max() <= SAME * abs(b).max())
+    return bool(abs(a - b).max() <= TOL.same_piece * abs(b).max())
 
 
 @checked
@@ -241,11 +239,11 @@ def _owners(mesh: Mesh, line: ArrayLike, pieces: int) -> list[Ints]:
             "and one or more pieces"
         )
     along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
-    s = (np.arange(POINTS * pieces) + 0.5) / (POINTS * pieces)
+    s = (np.arange(TOL.points_of_piece * pieces) + 0.5) / (TOL.points_of_piece * pieces)
     dense = np.column_stack([np.interp(s * along[-1], along, points[:, k]) for k in range(3)])
     tree = cKDTree(dense)
     centres = (mesh.nodes.xyz[block.nodes].mean(axis=1) for block in mesh.blocks)
-    return [tree.query(centre)[1] // POINTS for centre in centres]
+    return [tree.query(centre)[1] // TOL.points_of_piece for centre in centres]
 
 
 def _part(mesh: Mesh, chosen: list[Bools], used: Bools, ends: tuple[Bools, Bools]) -> Mesh:

@@ -26,6 +26,7 @@ from morembs.dynamics.multibody.segment import Segment
 from morembs.dynamics.multibody.sensitivity import at_rest
 from morembs.dynamics.multibody.steady_spin import SteadySpin
 from morembs.dynamics.multibody.system import Assembly, State, System
+from morembs.dynamics.multibody.tolerances import TOL
 from morembs.dynamics.multibody.variation import StateSlopes, Variation, variations
 
 
@@ -85,7 +86,7 @@ def equilibrium(
     system: System,
     *,
     guess: Equilibrium | State | None = None,
-    tolerance: float = 1e-9,
+    tolerance: float = TOL.left_force,
     load_steps: int = 1,
     time: float = 0.0,
     spin: SteadySpin | None = None,
@@ -118,7 +119,9 @@ def equilibrium(
     >>> still.stable, float(still.result.reaction(joint)[0, 2].round(6))
     (True, 19.62)
     """
-    if not (0 < tolerance < 1e-2 and isinstance(load_steps, int) and load_steps >= 1 and math.isfinite(time)):
+    if not (
+        0 < tolerance < TOL.max_newton_error and isinstance(load_steps, int) and load_steps >= 1 and math.isfinite(time)
+    ):
         raise InputError(
             f"tolerance = {tolerance:g}, load_steps = {load_steps} and time = {time:g} were given; expected a "
             "tolerance between 0 and 0.01, an integer of at least one, and a time in s"

@@ -19,20 +19,7 @@ from morembs.dynamics.multibody.reactions import saddle
 from morembs.dynamics.multibody.steady_spin import SteadySpin
 from morembs.dynamics.multibody.system import Assembly, State
 from morembs.dynamics.multibody.tangents import pulls, stiffness_and_damping
-
-# Singular values of the equilibrated matrix below this part of the largest are motions without stiffness, and joint
-# equations that depend on each other.
-CUT = 1e-11
-ITERATIONS = 60
-# Largest turn (rad) and displacement (part of the size of the system) in one iteration.
-TURN, MOVE = 0.5, 0.5
-# Stiffness that stands for none where coordinates are equilibrated: part of the largest (rad/s)2, and of that of a
-# pendulum as long as the system under its own acceleration.
-SOFT, PENDULUM = 1e-9, 1e-3
-# Joint equations (m or rad, per size of the system) that are closed, and their round-off, per distance to the origin.
-CLOSED, ROUND_OFF = 1e-10, 1e-14
-# Motion of an iteration, per size of the system, that is none.
-STILL = 1e-13
+from morembs.dynamics.multibody.tolerances import TOL
 
 
 class EquilibriumSearch:
@@ -51,7 +38,7 @@ class EquilibriumSearch:
         """
         a = self.assembly
         self._measure(x)
-        for iteration in range(ITERATIONS):
+        for iteration in range(TOL.equilibrium_iterations):
             M, g, Phi, B = (self.spin.equations if self.spin else Assembly.equations)(a, self.time, x, self.still)
             scale = 1 / np.sqrt(np.diag(M))
             if multipliers is None:
@@ -60,7 +47,8 @@ class EquilibriumSearch:
             residual = g + multipliers @ B
             forces = self._magnitude(x, scale) + float(np.linalg.norm(scale * (multipliers @ B)))
             left = float(np.linalg.norm(scale * residual))
-            closed = float(np.abs(Phi).max(initial=0.0)) <= CLOSED * self.size + ROUND_OFF * self.reach
+            may_open = TOL.closed_joint * self.size + TOL.closed_joint_roundoff * self.reach
+            closed = float(np.abs(Phi).max(initial=0.0)) <= may_open
             if self.spin is None:
                 K, _ = stiffness_and_damping(a, self.time, x, self.still, self.still, multipliers)
             else:
@@ -68,17 +56,18 @@ class EquilibriumSearch:
             change, free = self._newton(K, M, B, residual, Phi)
             moved = math.sqrt(max(float(change[: a.size] @ M @ change[: a.size]), 0.0) / float(np.diag(M).max()))
             # Where all forces vanish, as in a spring at rest, what Newton's method still moves tells.
-            if closed and (left <= self.tolerance * forces or (moved <= STILL * self.size and not free.any())):
+            still = moved <= TOL.still_motion * self.size and not free.any()
+            if closed and (left <= self.tolerance * forces or still):
                 return x, multipliers, iteration
-            if closed and np.linalg.norm(free) > (1 - 1e-6) * left and left > self.tolerance * forces:
+            if closed and np.linalg.norm(free) > (1 - TOL.balanced_part) * left and left > self.tolerance * forces:
                 raise InputError(self._unbalanced(free * scale))
             step, more = change[: a.size], change[a.size :]
             short = min(1.0, *self._limits(step))
             x, multipliers = a.moved(x, short * step), multipliers + short * more
         raise SolverError(
-            f"no equilibrium was found in {ITERATIONS} iterations (forces off by {left / forces:.1e}, joints open by "
-            f"{np.abs(Phi).max(initial=0.0):.1e}); start nearer to it (guess, or places of the bodies), or let the "
-            "loads grow with load_steps = 10"
+            f"no equilibrium was found in {TOL.equilibrium_iterations} iterations (forces off by "
+            f"{left / forces:.1e}, joints open by {np.abs(Phi).max(initial=0.0):.1e}); start nearer to it (guess, "
+            "or places of the bodies), or let the loads grow with load_steps = 10"
         )
 
     def _measure(self, x: Floats) -> None:
@@ -86,7 +75,7 @@ class EquilibriumSearch:
         a = self.assembly
         at = np.array([place.position for place in a.places(x).values()]).reshape(-1, 3)
         lengths = [c.length for c in a.components if isinstance(c, FloatingBody)]
-        self.size = max([1e-3, *lengths, *(np.ptp(at, axis=0).tolist() if len(at) else [])])
+        self.size = max([TOL.least_size, *lengths, *(np.ptp(at, axis=0).tolist() if len(at) else [])])
         self.reach = max(self.size, float(np.abs(at).max(initial=0.0)))
 
     def _magnitude(self, x: Floats, scale: Floats) -> float:
@@ -109,14 +98,18 @@ class EquilibriumSearch:
         k = self.assembly.size
         mass = np.diag(M)
         acceleration = float(np.linalg.norm(residual / np.sqrt(mass)) / math.sqrt(float(mass.max())))
-        soft = max(SOFT * float((np.abs(np.diag(K)) / mass).max()), PENDULUM * acceleration / self.size, 1e-12)
+        soft = max(
+            TOL.soft_part * float((np.abs(np.diag(K)) / mass).max()),
+            TOL.soft_pendulum * acceleration / self.size,
+            TOL.soft_square,
+        )
         w = 1 / np.sqrt(np.abs(np.diag(K)) + soft * mass)
         rows = np.linalg.norm(B * w, axis=1)
         r = 1 / np.where(rows > 0, rows, 1.0)
         scales = np.concatenate((w, r))
         S = scales[:, None] * saddle(K, B) * scales
         U, s, Vt = np.linalg.svd(S)
-        kept = s > CUT * s[0]
+        kept = s > TOL.no_stiffness * s[0]
         right = -scales * np.concatenate((residual, Phi))
         change = scales * (Vt[kept].T @ ((U[:, kept].T @ right) / s[kept]))
         lost = U[:, ~kept] @ (U[:, ~kept].T @ right)
@@ -142,15 +135,15 @@ class EquilibriumSearch:
         for component, j in zip(self.assembly.components, self.assembly.in_v, strict=True):
             if isinstance(component, FloatingBody):
                 turn, move = (float(np.linalg.norm(part)) for part in (step[j][3:6], step[j][:3]))
-                limits += [TURN / turn if turn > TURN else 1.0]
-                limits += [MOVE * self.size / move if move > MOVE * self.size else 1.0]
+                limits += [TOL.max_turn / turn if turn > TOL.max_turn else 1.0]
+                limits += [TOL.max_move * self.size / move if move > TOL.max_move * self.size else 1.0]
         return limits
 
     def _unbalanced(self, force: Floats) -> str:
         bodies = [
             c.name
             for c, j in zip(self.assembly.components, self.assembly.in_v, strict=True)
-            if np.abs(force[j]).max(initial=0.0) > 1e-3 * np.abs(force).max()
+            if np.abs(force[j]).max(initial=0.0) > TOL.named_force * np.abs(force).max()
         ]
         return (
             f"nothing balances the load along a motion of {', '.join(map(repr, bodies))} that the joints allow and no "
@@ -159,4 +152,4 @@ class EquilibriumSearch:
 
 
 def _least_squares(A: Floats, b: Floats) -> Floats:
-    return np.asarray(sl.lstsq(A, b, cond=CUT)[0]) if A.shape[1] else np.zeros(0)
+    return np.asarray(sl.lstsq(A, b, cond=TOL.no_stiffness)[0]) if A.shape[1] else np.zeros(0)

@@ -17,6 +17,7 @@ from morembs.base.types import Floats
 from morembs.dynamics.multibody.component import Component, Marker, MarkerState
 from morembs.dynamics.multibody.inertia import Inertia
 from morembs.dynamics.multibody.rotations import cross, exponential, hat, orthonormal, tangent, tangent_slope
+from morembs.dynamics.multibody.tolerances import TOL
 
 
 class FloatingBody(Component):
@@ -43,14 +44,14 @@ class FloatingBody(Component):
         _, q, w, rate = self._parts(*self._start)
         mass = self.inertia.evaluate(w, q, rate)[0]
         scale = np.sqrt(np.maximum(np.diag(mass), 0.0))
-        if not (scale > 0).all() or np.linalg.eigvalsh(mass / np.outer(scale, scale))[0] < 1e-13:
+        if not (scale > 0).all() or np.linalg.eigvalsh(mass / np.outer(scale, scale))[0] < TOL.least_mass_eigenvalue:
             raise InputError(
                 f"body {self.name!r}: its mass matrix is not positive definite; expected a positive mass, an inertia "
                 "with three positive principal moments, elastic shapes that are no rigid motion, and with stiffening a "
                 "deflection that is small in its frame (mean axes and chord frames tolerate the largest)"
             )
         for what, matrix in (("Ke", self.Ke), ("De", self.De)):
-            if np.abs(matrix - matrix.T).max(initial=0.0) > 1e-8 * np.abs(matrix).max(initial=0.0):
+            if np.abs(matrix - matrix.T).max(initial=0.0) > TOL.stiffness_asymmetry * np.abs(matrix).max(initial=0.0):
                 raise InputError(f"body {self.name!r}: {what} is not symmetric")
 
     def start(self) -> tuple[Floats, Floats]:

@@ -18,8 +18,7 @@ from morembs.base.types import Floats
 from morembs.dynamics.multibody.reactions import LU, Iterate, Reactions, saddle
 from morembs.dynamics.multibody.system import Assembly, State
 from morembs.dynamics.multibody.tangents import stiffness_and_damping
-
-_SLOW = 0.15
+from morembs.dynamics.multibody.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +45,7 @@ class Scheme:
 
     @property
     def beta(self) -> float:
+        # Chung and Hulbert 1993: (1 - alpha_m + alpha_f)^2 / 4.
         return 0.25 * (self.gamma + 0.5) ** 2
 
 
@@ -80,7 +80,7 @@ class Stepper:
         if corrected:
             self._correct_start(state)
         positions = [float(np.abs(p.position).max()) for p in self.assembly.places(x).values()]
-        length = reactions.measure(self.state, max([1e-3, *positions]))
+        length = reactions.measure(self.state, max([TOL.least_size, *positions]))
         self._limit = ChangeLimit(tolerance=tolerance, h=h, length=length)
         self.tangents = tangents or self._tangents(self.state)
         self.iterate = self._predicted()
@@ -164,7 +164,7 @@ class Stepper:
                 self.v, self.auxiliary, self._multipliers = iterate.v, iterate.auxiliary, iterate.multipliers
                 self.state = self.reactions.state(iterate.state(s, time, s.moved(old.x, iterate.step)), converged=True)
                 return self.state
-            if size > _SLOW * last:
+            if size > TOL.slow_ratio * last:
                 if not refreshed:
                     self.tangents = self._tangents(iterate.state(s, time, s.moved(old.x, iterate.step)))
                 factor, refreshed = None, True

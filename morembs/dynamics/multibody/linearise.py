@@ -20,20 +20,11 @@ from morembs.dynamics.multibody.component import Marker
 from morembs.dynamics.multibody.steady_spin import SteadySpin
 from morembs.dynamics.multibody.system import State
 from morembs.dynamics.multibody.tangents import pulls, stiffness_and_damping
+from morembs.dynamics.multibody.tolerances import TOL
 from morembs.exporters.ports import UNITS
 from morembs.exporters.state_space import StateSpace
 from morembs.linalg.eigen import accurate_eigh
 
-# Joint equations, equilibrated, that depend on each other.
-RANK = 1e-9
-# Stiffness along a motion, and part of a matrix that is not symmetric, that are round-off of the differences.
-ROUND_OFF, SKEW = 1e-9, 1e-6
-# Part of the largest square that is none.
-NOTHING = 1e-15
-# Growth, as part of the fastest motion, that is round-off of eigenvalues.
-STEADY = 1e-10
-# The same of a double root, such as that of a spin which nothing drives: the root of the round-off of differences.
-DOUBLE = 1e-4
 MOTIONS = ("displacement", "velocity", "acceleration")
 WORDS = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -61,7 +52,7 @@ class Linearised:
         values, Y = accurate_eigh(0.5 * (self.K + self.K.T), projected=lambda y: (Z @ y).T @ whole @ (Z @ y))
         z = np.abs(Z @ Y)
         size = np.einsum("ij,ij->j", z, np.abs(whole) @ z)
-        least = np.maximum(ROUND_OFF * size, NOTHING * np.abs(values).max(initial=0.0))
+        least = np.maximum(TOL.difference_roundoff * size, TOL.no_square * np.abs(values).max(initial=0.0))
         return np.where(np.abs(values) <= least, 0.0, values)
 
     @property
@@ -86,7 +77,8 @@ class Linearised:
 
     @property
     def _symmetric(self) -> bool:
-        return bool(np.abs(self.K - self.K.T).max(initial=0.0) <= SKEW * np.abs(self.K).max(initial=0.0))
+        off = np.abs(self.K - self.K.T).max(initial=0.0)
+        return bool(off <= TOL.difference_asymmetry * np.abs(self.K).max(initial=0.0))
 
     @property
     def growth(self) -> float:
@@ -96,12 +88,12 @@ class Linearised:
         stiffness is symmetric and the damping takes energy.
         """
         damping = 0.5 * (self.C + self.C.T)
-        takes = sl.eigvalsh(damping)[0] >= -ROUND_OFF * np.abs(damping).max() if len(damping) else True
+        takes = sl.eigvalsh(damping)[0] >= -TOL.difference_roundoff * np.abs(damping).max() if len(damping) else True
         if self._symmetric and takes and self.squares.min(initial=0.0) >= 0:
             return 0.0
         fastest = np.abs(self.eigenvalues).max(initial=0.0)
         rate = float(self.eigenvalues.real.max(initial=0.0))
-        return rate if rate > (DOUBLE if self.state.v.any() else STEADY) * fastest else 0.0
+        return rate if rate > (TOL.steady_double_growth if self.state.v.any() else TOL.steady_growth) * fastest else 0.0
 
     def state_space(self, inputs: Mapping[str, Marker], outputs: Mapping[str, tuple[Marker, str]]) -> StateSpace:
         """State space with forces and moments on the markers of ``inputs`` and motions of those of ``outputs``.
@@ -171,7 +163,7 @@ def _null_space(B: Floats) -> Floats:
     """Orthonormal (k, r) with B times it zero, rows of B (m, k) equilibrated."""
     norms = np.linalg.norm(B, axis=1)
     _, s, Vt = np.linalg.svd(B / np.where(norms > 0, norms, 1.0)[:, None], full_matrices=True)
-    rank = int((s > RANK * s.max(initial=0.0)).sum())
+    rank = int((s > TOL.dependent_joints * s.max(initial=0.0)).sum())
     return np.asarray(Vt[rank:].T)
 
 

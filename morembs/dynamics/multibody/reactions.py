@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.system import Assembly, State
+from morembs.dynamics.multibody.tolerances import TOL
 
 LU = tuple[NDArray[np.float64], NDArray[np.int32]]
 
@@ -72,7 +73,7 @@ def saddle(M: Floats, B: Floats) -> Floats:
 
 def least_norm(S: Floats, right: Floats) -> Floats:
     """The solution of least norm of a system that may be singular."""
-    return np.asarray(np.linalg.lstsq(S, right, rcond=1e-13)[0], dtype=np.float64)
+    return np.asarray(np.linalg.lstsq(S, right, rcond=TOL.least_norm_cut)[0], dtype=np.float64)
 
 
 class Reactions:

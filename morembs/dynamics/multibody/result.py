@@ -17,7 +17,8 @@ from morembs.dynamics.multibody.floating_body import FloatingBody
 from morembs.dynamics.multibody.joints import Constraint
 from morembs.dynamics.multibody.linear_body import LinearBody
 from morembs.dynamics.multibody.segment import Segment, wrench_on
-from morembs.dynamics.multibody.variation import CHANGE, StateSlopes, Variation
+from morembs.dynamics.multibody.tolerances import TOL
+from morembs.dynamics.multibody.variation import StateSlopes, Variation
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -209,7 +210,7 @@ class ResultSensitivity:
             for name in ("x", "v", "acceleration", "multipliers")
         ]
         fastest = float(np.abs(self._slopes[0]).max(initial=0.0))
-        self._step = min(of.step, CHANGE / fastest) if fastest else of.step
+        self._step = min(of.step, TOL.varied_part / fastest) if fastest else of.step
 
     @cached_property
     def _nearby(self) -> dict[int, Result]:

@@ -12,10 +12,7 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
-
-_SMALL = 1e-3
-# Angle (rad) below which derivatives of the coefficients are series.
-_SERIES = 0.05
+from morembs.dynamics.multibody.tolerances import TOL
 
 
 def hat(a: Floats) -> Floats:
@@ -32,10 +29,11 @@ def cross(a: Floats, b: Floats) -> Floats:
 
 def _coefficients(square: float) -> tuple[float, float, float]:
     """sin(p)/p, (1 - cos p)/p^2 and (p - sin p)/p^3 from p^2, by series where the quotients lose digits."""
-    if square < _SMALL**2:
+    if square < TOL.series_angle**2:
         return (
             1 - square / 6 * (1 - square / 20),
             0.5 - square / 24 * (1 - square / 30),
+            # Series of (p - sin p) / p^3 by p^2, as the two above.
             1 / 6 - square / 120 * (1 - square / 42),
         )
     p = math.sqrt(square)
@@ -74,8 +72,10 @@ def tangent_slope(p: Floats, m: Floats) -> Floats:
     """(3, 3): derivative of T(p) m by p."""
     square, P, turned = float(p @ p), hat(p), cross(p, m)
     a, b, c = _coefficients(square)
-    if square < _SERIES**2:
+    if square < TOL.derivative_series_angle**2:
+        # Series of (1 - cos p) / p^2 by p^2,
         db = -1 / 24 + square * (1 / 360 - square / 13440)
+        # and of (p - sin p) / p^3.
         dc = -1 / 120 + square * (1 / 2520 - square / 120960)
     else:
         db, dc = (a - 2 * b) / (2 * square), (b - 3 * c) / (2 * square)
@@ -88,7 +88,7 @@ def logarithm(R: Floats) -> Floats:
     skew = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     sine, cosine = float(np.linalg.norm(skew)), 0.5 * (float(np.trace(R)) - 1)
     angle = math.atan2(sine, cosine)
-    if cosine > -0.9:
+    if cosine > TOL.least_cosine:
         return np.asarray(skew / _coefficients(angle**2)[0])
     # Near half a turn the skew part vanishes; the symmetric part still has the axis, the skew part its sign.
     symmetric = 0.5 * (R + R.T) - cosine * np.eye(3)
@@ -99,9 +99,10 @@ def logarithm(R: Floats) -> Floats:
 
 def orthonormal(R: Floats) -> Floats:
     """One Newton step to the nearest rotation: takes the round-off of many products away."""
+    # Newton and Schulz: R (3 - R'R) / 2.
     return np.asarray(1.5 * R - 0.5 * R @ (R.T @ R))
 
 
-def is_rotation(R: Floats, tolerance: float = 1e-8) -> bool:
+def is_rotation(R: Floats, tolerance: float = TOL.default_rotation_error) -> bool:
     """Whether R (3, 3) is orthonormal and right-handed."""
     return bool(R.shape == (3, 3) and np.abs(R.T @ R - np.eye(3)).max() <= tolerance and np.linalg.det(R) > 0)

@@ -20,13 +20,10 @@ from morembs.dynamics.multibody.result import Result
 from morembs.dynamics.multibody.segment import Segment
 from morembs.dynamics.multibody.sensitivity import DirectDifferentiation
 from morembs.dynamics.multibody.system import Assembly, State, System
+from morembs.dynamics.multibody.tolerances import TOL
 from morembs.dynamics.multibody.variation import variations
 
 Repeat = Callable[[float], State]
-# The part of a step that is too short to be a step; an event that near to the end of a step is at its end.
-CLOSE = 1e-6
-# Events within one step after which a run is given up.
-_EVENTS = 400
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,14 +87,14 @@ class EventHandler(Events, ABC):
         wanted, h = self.time(before, after), after.time - before.time
         if wanted is None:
             return None
-        if not before.time < wanted <= after.time + CLOSE * h:
+        if not before.time < wanted <= after.time + TOL.negligible_step * h:
             raise InputError(
                 f"an event handler asked for a restart at t = {wanted:.9g} s in the step from {before.time:.9g} to "
                 f"{after.time:.9g} s; expected a time after its begin and up to its end"
             )
-        if wanted - before.time < CLOSE * h:
+        if wanted - before.time < TOL.negligible_step * h:
             return before
-        return repeat(wanted) if after.time - wanted > CLOSE * h else after
+        return repeat(wanted) if after.time - wanted > TOL.negligible_step * h else after
 
     def restart(self, state: State) -> tuple[Assembly, Floats, Floats]:
         new = self.change(state)
@@ -113,9 +110,9 @@ def simulate(
     *,
     end: float,
     step: float,
-    rho: float = 0.9,
+    rho: float = TOL.default_rho,
     begin: float = 0.0,
-    tolerance: float = 1e-9,
+    tolerance: float = TOL.newton_error,
     events: EventHandler | None = None,
     corrected_start: bool = True,
     max_deflection: float | None = 1.0,
@@ -170,7 +167,7 @@ def _check_times(begin: float, end: float, step: float, tolerance: float) -> Non
         raise InputError(f"end = {end:g} s was given with begin = {begin:g} s; expected an end after the beginning")
     if not 0 < step <= end - begin:
         raise InputError(f"step = {step:g} s was given; expected a positive step up to the span of {end - begin:g} s")
-    if not 0 < tolerance < 1e-2:
+    if not 0 < tolerance < TOL.max_newton_error:
         raise InputError(f"tolerance = {tolerance:g} was given; expected a number between 0 and 0.01, such as 1e-9")
 
 
@@ -264,10 +261,10 @@ class Run:
     def _segment(self, assembly: Assembly, t: float, x: Floats, v: Floats) -> bool:
         """States from t on, and whether an event ended them."""
         left, reactions = self.end - t, self.events.reactions(assembly)
-        if left <= CLOSE * self.step:
+        if left <= TOL.negligible_step * self.step:
             self.states = [self._stepper(reactions, t, x, v, self.step).state]
             return False
-        count = max(1, math.ceil(left / self.step * (1 - 1e-12)))
+        count = max(1, math.ceil(left / self.step * (1 - TOL.step_count_error)))
         h = left / count
         stepper = self._stepper(reactions, t, x, v, h)
         self.states = [stepper.state]
@@ -348,10 +345,10 @@ class Run:
 
     def _count(self, time: float) -> None:
         self._times = [t for t in self._times if t > time - self.step] + [time]
-        if len(self._times) > _EVENTS:
+        if len(self._times) > TOL.max_events_per_step:
             raise SolverError(
-                f"the run restarts again and again at t = {time:.9g} s: more than {_EVENTS} events within one step. "
-                f"{self.events.advice}"
+                f"the run restarts again and again at t = {time:.9g} s: more than {TOL.max_events_per_step} events "
+                f"within one step. {self.events.advice}"
             )
 
     def _close(self) -> None:

@@ -19,11 +19,8 @@ from morembs.dynamics.multibody.result import ResultSensitivity, sensitivities
 from morembs.dynamics.multibody.segment import Segment
 from morembs.dynamics.multibody.system import Assembly, State
 from morembs.dynamics.multibody.tangents import pulls, stiffness_and_damping
+from morembs.dynamics.multibody.tolerances import TOL
 from morembs.dynamics.multibody.variation import StateSlopes, Variation, slope_at_zero
-
-# Part of the usual change for what a run starts with: its first accelerations, over a step that is long for the highest
-# modes, bend much more with a parameter than the body does.
-START = 0.03
 
 
 class DirectDifferentiation:
@@ -67,7 +64,7 @@ class DirectDifferentiation:
             return np.concatenate((begun.state.acceleration, begun.state.multipliers, begun.v, begun.auxiliary))
 
         ends = np.cumsum([k, s.rows, k])
-        return x, v, *np.split(slope_at_zero(start, START * of.step), ends)
+        return x, v, *np.split(slope_at_zero(start, TOL.varied_start_part * of.step), ends)
 
     def advance(self) -> None:
         """Differentiate the step that was done last."""

@@ -20,10 +20,7 @@ from morembs.dynamics.multibody.component import direction, vector
 from morembs.dynamics.multibody.floating_body import FloatingBody
 from morembs.dynamics.multibody.rotations import cross, rotation
 from morembs.dynamics.multibody.system import Assembly
-
-_STEP = 1e-5
-# Velocities of joints, and changes of forces as the system turns, below this part of what they are made of are none.
-_NONE = 1e-8
+from morembs.dynamics.multibody.tolerances import TOL
 
 
 @checked
@@ -72,9 +69,9 @@ class SteadySpin:
             return np.asarray(g + multipliers @ B)
 
         K, C, none = np.zeros((a.size, a.size)), np.zeros((a.size, a.size)), np.zeros(a.size)
-        for column, step in enumerate(_STEP * np.eye(a.size)):
-            K[:, column] = (forces(step, none) - forces(-step, none)) / (2 * _STEP)
-            C[:, column] = (forces(none, step) - forces(none, -step)) / (2 * _STEP)
+        for column, step in enumerate(TOL.central_step * np.eye(a.size)):
+            K[:, column] = (forces(step, none) - forces(-step, none)) / (2 * TOL.central_step)
+            C[:, column] = (forces(none, step) - forces(none, -step)) / (2 * TOL.central_step)
         return K, C
 
     def check(self, a: Assembly, t: float, x: Floats) -> None:
@@ -87,7 +84,7 @@ class SteadySpin:
         _, g, _, B = a.equations(t, x, v)
         opened, size = np.abs(B @ v - a.driven(1, t)), np.abs(B) @ np.abs(v) + np.abs(a.driven(1, t))
         for joint, rows in zip(a.joints, a.in_rows, strict=True):
-            if (opened[rows] > _NONE * max(1.0, float(size[rows].max(initial=0.0)))).any():
+            if (opened[rows] > TOL.steady_part * max(1.0, float(size[rows].max(initial=0.0)))).any():
                 raise InputError(
                     f"{joint.label} does not let the system turn by {self.speed:g} rad/s about the axis of the "
                     "spin; expected joints to ground along the axis, free to turn or driven with that speed"
@@ -100,7 +97,7 @@ class SteadySpin:
         for j in a.in_v:
             back[j] = other[j]
             back[j][:3] = other[j][:3] @ R
-        if np.abs(back - g).max(initial=0.0) > _NONE * max(1e-300, float(np.abs(g).max(initial=0.0))):
+        if np.abs(back - g).max(initial=0.0) > TOL.steady_part * max(TOL.tiny, float(np.abs(g).max(initial=0.0))):
             raise InputError(
                 "forces change as the system turns, so that no spin is steady: gravity and loads on the ground must be "
                 "along the axis of the spin, springs to the ground on it"

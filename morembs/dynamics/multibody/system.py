@@ -18,9 +18,9 @@ from morembs.base.types import Floats
 from morembs.dynamics.multibody.component import Component, Marker, MarkerState, vector
 from morembs.dynamics.multibody.forces import Force
 from morembs.dynamics.multibody.joints import Constraint
+from morembs.dynamics.multibody.tolerances import TOL
 
 Part = TypeVar("Part", bound=Component | Constraint | Force)
-_RANK = 1e-9
 
 
 @checked
@@ -215,7 +215,7 @@ class Assembly:
     def curvature(self, x: Floats, v: Floats, h: float) -> Floats:
         """(m,) d(B v)/dx v: five-point difference along the motion, exact to about twelve digits."""
         rates = [float(np.linalg.norm(self.twist(m, self.place(m, x), v)[3:])) for m in self._markers]
-        s = min(3e-3 / max([1e-300, *rates]), h)
+        s = min(TOL.five_point_turn / max([TOL.tiny, *rates]), h)
 
         def at(k: int) -> Floats:
             return np.asarray(self.constraints(0.0, self.places(self.moved(x, k * s * v)))[1] @ v)
@@ -242,11 +242,11 @@ class Assembly:
     def check_positions(self, t: float, x: Floats) -> Floats:
         """Raise InputError for joints that are open or redundant; B (m, k)."""
         Phi, B = self.constraints(t, self.places(x))
-        length = max([1e-3, *(float(np.abs(self.place(m, x).position).max()) for m in self._markers)])
+        length = max([TOL.least_size, *(float(np.abs(self.place(m, x).position).max()) for m in self._markers)])
         far = [
             f"{j.label} by {np.abs(Phi[r]).max():.3g}"
             for j, r in zip(self.joints, self.in_rows, strict=True)
-            if np.abs(Phi[r]).max() > 1e-8 * max(1.0, length)
+            if np.abs(Phi[r]).max() > TOL.open_joint * max(1.0, length)
         ]
         if far:
             raise InputError(
@@ -260,11 +260,11 @@ class Assembly:
         """Raise InputError for joints that are open, moving apart or redundant at the start."""
         B = self.check_positions(t, x)
         drift = B @ v - self.driven(1, t)
-        fast = max(np.abs(B) @ np.abs(v), default=0.0)
+        fast = max(TOL.least_opening, max(np.abs(B) @ np.abs(v), default=0.0))
         moving = [
             f"{j.label} at {np.abs(drift[r]).max():.3g}"
             for j, r in zip(self.joints, self.in_rows, strict=True)
-            if np.abs(drift[r]).max() > 1e-6 * max(fast, np.abs(self.driven(1, t)).max(), 1e-9)
+            if np.abs(drift[r]).max() > TOL.opening_joint * max(fast, np.abs(self.driven(1, t)).max())
         ]
         if moving:
             raise InputError(
@@ -280,11 +280,11 @@ class Assembly:
         A = sl.solve_triangular(np.linalg.cholesky(M), B.T, lower=True)
         norms = np.linalg.norm(A, axis=0)
         U, s, _ = np.linalg.svd((A / np.where(norms > 0, norms, 1.0)).T, full_matrices=True)
-        rank = int((s > _RANK * s[0]).sum())
+        rank = int((s > TOL.dependent_joints * s[0]).sum())
         if rank == self.rows:
             return
         weight = np.abs(U[:, rank:]).max(axis=1)
-        named = [j.label for j, r in zip(self.joints, self.in_rows, strict=True) if weight[r].max() > 1e-6]
+        named = [j.label for j, r in zip(self.joints, self.in_rows, strict=True) if weight[r].max() > TOL.named_joint]
         raise InputError(
             f"{self.rows - rank} of {self.rows} joint equations are redundant: {'; '.join(named)} constrain the "
             "same motion. Free it in one of them (a spherical or revolute joint in place of a fixed one), or give the "

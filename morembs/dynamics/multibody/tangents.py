@@ -17,11 +17,10 @@ from morembs.dynamics.multibody.component import Component, Marker, MarkerState
 from morembs.dynamics.multibody.forces import Force
 from morembs.dynamics.multibody.joints import Constraint
 from morembs.dynamics.multibody.system import Assembly, State
+from morembs.dynamics.multibody.tolerances import TOL
 
 Forces = Callable[[Floats, Floats], Floats]
 Varied = Callable[[Floats], tuple[Floats, Floats]]
-# Steps of one-sided and of central differences, near the square and the cube root of round-off.
-_STEP, _CENTRAL = 1e-6, 1e-5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +75,7 @@ def stiffness_and_damping(
     By one-sided differences; with ``known``, the ``pulls`` here, exact as far as parts know their own. Each part is
     varied in the coordinates of its own components only.
     """
-    exact, h = known is not None, _STEP if known is None else _CENTRAL
+    exact, h = known is not None, TOL.forward_step if known is None else TOL.central_step
     K, C = np.zeros((assembly.size, assembly.size)), np.zeros((assembly.size, assembly.size))
 
     def varied(i: int, step: Floats) -> tuple[Floats, Floats]:

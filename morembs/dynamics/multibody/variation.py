@@ -20,10 +20,7 @@ from morembs.dynamics.multibody.joints import Constraint
 from morembs.dynamics.multibody.rotations import cross, tangent, tangent_slope
 from morembs.dynamics.multibody.system import Assembly, State
 from morembs.dynamics.multibody.tangents import Pull
-
-# Relative change of a body, and change of an angle, in differences of fourth order: these leave, and lose by round-off,
-# about a part of 1e-12.
-CHANGE = 1e-3
+from morembs.dynamics.multibody.tolerances import TOL
 
 
 def slope_at_zero(values: Callable[[float], Floats], step: float) -> Floats:
@@ -72,7 +69,7 @@ class Variation:
 
     @cached_property
     def step(self) -> float:
-        """Change of the parameter that changes no matrix of the body by more than a part of ``CHANGE``."""
+        """Change of the parameter that changes no matrix of the body by more than a part of ``TOL.varied_part``."""
         frame, slope, rates = self.body.frame, self.slope, [0.0]
         pairs = [(frame.Ke, slope.Ke), (frame.De, slope.De), (frame.elastic, slope.elastic)]
         names = ("mass", "inertia", "Me", "phi_phi")
@@ -80,7 +77,7 @@ class Variation:
         for value, change in pairs:
             size = float(np.abs(value).max(initial=0.0))
             rates.append(float(np.abs(change).max(initial=0.0)) / size if size else 0.0)
-        return CHANGE / max(rates) if max(rates) else CHANGE
+        return TOL.varied_part / max(rates) if max(rates) else TOL.varied_part
 
     def at(self, change: float) -> Assembly:
         """The assembly at a value of the parameter that differs by ``change``, to first order."""

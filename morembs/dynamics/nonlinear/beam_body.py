@@ -27,10 +27,8 @@ from morembs.dynamics.multibody.component import Component, Marker, MarkerState,
 from morembs.dynamics.multibody.divided import END, START
 from morembs.dynamics.nonlinear.rotation_vectors import tangents
 from morembs.dynamics.nonlinear.spatial_beam import SpatialBeam
+from morembs.dynamics.nonlinear.tolerances import TOL
 from morembs.fem import DofMap, FEModel, Nodes
-
-# Of differences, near the square root of round-off.
-_STEP = 1e-6
 
 
 @checked
@@ -137,9 +135,9 @@ class BeamBody(Component):
             moving = np.arange(first, n, 3)
             for axis in range(6):
                 step = np.zeros((n, 6))
-                step[moving, axis] = _STEP
+                step[moving, axis] = TOL.forward_step
                 for slope, at in ((K, (self.moved(x, step.ravel()), v)), (C, (x, v + step.ravel()))):
-                    change = ((self.dynamics(t, *at, still)[1] - base) / _STEP).reshape(n, 6)
+                    change = ((self.dynamics(t, *at, still)[1] - base) / TOL.forward_step).reshape(n, 6)
                     for shift in (-1, 0, 1):
                         by = moving[(moving + shift >= 0) & (moving + shift < n)]
                         slope[by + shift, :, by, axis] = change[by + shift]

@@ -17,11 +17,11 @@ from morembs.base.arguments import checked
 from morembs.base.closing import Closing
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
 from morembs.base.types import Floats, Ints
+from morembs.dynamics.nonlinear.tolerances import TOL
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Analysis, Factorization, LinearSolver
 
 Load = Floats | Callable[[Floats], Floats]
-_ITERATIONS, _SMALLEST, _GROWTH = 15, 1 / 1024, 2.0
 
 
 class Conservative(Protocol):
@@ -112,7 +112,7 @@ def follow_equilibrium(
     motion: Floats | None = None,
     x: Floats | None = None,
     steps: int = 10,
-    tolerance: float = 1e-10,
+    tolerance: float = TOL.newton_step,
     stable: bool = True,
     solver: LinearSolver | None = None,
 ) -> EquilibriumPath:
@@ -140,21 +140,21 @@ def follow_equilibrium(
         at, done, taken = _canonical(component, start, held), 0.0, 0
         share = 1.0 / steps
         while done < 1:
-            goal = min(1.0, done + share) if done + share < 1 - 1e-9 else 1.0
+            goal = min(1.0, done + share) if done + share < 1 - TOL.negligible_step else 1.0
             try:
                 at = newton.equilibrium(at, (goal - done) * shift, goal)
             except BudgetError:
                 raise
             except SolverError as error:
                 share /= 4
-                if share < _SMALLEST / steps:
+                if share < TOL.least_load_step / steps:
                     raise InputError(
                         f"no equilibrium beyond {done:.3g} of the load: {error}. Take a smaller load, or more support; "
                         "a limit point or a bifurcation may lie there"
                     ) from None
                 continue
             done, taken = goal, taken + 1
-            share = min(share * _GROWTH, 1.0 / steps)
+            share = min(share * TOL.load_step_growth, 1.0 / steps)
         return EquilibriumPath(
             x=at, reaction=(component.force(at) - force(at))[held], steps=taken, factorisations=tangents.count
         )
@@ -206,7 +206,7 @@ class Newton:
     ) -> None:
         self.component, self.tangents, self.held, self.load = component, tangents, held, load
         self.tolerance, self.stable = tolerance, stable
-        self.scale = max(1e-300, float(np.ptp(component.reference)))
+        self.scale = max(TOL.tiny, float(np.ptp(component.reference)))
 
     def equilibrium(self, x: Floats, move: Floats, share: float, resultants: Floats | None = None) -> Floats:
         """Equilibrium near x under a ``share`` of the load, the held coordinates moved by ``move`` in the first, linear
@@ -218,7 +218,7 @@ class Newton:
         component, free = self.component, self.tangents.free
         x, last = np.array(x), np.inf
         change = np.zeros(component.size)
-        for iteration in range(_ITERATIONS):
+        for iteration in range(TOL.newton_iterations):
             K = component.tangent(x, resultants)
             residual = (component.force(x) - share * self.load(x))[free]
             if iteration == 0 and move.any():
@@ -236,7 +236,8 @@ class Newton:
             x = _canonical(component, x + change, self.held)
             # Once steps are small they fall to round-off at once; what then no longer falls is round-off.
             if (iteration or not move.any()) and (
-                size <= self.tolerance * self.scale or (size < 1e-7 * self.scale and size > 0.1 * last)
+                size <= self.tolerance * self.scale
+                or (size < TOL.stalled_step * self.scale and size > TOL.stalled_ratio * last)
             ):
                 if self.stable and factor.negative_pivots():
                     raise SolverError("the equilibrium is not stable, the load is beyond that of buckling")

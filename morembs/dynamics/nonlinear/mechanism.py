@@ -20,6 +20,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.chain import Chain
 from morembs.dynamics.nonlinear.member import Member
+from morembs.dynamics.nonlinear.tolerances import TOL
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +98,7 @@ class Mechanism:
         """
         where = _pair("position of a point", position)
         if motion is not None:
-            if np.abs(first := _pair("motion of a point at t = 0", motion(0.0))).max() > 1e-12:
+            if np.abs(first := _pair("motion of a point at t = 0", motion(0.0))).max() > TOL.motion_at_start:
                 raise InputError(f"the motion of a point starts at {first.tolist()} m; expected zero")
             _at_rest("point", "m/s", motion)
             fixed = "xy"
@@ -120,7 +121,7 @@ class Mechanism:
             InputError: a motion that does not start at zero and at rest, or as seen from an angle that
                 is driven itself.
         """
-        if not abs(motion(0.0)) < 1e-12:
+        if not abs(motion(0.0)) < TOL.motion_at_start:
             raise InputError(f"the motion of a joint starts at {motion(0.0):.6g} rad; expected zero")
         _at_rest("joint", "rad/s", motion)
         if seen_from is None:
@@ -142,7 +143,7 @@ class Mechanism:
         """
         step = second.position - first.position
         distance, direction = float(np.hypot(*step)), math.atan2(step[1], step[0])
-        if abs(distance - member.length) > 1e-6 * member.length:
+        if abs(distance - member.length) > TOL.length_mismatch * member.length:
             raise InputError(
                 f"the points of a member are {distance:.6g} m apart; expected its length {member.length:.6g} m"
             )
@@ -150,7 +151,7 @@ class Mechanism:
             raise InputError("one angle was given for both ends of a member; expected two, or none")
         angles = [a if a is not None else self.angle(direction) for a in (start, end)]
         for given in angles:
-            if abs(given.value - direction) > 1e-6:
+            if abs(given.value - direction) > TOL.angle_mismatch:
                 raise InputError(
                     f"an angle of {given.value:.6g} rad was given for a member along {direction:.6g} rad; expected the "
                     "same number (also the same turn): members start without strain"
@@ -225,7 +226,7 @@ def _at_rest(what: str, unit: str, motion: Callable[[float], ArrayLike]) -> None
     h = 1e-6
     near, far = (np.asarray(motion(t), dtype=float) for t in (h, 2 * h))
     speed = float(np.abs(4 * near - far).max() / (2 * h))
-    if not speed < 1e-6:
+    if not speed < TOL.rate_at_start:
         raise InputError(
             f"the motion of a {what} starts with {speed:.6g} {unit}; expected zero, as a mechanism starts at rest: let "
             "it begin smoothly"

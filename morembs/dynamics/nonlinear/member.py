@@ -14,6 +14,7 @@ from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.component import NonlinearComponent, StrainStiffness
+from morembs.dynamics.nonlinear.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
@@ -136,7 +137,7 @@ def ends(component: NonlinearComponent) -> tuple[float, Ints]:
     first, second = component.frames["start"], component.frames["end"]
     a, b = component.reference[first], component.reference[second]
     length = float(b[0])
-    if length <= 0 or np.abs(np.concatenate((a, b[1:]))).max() > 1e-9 * length:
+    if length <= 0 or np.abs(np.concatenate((a, b[1:]))).max() > TOL.off_axis * length:
         raise InputError(
             f"the reference of the component runs from {a} to {b}; expected frames without rotation at the origin and "
             "on the x axis. Turn and shift it"

@@ -25,16 +25,7 @@ from morembs.base.types import Floats
 from morembs.dynamics.multibody.integrate import Scheme
 from morembs.dynamics.nonlinear.mechanism import Mechanism
 from morembs.dynamics.nonlinear.member import MemberState
-
-_ITERATIONS, _SLOW = 25, 0.1
-# Static answer of the modes left out, per length, from which a result says so.
-_NEGLECTED = 5e-3
-# s, half the span of the central difference that gives the rate of a prescribed motion.
-_RATE = 1e-6
-# Part of a step: distance of the places whose differences give the accelerations at the start.
-_START = 0.1
-# Entries of J up to which matrices are dense.
-DENSE = 40_000
+from morembs.dynamics.nonlinear.tolerances import TOL
 
 
 class LeftTablesError(SolverError):
@@ -128,7 +119,7 @@ class _Run:
 
     def damping(self, t: float, states: list[MemberState], rate: Floats) -> Floats:
         """Forces (size,) of damping at the ``rate`` (size,) dq/dt, on the side of ``forces``."""
-        total = np.zeros(self.mechanism.size)
+        total, ahead = np.zeros(self.mechanism.size), TOL.motion_rate_step
         for k, (state, (free, columns)) in enumerate(zip(states, self.free, strict=False)):
             if state.strains is None:
                 raise InputError(
@@ -138,7 +129,7 @@ class _Run:
             local = np.zeros(self.mechanism.members[k].size)
             local[free] = rate[columns]
             for place, motion in self.mechanism.drives[k]:
-                local[place] += (motion(t + _RATE) - motion(t - _RATE)) / (2 * _RATE)
+                local[place] += (motion(t + ahead) - motion(t - ahead)) / (2 * ahead)
             total[columns] += self.mechanism.damping * (state.strains() @ local)[free]
         return total
 
@@ -176,13 +167,13 @@ class _Run:
                 if self.outside == "stop":
                     raise LeftTablesError(
                         f"{text}. Tabulate a larger range, divide the member into "
-                        f"{math.ceil(abs(value) / limit / 0.75)} or more, or continue with outside='continue' (tables "
-                        "go on as straight lines, results lose accuracy)",
+                        f"{math.ceil(abs(value) / limit / TOL.wanted_table_part)} or more, or continue with "
+                        "outside='continue' (tables go on as straight lines, results lose accuracy)",
                         share=abs(value) / limit,
                     )
                 self.warnings.setdefault(f"{k}{name}", f"{text}; from there on the tables are extended")
             share = member.neglected(local, states[k], load[self.slices[k]])
-            if share > max(_NEGLECTED, self.shares.get(k, (0.0, 0.0))[0]):
+            if share > max(TOL.neglected_answer, self.shares.get(k, (0.0, 0.0))[0]):
                 self.shares[k] = share, t
 
     def sentences(self) -> tuple[str, ...]:
@@ -201,10 +192,10 @@ def simulate(
     *,
     end: float,
     step: float,
-    rho: float = 0.9,
-    tolerance: float = 1e-9,
+    rho: float = TOL.default_rho,
+    tolerance: float = TOL.node_change,
     outside: str = "stop",
-    dense_entries: int = DENSE,
+    dense_entries: int = TOL.dense_entries,
 ) -> MechanismMotion:
     """Motion from rest to ``end`` (s) in steps of ``step`` (s).
 
@@ -237,7 +228,7 @@ def simulate(
 class _Integration:
     def __init__(self, run: _Run, scheme: Scheme, h: float, tolerance: float) -> None:
         self.run_, self.h, self.scheme = run, h, scheme
-        self.tolerance = tolerance * max(1e-3, min(m.length for m in run.mechanism.members))
+        self.tolerance = tolerance * max(TOL.least_size, min(m.length for m in run.mechanism.members))
         self.q = run.mechanism.start()
         self.past = [self.q] * 3
         self.x, states, J = run.at(self.q, 0.0)
@@ -253,7 +244,7 @@ class _Integration:
 
     def _prescribed(self) -> Floats:
         """Accelerations of the nodes by prescribed motions alone, from after the start: none is known before it."""
-        mechanism, d = self.run_.mechanism, _START * self.h
+        mechanism, d = self.run_.mechanism, TOL.start_part * self.h
         if not any(mechanism.drives) and all(point.motion is None for point, _ in mechanism.masses):
             return np.zeros_like(self.x)
         x = [self.run_.at(self.q, k * d)[0] for k in range(4)]
@@ -291,11 +282,12 @@ class _Integration:
         q = 3 * self.q - 3 * self.past[1] + self.past[0]
         x, states, J = run.at(q, t)
         first = True
-        for _ in range(_ITERATIONS):
+        for _ in range(TOL.step_iterations):
             self.iterations += 1
             auxiliary = ((x - old) / h - self.v) / (a.beta * h) - (0.5 - a.beta) / a.beta * self.auxiliary
             rate = ((1 - a.alpha_m) * auxiliary + a.alpha_m * self.auxiliary - a.alpha_f * self.rate) / (1 - a.alpha_f)
             if factor is None:
+                # The rate of second order takes 3/2 of the last change (BDF2).
                 factor = run.factor(states, J, c, 1 + 1.5 * damping / h)
             residual = J.T @ (run.inertia(rate) - run.weight) + run.forces(t, states)
             if damping:
@@ -317,12 +309,12 @@ class _Integration:
                 self.x, self.q, self.auxiliary, self.states = x, q, auxiliary, states
                 self.past = [*self.past[1:], q]
                 return
-            if first or size > _SLOW * last:
+            if first or size > TOL.slow_ratio * last:
                 factor, first = None, False
             last = size
         raise SolverError(
-            f"the step to t = {t:.6g} s with h = {h:.3g} s does not converge in {_ITERATIONS} iterations (last change "
-            f"{last:.2g}, limit {self.tolerance:.2g}, in m and rad). Take a smaller step"
+            f"the step to t = {t:.6g} s with h = {h:.3g} s does not converge in {TOL.step_iterations} iterations (last "
+            f"change {last:.2g}, limit {self.tolerance:.2g}, in m and rad). Take a smaller step"
         )
 
     def _drag(self, q: Floats, t: float, states: list[MemberState]) -> Floats:

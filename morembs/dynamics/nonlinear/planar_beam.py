@@ -26,6 +26,7 @@ from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.limits import NotNegative, Positive
 from morembs.base.types import Floats, Ints
+from morembs.dynamics.nonlinear.tolerances import TOL
 
 # From node coordinates (6,) to step d (2,), rotation half way and relative rotation.
 _T = np.array([[-1, 0, 0, 1, 0, 0], [0, -1, 0, 0, 1, 0], [0, 0, 0.5, 0, 0, 0.5], [0, 0, -1, 0, 0, 1]], dtype=float)
@@ -85,7 +86,7 @@ class PlanarBeam:
             )
         along = _turned(half, step) * _screw(turn)[0][:, None]
         self.lengths = np.linalg.norm(along, axis=1)
-        if self.lengths.min() <= 0 or np.abs(along[:, 1]).max() > 0.2 * self.lengths.max():
+        if self.lengths.min() <= 0 or np.abs(along[:, 1]).max() > TOL.max_chord_across * self.lengths.max():
             raise InputError(
                 "nodes of a beam: an element has no length or does not follow the direction of its nodes; "
                 "expected nodes in order along the axis, with its direction as the third number"
@@ -124,12 +125,12 @@ class PlanarBeam:
             raise InputError(f"line of a beam: shape {table.shape} was given; expected (n, 3) finite numbers, n >= 2")
         chord = table[-1, :2] - table[0, :2]
         size = float(np.ptp(table[:, :2], axis=0).max())
-        if not np.hypot(*chord) > 1e-6 * size:
+        if not np.hypot(*chord) > TOL.meeting_ends * size:
             raise InputError("the ends of the line of a beam meet; a member needs a chord, divide the line")
         direction = math.atan2(chord[1], chord[0])
         moved = _turned(np.full(len(table), direction), table[:, :2] - table[0, :2])
         moved[-1, 1] = 0.0
-        long = np.hypot(*np.diff(moved, axis=0).T) > 1e-9 * size
+        long = np.hypot(*np.diff(moved, axis=0).T) > TOL.same_point * size
         places = np.concatenate(([True], long))
         turns = np.column_stack((table[:-1, 2], table[1:, 2]))[long] - direction
         nodes = np.column_stack((moved[places], np.zeros(places.sum())))
@@ -251,13 +252,18 @@ def _turned(angle: Floats, step: Floats) -> Floats:
 def _screw(turn: Floats) -> tuple[Floats, Floats, Floats]:
     """f = (turn/2) / sin(turn/2), a chord on its arc, with its first and second derivative."""
     a = turn / 2
-    small = np.abs(a) < 0.05
+    small = np.abs(a) < TOL.screw_series_angle
     b = np.where(small, 1.0, a)
     q = a * a
     sine, cosine = np.sin(b), np.cos(b)
+    # Series of x / sin x (Abramowitz and Stegun 4.3.68), and below of its derivatives.
     f = np.where(small, 1 + q / 6 * (1 + 7 * q / 60 * (1 + 31 * q / 294)), b / sine)
+    # The first one.
     first = np.where(small, a / 3 * (1 + 7 * q / 30 * (1 + 31 * q / 196)), (sine - b * cosine) / sine**2)
     second = np.where(
-        small, (1 + 7 * q / 10 * (1 + 155 * q / 588)) / 3, (b * (1 + cosine**2) - 2 * sine * cosine) / sine**3
+        small,
+        # The second one.
+        (1 + 7 * q / 10 * (1 + 155 * q / 588)) / 3,
+        (b * (1 + cosine**2) - 2 * sine * cosine) / sine**3,
     )
     return f, first / 2, second / 4

@@ -13,26 +13,26 @@ import numpy as np
 from scipy.special import zeta
 
 from morembs.base.types import Floats
+from morembs.dynamics.nonlinear.tolerances import TOL
 from morembs.fem import skew
 
-_TERMS, _SERIES = 16, 4.0
 _EYE = np.eye(3)
-_FACTORIALS = [float(math.factorial(k)) for k in range(2 * _TERMS + 5)]
+_FACTORIALS = [float(math.factorial(k)) for k in range(2 * TOL.series_terms + 5)]
 
 
 def coefficients(square: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """b = (1 - cos p)/p^2 and c = (p - sin p)/p^3 of p^2 (n,), and their derivatives by p^2."""
     s = np.asarray(square, dtype=float)
-    large = np.where(s > _SERIES, s, 1.0)
+    large = np.where(s > TOL.series_square, s, 1.0)
     p = np.sqrt(large)
     a, b, c = np.sin(p) / p, 2 * (np.sin(p / 2) / p) ** 2, (p - np.sin(p)) / (p * large)
     # Sums of (-s)^k / (2k + 2)! and (-s)^k / (2k + 3)!, and their derivatives, by Horner's rule.
-    small = np.where(s > _SERIES, 0.0, s)
+    small = np.where(s > TOL.series_square, 0.0, s)
     sums = [np.zeros_like(s) for _ in range(4)]
-    for k in range(_TERMS, -1, -1):
+    for k in range(TOL.series_terms, -1, -1):
         sums[2], sums[3] = sums[0] - small * sums[2], sums[1] - small * sums[3]
         sums[0], sums[1] = 1 / _FACTORIALS[2 * k + 2] - small * sums[0], 1 / _FACTORIALS[2 * k + 3] - small * sums[1]
-    far = s > _SERIES
+    far = s > TOL.series_square
     b_s, c_s = (a - 2 * b) / (2 * large), (b - 3 * c) / (2 * large)
     return (
         np.where(far, b, sums[0]),

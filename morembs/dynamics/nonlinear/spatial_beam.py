@@ -28,6 +28,7 @@ from morembs.base.limits import NotNegative, Positive
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.helix import Helix
 from morembs.dynamics.nonlinear.rotation_vectors import curvature, shortened, tangents
+from morembs.dynamics.nonlinear.tolerances import TOL
 
 
 @checked
@@ -62,6 +63,7 @@ class SpatialSection:
         long, short = max(width, height), min(width, height)
         odd = np.arange(1, 40, 2)
         series = float(np.sum(np.tanh(odd * np.pi * long / (2 * short)) / odd**5))
+        # Timoshenko and Goodier: Theory of Elasticity, torsion of rectangular bars.
         torsion = long * short**3 / 3 * (1 - 192 * short / (np.pi**5 * long) * series)
         return cls(
             EA=E * A,
@@ -99,7 +101,11 @@ class SpatialBeam:
                 f"nodes {xyz.shape} and frames {axes.shape} of a beam were given; expected (n, 3) and (n, 3, 3), n >= 2"
             )
         square = np.einsum("nij,nik->njk", axes, axes)
-        if not (np.isfinite(xyz).all() and np.abs(square - np.eye(3)).max() < 1e-8 and np.linalg.det(axes).min() > 0):
+        if not (
+            np.isfinite(xyz).all()
+            and np.abs(square - np.eye(3)).max() < TOL.frame_error
+            and np.linalg.det(axes).min() > 0
+        ):
             raise InputError("nodes and frames of a beam: expected finite positions and right-handed orthonormal axes")
         self.nodes, self.section, self.corrected = xyz, section, corrected
         self._rotation = Rotation.from_matrix(axes)
@@ -107,7 +113,7 @@ class SpatialBeam:
         helix = Helix.between(*self._ends(self.reference)[:3])
         self.lengths = np.linalg.norm(helix.chord, axis=1)
         along = helix.chord[:, 0]
-        if np.linalg.norm(helix.phi, axis=1).max() > 3.0 or not (along > 0.8 * self.lengths).all():
+        if np.linalg.norm(helix.phi, axis=1).max() > 3.0 or not (along > TOL.least_chord_along * self.lengths).all():
             raise InputError(
                 "nodes of a beam: an element has no length, turns by 3 rad or more, or does not follow the first axis "
                 "of its frames; expected nodes in order along the beam, or more of them"

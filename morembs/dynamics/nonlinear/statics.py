@@ -12,8 +12,7 @@ from morembs.base.arguments import checked
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.component import NonlinearComponent
-
-_ITERATIONS, _SMALLEST = 30, 1 / 256
+from morembs.dynamics.nonlinear.tolerances import TOL
 
 
 class Factor:
@@ -36,7 +35,12 @@ class Factor:
 
 
 def newton(
-    component: NonlinearComponent, x: Floats, free: Ints, load: Floats | None = None, *, tolerance: float = 1e-12
+    component: NonlinearComponent,
+    x: Floats,
+    free: Ints,
+    load: Floats | None = None,
+    *,
+    tolerance: float = TOL.static_step,
 ) -> tuple[Floats, Factor]:
     """Equilibrium f(x) = load on the ``free`` coordinates, from x (N,) on; the others stay.
 
@@ -49,7 +53,7 @@ def newton(
     x = np.array(x)
     scale = max(1.0, float(np.abs(component.reference).max()))
     size, last = np.inf, np.inf
-    for _ in range(_ITERATIONS):
+    for _ in range(TOL.static_iterations):
         residual = component.force(x) if load is None else component.force(x) - load
         factor = Factor(component.tangent(x)[free][:, free])
         step = -factor.solve(residual[free])
@@ -112,10 +116,10 @@ def follow(solved: Callable[[Floats, float, float], Floats], x: Floats, step: fl
     Raises:
         InputError: not even the smallest step converges.
     """
-    at, smallest = 0.0, step * _SMALLEST
+    at, smallest = 0.0, step * TOL.least_static_load_step
     while at < 1:
         now = min(1.0, at + step)
-        if now > 1 - 1e-9:
+        if now > 1 - TOL.negligible_step:
             now = 1.0
         try:
             x, at = solved(x, at, now), now

@@ -15,6 +15,7 @@ import scipy.sparse as sp
 
 from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.couple import interfaces_of
+from morembs.app.jobs.tolerances import TOL
 from morembs.base.budget import current_budget, memory_that_leaves
 from morembs.base.errors import BudgetError, enough_megabytes
 from morembs.fem import DofMap, FEModel, Mesh
@@ -32,23 +33,9 @@ from morembs.problem.system import worker_bytes
 from morembs.problem.tolerances import TOL as PROBLEM
 from morembs.reducers.problem_summary import ShiftedFactorisations
 
-# Bytes of a stored entry of K or M, and of the triangle with the places of M in it.
-_ENTRY, _TRIANGLE = 12, 12
-# A Krylov space has about this many columns for each mode, beside blocks in use; measured.
-_SPACE, _BLOCKS = 3, 160
 # Part of the speed of a large dense product that a factorisation reaches, and seconds for each of its entries
 # on top; of compact bodies of 100 to 300 thousand dofs, PARDISO's taken to be that of MUMPS.
 _EFFICIENCY = {"cholmod": 0.56, "mumps": 0.48, "mumps-mixed": 1.0, "mumps-embedded": 0.30, "pardiso": 0.48}
-_SLOWEST = 0.1
-_SECONDS_PER_ENTRY = 1e-8
-# Real products in a complex one.
-_COMPLEX = 4
-# Resident memory of a rank of MPI without its part of a factor; measured.
-RANK_BYTES = 80_000_000
-# What stays resident of a job when all that can rest does: bytes, and columns as long as there are dofs; measured. Of
-# the bytes this much is there before modes are counted, and so much more takes the smallest count.
-RESTING_BYTES, RESTING_COLUMNS = 70_000_000, 12
-LOADED_BYTES, LEAST_COUNT = 16_000_000, 6_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +160,7 @@ def forecast_cost(
     budget = current_budget()
     room = None if budget.memory is None else budget.memory - start - resting_bytes(n)
     # What reduce loads and keeps later is not there yet when it looks at this.
-    first = None if room is None else room + RESTING_BYTES - LOADED_BYTES
+    first = None if room is None else room + TOL.resting_bytes - TOL.loaded_bytes
     count = require_room_to_count(solver, lower, first) if modes else None
     limited = solver.with_memory(None if room is None else max(0, room))
     with limited.analyse(lower, "spd", "the stiffness matrix") as analysis:
@@ -182,19 +169,20 @@ def forecast_cost(
     if count and budget.memory is None:
         # Without a budget its factor is kept, because it finds modes too.
         counting += 8 * count.factor_entries
-    dense = 8 * n * (columns + min(_SPACE * columns + _BLOCKS, n))
+    dense = 8 * n * (columns + min(TOL.krylov_columns_per_mode * columns + TOL.krylov_block_columns, n))
     # What the libraries of the reduction take, which are not loaded yet.
-    before, here = start + LOADED_BYTES + matrices, plan
+    before, here = start + TOL.loaded_bytes + matrices, plan
     left = None if budget.memory is None else budget.memory - before - plan.kept
     shift = _at_shifts(lower, shifted, solver, workers, left)
     if plan.ranks > 1:
         # Right-hand sides and solutions are all that is here.
         largest = max(plan.memory, plan.kept + max(counting, shift.here))
-        shift = replace(shift, here=0, processes=plan.ranks, each=RANK_BYTES + largest // plan.ranks)
+        shift = replace(shift, here=0, processes=plan.ranks, each=TOL.rank_bytes + largest // plan.ranks)
         here, counting = replace(plan, memory=0, kept=0), 0
+    least_count = TOL.least_count_bytes if modes else 0
     peak = max(
         before + 8 * lower.nnz + here.memory,
-        before + 16 * lower.nnz + here.kept + max(counting, shift.here) + dense + (LEAST_COUNT if modes else 0),
+        before + 16 * lower.nnz + here.kept + max(counting, shift.here) + dense + least_count,
     )
     if budget.memory is not None:
         # Matrices and columns rest in files when the factorisation needs their room.
@@ -214,7 +202,7 @@ def _at_shifts(
     here = [plans[x.structure][1] for x in shifted if min(running, x.at_once) == 1]
     seconds = 0.0
     for x in shifted:
-        products = _COMPLEX if x.structure.startswith("complex") else 1
+        products = TOL.products_of_complex if x.structure.startswith("complex") else 1
         seconds += products * _seconds(plans[x.structure][0]) * math.ceil(x.count / min(running, x.at_once))
     largest = max((plan for plan, _ in plans.values()), key=lambda plan: plan.kept)
     return Shift(
@@ -239,8 +227,8 @@ def require_room(job: Job, start: int, dofs: int, modes: bool, least: Callable[[
     """
     beside = resting_bytes(dofs)
     if modes:
-        count = LINALG.count_bytes + LEAST_COUNT + 8 * LINALG.count_columns * dofs
-        beside = max(beside, beside - RESTING_BYTES + LOADED_BYTES + count)
+        count = LINALG.count_bytes + TOL.least_count_bytes + 8 * LINALG.count_columns * dofs
+        beside = max(beside, beside - TOL.resting_bytes + TOL.loaded_bytes + count)
     needed = start + beside
     if job.memory is not None and job.memory < needed:
         enough = max(needed, least())
@@ -254,7 +242,7 @@ def require_room(job: Job, start: int, dofs: int, modes: bool, least: Callable[[
 
 def resting_bytes(dofs: int) -> int:
     """What a job with ``dofs`` keeps in memory even when all that can rest does."""
-    return RESTING_BYTES + RESTING_COLUMNS * 8 * dofs
+    return TOL.resting_bytes + TOL.resting_columns * 8 * dofs
 
 
 def least_memory(
@@ -277,7 +265,7 @@ def least_memory(
         require_room_to_count(solver, lower, 0)
     except BudgetError as error:
         count = error.needed
-    used = start + resting_bytes(lower.n) - RESTING_BYTES + LOADED_BYTES
+    used = start + resting_bytes(lower.n) - TOL.resting_bytes + TOL.loaded_bytes
     matrices = _matrices(K, lower, square)
     return min(used + matrices + count, memory_that_leaves(count, used))
 
@@ -312,10 +300,10 @@ def require_room_of_mesh(
 
 def _matrices(K: sp.csr_array, lower: Lower, square: bool) -> int:
     """Bytes of K and M, as they came and coupled, and of their triangles."""
-    held = (1 if square else 2) * _ENTRY * (K.nnz + K.nnz // 3)
-    return int(held + _TRIANGLE * (lower.nnz + lower.nnz // 3))
+    held = (1 if square else 2) * TOL.entry_bytes * (K.nnz + K.nnz // 3)
+    return int(held + TOL.triangle_entry_bytes * (lower.nnz + lower.nnz // 3))
 
 
 def _seconds(plan: Forecast) -> float:
-    rate = 1e9 * measured_speed().gemm_gflops * _EFFICIENCY.get(plan.backend, _SLOWEST)
-    return plan.flops / rate + _SECONDS_PER_ENTRY * plan.factor_entries / max(blas_threads(), 1)
+    rate = 1e9 * measured_speed().gemm_gflops * _EFFICIENCY.get(plan.backend, TOL.least_factor_speed)
+    return plan.flops / rate + TOL.seconds_per_entry * plan.factor_entries / max(blas_threads(), 1)

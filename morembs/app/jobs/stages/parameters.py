@@ -15,6 +15,7 @@ from morembs.app.jobs.stages.couple import VARIED, damping_of
 from morembs.app.jobs.stages.model import MESH, materials_of
 from morembs.app.jobs.stages.stage import MODEL, JobStage, Work
 from morembs.app.jobs.stages.write import WRITTEN
+from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.body.floating.preload import Preload, Preloaded
@@ -28,12 +29,9 @@ from morembs.parametric.parameter import Parameter, Spring
 from morembs.parametric.regions import rows_of_set, young_of
 from morembs.parametric.steps import clear_steps
 from morembs.parametric.terms import VariedModel, varied_model
+from morembs.parametric.tolerances import TOL as PARAMETRIC
 from morembs.storage.csv_table import read_table
 
-# Values that differ by less than this part are one.
-SAME = 1e-12
-# Tolerance of bodies where none is given.
-TOLERANCE = 1e-3
 COLUMNS = ("id", "dx", "dy", "dz")
 
 
@@ -83,7 +81,7 @@ def varied_of(job: Job, mesh: Mesh, materials: Sequence[Material]) -> VariedMode
         InputError: parameters that do not fit the mesh.
     """
     mesh, parameters = parameters_of(job, mesh)
-    tolerances = [table.options().get("tolerance", TOLERANCE) for table in job.tables.reduce]
+    tolerances = [table.options().get("tolerance", PARAMETRIC.default_tolerance) for table in job.tables.reduce]
     return varied_model(
         mesh,
         materials,
@@ -172,7 +170,7 @@ def _nominal(job: Job, mesh: Mesh, table: ParameterTable, sets: tuple[str, ...])
     values = [
         young_of(materials[k], table.name) if table.property == "young" else materials[k].density for k in sorted(used)
     ]
-    if max(values) - min(values) > SAME * max(values):
+    if max(values) - min(values) > TOL.same_value * max(values):
         raise InputError(
             f"parameter {table.name}: its elements have materials with different {table.property}; give it a nominal "
             "value"

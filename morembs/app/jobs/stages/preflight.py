@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.stage import asked
+from morembs.app.jobs.tolerances import TOL
 from morembs.base.progress import duration_words
 from morembs.body.diagnostics.warnings import examined, examined_mesh
 from morembs.fem import FEModel
 from morembs.reducers import ProblemSummary
 from morembs.reducers.problem_summary import ShiftedFactorisations
-
-# Interface degrees of freedom beyond which methods that follow all responses take minutes.
-MANY_INTERFACE_DOFS = 60
 
 
 def model_warnings(job: Job, model: FEModel) -> tuple[str, ...]:
@@ -41,7 +39,7 @@ def shifted_of(job: Job, facts: ProblemSummary) -> dict[str, ShiftedFactorisatio
 
 
 def _many_motions(job: Job, facts: ProblemSummary) -> list[str]:
-    if facts.inputs <= MANY_INTERFACE_DOFS:
+    if facts.inputs <= TOL.many_interface_dofs:
         return []
     took = {words: took for stage in asked(job) for words, took in stage.followed_seconds(job, facts).items()}
     if not took:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.couple import PROBLEM
 from morembs.app.jobs.stages.stage import JobStage, Result, Work
+from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError, SolverError
 from morembs.base.progress import duration_words
 from morembs.reducers import ProblemSummary, Reducer
@@ -16,12 +17,6 @@ from morembs.reducers.problem_summary import ShiftedFactorisations
 from morembs.responses.direct import why_no_response
 
 REDUCED: Result[Sequence[ReducedModel]] = Result("reduced")
-# How many interface degrees of freedom make sense where the responses to all of them are followed at once.
-MOST_INTERFACE_DOFS = 500
-# Part of the dofs, and count, beyond which modes are no reduction any more or take very long.
-MANY_MODES, MOST_MODES = 0.1, 1000
-# Models that take seconds whatever is asked of them.
-SMALL = 3000
 
 
 class Reduction(JobStage):
@@ -38,17 +33,17 @@ class Reduction(JobStage):
             raise InputError(
                 "[certify] compares interface degrees of freedom, and there are none; add at least one [[interface]]"
             )
-        if key and facts.inputs > MOST_INTERFACE_DOFS:
+        if key and facts.inputs > TOL.max_interface_dofs:
             raise InputError(
                 f"[{key}] compares the responses of all interface degrees of freedom, {facts.inputs} x {facts.inputs} "
-                f"at each frequency, and at most {MOST_INTERFACE_DOFS} fit; leave [{key}] out, or take rigid or "
+                f"at each frequency, and at most {TOL.max_interface_dofs} fit; leave [{key}] out, or take rigid or "
                 "average couplings"
             )
         for name, reducer in reducers_of(job).items():
-            if facts.inputs > MOST_INTERFACE_DOFS and reducer.follows_responses:
+            if facts.inputs > TOL.max_interface_dofs and reducer.follows_responses:
                 raise InputError(
                     f"[[reduce]] {name!r}: method = {reducer.method!r} follows the responses to each of {facts.inputs} "
-                    f"interface degrees of freedom, and at most {MOST_INTERFACE_DOFS} fit; take craig-bampton with "
+                    f"interface degrees of freedom, and at most {TOL.max_interface_dofs} fit; take craig-bampton with "
                     "interface_up_to_hz, or rigid or average couplings"
                 )
             reason = reducer.why_not(facts)
@@ -98,7 +93,7 @@ def _many_modes(job: Job, size: int) -> list[str]:
     warnings = []
     for name, reducer in job.reducers.items():
         modes = reducer.mode_count
-        if size > SMALL and modes > min(MANY_MODES * size, MOST_MODES):
+        if size > TOL.small_model_dofs and modes > min(TOL.many_modes_part * size, TOL.many_modes):
             took = duration_words(mode_seconds(size, modes, 0))
             warnings.append(
                 f"[[reduce]] {name!r}: modes = {modes:,} of {size:,} dofs are many; to find them takes about {took} at "

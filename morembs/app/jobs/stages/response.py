@@ -10,9 +10,9 @@ from morembs.app.jobs.compare import FrequencyResponse, certified_response, freq
 from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.body import BODIES
 from morembs.app.jobs.stages.couple import PROBLEM
-from morembs.app.jobs.stages.reduction import MOST_INTERFACE_DOFS
 from morembs.app.jobs.stages.stage import JobStage, Result, Work
 from morembs.app.jobs.stages.unreduced import PARTS
+from morembs.app.jobs.tolerances import TOL
 from morembs.base.types import Floats
 from morembs.body import Body
 from morembs.reducers import ProblemSummary
@@ -20,9 +20,6 @@ from morembs.reducers.cost import response_seconds
 from morembs.reducers.problem_summary import ShiftedFactorisations
 
 RESPONSE: Result[FrequencyResponse] = Result("response")
-# Frequencies of a picture where no [response] asks for others, and their band: parts of the lowest and of the highest
-# known mode.
-BAND_POINTS, BAND = 400, (0.2, 1.1)
 
 
 class Response(JobStage):
@@ -37,7 +34,7 @@ class Response(JobStage):
         if given is not None:
             return {"[response]": facts.at_frequencies(given.points)}
         drawn = job.picture is not None and job.tables.certify is None and facts.inputs
-        return {"the picture": facts.at_frequencies(BAND_POINTS)} if drawn else {}
+        return {"the picture": facts.at_frequencies(TOL.picture_points)} if drawn else {}
 
     def followed_seconds(self, job: Job, facts: ProblemSummary) -> Mapping[str, float]:
         return {} if job.tables.response is None else {"[response]": response_seconds(facts.size, facts.inputs)}
@@ -45,7 +42,7 @@ class Response(JobStage):
     def run(self, work: Work) -> None:
         job, problem, bodies, parts = work.job, work[PROBLEM], work[BODIES], work.get(PARTS)
         response = certified_response(problem, bodies)
-        drawn = job.picture is not None and 0 < problem.B.shape[1] <= MOST_INTERFACE_DOFS
+        drawn = job.picture is not None and 0 < problem.B.shape[1] <= TOL.max_interface_dofs
         if job.tables.response is not None or (response is None and drawn):
             with work.watch.stage("response"):
                 against = problem if parts is None else parts.problem
@@ -60,4 +57,4 @@ def _band(job: Job, body: Body) -> Floats:
         return np.geomspace(given.from_hz, given.to_hz, given.points)
     known = body.frequencies_hz if body.full_frequencies_hz is None else body.full_frequencies_hz
     elastic = known[known > 0][: max(job.tables.check.full_modes, 1)]
-    return np.geomspace(BAND[0] * elastic[0], BAND[1] * elastic[-1], BAND_POINTS)
+    return np.geomspace(TOL.picture_band[0] * elastic[0], TOL.picture_band[1] * elastic[-1], TOL.picture_points)

@@ -12,16 +12,7 @@ import numpy as np
 
 from morembs.base.errors import SolverError
 from morembs.base.types import Floats
-
-_NEWTON = 40
-_SWEEPS = 300
-_ROUNDS = 4
-# Weights of u against p where W has a diagonal of ones: large ones are for points that share their load.
-_WEIGHTS = (100.0, 1.0, 10.0)
-# Residuals below this part of the largest entry of q, in units where W has a diagonal of ones, are round-off.
-_SOLVED = 1e-12
-_ACCEPTED = 1e-10
-_SINGULAR = 1e-12
+from morembs.dynamics.multibody.contact.tolerances import TOL
 
 
 def coulomb(W: Floats, q: Floats, friction: Floats, start: Floats) -> Floats:
@@ -36,16 +27,16 @@ def coulomb(W: Floats, q: Floats, friction: Floats, start: Floats) -> Floats:
     units = 1 / np.sqrt(np.where(units > 0, units, 1.0))
     law = _Law(W * np.outer(units, units), q * units.ravel(), friction * units[:, 0] / units[:, 1])
     p, size = start / units, float(np.abs(law.q).max(initial=0.0))
-    for _ in range(_ROUNDS):
-        for weight in _WEIGHTS:
-            solution = law.newton(p, weight, _SOLVED * size)
-            if law.error(solution) <= _ACCEPTED * size:
+    for _ in range(TOL.cone_rounds):
+        for weight in TOL.cone_weights:
+            solution = law.newton(p, weight, TOL.cone_roundoff * size)
+            if law.error(solution) <= TOL.cone_residual * size:
                 # Projected once more, so that points that are open have no force at all.
                 return np.asarray((solution - law.residual(solution)) * units)
         p = law.swept(p)
     raise SolverError(
         f"no forces of {r} points that obey the law of friction were computed: it is broken by "
-        f"{law.error(p) / max(size, 1e-300):.2g} (relative)"
+        f"{law.error(p) / max(size, TOL.tiny):.2g} (relative)"
     )
 
 
@@ -63,6 +54,9 @@ class _Law:
         n, t, length, radius = self._parts(p, weight)
         share = np.where(length > radius, radius / np.where(length > 0, length, 1.0), 1.0)
         return np.asarray(p - np.column_stack((np.maximum(n, 0.0), share[:, None] * t)))
+
+    def _size(self, p: Floats, weight: float) -> float:
+        return float(np.linalg.norm(self.residual(p, weight)))
 
     def error(self, p: Floats) -> float:
         """Largest entry of the residual of weight one."""
@@ -87,13 +81,14 @@ class _Law:
     def newton(self, p: Floats, weight: float, enough: float) -> Floats:
         """The best forces on the way from p; points that are redundant make tangents singular, hence least norm."""
         best, least = p, self.error(p)
-        for _ in range(_NEWTON):
+        for _ in range(TOL.cone_iterations):
             if least <= enough:
                 break
             F = self.residual(p, weight)
-            step = np.linalg.lstsq(self.tangent(p, weight), -F.ravel(), rcond=_SINGULAR)[0].reshape(p.shape)
+            step = np.linalg.lstsq(self.tangent(p, weight), -F.ravel(), rcond=TOL.redundant_point)[0].reshape(p.shape)
             part, now = 1.0, float(np.linalg.norm(F))
-            while part > 1e-3 and np.linalg.norm(self.residual(p + part * step, weight)) > (1 - 1e-4 * part) * now:
+            wanted = TOL.sufficient_decrease
+            while part > TOL.least_step_part and self._size(p + part * step, weight) > (1 - wanted * part) * now:
                 part *= 0.5
             p = p + part * step
             error = self.error(p)
@@ -104,7 +99,7 @@ class _Law:
     def swept(self, p: Floats) -> Floats:
         """Forces after sweeps of projections point by point: slow, but from anywhere."""
         p, W = p.copy(), self.W.reshape(len(p), 3, -1)
-        for _ in range(_SWEEPS):
+        for _ in range(TOL.cone_sweeps):
             for i in range(len(p)):
                 trial = p[i] - W[i] @ p.ravel() - self.q[3 * i : 3 * i + 3]
                 n, t = max(trial[0], 0.0), trial[1:]

@@ -16,9 +16,7 @@ from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.multibody.component import vector
-
-_ITERATIONS = 60
-_CLOSE = 1e-14
+from morembs.dynamics.multibody.contact.tolerances import TOL
 
 
 def checked_points(what: str, value: ArrayLike, ndim: int) -> Floats:
@@ -37,7 +35,7 @@ def _check_spacing(what: str, points: Floats, closed: bool) -> None:
     """Points along the first axis must differ."""
     steps = np.diff(np.concatenate((points, points[:1])) if closed else points, axis=0)
     lengths = np.linalg.norm(steps, axis=-1)
-    short = np.argwhere(lengths <= 1e-9 * lengths.max())
+    short = np.argwhere(lengths <= TOL.same_point * lengths.max())
     if len(short):
         raise InputError(f"{what}: points {tuple(short[0].tolist())} and the next coincide; expected points apart")
 
@@ -105,6 +103,7 @@ class Path:
         """Parameter of the nearest point of the path."""
         target, points = vector("point", point), np.asarray(self.points)
         u = float(np.argmin(np.linalg.norm(points - target, axis=1)))
+        # Quarters of the spans before and behind.
         best = min((u + s for s in (-0.5, -0.25, 0.0, 0.25, 0.5)), key=lambda k: self._distance(k, target))
         return float(descend(lambda k: self.at(float(k[0])), np.array([best]), target, self._kept)[0])
 
@@ -120,11 +119,11 @@ def descend(
 ) -> Floats:
     """Gauss-Newton to the nearest point, with parameters ``kept`` in their range; halved steps where it overshoots."""
     u = kept(start)
-    for _ in range(_ITERATIONS):
+    for _ in range(TOL.foot_iterations):
         point, *slopes = at(u)
         J, miss = np.stack(slopes), target - point
         gradient, hessian = J @ miss, J @ J.T
-        step = np.linalg.solve(hessian + 1e-14 * np.trace(hessian) * np.eye(len(u)), gradient)
+        step = np.linalg.solve(hessian + TOL.foot_regularisation * np.trace(hessian) * np.eye(len(u)), gradient)
         # A parameter held at its end leaves the others free.
         held = (kept(u + 1e-9 * np.sign(step)) == u) & (step != 0)
         if held.any() and not held.all():
@@ -133,10 +132,11 @@ def descend(
             step[free] = np.linalg.solve(hessian[np.ix_(free, free)], gradient[free])
         size, distance = 1.0, float(miss @ miss)
         moved = kept(u + step)
-        while size > 1e-3 and float(np.sum((target - at(moved)[0]) ** 2)) > distance * (1 + 1e-12):
+        most = distance * (1 + TOL.distance_growth)
+        while size > TOL.least_step_part and float(np.sum((target - at(moved)[0]) ** 2)) > most:
             size *= 0.5
             moved = kept(u + size * step)
-        done = float(np.abs(moved - u).max()) < _CLOSE * 10
+        done = float(np.abs(moved - u).max()) < TOL.foot_change * 10
         u = moved
         if done:
             break

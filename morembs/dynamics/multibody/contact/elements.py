@@ -23,7 +23,9 @@ from morembs.dynamics.multibody.forces import Force
 
 # chi v0 by the restitution, of each law.
 _FACTORS = {
+    # Hunt and Crossley 1975.
     "hunt-crossley": lambda e: 1.5 * (1 - e),
+    # Lankarani and Nikravesh 1990.
     "lankarani-nikravesh": lambda e: 0.75 * (1 - e * e),
     "flores": lambda e: 8 * (1 - e) / (5 * e),
 }

@@ -10,15 +10,9 @@ import numpy as np
 from morembs.base.types import Bools, Floats, Ints
 from morembs.dynamics.multibody.contact.kinematics import Contacts, ContactState
 from morembs.dynamics.multibody.contact.lcp import ContactProblem, Forces, Responses
+from morembs.dynamics.multibody.contact.tolerances import TOL
 from morembs.dynamics.multibody.reactions import least_norm, saddle
 from morembs.dynamics.multibody.system import Assembly
-
-# A crossing this near to the start of a step, as part of it, is the one that the step starts from.
-_BEGIN = 1e-9
-_SHORTEST = 1e-4
-# Work of impulses above this part of twice the kinetic energy is no round-off.
-_GAIN = 1e-12
-_HALVINGS = 30
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,7 +61,7 @@ def resolve_impact(
         slip=T @ y,
         friction=group.friction[rows],
         compliance=np.zeros((r, r)),
-        noise=(1e-2 * least, 1e-2 * least),
+        noise=(TOL.impact_noise * least, TOL.impact_noise * least),
     )
     rebound = restitution[rows] * np.minimum(N @ v, 0.0)
 
@@ -83,7 +77,7 @@ def resolve_impact(
     if rebound.any():
         for number in np.unique(owner := problem.apart()):
             points = owner == number
-            if rebound[points].any() and work[points].sum() > _GAIN * kinetic:
+            if rebound[points].any() and work[points].sum() > TOL.no_gain * kinetic:
                 part = _without_gain(solved, part, points)
                 forces, after, work = solved(part)
     impulse[rows], friction[rows] = forces.normal, forces.friction
@@ -103,7 +97,7 @@ def resolve_impact(
 def _without_gain(solved: Callable[[Floats], tuple[Forces, Floats, Floats]], part: Floats, points: Bools) -> Floats:
     """The largest part (r,) of the restitution of some points that adds no energy; without restitution none is."""
     low, high = 0.0, 1.0
-    for _ in range(_HALVINGS):
+    for _ in range(TOL.restitution_halvings):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if solved(np.where(points, middle, part))[2][points].sum() <= 0 else (low, middle)
     return np.where(points, low, part)
@@ -146,9 +140,9 @@ def _root(g0: float, g1: float, r0: float, r1: float) -> float:
         return 0.0
     cubic = np.array([2 * g0 - 2 * g1 + r0 + r1, -3 * g0 + 3 * g1 - 2 * r0 - r1, r0, g0])
     roots = np.roots(cubic)
-    real = np.sort(roots[np.abs(roots.imag) < 1e-9].real)
+    real = np.sort(roots[np.abs(roots.imag) < TOL.real_root].real)
     for s in real:
-        if (s > _BEGIN or (r0 < 0 and s >= 0)) and s <= 1 and np.polyval(np.polyder(cubic), s) < 0:
+        if (s > TOL.crossing_at_start or (r0 < 0 and s >= 0)) and s <= 1 and np.polyval(np.polyder(cubic), s) < 0:
             return float(s)
     return 1.0 if g1 < 0 and g0 > 0 else (0.0 if g1 < 0 else np.inf)
 
@@ -157,7 +151,7 @@ def sliding_ends(before: ContactState, after: ContactState, group: Contacts, lea
     """The part of the step at which sliding of a point first stops or reverses, from its velocity and acceleration
     at the start; infinity for none. Velocities up to ``least`` m/s are none."""
     pressed = (before.force > 0) & (after.force > 0) & (group.friction > 0)
-    limit = max([least, *(s.kinematics.round_off(s.v, 1e-12) for s in (before, after))])
+    limit = max([least, *(s.kinematics.round_off(s.v, TOL.least_sliding) for s in (before, after))])
     h, earliest = after.time - before.time, np.inf
     old, new = before.slip, after.slip
     for i in np.flatnonzero(pressed):
@@ -168,5 +162,5 @@ def sliding_ends(before: ContactState, after: ContactState, group: Contacts, lea
         speed = float(old[i] @ old[i])
         part = speed / slowing if slowing > speed else 1.0
         # At the end of the step that is cut there the point sticks, so it may not be of no length.
-        earliest = min(earliest, max(part, _SHORTEST))
+        earliest = min(earliest, max(part, TOL.shortest_step))
     return earliest

@@ -20,10 +20,9 @@ from morembs.base.errors import InputError
 from morembs.base.types import Bools, Floats
 from morembs.dynamics.multibody.component import Component, Marker, MarkerState, direction, numbers
 from morembs.dynamics.multibody.contact.surfaces import NodalSurface, Surface
+from morembs.dynamics.multibody.contact.tolerances import TOL
 from morembs.dynamics.multibody.rotations import cross, hat
 from morembs.dynamics.multibody.system import Assembly, State
-
-_AT_REST = 1e-8
 
 
 @runtime_checkable
@@ -100,7 +99,10 @@ class Contact:
         given = value.flexibility(self.points) if isinstance(value, Compliant) else value
         size = 3 * m if np.shape(given) == (3 * m, 3 * m) else m
         R = numbers(what, given, (size, size))
-        if np.abs(R - R.T).max() > 1e-8 * np.abs(R).max() or np.linalg.eigvalsh(R)[0] < -1e-9 * np.abs(R).max():
+        if (
+            np.abs(R - R.T).max() > TOL.compliance_asymmetry * np.abs(R).max()
+            or np.linalg.eigvalsh(R)[0] < -TOL.negative_compliance * np.abs(R).max()
+        ):
             raise InputError(f"{what}: the matrix is not symmetric and positive semidefinite")
         if np.diag(R).min() <= 0:
             raise InputError(f"{what}: some points have none; make a contact of their own for them")
@@ -144,7 +146,7 @@ class ContactKinematics:
     def round_off(self, v: Floats, least: float) -> float:
         """Relative velocities below this are round-off, m/s; at least that of ``least`` m/s."""
         parts = np.abs(self.N) @ np.abs(v), np.abs(self.T) @ np.abs(v)
-        return _AT_REST * max([least, *(float(p.max(initial=0.0)) for p in parts)])
+        return TOL.at_rest * max([least, *(float(p.max(initial=0.0)) for p in parts)])
 
 
 class Contacts:
@@ -229,7 +231,7 @@ class Contacts:
     def rates(self, x: Floats, v: Floats, h: float, rows: NDArray[np.int_]) -> tuple[Floats, Floats]:
         """(d N/dt) v (r,) and (d T/dt) v (r, 2) of some points: five-point difference along the motion."""
         turning = [float(np.abs(v[self.assembly.in_v[i]][3:6]).max(initial=0.0)) for i in self._moving()]
-        s = min(3e-3 / max([1e-300, *turning]), h)
+        s = min(TOL.five_point_turn / max([TOL.tiny, *turning]), h)
 
         def at(k: int) -> Floats:
             kinematics = self.kinematics(self.assembly.moved(x, k * s * v))
@@ -242,7 +244,7 @@ class Contacts:
         numbers = (self.assembly.index(body) for contact in self.contacts for body in contact.components)
         return sorted({i for i in numbers if i is not None})
 
-    def stiffness(self, x: Floats, force: Floats, friction: Floats, step: float = 1e-6) -> Floats:
+    def stiffness(self, x: Floats, force: Floats, friction: Floats, step: float = TOL.forward_step) -> Floats:
         """(k, k): derivative of minus the contact forces by the configuration, for Newton's method only."""
         size = self.assembly.size
         K = np.zeros((size, size))
@@ -269,7 +271,7 @@ def _tangents(normal: Floats, first: Floats, axes: Floats) -> Floats:
     for candidate in (first, *axes.T):
         along = candidate - (candidate @ normal) * normal
         length = float(np.linalg.norm(along))
-        if length > 1e-3:
+        if length > TOL.least_tangent:
             t = along / length
             return np.stack((t, cross(normal, t)))
     return np.zeros((2, 3))

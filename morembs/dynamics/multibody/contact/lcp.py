@@ -19,12 +19,8 @@ from morembs.base.errors import SolverError
 from morembs.base.types import Bools, Floats
 from morembs.dynamics.multibody.contact.cone import coulomb
 from morembs.dynamics.multibody.contact.lemke import RayError, lemke
+from morembs.dynamics.multibody.contact.tolerances import TOL
 
-_NEAR = 1e-4
-# Slip below this part of the largest entry of the problem is none.
-_STICKS = 1e-11
-# Response of a point to the force of another, below this part of that to own forces, that is none.
-_APART = 1e-10
 _PYRAMID = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 
 
@@ -141,7 +137,7 @@ class ContactProblem:
                 direction[rows] = (failure.direction * scale)[:r]
                 raise RayError(str(failure), direction=direction) from None
         slip = np.linalg.norm((W @ p.ravel() + free).reshape(r, 3)[:, 1:], axis=1)
-        moves = slip > max(self.noise[1], _STICKS * float(np.abs(free).max(initial=0.0)))
+        moves = slip > max(self.noise[1], TOL.no_slip * float(np.abs(free).max(initial=0.0)))
         return Forces(normal=p[:, 0], friction=p[:, 1:], sliding=(self.friction > 0) & (p[:, 0] > 0) & moves)
 
     def apart(self) -> NDArray[np.int_]:
@@ -149,7 +145,7 @@ class ContactProblem:
         r = len(self.gap)
         W = np.abs(self._delassus()[0]).reshape(r, 3, r, 3).max(axis=(1, 3))
         size = np.sqrt(np.diag(W))
-        return np.asarray(connected_components(_APART * np.outer(size, size) < W, directed=False)[1])
+        return np.asarray(connected_components(TOL.no_response * np.outer(size, size) < W, directed=False)[1])
 
     def _delassus(self) -> tuple[Floats, Floats]:
         """W (3r, 3r) and q (3r,): gap and slip of each point by its normal force and friction."""
@@ -163,8 +159,8 @@ class ContactProblem:
         """The same problem with a little compliance about given forces (r,), (r, 2): of the many solutions with
         redundant points it has one near to them, and where they solve the problem they are the solution."""
         r = np.arange(len(self.gap))
-        n = _NEAR * np.diag(self.NN)
-        t = _NEAR * 0.5 * np.einsum("iaia->i", self.TT)
+        n = TOL.near_compliance * np.diag(self.NN)
+        t = TOL.near_compliance * 0.5 * np.einsum("iaia->i", self.TT)
         NN, TT = self.NN + np.diag(n), self.TT.copy()
         for a in range(2):
             TT[r, a, r, a] += t

@@ -14,15 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats
-
-# Entries of a scaled pivot column below this part of its largest are round-off.
-_PIVOT = 1e-11
-# Ratios that differ by less than this, relative to the largest, are ties.
-_TIE = 1e-12
-# What complementary variables may be below zero after the last solve, relative to the scaled q.
-_NEGATIVE = 1e-8
-_ROUND = 1e-2
-_PIVOTS_PER_ROW = 60
+from morembs.dynamics.multibody.contact.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,7 +70,7 @@ def _scale(A: Floats) -> Floats:
     """(m,) positive: A scaled by it from both sides has a diagonal of ones where it is positive."""
     diagonal = np.diag(A)
     scale = np.ones(len(A))
-    positive = diagonal > 1e-14 * np.abs(A).max(initial=0.0)
+    positive = diagonal > TOL.no_diagonal * np.abs(A).max(initial=0.0)
     scale[positive] = 1 / np.sqrt(diagonal[positive])
     return scale
 
@@ -92,7 +84,7 @@ def _pivot(A: Floats, q: Floats, scale: Floats) -> tuple[dict[int, float], int]:
     table = np.hstack((np.eye(m), -A, -np.ones((m, 1)), q[:, None]))
     basis = np.arange(m)
     entering, row = 2 * m, _leaving(table, q < 0, np.ones(m), m)
-    for pivots in range(1, _PIVOTS_PER_ROW * m + 200):
+    for pivots in range(1, TOL.pivots_per_row * m + TOL.pivots_at_least):
         leaving = int(basis[row])
         table[row] /= table[row, entering]
         factors = table[:, entering].copy()
@@ -103,7 +95,7 @@ def _pivot(A: Floats, q: Floats, scale: Floats) -> tuple[dict[int, float], int]:
             return {int(k) - m: size * float(table[i, -1]) for i, k in enumerate(basis) if k >= m}, pivots
         entering = leaving + m if leaving < m else leaving - m
         column = table[:, entering]
-        candidates = column > _PIVOT * max(1.0, float(np.abs(column).max()))
+        candidates = column > TOL.least_pivot * max(1.0, float(np.abs(column).max()))
         if not candidates.any():
             raise RayError(
                 f"the complementarity problem of {m} rows ends on a ray after {pivots} pivots: no solution satisfies "
@@ -134,7 +126,7 @@ def _leaving(table: Floats, candidates: NDArray[np.bool_], column: Floats, m: in
     for k in (2 * m + 1, *range(m)):
         ratios = table[rows, k] / column[rows]
         least = float(ratios.min())
-        rows = rows[ratios <= least + _TIE * max(1.0, abs(least))]
+        rows = rows[ratios <= least + TOL.tied_ratio * max(1.0, abs(least))]
         if k == 2 * m + 1 and wanted in rows:
             return wanted
         if len(rows) == 1:
@@ -157,8 +149,8 @@ def _solution(A: Floats, q: Floats, scale: Floats, table: dict[int, float], pivo
     except np.linalg.LinAlgError:
         pass
     worst = [_broken(A, q, scale, basic, z) for z in candidates]
-    best = 0 if worst[0] <= _NEGATIVE else int(np.argmin(worst))
-    if not worst[best] <= _NEGATIVE:
+    best = 0 if worst[0] <= TOL.negative_variable else int(np.argmin(worst))
+    if not worst[best] <= TOL.negative_variable:
         raise SolverError(
             f"Lemke's method ends with conditions broken by {worst[best]:.2g} (relative): its basis is too "
             "ill-conditioned"
@@ -176,7 +168,7 @@ def _broken(A: Floats, q: Floats, scale: Floats, basic: NDArray[np.bool_], z: Fl
     if not np.isfinite(z).all():
         return np.inf
     size = float(np.abs(q * scale).max())
-    reach = (np.abs(A) @ np.abs(z) + np.abs(q)) * scale + _ROUND * size
+    reach = (np.abs(A) @ np.abs(z) + np.abs(q)) * scale + TOL.equation_scale * size
     w, own = (A @ z + q) * scale / reach, z / scale
     low = -float(own.min()) / max(float(np.abs(own).max()), size)
     return max(float(np.abs(w[basic]).max(initial=0.0)), float((-w).max()), low)

@@ -17,13 +17,13 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.multibody.contact.curves import checked_points
 from morembs.dynamics.multibody.contact.surfaces import ClosestPoint, NodalSurface, foot_at
+from morembs.dynamics.multibody.contact.tolerances import TOL
 from morembs.dynamics.multibody.rotations import cross
 
 # Exponents of the Bernstein polynomials of degree four that are on the border, and those inside.
 _BORDER = tuple((i, j, 4 - i - j) for i in range(5) for j in range(5 - i) if not (i and j and 4 - i - j))
-_INNER = ((2, 1, 1), (1, 2, 1), (1, 1, 2))
+_INNER = tuple((i, j, 4 - i - j) for i in (2, 1) for j in range(3 - i, 0, -1))
 _COUNT = {(4, 0): 1.0, (3, 1): 4.0, (2, 2): 6.0, (2, 1): 12.0}
-_WALK = 60
 
 
 def _bernstein(power: tuple[int, int, int], b: Floats) -> tuple[float, Floats]:
@@ -86,7 +86,7 @@ class _Patch:
             i, j = (k + 1) % 3, (k + 2) % 3
             # On the edge where b[j] = 0 the choice for that edge counts alone.
             total = b[i] + b[j]
-            if abs(total) < 1e-14:
+            if abs(total) < TOL.at_corner:
                 continue
             control = (b[i] * self.inner[k, j] + b[j] * self.inner[k, i]) / total
             value, rates = _bernstein(power, b)
@@ -167,7 +167,7 @@ class TriangleSurface(NodalSurface):
         across = np.cross(b - a, c - a)
         area = np.linalg.norm(across, axis=1)
         sides = np.max([np.linalg.norm(s, axis=1) for s in (b - a, c - b, a - c)], axis=0)
-        bad = np.flatnonzero(area <= 1e-6 * sides**2)
+        bad = np.flatnonzero(area <= TOL.flat_triangle * sides**2)
         if len(bad):
             k = int(bad[0])
             raise InputError(
@@ -202,7 +202,7 @@ class TriangleSurface(NodalSurface):
         if (length[used] == 0).any():
             raise InputError(f"surface {self.name!r}: some normals have no length; expected a direction per vertex")
         normals = normals / np.where(length > 0, length, 1.0)
-        turned = np.argwhere(np.einsum("tkx,tx->tk", normals[triangles], across) <= 0.05)
+        turned = np.argwhere(np.einsum("tkx,tx->tk", normals[triangles], across) <= TOL.same_side)
         if len(turned):
             t, k = turned[0].tolist()
             raise InputError(
@@ -229,13 +229,17 @@ class TriangleSurface(NodalSurface):
         seen: set[int] = set()
         triangle = int(self._tree.query(point)[1])  # type: ignore[attr-defined]
         best: tuple[float, int, Floats] | None = None
-        for _ in range(_WALK):
+        for _ in range(TOL.patches_visited):
             seen.add(triangle)
             b, distance = self._foot(triangle, point)
             if best is None or distance < best[0]:
                 best = distance, triangle, b
             around = self.neighbours[triangle]
-            over = [int(around[k]) for k in range(3) if b[k] <= 1e-9 and around[k] >= 0 and int(around[k]) not in seen]
+            over = [
+                int(around[k])
+                for k in range(3)
+                if b[k] <= TOL.on_edge and around[k] >= 0 and int(around[k]) not in seen
+            ]
             if not over:
                 break
             triangle = over[0]
@@ -248,7 +252,7 @@ class TriangleSurface(NodalSurface):
     def _foot(self, triangle: int, target: Floats) -> tuple[Floats, float]:
         """Barycentric coordinates of the nearest point of one patch, and its distance."""
         b, last = np.full(3, 1 / 3), np.inf
-        for _ in range(_WALK):
+        for _ in range(TOL.foot_iterations):
             point, slope = self.at(triangle, b)
             miss = target - point
             distance = float(np.linalg.norm(miss))
@@ -256,7 +260,7 @@ class TriangleSurface(NodalSurface):
             step = np.linalg.solve(J @ J.T, J @ miss)
             moved = _in_triangle(b + np.array([step[0], step[1], -step[0] - step[1]]), J)
             change = float(np.abs(moved - b).max())
-            if change < 1e-14 or distance > last * (1 + 1e-9):
+            if change < TOL.foot_change or distance > last * (1 + TOL.patch_distance_growth):
                 break
             b, last = moved, distance
         return b, float(np.linalg.norm(target - self.at(triangle, b)[0]))

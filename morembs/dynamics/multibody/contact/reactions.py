@@ -19,15 +19,9 @@ from morembs.dynamics.multibody.contact.impact import resolve_impact
 from morembs.dynamics.multibody.contact.kinematics import ContactKinematics, Contacts, ContactState
 from morembs.dynamics.multibody.contact.lcp import NO_FORCES, ContactProblem, Forces, Responses
 from morembs.dynamics.multibody.contact.lemke import lemke
+from morembs.dynamics.multibody.contact.tolerances import TOL
 from morembs.dynamics.multibody.reactions import LU, HeldRows, Iterate, Reactions, saddle
 from morembs.dynamics.multibody.system import Assembly, State
-
-# Accelerations of points below this part of what they are made of are round-off.
-_ROUND_AT_START = 1e-13
-# A point that touches opens where its gap is above this part of the size of the system.
-_OPEN = 1e-12
-# Gaps and velocities below this part of the size and of the velocities of the system are round-off.
-_ROUND = 1e-15
 
 
 class ContactReactions(Reactions):
@@ -156,7 +150,7 @@ class ContactReactions(Reactions):
         deflection = self.contacts.flexibility(state.x, kinematics) @ self.force
         if converged:
             gap = kinematics.gap + deflection
-            self.points_closed = self.points_closed & ((self.force > 0) | (gap <= _OPEN * self.size))
+            self.points_closed = self.points_closed & ((self.force > 0) | (gap <= TOL.opening_gap * self.size))
         return ContactState(
             assembly=state.assembly,
             time=state.time,
@@ -200,7 +194,7 @@ class ContactReactions(Reactions):
             slip=T @ (iterate.v / iterate.c_v + y),
             friction=group.friction[rows],
             compliance=group.flexibility(x, kinematics)[np.ix_(rows, rows)] / iterate.c_q,
-            noise=(_ROUND * self.size / iterate.c_q, _ROUND * sliding / iterate.c_v),
+            noise=(TOL.gap_roundoff * self.size / iterate.c_q, TOL.gap_roundoff * sliding / iterate.c_v),
         )
         if len(rows) > 1:
             problem = problem.near(self.force[rows], self.friction[rows])
@@ -211,4 +205,4 @@ class ContactReactions(Reactions):
 
 def _round_off(J: Floats, y: Floats) -> float:
     """Round-off of rows J (..., k) times accelerations y (k,)."""
-    return _ROUND_AT_START * float((np.abs(J) @ np.abs(y)).max())
+    return TOL.acceleration_roundoff * float((np.abs(J) @ np.abs(y)).max())

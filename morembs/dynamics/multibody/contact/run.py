@@ -23,12 +23,9 @@ from morembs.dynamics.multibody.contact.kinematics import Contact, Contacts, Con
 from morembs.dynamics.multibody.contact.lemke import RayError
 from morembs.dynamics.multibody.contact.reactions import ContactReactions
 from morembs.dynamics.multibody.contact.result import ContactError, ContactResult, ContactSegment, Impact
-from morembs.dynamics.multibody.run import CLOSE, Events, Repeat, Run
+from morembs.dynamics.multibody.contact.tolerances import TOL
+from morembs.dynamics.multibody.run import Events, Repeat, Run
 from morembs.dynamics.multibody.system import Assembly, State, System
-
-# Touching, as part of the size of the system: for the search, and at most at the start.
-_TOUCH, _PENETRATION = 1e-11, 1e-9
-_SEARCH = 8
 
 
 @checked
@@ -38,9 +35,9 @@ def simulate_contact(
     *,
     end: float,
     step: float,
-    rho: float = 0.8,
+    rho: float = TOL.default_rho,
     begin: float = 0.0,
-    tolerance: float = 1e-9,
+    tolerance: float = TOL.newton_error,
     corrected_start: bool = True,
     max_deflection: float | None = 1.0,
 ) -> ContactResult:
@@ -99,7 +96,7 @@ class ContactEvents(Events):
         self._contacts, self.step = contacts, step
         self.touches: list[ContactSegment] = []
         self.impacts: list[Impact] = []
-        self.size, self.slowest = 1e-3, 0.0
+        self.size, self.slowest = TOL.least_size, 0.0
 
     def start(self, assembly: Assembly, t: float, x: Floats, v: Floats) -> tuple[Floats, Floats]:
         self.assembly, self.group = assembly, Contacts(assembly, self._contacts)
@@ -111,8 +108,8 @@ class ContactEvents(Events):
     def _check_begin(self, t: float, x: Floats) -> None:
         kinematics = self.group.kinematics(x)
         positions = [float(np.abs(p.position).max()) for p in self.assembly.places(x).values()]
-        self.size = max([1e-3, float(np.abs(kinematics.foot).max(initial=0.0)), *positions])
-        inside = np.flatnonzero((kinematics.gap < -_PENETRATION * self.size) & ~self.group.compliant)
+        self.size = max([TOL.least_size, float(np.abs(kinematics.foot).max(initial=0.0)), *positions])
+        inside = np.flatnonzero((kinematics.gap < -TOL.start_penetration * self.size) & ~self.group.compliant)
         if len(inside):
             named = "; ".join(
                 f"{self.group.label(i)} by {-kinematics.gap[i]:.3g} m at {_words(kinematics.foot[i])} m"
@@ -127,8 +124,8 @@ class ContactEvents(Events):
     def _touching(self, x: Floats, v: Floats, closed: Bools) -> Bools:
         """Points that touch, or will within a millionth of a step."""
         kinematics = self.group.kinematics(x)
-        soon = np.maximum(0.0, -kinematics.N @ v) * CLOSE * self.step
-        return np.asarray((closed | (kinematics.gap <= _TOUCH * self.size + soon)) & ~self.group.compliant)
+        soon = np.maximum(0.0, -kinematics.N @ v) * TOL.negligible_step * self.step
+        return np.asarray((closed | (kinematics.gap <= TOL.touching_gap * self.size + soon)) & ~self.group.compliant)
 
     def restart(self, state: State) -> tuple[Assembly, Floats, Floats]:
         return self.assembly, *self._impact(state.time, state.x, state.v, self._met, cast(ContactState, state).closed)
@@ -141,7 +138,7 @@ class ContactEvents(Events):
         approach = kinematics.N @ v
         # What points approach with that were closed before is round-off of the scheme.
         hits = touching & (approach < -kinematics.round_off(v, 1e-12)) & ~closed
-        again = t - self.last <= self.step * (1 + CLOSE)
+        again = t - self.last <= self.step * (1 + TOL.negligible_step)
         restitution = np.where(hits & ~again, group.restitution, 0.0)
         after = resolve_impact(assembly, group, t, x, v, touching, restitution, self.step)
         self._closed, self.slowest = after.closed, after.limit
@@ -175,10 +172,10 @@ class ContactEvents(Events):
         turn = sliding_ends(before, after, self.group, self.slowest)
         if not min(part, turn) < np.inf:
             return None
-        if min(part, turn) < CLOSE:
+        if min(part, turn) < TOL.negligible_step:
             self._met = self._touching(before.x, before.v, before.closed)
-            if part < CLOSE:
-                self._met[met[before.kinematics.gap[met] <= _PENETRATION * self.size]] = True
+            if part < TOL.negligible_step:
+                self._met[met[before.kinematics.gap[met] <= TOL.start_penetration * self.size]] = True
             return before
         h = after.time - before.time
         turned = turn < part
@@ -187,24 +184,24 @@ class ContactEvents(Events):
         self._met = self._touching(state.x, state.v, state.closed)
         if not turned:
             self._refuse_inside(state, met)
-            self._met[met[state.kinematics.gap[met] <= 10 * _TOUCH * self.size]] = True
+            self._met[met[state.kinematics.gap[met] <= 10 * TOL.touching_gap * self.size]] = True
         return state
 
     def _touch(self, t0: float, h: float, part: float, met: NDArray[np.int_], repeat: Repeat) -> State:
         """The state at which the first of the points ``met`` touches, by Newton's method on its gap."""
         time = t0 + part * h
-        for _ in range(_SEARCH):
+        for _ in range(TOL.touch_iterations):
             state = cast(ContactState, repeat(time))
             nearest = int(met[np.argmin(state.kinematics.gap[met])])
             gap, rate = float(state.kinematics.gap[nearest]), float(state.approach[nearest])
-            if abs(gap) <= _TOUCH * self.size or rate >= 0:
+            if abs(gap) <= TOL.touching_gap * self.size or rate >= 0:
                 break
             time = min(max(time - gap / rate, t0 + 0.5 * (time - t0)), t0 + h)
         return state
 
     def _refuse_inside(self, state: ContactState, met: NDArray[np.int_]) -> None:
         i = int(met[np.argmin(state.kinematics.gap[met])])
-        if state.kinematics.gap[i] < -1e-6 * self.size:
+        if state.kinematics.gap[i] < -TOL.edge_penetration * self.size:
             raise SolverError(
                 f"{self.group.label(i)} is {-state.kinematics.gap[i]:.3g} m inside its surface at t = "
                 f"{state.time:.9g} s, at {_words(state.kinematics.foot[i])} m, without having crossed it: it came in "
@@ -230,7 +227,9 @@ class ContactEvents(Events):
 
     def no_solution(self, error: RayError, states: Sequence[State], begin: float) -> str:
         """Message on a complementarity problem without solution."""
-        points = np.flatnonzero(error.direction > 1e-6 * max(error.direction.max(initial=0.0), 1e-300)).tolist()
+        points = np.flatnonzero(
+            error.direction > TOL.named_force * max(error.direction.max(initial=0.0), TOL.tiny)
+        ).tolist()
         time = states[-1].time if states else begin
         return (
             f"contact has no solution after t = {time:.9g} s: {self.place(states, points)} cannot be kept apart by any "

@@ -13,6 +13,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.multibody.component import direction, vector
 from morembs.dynamics.multibody.contact.curves import checked_points, descend, overhauser
+from morembs.dynamics.multibody.contact.tolerances import TOL
 from morembs.dynamics.multibody.rotations import cross
 
 
@@ -145,7 +146,7 @@ class GridSurface(NodalSurface):
         rows = np.concatenate((grid, grid[:1])) if self.closed else grid
         a, b = rows[1:, 1:] - rows[:-1, :-1], rows[:-1, 1:] - rows[1:, :-1]
         area = np.linalg.norm(np.cross(a, b), axis=-1)
-        bad = np.argwhere(area <= 1e-9 * (np.linalg.norm(a, axis=-1) ** 2 + np.linalg.norm(b, axis=-1) ** 2))
+        bad = np.argwhere(area <= TOL.flat_cell * (np.linalg.norm(a, axis=-1) ** 2 + np.linalg.norm(b, axis=-1) ** 2))
         if len(bad):
             i, j = bad[0].tolist()
             raise InputError(
@@ -202,6 +203,6 @@ def foot_at(point: Floats, foot: Floats, normal: Floats, vertices: Ints, weights
     arm = point - foot
     gap, distance = float(normal @ arm), float(np.linalg.norm(arm))
     beside = float(np.linalg.norm(arm - gap * normal))
-    if beside > 1e-7 * max(distance, 1e-300) and beside > 1e-12:
+    if beside > TOL.beside_normal * max(distance, TOL.tiny) and beside > TOL.least_beside_normal:
         gap, normal = distance, arm / distance
     return ClosestPoint(gap=gap, point=foot, normal=normal, vertices=vertices, weights=weights)

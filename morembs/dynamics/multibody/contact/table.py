@@ -26,16 +26,13 @@ from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.multibody.component import direction, vector
 from morembs.dynamics.multibody.contact.surfaces import Sphere
+from morembs.dynamics.multibody.contact.tolerances import TOL
 from morembs.fem.elements import FACES
 from morembs.fem.selection import select_nodes
 from morembs.fem.surface import outer_faces
 from morembs.problem import Problem
 
 log = logging.getLogger(__name__)
-# Right-hand sides at a time, and elements across the contact radius below which its force is uncertain.
-_BLOCK, _ACROSS = 32, 4.0
-# Faces that the undeformed body would reach at this multiple of the largest penetration may come into contact.
-_REACH = 1.5
 # Exact for the integrand 2 x F(x3) of each piece, a polynomial of degree ten in x.
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
@@ -95,7 +92,9 @@ class ContactTable:
         object.__setattr__(self, "penetration", depth)
         object.__setattr__(self, "forces", force)
         object.__setattr__(self, "area", area)
-        object.__setattr__(self, "_force", PchipInterpolator(np.append(0.0, depth**1.5), np.append(0.0, force)))
+        object.__setattr__(
+            self, "_force", PchipInterpolator(np.append(0.0, depth**TOL.hertz_exponent), np.append(0.0, force))
+        )
         ends = np.sqrt(np.append(0.0, depth))
         pieces = [self._work(a, b) for a, b in pairwise(ends.tolist())]
         object.__setattr__(self, "_energy", np.append(0.0, np.cumsum(pieces)))
@@ -104,12 +103,12 @@ class ContactTable:
     def exponent(self) -> float:
         """Of the power law that fits best: the mean slope of log F over log d."""
         if len(self._depth) < 2:
-            return 1.5
+            return TOL.hertz_exponent
         return float(np.polyfit(np.log(self._depth), np.log(np.asarray(self.forces)), 1)[0])
 
     def force(self, penetration: float) -> float:
         """N at a penetration in m; beyond the table along its last slope, so that iterations may step over its end."""
-        s, end = max(penetration, 0.0) ** 1.5, float(self._depth[-1]) ** 1.5
+        s, end = max(penetration, 0.0) ** TOL.hertz_exponent, float(self._depth[-1]) ** TOL.hertz_exponent
         if s <= end:
             return float(self._force(s))
         return float(self._force(end) + (s - end) * self._force(end, 1))
@@ -174,7 +173,7 @@ def contact_table(
         )
     deepest = _checked(penetration)
     along = direction("push", push)
-    faces = _Faces(problem, body, surface, along, _REACH * deepest)
+    faces = _Faces(problem, body, surface, along, TOL.reached_penetration * deepest)
     C = faces.flexibility(problem)
     L = sl.cholesky(C, lower=True)
     forces, areas = [], []
@@ -184,14 +183,14 @@ def contact_table(
         forces.append(float(faces.area @ pressure))
         areas.append(float(faces.area[pressure > 0].sum()))
         reached = max(float(faces.aside[pressure > 0].max(initial=0.0)), float(np.sqrt(areas[-1] / np.pi)))
-        if reached < _ACROSS * faces.size:
+        if reached < TOL.elements_across * faces.size:
             log.warning(
                 "at a penetration of %.3g m the contact reaches over %.1f elements to the side, where %g are needed: "
                 "its force is uncertain; make elements of %.2g m there",
                 depth,
                 reached / faces.size,
-                _ACROSS,
-                reached / _ACROSS,
+                TOL.elements_across,
+                reached / TOL.elements_across,
             )
     return ContactTable(list(penetration), forces, areas)
 
@@ -211,7 +210,7 @@ def _height(body: Sphere | Cylinder, points: Floats, push: Floats) -> tuple[Floa
         aside = np.linalg.norm(across, axis=1)
         return _drop(aside, body.radius), aside
     axis = np.asarray(body.axis)
-    if abs(axis @ push) > 1e-6:
+    if abs(axis @ push) > TOL.push_along_axis:
         raise InputError(f"push = {push.tolist()} was given; expected a direction across the axis of {body.name!r}")
     aside = np.abs(across @ np.cross(push, axis))
     return _drop(aside, body.radius) + _drop(across @ axis, body.crown), aside
@@ -290,8 +289,8 @@ class _Faces:
         loads = sp.csc_array((value[there], (dofs[there], column[there])), shape=(model.size, shape.shape[1]))
         F = sp.csc_array(problem.coupling.T.T @ loads)
         C = np.empty((F.shape[1], F.shape[1]))
-        for first in range(0, F.shape[1], _BLOCK):
-            some = slice(first, first + _BLOCK)
+        for first in range(0, F.shape[1], TOL.table_columns):
+            some = slice(first, first + TOL.table_columns)
             C[:, some] = F.T @ problem.internal.flexibility(F[:, some].toarray())
         return 0.5 * (C + C.T)
 

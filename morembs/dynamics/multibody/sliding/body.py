@@ -22,16 +22,11 @@ from morembs.dynamics.multibody.bodies import FlexibleBody
 from morembs.dynamics.multibody.component import Component, FixedMarker, Marker, MarkerState
 from morembs.dynamics.multibody.linear_body import LinearBody
 from morembs.dynamics.multibody.sliding.path import PathState
+from morembs.dynamics.multibody.tolerances import TOL
 from morembs.fem import frozen
 from morembs.reducers.switching_tables import INTERPOLATIONS, ActiveSet, StaticModeTables, active_set
 
 VARIANTS = ("quasi-static", "dynamic")
-# Active sets that are kept for reuse.
-_KEPT = 64
-# Distance of the frame of a floating body from its centre of mass, in radii of gyration.
-FARTHEST = 10.0
-# Nodes of the path that one place of it depends on.
-_SUPPORT = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +66,7 @@ class SwitchingBody(Component):
         at: Sequence[float] | float = (0.0,),
         variant: str = "quasi-static",
         look_ahead: int = 1,
-        damping_ratio: float = 0.1,
+        damping_ratio: float = TOL.default_damping_ratio,
         interpolation: str = "catmull-rom",
     ) -> None:
         label = f"body {inner.name!r}"
@@ -105,7 +100,7 @@ class SwitchingBody(Component):
             )
         self._refuse_far(label)
         nodes = len(switching.node_ids)
-        self.width = min(_SUPPORT + 2 * look_ahead, nodes)
+        self.width = min(TOL.path_support + 2 * look_ahead, nodes)
         places = np.atleast_1d(np.asarray(at, dtype=float))
         self.windows = len(places)
         for s in places:
@@ -126,17 +121,17 @@ class SwitchingBody(Component):
         integrals = self.inner.frame.integrals
         center = integrals.first / integrals.mass
         about_center = np.trace(integrals.inertia) / (2 * integrals.mass) - center @ center
-        if center @ center > FARTHEST**2 * about_center:
+        if center @ center > TOL.farthest_frame**2 * about_center:
             raise InputError(
                 f"{label}: the origin of its frame is {np.linalg.norm(center):.4g} m from its centre of mass, more "
-                f"than {FARTHEST:g} radii of gyration, and every switch would lose digits; take [frame] origin = "
-                '"center-of-mass"'
+                f"than {TOL.farthest_frame:g} radii of gyration, and every switch would lose digits; take [frame] "
+                'origin = "center-of-mass"'
             )
 
     def refuse_outside(self, s: float, when: str) -> None:
         """Raise InputError where ``s`` is not on the path."""
         length = self.switching.length
-        if not -1e-9 * length <= s <= length * (1 + 1e-9):
+        if not -TOL.path_end * length <= s <= length * (1 + TOL.path_end):
             raise InputError(
                 f"body {self.name!r}: the load is outside all candidates {when}: s = {s:.9g} m on a path of "
                 f"{length:.9g} m; end the run earlier, add candidates there, or remove the load"
@@ -165,7 +160,7 @@ class SwitchingBody(Component):
         active = self._active.get(firsts)
         if active is None:
             active = self._active[firsts] = self._make(firsts)
-            if len(self._active) > _KEPT:
+            if len(self._active) > TOL.kept_active_sets:
                 self._active.popitem(last=False)
         return active
 

@@ -16,9 +16,7 @@ from morembs.dynamics.multibody.run import EventHandler, RestartState, Run
 from morembs.dynamics.multibody.sliding.body import Active, SwitchingBody
 from morembs.dynamics.multibody.sliding.loads import PathSupport, Slider
 from morembs.dynamics.multibody.system import Assembly, State, System
-
-# Amplitudes below this part of the largest drop out without a trace.
-QUIET = 1e-6
+from morembs.dynamics.multibody.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,7 +41,7 @@ class Activation:
     @property
     def quiet(self) -> bool:
         """Whether all that went had died away."""
-        return self.dropped <= QUIET
+        return self.dropped <= TOL.quiet_amplitude
 
 
 class SlidingSwitch(EventHandler):
@@ -139,7 +137,7 @@ class SlidingSwitch(EventHandler):
             a = old.set.Y @ z
             released = ~np.isin(old.set.candidates, new.set.candidates)
             scale = np.sqrt(body.switching.stiffness[0, old.set.candidates])
-            dropped = float(np.abs(a * scale)[released].max(initial=0.0) / max(np.abs(a * scale).max(), 1e-300))
+            dropped = float(np.abs(a * scale)[released].max(initial=0.0) / max(np.abs(a * scale).max(), TOL.tiny))
         none = np.zeros(3)
         (T0, U0), (T1, U1) = body.energy(x, v, none), body.energy(x1, v1, none)
         ids = body.switching.node_ids
@@ -212,9 +210,9 @@ def simulate_sliding(
     *,
     end: float,
     step: float,
-    rho: float = 0.9,
+    rho: float = TOL.default_rho,
     begin: float = 0.0,
-    tolerance: float = 1e-9,
+    tolerance: float = TOL.newton_error,
     max_deflection: float | None = 1.0,
 ) -> Result:
     """``simulate`` with a switch, from ``begin`` to ``end`` (s) in steps of at most ``step`` (s) and with its options;

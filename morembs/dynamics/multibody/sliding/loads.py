@@ -20,6 +20,7 @@ from morembs.dynamics.multibody.rotations import cross
 from morembs.dynamics.multibody.sliding.body import PathMarker
 from morembs.dynamics.multibody.sliding.path import PathState, PointOfPath
 from morembs.dynamics.multibody.system import State
+from morembs.dynamics.multibody.tolerances import TOL
 
 
 class Slider:
@@ -94,7 +95,7 @@ def _checked_up(label: str, path: PathMarker, up: ArrayLike, rider: Marker) -> F
     s = place.nearest(rider.place(rider.component.start()[0]).position)
     path.component.refuse_outside(s, f"at the start ({label})")
     slope = place.at(s).slope
-    if abs(e @ slope) > 0.999 * np.linalg.norm(slope):
+    if abs(e @ slope) > TOL.along_path * np.linalg.norm(slope):
         raise InputError(f"{label}: up = {np.asarray(up).tolist()} is along the path; expected a direction across it")
     return e
 
@@ -187,7 +188,7 @@ class PathSupport(Force, Slider):
         normal = _across(here, self.e)[0][0]
         w = (place.axes.T @ normal) @ here.W
         value = float(w @ place.R @ w) + self.compliance
-        floor = 1e-10 * float(np.abs(place.switching.stiffness[0]).max()) + self.compliance
+        floor = TOL.rigid_place * float(np.abs(place.switching.stiffness[0]).max()) + self.compliance
         if not value > floor:
             raise InputError(
                 f"support {self.name!r}: the active set has lost its rank at s = {s:.9g} m: no static mode moves "

@@ -10,6 +10,7 @@ import numpy as np
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.multibody.component import MarkerState
 from morembs.dynamics.multibody.rotations import cross, hat
+from morembs.dynamics.multibody.tolerances import TOL
 from morembs.reducers.switching_tables import Curve, StaticModeTables
 
 
@@ -50,7 +51,7 @@ class PathState(MarkerState):
             here = self.at(s)
             step = float(here.slope @ (point - here.position) / (here.slope @ here.slope))
             s += step
-            if abs(step) <= 1e-14 * max(tables.length, abs(s)):
+            if abs(step) <= TOL.path_change * max(tables.length, abs(s)):
                 break
         return s
 

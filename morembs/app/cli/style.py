@@ -1,0 +1,29 @@
+"""Sizes of what the command line prints and of its pages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class CommandStyle:
+    """Sizes of layout, each named by its quantity."""
+
+    # Elastic frequencies of a body: that evaluate prints where no number is given, of a report, and on a page.
+    evaluated_frequencies: int = 6
+    reported_frequencies: int = 10
+    page_frequencies: int = 5
+    # Columns of a table of frequencies, and terms of a ranking.
+    bodies_per_table: int = 2
+    ranked_terms: int = 8
+    # Characters in a line of a pipe or a file, and of a table at most.
+    pipe_width: int = 160
+    max_table_width: int = 1000
+
+    # Pictures of a page: width and height in inches, dots per inch.
+    row_picture: tuple[float, float, int] = (1.6, 1.0, 80)
+    shapes_picture: tuple[float, float, int] = (9.0, 4.0, 90)
+    response_picture: tuple[float, float, int] = (9.0, 4.6, 90)
+
+
+STYLE = CommandStyle()

@@ -1,0 +1,88 @@
+"""Tolerances, limits and forecasts of jobs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class JobTolerances:
+    """Quantities that decide, each with the line that derives or cites it."""
+
+    # Pieces of a mesh beyond which no hinges are searched for: the equations have six rows for each.
+    max_searched_pieces: int = 300
+    # Eigenvalue over the largest of what makes pieces move alike that is none: the square of 1e-5.
+    independent_motion: float = 1e-10
+    # Part of a rigid motion by which neighbours move apart as a tube turns; round-off of translations is far below.
+    turned_tube: float = 1e-9
+    # Bytes that a memory budget is below: no machine has 2^60.
+    max_memory_bytes: float = 2.0**60
+    # Difference of frequencies, as a part of them, below which they are one.
+    same_frequency: float = 1e-6
+    # Difference of values of a parameter, as a part of them, below which they are one: 4500 eps.
+    same_value: float = 1e-12
+
+    # --- Jobs that are written for a mesh
+    # Young's modulus of steel in Pa.
+    steel_young: float = 2.1e11
+    # Its Poisson's ratio.
+    steel_poisson: float = 0.3
+    # Its density in kg/m^3.
+    steel_density: float = 7850.0
+    # Length up to which meshes without declared units are taken in m, and longer ones in mm.
+    longest_in_metres: float = 5.0
+    # Sets that become interfaces; others are named in a comment.
+    template_interfaces: int = 2
+    # Singular value of points over the largest below which they are in a line: coordinates with six digits.
+    points_in_line: float = 1e-6
+
+    # --- What makes no sense
+    # Interface degrees of freedom beyond which methods that follow all responses take minutes.
+    many_interface_dofs: int = 60
+    # How many interface degrees of freedom make sense where the responses to all of them are followed at once.
+    max_interface_dofs: int = 500
+    # Part of the dofs beyond which modes are no reduction any more.
+    many_modes_part: float = 0.1
+    # Modes beyond which they take very long.
+    many_modes: int = 1000
+    # Dofs of models that take seconds whatever is asked of them.
+    small_model_dofs: int = 3000
+
+    # --- Pictures
+    # Frequencies of a picture where no [response] asks for others.
+    picture_points: int = 400
+    # Their band: parts of the lowest and of the highest known mode.
+    picture_band: tuple[float, float] = (0.2, 1.1)
+    # Error that a picture draws at least: below eps.
+    least_drawn_error: float = 1e-16
+    # Order, seconds or GB that a picture draws at least, on an axis of logarithms.
+    least_drawn_cost: float = 1e-3
+
+    # --- Forecasts
+    # Bytes of a stored entry of K or M: a double and an index of four bytes.
+    entry_bytes: int = 8 + 4
+    # Bytes of an entry of the triangle with the places of M in it.
+    triangle_entry_bytes: int = 12
+    # Columns of a Krylov space for each mode; measured.
+    krylov_columns_per_mode: int = 3
+    # Columns of blocks in use beside it; measured.
+    krylov_block_columns: int = 160
+    # Part of the speed of a large dense product that a factorisation reaches with solvers that were not measured.
+    least_factor_speed: float = 0.1
+    # Seconds for each entry of a factor on top.
+    seconds_per_entry: float = 1e-8
+    # Real products in a complex one.
+    products_of_complex: int = 4
+    # Resident memory of a rank of MPI without its part of a factor; measured.
+    rank_bytes: int = 80_000_000
+    # Bytes that stay resident of a job when all that can rest does; measured.
+    resting_bytes: int = 70_000_000
+    # Columns as long as there are dofs that do; measured.
+    resting_columns: int = 12
+    # Of these bytes, what is there before modes are counted; measured.
+    loaded_bytes: int = 16_000_000
+    # Bytes more that the smallest count takes; measured.
+    least_count_bytes: int = 6_000_000
+
+
+TOL = JobTolerances()
