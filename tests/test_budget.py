@@ -473,6 +473,6 @@ def test_another_process_gets_the_limits_and_no_files(tmp_path: Path) -> None:
     with Budget(memory=10**12, scratch=tmp_path, in_memory=0, widest=4) as budget:
         solid = SaintVenantKirchhoff(steel(box("hex8", (2, 1, 1), (0.2, 0.05, 0.03))))
         held = budget.empty((10, 3))
-        assert budget.files == 1 and len(held) == 10
+        assert budget.files and len(held) == 10
         there = pickle.loads(pickle.dumps(solid)).budget
     assert (there.memory, there.scratch, there.in_memory, there.widest, there.files) == (10**12, tmp_path, 0, 4, 0)
