@@ -25,7 +25,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.base import progress
-from morembs.base.errors import InputError
+from morembs.base.errors import InputError, SolverError
 from morembs.base.limits import PositiveCount, number, one_of
 from morembs.base.types import Floats
 from morembs.base.worker_pool import WorkerPool
@@ -112,14 +112,18 @@ class Gramian(OfResponses):
         lost = wanted + problem.rigid.shape[1] - basis.V.shape[1]
         return replace(basis, notes={**notes, "dependent_directions_dropped": lost}) if lost else basis
 
+    def _reference(self, problem: Problem, omega: Floats) -> ModalReference:
+        try:
+            return reference_model(problem, omega, tolerance=TOL.state_error, inertia_loads=self.inertia_loads)
+        except SolverError:
+            if not problem.damping.is_modal:
+                raise
+            # With modal damping the error is the change of H by the last block, which round-off may keep above that.
+            return reference_model(problem, omega, tolerance=TOL.reference_error, inertia_loads=self.inertia_loads)
+
     def _modal(self, problem: Problem, low: float, high: float, mu: float, notes: dict[str, object]) -> Floats:
         """Basis (Nc, n) from snapshots in the modal coordinates of the reference model, where X is diagonal."""
-        reference = reference_model(
-            problem,
-            np.linspace(low, high, TOL.state_samples),
-            tolerance=TOL.state_error,
-            inertia_loads=self.inertia_loads,
-        )
+        reference = self._reference(problem, np.linspace(low, high, TOL.state_samples))
         values = reference.values
         F = reference.F * load_scale(problem.motion_scale, reference.F, reference.F / values[:, None])
         X = sp.diags_array(values + mu).tocsr()
