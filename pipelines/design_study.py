@@ -118,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sampled = body.frequencies_hz(table, count=COUNT)
     each = (time.process_time() - start) / len(table)
     checked = 3 if options.quick else 20
-    full, seconds = full_frequencies(job, np.vstack([table[:checked], design.model.p]))
+    full, seconds = full_frequencies(job, np.vstack([table[:checked], design.p]))
     hidden = {"E_big": 1.70e11, "E_small": 1.92e11, "t": 0.1}
     exact = body.at(**hidden).frequencies_hz[:COUNT]
     draws = exact * (1 + NOISE * rng.standard_normal((10 if options.quick else 100, COUNT)))

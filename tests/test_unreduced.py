@@ -15,7 +15,7 @@ from morembs.app.cli.commands import app
 from morembs.app.jobs.assembly import assembly_of
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.stages.couple import interfaces_of
-from morembs.base.budget import UNLIMITED, Budget
+from morembs.base.budget import Budget
 from morembs.base.errors import BudgetError
 from morembs.body.file import StoredBodies, read_body, write_body
 from tests.support import decks
@@ -309,7 +309,7 @@ def test_jobs_that_did_not_make_the_bodies_are_refused(tmp_path: Path) -> None:
 
 def test_a_budget_that_the_parts_exceed_is_refused(tmp_path: Path) -> None:
     job = load_job(arm(tmp_path, [part := link(tmp_path), part]))
-    model = assembly_of(job, UNLIMITED)
+    model = assembly_of(job)
     with (
         Budget(1_000_000, tmp_path),
         morembs.Problem(model, interfaces_of(job, model)) as problem,

@@ -31,7 +31,7 @@ class InputError(MorembsError, ValueError):
     ...     isotropic(set="all", young=-1.0, poisson=0.3, density=7850.0)
     ... except InputError as error:
     ...     print(error)
-    material of set 'all': young = -1 Pa was given; expected a positive number
+    material of set 'all': young in Pa = -1.0 was given; expected a positive number
     """
 
 

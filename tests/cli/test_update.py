@@ -59,7 +59,7 @@ def test_shapes_pair_modes_by_the_nodes_of_the_file(path, hidden, tmp_path):
     basis = source.bodies["some-basis"].basis().reshape(len(source.node_ids), 3, -1)
     rows = []
     for number, k in enumerate(order, 1):
-        shape = basis[nodes] @ hidden.model.Y[:, 6 + k]
+        shape = basis[nodes] @ hidden.Y[:, 6 + k]
         rows += [(number, int(source.node_ids[node]), *u) for node, u in zip(nodes, shape.tolist(), strict=True)]
     shapes = write(tmp_path / "shapes.csv", ["mode", "id", "ux", "uy", "uz"], rows)
     frequencies = [(n, repr(float(hidden.frequencies_hz[k])), 5.0) for n, k in enumerate(order, 1)]

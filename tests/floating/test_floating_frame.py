@@ -216,7 +216,7 @@ def test_rotating_masses_keep_their_consistent_parts():
     arms = np.array([[lump[2, 4], lump[0, 5], lump[1, 3]] for lump in lumps]) / -mass[:, None]
     origin = np.array([0.7, -0.4, 1.1])
     with Problem(model) as problem:
-        integrals, _ = shape_integrals(model, P, origin, problem.budget)
+        integrals, _ = shape_integrals(model, P, origin)
     assert integrals.mass == pytest.approx(mass.sum(), rel=1e-13)
     assert np.abs(integrals.first - mass @ (x + arms - origin)).max() < 1e-12
     assert np.abs(frame.integrals.first - mass @ (x + arms - frame.origin)).max() < 1e-12

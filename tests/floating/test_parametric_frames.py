@@ -74,7 +74,7 @@ def test_derivatives_of_frames_are_those_of_the_models_assembled_nearby(problem)
             frame = terms.frame(model.at(value), shapes=here.Y[:, 6:], **options)
             with problem.at(value, assembled=True) as there:
                 shapes = there.coupling.T @ (V @ frame.elastic)
-                parts, _ = shape_integrals(there.model, shapes, np.array(options["origin"]), there.budget)
+                parts, _ = shape_integrals(there.model, shapes, np.array(options["origin"]))
                 K = V.T @ (there.K @ V)
             mine = [getattr(parts, each) for each in names] + [frame.elastic.T @ K @ frame.elastic]
             found.append([*mine, frame.markers["TIP"].motion, frame.rigid, frame.De])

@@ -252,7 +252,13 @@ def _list_tolerances(as_json: bool) -> None:
     from morembs.app.cli.tolerance_table import tolerances
 
     if as_json:
-        print_json([asdict(quantity) for quantity in tolerances()])
+        # JSON has no complex numbers.
+        print_json(
+            [
+                asdict(each) | ({"value": str(each.value)} if isinstance(each.value, complex) else {})
+                for each in tolerances()
+            ]
+        )
         return
     for quantity in tolerances():
         typer.echo(f"{quantity.room}: {quantity.name} = {quantity.value!r}: {quantity.reason}")
