@@ -30,8 +30,8 @@ import scipy.sparse.linalg as sla
 from morembs.base.errors import MorembsError
 from morembs.fem import FEModel, rigid_motion
 from morembs.importers import import_file
-from morembs.importers.engines.calculix import find_ccx
-from morembs.importers.engines.calculix_import import import_with_calculix
+from morembs.importers.engines.calculix.importer import import_with_calculix
+from morembs.importers.engines.calculix.program import find_ccx
 from morembs.importers.to_model import model_of
 
 DENSITY, MODES, SECONDS, SECTOR = 7.8e-9, 10, 60, "CYCLIC SYMMETRY MODEL"

@@ -29,7 +29,7 @@ from .fem.material import Material, isotropic, orthotropic
 from .fem.selection import select_nodes
 from .fem.tubes import Flow, Tube, conveying, tube_model
 from .importers import read_mesh
-from .importers.from_matrices import from_matrices
+from .importers.matrices.from_matrices import from_matrices
 from .linalg.sparse.select import available_solvers, select_solver
 from .problem import Damping, Problem
 from .reducers import (

@@ -27,8 +27,8 @@ from morembs.exporters.abaqus_matrices import write_abaqus_matrix
 from morembs.exporters.dmig import write_dmig
 from morembs.exporters.op4 import write_op4
 from morembs.fem import FEModel
-from morembs.importers.dmig import DmigMatrix
-from morembs.importers.from_matrices import from_matrices
+from morembs.importers.matrices.dmig import DmigMatrix
+from morembs.importers.matrices.from_matrices import from_matrices
 from morembs.importers.model_file import write_model
 from tests.importers import test_abaqus_deck as abaqus_decks
 from tests.importers import test_ansys as ansys_files

@@ -17,7 +17,7 @@ from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_dig
 from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import body_transfer, on_interfaces
 from morembs.exporters.tolerances import TOL
-from morembs.importers.abaqus_matrices import read_abaqus_matrix
+from morembs.importers.matrices.abaqus import read_abaqus_matrix
 from morembs.storage.safefile import replacing, replacing_all
 
 Layout = Literal["matrix input", "labels", "coordinate"]

@@ -15,7 +15,7 @@ from morembs.base.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
 from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import body_transfer, on_interfaces
-from morembs.importers.dmig import DmigMatrix, read_dmig
+from morembs.importers.matrices.dmig import DmigMatrix, read_dmig
 from morembs.storage.safefile import replacing
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,7}")

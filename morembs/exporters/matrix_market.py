@@ -16,7 +16,7 @@ from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import reduced_matrices, second_order
 from morembs.exporters.tolerances import TOL
 from morembs.fem.fe_model import Component
-from morembs.importers.matrix_market import read_matrix_market
+from morembs.importers.matrices.matrix_market import read_matrix_market
 from morembs.storage.safefile import replacing_all
 
 _MEANING = {"M": "mass", "K": "stiffness", "D": "damping", "B": "input", "C": "output"}

@@ -17,8 +17,8 @@ from morembs.base.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
 from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import reduced_matrices, second_order
-from morembs.importers.op4 import read_op4
-from morembs.importers.op4_columns import Form, OP4Matrix, Packed
+from morembs.importers.matrices.op4 import read_op4
+from morembs.importers.matrices.op4_columns import Form, OP4Matrix, Packed
 from morembs.storage.safefile import replacing
 
 Storage = Literal["dense", "bigmat", "nonbigmat"]

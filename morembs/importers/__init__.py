@@ -17,20 +17,20 @@ from morembs.base.units import Units, parse_units
 from morembs.fem import Mesh, Nodes
 from morembs.fem.handedness import right_handed
 from morembs.fem.middle_nodes import mesh_in_order
-from morembs.importers.abaqus import import_abaqus, read_abaqus
-from morembs.importers.ansys_cdb import import_ansys_cdb
-from morembs.importers.ansys_full import import_ansys_full
-from morembs.importers.ansys_text import import_ansys_matrices
-from morembs.importers.exudyn import import_exudyn
-from morembs.importers.hdf5_sparse import import_hdf5
+from morembs.importers.abaqus.importer import import_abaqus, read_abaqus
+from morembs.importers.ansys.cdb import import_ansys_cdb
 from morembs.importers.imported import Imported
-from morembs.importers.matlab import import_matlab
-from morembs.importers.matrix_files import import_abaqus_matrix, import_calculix, import_dmig, import_op4
-from morembs.importers.matrix_market import import_matrix_market
+from morembs.importers.matrices.ansys_full import import_ansys_full
+from morembs.importers.matrices.ansys_text import import_ansys_matrices
+from morembs.importers.matrices.exudyn import import_exudyn
+from morembs.importers.matrices.files import import_abaqus_matrix, import_calculix, import_dmig, import_op4
+from morembs.importers.matrices.hdf5 import import_hdf5
+from morembs.importers.matrices.matlab import import_matlab
+from morembs.importers.matrices.matrix_market import import_matrix_market
+from morembs.importers.matrices.npz import import_npz
 from morembs.importers.meshes import import_mesh, read_with_meshio
-from morembs.importers.nastran import import_nastran, read_nastran
+from morembs.importers.nastran.importer import import_nastran, read_nastran
 from morembs.importers.native import import_native
-from morembs.importers.npz import import_npz
 from morembs.importers.unv import import_unv, read_unv
 from morembs.storage.hdf5 import reading
 

@@ -17,7 +17,7 @@ from morembs.base.errors import InputError, MorembsError
 from morembs.base.types import Ints
 from morembs.fem import ElementBlock, Mesh, Nodes
 from morembs.fem.elements import TYPES
-from morembs.importers.abaqus import read_abaqus
+from morembs.importers.abaqus.importer import read_abaqus
 from morembs.importers.imported import Imported, picked_nodes
 from morembs.importers.tolerances import TOL
 from morembs.storage.hdf5 import refuse_unsafe_file

@@ -19,8 +19,8 @@ from morembs.fem.elements import TYPES
 from morembs.fem.fe_model import MATRICES, Component
 from morembs.fem.formulations import FORMULATIONS, MASSES, formulation_of
 from morembs.fem.material import Material
-from morembs.importers.hdf5_sparse import checked_csr
 from morembs.importers.imported import Imported, first_nodes
+from morembs.importers.matrices.hdf5 import checked_csr
 from morembs.storage.checksums import Checksums
 from morembs.storage.hdf5 import reading_format
 from morembs.storage.table import Row, Table, read_rows

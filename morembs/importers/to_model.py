@@ -21,12 +21,12 @@ from morembs.fem.fe_model import MATRICES, refuse_far
 from morembs.fem.handedness import right_handed
 from morembs.fem.middle_nodes import mesh_in_order
 from morembs.fem.surface import seam_faces
+from morembs.importers.decks.missing_middles import LINEAR_EDGES
 from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.importers.discrete import si_discrete, with_discrete
 from morembs.importers.imported import Imported, Ties, nodes_of, picked_nodes
 from morembs.importers.in_si import equations_in_si, forces_in_si, materials_in_si, matrices_in_si
-from morembs.importers.missing_middles import LINEAR_EDGES
-from morembs.importers.named import refuse_entries
+from morembs.importers.matrices.named import refuse_entries
 from morembs.importers.nodes_and_dofs import nodes_and_dofs
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
 

@@ -23,7 +23,7 @@ from morembs.body.floating.frame import floating_frame
 from morembs.exporters import EXPORTERS, export_body
 from morembs.fem import NamedColumns
 from morembs.fem.interface import make_interface, matrix_interface
-from morembs.importers.abaqus_matrices import aligned, read_abaqus_matrix
+from morembs.importers.matrices.abaqus import aligned, read_abaqus_matrix
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.reducers import CraigBampton, Krylov, Modal, StaticModesSwitching

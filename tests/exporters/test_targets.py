@@ -25,7 +25,7 @@ from morembs import (
 )
 from morembs.exporters import EXPORTERS, export_body
 from morembs.exporters.sid import read_sid
-from morembs.importers.abaqus_matrices import aligned, read_abaqus_matrix
+from morembs.importers.matrices.abaqus import aligned, read_abaqus_matrix
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton
 from tests.support.exports import extptfm_file, mbdyn_groups, simulated_modelica

@@ -9,7 +9,7 @@ from morembs.fem.assembly import assemble
 from morembs.fem.elements import TYPES
 from morembs.fem.mass import mass_properties
 from morembs.fem.material import isotropic, orthotropic
-from morembs.importers.abaqus import import_abaqus, read_abaqus
+from morembs.importers.abaqus.importer import import_abaqus, read_abaqus
 from morembs.importers.tolerances import TOL
 from morembs.problem import Problem
 from tests.support.decks import damaged, filled

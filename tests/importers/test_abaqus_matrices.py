@@ -14,8 +14,8 @@ from morembs.body.file import read_body, write_body
 from morembs.exporters import export_body
 from morembs.exporters.abaqus_matrices import write_abaqus_matrix
 from morembs.fem.interface import make_interface
-from morembs.importers.abaqus_matrices import aligned, read_abaqus_matrix, read_abaqus_substructure
-from morembs.importers.text_matrices import numbers, text_blocks
+from morembs.importers.matrices.abaqus import aligned, read_abaqus_matrix, read_abaqus_substructure
+from morembs.importers.matrices.text import numbers, text_blocks
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, Modal
 from tests.support.meshes import box, steel, where

@@ -13,10 +13,10 @@ from morembs.fem import rigid_motion
 from morembs.fem.assembly import assemble
 from morembs.fem.material import isotropic
 from morembs.importers import import_file
-from morembs.importers.abaqus_matrices import read_abaqus_matrix
-from morembs.importers.ansys_cdb import import_ansys_cdb
-from morembs.importers.ansys_full import import_ansys_full, read_ansys_full
-from morembs.importers.ansys_text import import_ansys_matrices, read_ansys_matrix
+from morembs.importers.ansys.cdb import import_ansys_cdb
+from morembs.importers.matrices.abaqus import read_abaqus_matrix
+from morembs.importers.matrices.ansys_full import import_ansys_full, read_ansys_full
+from morembs.importers.matrices.ansys_text import import_ansys_matrices, read_ansys_matrix
 from morembs.importers.to_model import model_of
 from morembs.problem import Problem
 from tests.support.mesh_decks import ARCHIVE_FORMS, ansys_archive, ansys_elements, e21

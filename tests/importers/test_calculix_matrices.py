@@ -9,8 +9,8 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
 from morembs.base.errors import InputError
-from morembs.importers.abaqus_matrices import read_abaqus_matrix
-from morembs.importers.calculix_matrices import read_calculix_matrices
+from morembs.importers.matrices.abaqus import read_abaqus_matrix
+from morembs.importers.matrices.calculix import read_calculix_matrices
 
 CONROD_HZ = [5931.72907, 10572.56166, 13006.48953, 14286.39617, 22263.38637, 24315.61338, 24728.82045, 28365.58687]
 

@@ -24,9 +24,9 @@ from morembs.base.errors import InputError
 from morembs.exporters.op4 import write_op4
 from morembs.fem import FEModel
 from morembs.importers import import_file
-from morembs.importers.matlab_v5 import read_matlab_v5
+from morembs.importers.matrices.matlab_v5 import read_matlab_v5
+from morembs.importers.matrices.op4 import read_op4
 from morembs.importers.model_file import write_model
-from morembs.importers.op4 import read_op4
 from tests.support.machine import has_memory
 from tests.support.meshes import box, steel
 

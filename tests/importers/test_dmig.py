@@ -15,9 +15,9 @@ from morembs.exporters import export_body
 from morembs.exporters.dmig import sixteen, write_dmig
 from morembs.fem.interface import make_interface
 from morembs.importers import import_file
-from morembs.importers.dmig import DmigMatrix, read_dmig
-from morembs.importers.nastran_text import BulkText
-from morembs.importers.op4 import read_op4
+from morembs.importers.matrices.dmig import DmigMatrix, read_dmig
+from morembs.importers.matrices.op4 import read_op4
+from morembs.importers.nastran.text import BulkText
 from morembs.importers.to_model import model_of
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Modal

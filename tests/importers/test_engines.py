@@ -14,7 +14,7 @@ from morembs import InputError
 from morembs.app.cli import app
 from morembs.fem import FEModel, rigid_motion
 from morembs.importers import import_file
-from morembs.importers.abaqus_surfaces import FACES
+from morembs.importers.abaqus.surfaces import FACES
 from morembs.importers.model_file import read_model
 from morembs.importers.to_model import model_of
 from morembs.problem import Problem

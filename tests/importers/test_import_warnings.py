@@ -16,7 +16,7 @@ from morembs.base.units import parse_units
 from morembs.body.diagnostics.warnings import diagnosis_of
 from morembs.fem.material import isotropic
 from morembs.importers import import_file
-from morembs.importers.formulations import ansys_meaning, deck_warnings, meaning_of
+from morembs.importers.decks.formulations import ansys_meaning, deck_warnings, meaning_of
 from morembs.importers.model_file import read_model, write_model
 from morembs.importers.to_model import model_of
 from tests.support.commands import run

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from morembs import InputError
-from morembs.importers.abaqus import import_abaqus
-from morembs.importers.abaqus_words import COMPARED, EFFECTS, LEFT_OUT, WORDS, of_kind
-from morembs.importers.calculix_matrices import CalculixMatrices
+from morembs.importers.abaqus.importer import import_abaqus
+from morembs.importers.abaqus.words import COMPARED, EFFECTS, LEFT_OUT, WORDS, of_kind
+from morembs.importers.matrices.calculix import CalculixMatrices
 from tests.support.calculix import needs_ccx, solids, stored_matrices
 
 BODY = (

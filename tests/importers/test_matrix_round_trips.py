@@ -27,7 +27,7 @@ from morembs.exporters.abaqus_matrices import write_abaqus_matrix
 from morembs.exporters.dmig import write_dmig
 from morembs.exporters.op4 import write_op4
 from morembs.fem import FEModel
-from morembs.importers.dmig import DmigMatrix
+from morembs.importers.matrices.dmig import DmigMatrix
 from morembs.importers.model_file import read_model, write_model
 from tests.support.meshes import box, steel
 

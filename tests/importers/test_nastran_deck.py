@@ -10,9 +10,9 @@ from morembs.fem.assembly import assemble
 from morembs.fem.elements import TYPES
 from morembs.fem.material import isotropic, orthotropic
 from morembs.fem.surface import nodal_areas, outer_faces
-from morembs.importers.nastran import import_nastran, read_nastran
-from morembs.importers.nastran_cards import real
-from morembs.importers.problems import DeckError
+from morembs.importers.decks.problems import DeckError
+from morembs.importers.nastran.cards import real
+from morembs.importers.nastran.importer import import_nastran, read_nastran
 from morembs.importers.to_model import model_of
 from morembs.importers.tolerances import TOL
 from morembs.problem import Problem

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from morembs.base.errors import InputError
 from morembs.exporters.op4 import write_op4
-from morembs.importers.op4 import read_op4
+from morembs.importers.matrices.op4 import read_op4
 
 STORAGES = ("dense", "bigmat", "nonbigmat")
 BINARY = list(itertools.product(STORAGES, ("little", "big"), (32, 64)))

@@ -13,8 +13,8 @@ from morembs.fem import ElementBlock, FEModel, Mesh
 from morembs.fem.assembly import assemble
 from morembs.fem.material import isotropic
 from morembs.importers import import_file
-from morembs.importers.abaqus_matrices import read_abaqus_matrix
-from morembs.importers.ansys_text import import_ansys_matrices
+from morembs.importers.matrices.abaqus import read_abaqus_matrix
+from morembs.importers.matrices.ansys_text import import_ansys_matrices
 from morembs.importers.to_model import model_of
 
 

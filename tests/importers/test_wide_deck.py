@@ -14,11 +14,11 @@ from morembs.fem import rigid_motion
 from morembs.fem.elements import FACES, TYPES
 from morembs.fem.handedness import mirror_of
 from morembs.fem.interface.average import averaging
-from morembs.importers.abaqus import import_abaqus
+from morembs.importers.abaqus.importer import import_abaqus
+from morembs.importers.decks.problems import DeckError
+from morembs.importers.decks.projection import project
 from morembs.importers.dependent_dofs import interface_of_coupling
 from morembs.importers.model_file import read_model
-from morembs.importers.problems import DeckError
-from morembs.importers.projection import project
 from morembs.importers.to_model import model_of
 from tests.support.meshes import box, fully_integrated, steel
 

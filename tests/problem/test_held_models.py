@@ -18,7 +18,7 @@ from morembs.body.diagnostics.warnings import examined
 from morembs.body.file import read_body
 from morembs.fem import FEModel
 from morembs.fem.interface import Interface, make_interface, matrix_interface
-from morembs.importers.from_matrices import from_matrices
+from morembs.importers.matrices.from_matrices import from_matrices
 from morembs.importers.model_file import write_model
 from morembs.linalg.null_space import null_space
 from morembs.linalg.sparse.select import select_solver

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
 from morembs.fem import FEModel
-from morembs.importers.calculix_matrices import CalculixMatrices, read_calculix_matrices
+from morembs.importers.matrices.calculix import CalculixMatrices, read_calculix_matrices
 
 CCX = next((path for name in ("ccx", "ccx_2.20") if (path := shutil.which(name))), None)
 needs_ccx = pytest.mark.skipif(CCX is None, reason="ccx is not installed (Debian package calculix-ccx)")

@@ -12,7 +12,7 @@ import scipy.linalg as sl
 
 from morembs import InputError
 from morembs.fem import FEModel
-from morembs.importers.engines.mystran import mystran_path
+from morembs.importers.engines.mystran.program import mystran_path
 from tests.support import calculix
 
 try:

@@ -75,7 +75,7 @@ def import_model(
     """Convert a model of another program into a model file that jobs read."""
     from morembs.app.jobs.import_job import ImportJob, list_engines, list_formats, material_of, run_import
     from morembs.base.units import parse_units
-    from morembs.importers.deck_options import density_of
+    from morembs.importers.decks.options import density_of
 
     with messages():
         if listed:
@@ -151,7 +151,7 @@ def _dry_run(job: ImportJob, *, check: bool, strict: bool, as_json: bool) -> Non
         typer.Exit: the model cannot be imported, with code 2.
     """
     from morembs.app.jobs.import_job import run_import
-    from morembs.importers.problems import DeckError, answered_by
+    from morembs.importers.decks.problems import DeckError, answered_by
 
     try:
         with progress_line() as progress:

@@ -23,12 +23,12 @@ from morembs.fem.fe_model import Component
 from morembs.fem.material import Material, isotropic
 from morembs.fem.parts import parts_of
 from morembs.importers import IMPORTERS, format_of, import_file
-from morembs.importers.dof_map import read_dof_map
+from morembs.importers.decks.problems import DeckError
 from morembs.importers.imported import Imported
-from morembs.importers.matrix_files import abaqus_matrices
+from morembs.importers.matrices.dof_map import read_dof_map
+from morembs.importers.matrices.files import abaqus_matrices
+from morembs.importers.matrices.named import square_csr
 from morembs.importers.model_file import write_model
-from morembs.importers.named import square_csr
-from morembs.importers.problems import DeckError
 from morembs.importers.to_model import model_of, rows_of_labels
 from morembs.storage.contents import keeping_ledger
 from morembs.storage.safefile import check_writable

@@ -15,10 +15,10 @@ from typing import Any
 from morembs.base.errors import InputError
 from morembs.base.options import Text, known, read_options
 from morembs.base.plugins import Registry
-from morembs.importers.engines.calculix import find_ccx
-from morembs.importers.engines.calculix_import import import_with_calculix, readable_by_calculix
-from morembs.importers.engines.mystran import find_mystran
-from morembs.importers.engines.mystran_import import import_with_mystran, readable_by_mystran
+from morembs.importers.engines.calculix.importer import import_with_calculix, readable_by_calculix
+from morembs.importers.engines.calculix.program import find_ccx
+from morembs.importers.engines.mystran.importer import import_with_mystran, readable_by_mystran
+from morembs.importers.engines.mystran.program import find_mystran
 from morembs.importers.engines.run import Program
 from morembs.importers.imported import Imported
 

@@ -1,0 +1,1 @@
+"""Decks of Abaqus and CalculiX (.inp): text, keywords, parts, sets, materials, couplings; ``importer`` is the entry."""

@@ -1,0 +1,152 @@
+"""What an input deck says, scope by scope: parts, instances and the assembly, before instances are placed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from morembs.base.types import Floats, Ints
+from morembs.importers.abaqus.data import number
+from morembs.importers.abaqus.keywords import Card
+from morembs.importers.abaqus.left_out import warning_of
+from morembs.importers.decks.formulations import meaning_of
+from morembs.importers.decks.options import DeckOptions
+from morembs.importers.decks.problems import Problems
+
+Rows = list[list[str]]
+NODES = {"tet4": 4, "tet10": 10, "hex8": 8, "hex20": 20, "hex27": 27, "wedge6": 6, "wedge15": 15}
+KINDS = {
+    "C3D4": "tet4",
+    "C3D10": "tet10",
+    "C3D8": "hex8",
+    "C3D20": "hex20",
+    "C3D27": "hex27",
+    "C3D6": "wedge6",
+    "C3D15": "wedge15",
+}
+# Variants of one shape: hybrid, modified, reduced integration, incompatible modes, improved stress, thermal.
+_VARIANTS = {
+    "C3D4": ("H", "T", "HT"),
+    "C3D10": ("H", "I", "M", "MH", "HS", "T", "HT", "MT", "MHT", "R"),
+    "C3D8": ("H", "I", "IH", "R", "RH", "S", "HS", "T", "RT", "HT", "RHT", "IT"),
+    "C3D6": ("H", "T", "HT"),
+    "C3D20": ("H", "R", "RH", "T", "RT", "HT", "RHT", "RI"),
+    "C3D27": ("H", "R", "RH"),
+    "C3D15": ("H",),
+}
+SOLIDS = KINDS | {code + end: KINDS[code] for code, ends in _VARIANTS.items() for end in ends}
+# Elements on single nodes, with how many they have.
+DISCRETE = {
+    "MASS": 1,
+    "ROTARYI": 1,
+    "DCOUP3D": 1,
+    "SPRING1": 1,
+    "SPRING2": 2,
+    "SPRINGA": 2,
+    "DASHPOT1": 1,
+    "DASHPOT2": 2,
+    "DASHPOTA": 2,
+}
+
+
+@dataclass
+class Members:
+    """What data lines put into a set: labels, ranges (first, last, step), names of sets, all of ``instance``; nodes of
+    the elements of sets where they are ``of_elements``. ``unsorted`` ones are paired with others as they are listed,
+    and hold either labels or names."""
+
+    labels: Ints
+    ranges: list[tuple[int, int, int]]
+    names: list[str]
+    instance: str
+    of_elements: bool = False
+    unsorted: bool = False
+
+
+@dataclass
+class NamedSet:
+    """A set under the name that it was first written with."""
+
+    name: str
+    parts: list[Members] = field(default_factory=list)
+
+
+@dataclass
+class Scope:
+    """What a part, an instance, or the assembly (with all that stands outside of parts) defines.
+
+    ``others`` are elements that are not assembled here: type, label and nodes (k, 1 + width), of which a program that
+    takes them needs all and others none.
+    """
+
+    name: str
+    node_ids: list[Ints] = field(default_factory=list)
+    xyz: list[Floats] = field(default_factory=list)
+    elements: dict[str, list[Ints]] = field(default_factory=dict)
+    discrete: list[tuple[int, list[str], str]] = field(default_factory=list)
+    others: list[tuple[str, Ints]] = field(default_factory=list)
+    node_sets: dict[str, NamedSet] = field(default_factory=dict)
+    element_sets: dict[str, NamedSet] = field(default_factory=dict)
+    surfaces: list[tuple[Card, Rows]] = field(default_factory=list)
+    properties: list[tuple[Card, Rows]] = field(default_factory=list)
+    orientations: dict[str, tuple[Card, Rows]] = field(default_factory=dict)
+    transforms: list[tuple[Card, Rows]] = field(default_factory=list)
+    constraints: list[tuple[Card, Rows, Card | None, Rows]] = field(default_factory=list)
+
+
+@dataclass
+class Instance:
+    """A part in its place: the scope of its own data, and the data lines that move it."""
+
+    scope: Scope
+    part: str
+    card: Card
+    moves: Rows
+
+
+@dataclass
+class Deck:
+    """All of a deck; ``counts`` of element types as they are written, ``noted`` keywords without effect and the
+    ``warnings`` of some of them, ``skipped`` what was left out as asked; ``dialect`` is the program whose types are
+    meant, and ``guessed`` says that the deck does not tell."""
+
+    name: str
+    options: DeckOptions = field(default_factory=DeckOptions)
+    problems: Problems = field(default_factory=lambda: Problems(""))
+    top: Scope = field(default_factory=lambda: Scope(""))
+    parts: dict[str, Scope] = field(default_factory=dict)
+    instances: dict[str, Instance] = field(default_factory=dict)
+    materials: dict[str, list[tuple[Card, Rows]]] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+    noted: dict[str, int] = field(default_factory=dict)
+    skipped: dict[str, int] = field(default_factory=dict)
+    in_steps: dict[str, int] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    dialects: set[str] = field(default_factory=set)
+    dialect: str = "calculix"
+    guessed: bool = False
+
+    def leave_out(self, card: Card) -> None:
+        """Count a keyword that nothing of the model depends on, with the warning that it may need."""
+        self.noted[card.keyword] = self.noted.get(card.keyword, 0) + 1
+        said = warning_of(card)
+        if said and said not in self.warnings:
+            self.warnings.append(said)
+
+    def skip(self, card: Card) -> None:
+        """Count a keyword that is left out as asked."""
+        self.skipped[f"*{card.keyword}"] = self.skipped.get(f"*{card.keyword}", 0) + 1
+
+    def kind(self, code: str) -> tuple[str, str, str]:
+        """Type, formulation and mass of the solids that the deck calls ``code``."""
+        meaning = meaning_of(code, self.dialect)
+        return SOLIDS[code], meaning.formulation, meaning.mass
+
+
+def join(sets: dict[str, NamedSet], name: str, part: Members) -> None:
+    if name:
+        sets.setdefault(name.upper(), NamedSet(name)).parts.append(part)
+
+
+def values(row: list[str], card: Card) -> list[float]:
+    """The fields of a line as numbers."""
+    return [number(text, card) for text in row]

@@ -1,0 +1,251 @@
+"""Materials and solid sections of an input deck as one material for each element set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.base.errors import InputError, nearest
+from morembs.base.types import Floats
+from morembs.fem.material import VOIGT, Material, isotropic, orthotropic
+from morembs.importers.abaqus.assembly import Assembly
+from morembs.importers.abaqus.deck import Deck, Rows, Scope, values
+from morembs.importers.abaqus.keywords import Card
+from morembs.importers.abaqus.names import Placed
+from morembs.importers.imported import Lacking
+from morembs.importers.tolerances import TOL
+
+# What has a stiffness of its own, but no linear one.
+_NOT_LINEAR = {
+    "HYPERELASTIC",
+    "HYPERFOAM",
+    "USER MATERIAL",
+    "HYPOELASTIC",
+    "POROUS ELASTIC",
+    "EOS",
+    "LOW DENSITY FOAM",
+    "FLUID CONSTANTS",
+    "ACOUSTIC MEDIUM",
+    "FABRIC",
+    "JOINTED MATERIAL",
+}
+_TWO_WAYS = {"NO TENSION", "NO COMPRESSION"}
+# Where the constants of anisotropic elasticity go; Abaqus orders shear 12, 13, 23, which is 5, 4, 3 here.
+_ORDER = (0, 1, 2, 5, 4, 3)
+_ORTHOTROPIC = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2), (3, 3), (4, 4), (5, 5))
+_ANISOTROPIC = tuple((i, j) for j in range(6) for i in range(j + 1))
+
+
+@dataclass
+class SectionMaterials:
+    """A material for each solid section, what those of other sets lack, and what is to be said."""
+
+    materials: list[Material] = field(default_factory=list)
+    lacking: dict[str, Lacking] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+def materials_of(deck: Deck, assembly: Assembly) -> SectionMaterials:
+    """The materials of a deck; sections that name what is not there are problems of it."""
+    result = SectionMaterials()
+    sections = [
+        (placed, scope, card)
+        for placed in (*assembly.placed.values(), assembly.top)
+        for scope in placed.contents
+        for card, _ in scope.properties
+        if card.keyword == "SOLID SECTION"
+    ]
+    owner = np.full(assembly.solids, -1)
+    for number, (placed, _, card) in enumerate(sections):
+        with deck.problems.collected(card):
+            own = assembly.elements_of(placed, card.need("ELSET"))
+            owner[own[own < assembly.solids]] = number
+    for number, (placed, scope, card) in enumerate(sections):
+        if card.options.get("ELSET", "").upper() in placed.sets("element"):
+            with deck.problems.collected(card):
+                _section(deck, assembly, placed, scope, card, result, owner == number)
+    if not result.materials and not deck.materials:
+        result.notes.append("The deck has no materials; give them when the model is built.")
+    result.notes[:] = dict.fromkeys(result.notes)
+    result.warnings[:] = dict.fromkeys(result.warnings)
+    return result
+
+
+def _section(
+    deck: Deck,
+    assembly: Assembly,
+    placed: Placed,
+    scope: Scope,
+    card: Card,
+    result: SectionMaterials,
+    last: NDArray[np.bool_],
+) -> None:
+    """The material of a section, which is the ``last`` (solids,) of some elements."""
+    elset, name = card.need("ELSET"), card.need("MATERIAL")
+    for option in ("COMPOSITE", "SYMMETRIC", "REF NODE"):
+        if option in card.options:
+            raise InputError(f"{card} of {elset!r} is given with {option}; expected a section of one material")
+    numbers = assembly.elements_of(placed, elset)
+    if not (numbers < assembly.solids).any():
+        result.notes.append(f"The solid section of {elset} has no elements and was left out.")
+        return
+    solids = numbers[numbers < assembly.solids]
+    if deck.dialect == "calculix" and not last[solids].all():
+        result.warnings.append(
+            f"{int((~last[solids]).sum())} elements of the set {elset} are in a later *SOLID SECTION too, whose "
+            "material they have, as in CalculiX"
+        )
+        if not last[solids].any():
+            return
+        elset = assembly.new_elements(placed, f"{elset} in its last section", solids[last[solids]])
+    if name.upper() not in deck.materials:
+        raise InputError(f"{card} of {elset!r} names the material {name!r}; {nearest(name, deck.materials)}")
+    given = _properties(deck, name, result)
+    final = assembly.final_name("element", placed, elset)
+    of_set = f"the material {name} of the set {final}"
+    if "ELASTIC" not in given:
+        other = [own.keyword for own, _ in deck.materials[name.upper()] if own.keyword in _NOT_LINEAR]
+        missing = "ELASTIC" if "DENSITY" in given else "ELASTIC and no *DENSITY"
+        sentence = f"is *{other[0]} only, which is not linear elastic" if other else f"has no *{missing}"
+        result.lacking[final] = Lacking(sentence=f"{of_set} {sentence}")
+        return
+    elastic, rows = given["ELASTIC"]
+    axes = None
+    if elastic.options.get("TYPE", "ISO").upper()[:3] != "ISO":
+        orientation = card.options.get("ORIENTATION", "").upper()
+        own_axes = np.eye(3)
+        # CalculiX takes the global axes where a section names none.
+        if orientation or deck.dialect != "calculix":
+            own_axes = _axes(placed, scope, deck, orientation, elset, name)
+        axes = own_axes @ placed.rotation.T
+    if "DENSITY" not in given:
+        stiffness = _elastic(elastic, rows, final, name, 1.0, axes, result.warnings).stiffness
+        result.lacking[final] = Lacking(sentence=f"{of_set} has no *DENSITY", stiffness=stiffness)
+        return
+    density = _numbers(*given["DENSITY"], 1, name, result.warnings)[0]
+    result.materials.append(_elastic(elastic, rows, final, name, density, axes, result.warnings))
+
+
+def _properties(deck: Deck, name: str, result: SectionMaterials) -> dict[str, tuple[Card, Rows]]:
+    """*ELASTIC and *DENSITY of a material."""
+    given: dict[str, tuple[Card, Rows]] = {}
+    for own, rows in deck.materials[name.upper()]:
+        if own.keyword in given:
+            raise InputError(f"{own} is given twice in the material {name!r}; expected one, the one that holds")
+        rows = [row for row in rows if row]
+        if own.keyword in ("ELASTIC", "DENSITY"):
+            given[own.keyword] = own, rows
+        elif own.keyword == "DEFORMATION PLASTICITY" and rows:
+            # Its first two constants are Young's modulus and Poisson's ratio.
+            given["ELASTIC"] = Card("ELASTIC", {}, own.file, own.line), [rows[0][:2]]
+            result.notes.append(f"Material {name}: of *{own.keyword} the elastic constants were taken.")
+        elif own.keyword in _TWO_WAYS:
+            result.warnings.append(f"material {name}: *{own.keyword} is not linear; it is elastic both ways here")
+        elif own.keyword not in _NOT_LINEAR:
+            result.notes.append(f"Material {name}: *{own.keyword} is not carried over.")
+    return given
+
+
+def _numbers(card: Card, rows: Rows, count: int, name: str, warnings: list[str]) -> list[float]:
+    """``count`` constants, eight on a line; of a table the first temperature, which may stand behind them."""
+    lines = -(-count // 8)
+    if len(rows) > lines or card.options.get("DEPENDENCIES"):
+        warnings.append(
+            f"*{card.keyword} of the material {name} is a table; its first line was taken [temperature-first-row]"
+        )
+    flat = [number for row in rows[:lines] for number in values(row, card)]
+    if len(flat) < count or (len(flat) > count + 1 and not card.options.get("DEPENDENCIES")):
+        raise InputError(f"{card} of the material {name!r} has {len(flat)} constants; expected {count}")
+    return flat[:count]
+
+
+def _elastic(
+    card: Card, rows: Rows, final: str, name: str, density: float, axes: Floats | None, warnings: list[str]
+) -> Material:
+    kind = " ".join(card.options.get("TYPE", "ISOTROPIC").upper().split())
+    if kind.startswith("ISO"):
+        young, poisson = _numbers(card, rows, 2, name, warnings)
+        return isotropic(set=final, young=young, poisson=poisson, density=density)
+    if kind.startswith("ENGINEERING"):
+        c = _numbers(card, rows, 9, name, warnings)
+        return orthotropic(
+            set=final,
+            young=(c[0], c[1], c[2]),
+            poisson=(c[3], c[4], c[5]),
+            shear=(c[6], c[7], c[8]),
+            density=density,
+            axes=axes,
+        )
+    places = {"ORTHO": _ORTHOTROPIC, "ANISO": _ANISOTROPIC}.get(kind[:5])
+    if places is None:
+        raise InputError(
+            f"{card} of the material {name!r} is of the type {kind}; expected ISOTROPIC, ENGINEERING CONSTANTS, "
+            "ORTHOTROPIC or ANISOTROPIC"
+        )
+    C = np.zeros((6, 6))
+    for (i, j), value in zip(places, _numbers(card, rows, len(places), name, warnings), strict=True):
+        i, j = _ORDER[i], _ORDER[j]
+        C[i, j] = C[j, i] = value
+    return Material(set=final, stiffness=C if axes is None else turned(C, axes), density=density)
+
+
+def _axes(placed: Placed, scope: Scope, deck: Deck, key: str, elset: str, name: str) -> Floats:
+    """Rows are the material directions 1, 2, 3 in the axes of the part."""
+    orientation = scope.orientations.get(key) or deck.top.orientations.get(key)
+    if not orientation:
+        raise InputError(
+            f"{deck.name}: the material {name!r} of {elset!r} is not isotropic and its section names no *ORIENTATION "
+            f"that is defined ({key or 'none'} was given); expected one"
+        )
+    card, rows = orientation
+    rows = [row for row in rows if row]
+    system = card.options.get("SYSTEM", "RECTANGULAR").upper()
+    if not system.startswith("RECT") or card.options.get("DEFINITION", "COORDINATES").upper() != "COORDINATES":
+        raise InputError(f"{card} {key!r} is not a rectangular one given by coordinates, which is expected")
+    numbers = values(rows[0], card) if rows else []
+    if len(numbers) not in (6, 9):
+        raise InputError(f"{card} {key!r} has {len(numbers)} coordinates; expected two or three points")
+    origin = np.array(numbers[6:9]) if len(numbers) == 9 else np.zeros(3)
+    a, b = np.array(numbers[:3]) - origin, np.array(numbers[3:6]) - origin
+    axes = frame_of(a, b)
+    if axes is None:
+        raise InputError(f"{card} {key!r}: the points lie on a line, so they give no directions")
+    if len(rows) > 1:
+        turn = values(rows[1], card)
+        axis, angle = int(turn[0]) - 1, np.radians(turn[1] if len(turn) > 1 else 0.0)
+        if turn[0] not in (1.0, 2.0, 3.0):
+            raise InputError(f"{card} {key!r} turns about the axis {turn[0]:g}; expected 1, 2 or 3")
+        j, k = (axis + 1) % 3, (axis + 2) % 3
+        c, s = np.cos(angle), np.sin(angle)
+        axes[[j, k]] = c * axes[j] + s * axes[k], c * axes[k] - s * axes[j]
+    return axes
+
+
+def frame_of(first: Floats, plane: Floats) -> Floats | None:
+    """Orthonormal rows: along ``first``, in its plane with ``plane``, normal to both; None if these are on a line."""
+    if not (np.abs([first, plane]) < TOL.largest_number).all():
+        return None
+    lengths = np.linalg.norm(first), np.linalg.norm(plane)
+    if not min(lengths) > 0:
+        return None
+    e1 = first / lengths[0]
+    normal = np.cross(e1, plane / lengths[1])
+    size = np.linalg.norm(normal)
+    if not size > TOL.parallel:
+        return None
+    e3 = normal / size
+    return np.array([e1, np.cross(e3, e1), e3])
+
+
+def turned(C: Floats, axes: Floats) -> Floats:
+    """Stiffness ``C`` (6, 6) given along the rows of ``axes``, in the frame that these are written in."""
+    T = np.zeros((6, 6))  # strains along the axes from those of the frame
+    for q, (k, m) in enumerate(VOIGT):
+        strain = np.zeros((3, 3))
+        strain[k, m] = strain[m, k] = 1.0 if k == m else 0.5
+        local = axes @ strain @ axes.T
+        T[:, q] = [local[i, j] * (1 if i == j else 2) for i, j in VOIGT]
+    return np.asarray(T.T @ C @ T)

@@ -1,0 +1,140 @@
+"""What a user answers to a deck that lacks something, or holds what a linear model cannot carry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from morembs.base.arguments import check_value
+from morembs.base.errors import InputError, nearest
+from morembs.base.limits import Positive, one_of
+from morembs.fem.material import Material
+from morembs.importers.decks.problems import Problem, Problems
+from morembs.importers.imported import Lacking
+
+Contact = Annotated[str, one_of("refuse", "skip", "tie")]
+# What becomes of supports where a program assembles.
+Boundary = Annotated[str, one_of("drop", "keep")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeckOptions:
+    """``density`` of element sets ("all": of all) whose materials have stiffness only, in the units of the deck; what
+    becomes of ``contact``, one of refuse, skip, tie; keywords, cards or element types to ``skip``, in capitals."""
+
+    density: Mapping[str, float] = field(default_factory=dict)
+    contact: str = "refuse"
+    skip: frozenset[str] = frozenset()
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """The options as the command line has them."""
+        given = [f"--density {value:g}{'' if key == 'all' else f',set={key}'}" for key, value in self.density.items()]
+        return (
+            *given,
+            *([f"--contact {self.contact}"] if self.contact != "refuse" else []),
+            *(f"--skip {word}" for word in sorted(self.skip)),
+        )
+
+    def skips(self, *words: str) -> bool:
+        """Whether one of ``words`` is to be left out."""
+        return any(word.upper() in self.skip for word in words)
+
+    def completed(
+        self, materials: Sequence[Material], lacking: Mapping[str, Lacking]
+    ) -> tuple[tuple[Material, ...], dict[str, Lacking], list[str]]:
+        """Materials with those that the given densities complete, what is lacking still, and warnings.
+
+        Raises:
+            InputError: a density for a set that lacks none.
+        """
+        done, rest, warnings = list(materials), dict[str, Lacking](), []
+        unused = {name.upper(): name for name in self.density if name != "all"}
+        for name, lack in lacking.items():
+            density = next((self.density[key] for key in self.density if key.upper() == name.upper()), None)
+            unused.pop(name.upper(), None)
+            density = self.density.get("all") if density is None else density
+            if lack.stiffness is None or density is None:
+                rest[name] = lack
+                continue
+            done.append(Material(set=name, stiffness=lack.stiffness, density=density))
+            warnings.append(f"{lack.sentence}; {density:g} was given and taken [density-given]")
+        if unused:
+            raise InputError(
+                f"--density was given for the set {next(iter(unused.values()))!r}, which lacks none; "
+                f"{nearest(next(iter(unused.values())), lacking)}"
+            )
+        return tuple(done), rest, warnings
+
+    def all_materials(
+        self, problems: Problems, materials: Sequence[Material], lacking: Mapping[str, Lacking]
+    ) -> tuple[tuple[Material, ...], dict[str, Lacking], list[str]]:
+        """As ``completed``, at the end of a deck: where it has ``problems``, what is lacking still is one of them.
+
+        Raises:
+            DeckError: there are problems.
+        """
+        done, rest, warnings = self.completed(materials, lacking)
+        if problems.entries:
+            problems.entries += lacking_problems(problems.source, rest)
+        problems.refuse()
+        return done, rest, warnings
+
+
+def density_of(texts: Sequence[str]) -> dict[str, float]:
+    """Set -> density of texts "7.85e-9" (of all) and "7.85e-9,set=NAME".
+
+    Raises:
+        InputError: another form, or two densities for one set.
+    """
+    given: dict[str, float] = {}
+    for text in texts:
+        value, comma, rest = text.partition(",")
+        name = rest.removeprefix("set=").strip() if comma else "all"
+        try:
+            density = float(value)
+        except ValueError:
+            density = float("nan")
+        if not density > 0 or not name or (comma and not rest.startswith("set=")) or name in given:
+            raise InputError(f"--density {text!r} was given; expected X or X,set=NAME, a positive number once a set")
+        given[name] = density
+    return given
+
+
+def deck_options(density: float | Mapping[str, float] | None, contact: str, skip: Sequence[str] | str) -> DeckOptions:
+    """The options as they are given in Python.
+
+    Raises:
+        InputError: another word for contact, or densities that are not positive.
+    """
+    check_value("contact", contact, Contact)
+    given = dict(density) if isinstance(density, Mapping) else {} if density is None else {"all": density}
+    for name, value in given.items():
+        check_value(f"density of {name!r}", value, Positive)
+    words = skip.split(",") if isinstance(skip, str) else skip
+    plain = frozenset(" ".join(word.upper().split()).lstrip("*") for word in words if word)
+    return DeckOptions(density=given, contact=contact, skip=plain)
+
+
+def left_out(what: str, count: int, *, contact: bool = False) -> str:
+    """The warning of what was skipped."""
+    code = "contact-skipped" if contact else "keywords-skipped"
+    return f"{count} {what} left out as asked; stiffness or mass may depend on them [{code}]"
+
+
+def lacking_problems(source: str, lacking: Mapping[str, Lacking]) -> list[Problem]:
+    """A problem for each set whose material is not complete, to be listed beside others."""
+    return [
+        Problem(
+            what=f"{lack.sentence}; {'--density X,set=' + name if lack.stiffness is not None else MATERIAL + name}",
+            file=source,
+            keyword="DENSITY" if lack.stiffness is not None else "MATERIAL",
+            flags=(("--density X",) if lack.stiffness is not None else (MATERIAL + name,)),
+            element_set=name,
+        )
+        for name, lack in lacking.items()
+    ]
+
+
+MATERIAL = "--material young=..,poisson=..,density=..,set="

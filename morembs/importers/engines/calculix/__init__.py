@@ -1,0 +1,1 @@
+"""CalculiX as the program that assembles a deck; ``importer`` is the entry."""

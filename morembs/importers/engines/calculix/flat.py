@@ -1,0 +1,284 @@
+"""From the tables of a deck to the flat deck for CalculiX, and what stays outside of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from morembs.base.errors import InputError
+from morembs.importers.abaqus.assembly import Assembly
+from morembs.importers.abaqus.constraints import Constraints, refuse_sector
+from morembs.importers.abaqus.deck import Rows, values
+from morembs.importers.abaqus.keywords import Card
+from morembs.importers.abaqus.left_out import CUT, LOCKED, PRETENSION, refusal_of
+from morembs.importers.abaqus.names import Placed
+from morembs.importers.abaqus.points import point_value
+from morembs.importers.abaqus.ties import is_sector
+from morembs.importers.abaqus.words import LEFT_OUT
+from morembs.importers.decks.options import DeckOptions
+from morembs.importers.decks.problems import Problem
+from morembs.importers.engines.calculix.deck import CARDS, FlatDeck
+from morembs.importers.engines.calculix.read import EngineDeck
+from morembs.importers.engines.calculix.text import numeral
+from morembs.importers.engines.calculix.ties import Flat, Ties
+from morembs.importers.imported import PointMass
+
+# Cards that are the linear model itself, or go into it in another way; those of steps only with a preload.
+_PLAIN = set(CARDS) - {
+    "BOUNDARY",
+    "CLOAD",
+    "DLOAD",
+    "DSLOAD",
+    "TEMPERATURE",
+    "STATIC",
+    "ORIENTATION",
+    "DISTRIBUTION",
+    "DISTRIBUTING COUPLING",
+    "SOLID SECTION",
+}
+_IN_STEPS = ("STATIC", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """How a deck is to be taken: ``options`` as of the own reader, ``keep`` what the boundary holds, the steps up to
+    ``preload`` before (0: none)."""
+
+    options: DeckOptions = field(default_factory=DeckOptions)
+    keep: bool = False
+    preload: int = 0
+
+
+def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
+    """The deck that CalculiX reads.
+
+    Raises:
+        InputError: what it holds is no linear model, or names what is not there.
+    """
+    constraints = Constraints(deck, assembly)
+    constraints.surfaces.read()
+    flat = Flat(deck=FlatDeck(assembly=assembly, deck=deck), constraints=constraints)
+    writer = _Writer(deck, assembly, choices, flat)
+    for placed, card, _ in writer.cards():
+        if card.keyword in ("ORIENTATION", "DISTRIBUTION"):
+            flat.deck.name(card.keyword[0].lower() if card.keyword == "ORIENTATION" else "d", placed, card.need("NAME"))
+    for placed, card, rows in writer.cards():
+        with deck.problems.collected(card, (f"--skip {card.keyword}",)):
+            writer.take(placed, card, rows)
+    writer.ties.couplings(writer.places)
+    own = "own assembly with --dialect abaqus (of its elements too)"
+    constraints.refuse_references(flat.deck.equated, cure=own)
+    writer.steps()
+    held = (("BOUNDARY", int(node), True) for node in np.flatnonzero(flat.deck.held.any(axis=1)))
+    constraints.refuse_references(held, cure="[[interface]] with nodes = 'coupling:NAME'")
+    writer.cuts()
+    writer.materials()
+    deck.problems.refuse()
+    return flat
+
+
+class _Writer:
+    def __init__(self, deck: EngineDeck, assembly: Assembly, choices: Choices, flat: Flat) -> None:
+        self.deck, self.assembly, self.choices, self.flat = deck, assembly, choices, flat
+        self.options, self.ties = choices.options, Ties(assembly, flat)
+        top = assembly.top
+        self.places = [*assembly.placed.values(), top]
+        self._expanded = {node for _, _, nodes in assembly.others for node in nodes.ravel().tolist()}
+
+    def cards(self) -> Iterator[tuple[Placed, Card, Rows]]:
+        """Every card in every place that it has."""
+        for scope, card, rows in self.deck.cards:
+            for placed in self.places:
+                if any(scope is own for own in placed.contents):
+                    yield placed, card, rows
+
+    def take(self, placed: Placed, card: Card, rows: Rows) -> None:
+        """Write a card, or say why not."""
+        word, out = card.keyword, self.flat.deck
+        if self.options.skips(word):
+            self.deck.skip(card)
+            self.flat.notes += [LOCKED.format(f" of node {card.options.get('NODE', '')}")] if word == PRETENSION else []
+        elif word in ("ORIENTATION", "DISTRIBUTION"):
+            self._orientation(placed, card, rows)
+        elif word == "BOUNDARY":
+            self._boundary(placed, card, rows)
+        elif word == "INITIAL CONDITIONS":
+            # They choose a row of a table and are the begin of a preload; nothing else depends on them.
+            if card.options.get("TYPE", "").upper() == "TEMPERATURE" and (self.choices.preload or self._tables()):
+                out.card(placed, card, rows)
+        elif word == "CONTACT PAIR":
+            self.ties.glue(placed, card, rows)
+        elif is_sector(card):
+            refuse_sector(card, self.deck)
+        elif word in ("MASS", "ROTARY INERTIA"):
+            self._masses(placed, card, rows)
+        elif word == "EQUATION":
+            out.equation(placed, card, rows)
+        elif word == "RIGID BODY":
+            self.ties.rigid_body(placed, card)
+        elif word == "MPC":
+            self.ties.mpc(placed, card, rows)
+        elif word == "KINEMATIC COUPLING":
+            self.ties.kinematic_coupling(placed, card, rows)
+        elif word == "DISTRIBUTING COUPLING":
+            self.ties.distributing(placed, card, rows)
+        elif word == "SOLID SECTION":
+            self._section(placed, card, rows)
+        elif word in _PLAIN and word not in _IN_STEPS:
+            self._plain(placed, card, rows)
+        elif word in LEFT_OUT or word == "DASHPOT":
+            self.deck.leave_out(card)
+        else:
+            raise InputError(refusal_of(card))
+
+    def _tables(self) -> bool:
+        """Whether constants of a material take more than a line, so that they may depend on temperature."""
+        return any(
+            len([row for row in rows if row]) > 1
+            for cards in self.deck.materials.values()
+            for card, rows in cards
+            if card.keyword in ("ELASTIC", "DENSITY")
+        )
+
+    def _plain(self, placed: Placed, card: Card, rows: Rows) -> None:
+        if card.keyword == "SPRING":
+            numbers = set(self.assembly.elements_of(placed, card.need("ELSET")).tolist())
+            axial = any(element.code == "SPRINGA" and element.number in numbers for element in self.assembly.discrete)
+            if axial and len(rows) > 1 and not any("." in text for text in rows[0]):
+                # The line of directions, which one along its axis has none of.
+                rows = rows[1:]
+            # CalculiX knows a stiffness by its decimal point.
+            first = [] if axial else rows[:1]
+            rows = [*first, *([numeral(value) for value in values(row, card)] for row in rows[len(first) :])]
+        if card.keyword == "BEAM SECTION" and len(rows) > 1 and not np.array_equal(placed.rotation, np.eye(3)):
+            normal = placed.rotation @ np.array((values(rows[1], card) + [0.0] * 3)[:3])
+            rows = [rows[0], [numeral(x) for x in normal], *rows[2:]]
+        if card.keyword == PRETENSION:
+            self.flat.cuts.append(self.assembly.one_node(placed, card.need("NODE")))
+        if card.keyword == "TRANSFORM":
+            self.flat.turned |= set(self.assembly.nodes_of(placed, card.need("NSET")).tolist())
+        self.flat.deck.card(placed, card, rows)
+
+    def _masses(self, placed: Placed, card: Card, rows: Rows) -> None:
+        """Point masses, which are added to the matrices: CalculiX loses those on nodes without stiffness, and has no
+        rotary inertia. Only those on shells and beams are its own."""
+        numbers = set(self.assembly.elements_of(placed, card.need("ELSET")).tolist())
+        value, left = point_value(placed, card, rows), []
+        for element in self.assembly.discrete:
+            if element.number not in numbers:
+                continue
+            if card.keyword == "MASS" and element.nodes[0] in self._expanded:
+                left.append(element.number)
+                continue
+            name = f"{card.options['ELSET']}:{element.label}"
+            if card.keyword == "MASS":
+                self.flat.masses.append(PointMass(name=name, node=element.nodes[0], mass=float(value[0, 0])))
+            else:
+                self.flat.masses.append(PointMass(name=name, node=element.nodes[0], mass=0.0, inertia=value))
+        if left:
+            out = self.flat.deck
+            out.masses |= set(left)
+            own = out.new_set("e", np.array(left))
+            out.body.append((0, f"*MASS, ELSET={own}\n{numeral(value[0, 0])}"))
+
+    def _section(self, placed: Placed, card: Card, rows: Rows) -> None:
+        if card.options.get("ELSET") and not len(self.assembly.elements_of(placed, card.options["ELSET"])):
+            return
+        self.flat.deck.card(placed, card, rows)
+
+    def _orientation(self, placed: Placed, card: Card, rows: Rows) -> None:
+        turned = not np.array_equal(placed.rotation, np.eye(3))
+        if turned and card.keyword == "ORIENTATION" and rows:
+            if not card.options.get("SYSTEM", "RECTANGULAR").upper().startswith("RECT"):
+                raise InputError(f"{card} is cylindrical in an instance that is turned; give it in the assembly")
+            points = np.array(values(rows[0], card)).reshape(-1, 3)
+            origin = points[2] if len(points) > 2 else np.zeros(3)
+            axes = (points[:2] - origin) @ placed.rotation.T
+            rows = [[numeral(x) for x in axes.ravel()], *rows[1:]]
+        out = self.flat.deck
+        kinds = CARDS[card.keyword]
+        if card.keyword == "ORIENTATION" and rows and rows[0][0][:1].isalpha():
+            kinds = "d."
+        out.body.append((-1, out.lines(placed, card, rows, kinds)))
+
+    def _boundary(self, placed: Placed, card: Card, rows: Rows) -> None:
+        if self.choices.keep:
+            self.flat.deck.body.append((9, self.flat.deck.boundary(placed, card, rows)))
+        else:
+            self.deck.noted["BOUNDARY"] = 1
+
+    def steps(self) -> None:
+        """The boundary that the first step holds, or the steps of a preload."""
+        top, out = self.assembly.top, self.flat.deck
+        if self.choices.preload > len(self.deck.steps):
+            raise InputError(f"--preload {self.choices.preload} was given; the deck has {len(self.deck.steps)} steps")
+        for step in self.deck.steps[: self.choices.preload]:
+            lines = ["*STEP" + (", NLGEOM" if "NLGEOM" in step[0][0].options else "")]
+            for card, rows in step[1:]:
+                if card.keyword == "BOUNDARY":
+                    # Also where it moves its nodes: motions after it are small ones about what it holds.
+                    out.boundary(top, card, rows)
+                if card.keyword in _IN_STEPS:
+                    lines.append(out.lines(top, _plain_card(card), rows, CARDS[card.keyword]))
+            out.steps += [*lines, "*END STEP"]
+        if self.choices.keep and not self.choices.preload and self.deck.steps:
+            for card, rows in self.deck.steps[0]:
+                if card.keyword == "BOUNDARY":
+                    out.body.append((9, out.boundary(top, card, rows)))
+
+    def cuts(self) -> None:
+        """Say of each pre-tension section whether it is cut, or locked by a boundary on its node."""
+        for node in self.flat.cuts:
+            said = LOCKED if self.flat.deck.held[node, 0] else CUT
+            self.flat.notes.append(said.format(f" of node {self.assembly.ids[node]}"))
+
+    def materials(self) -> None:
+        """Materials that sections name, with their stiffness and density only."""
+        out = self.flat.deck
+        for (kind, _, key), name in list(out.names.items()):
+            if kind != "m":
+                continue
+            if key not in self.deck.materials:
+                self._problem(f"a section names the material {key!r}, which is not defined")
+                continue
+            given = {card.keyword: (card, rows) for card, rows in self.deck.materials[key]}
+            if "ELASTIC" not in given:
+                words = ", ".join(f"*{word}" for word in given) or "empty"
+                self._problem(f"material {key} is {words} only, which is not linear elastic; expected *ELASTIC")
+                continue
+            lines = [f"*MATERIAL, NAME={name}"]
+            for word in ["ELASTIC", "DENSITY"] + (["EXPANSION"] if self.choices.preload else []):
+                if word in given:
+                    card, rows = given[word]
+                    lines.append(out.lines(self.assembly.top, card, [row for row in rows if row], "."))
+            if "DENSITY" not in given:
+                density = self._density(key)
+                if density is None:
+                    self._problem(f"the material {key} has no *DENSITY; --density X", "--density X")
+                    continue
+                lines.append(f"*DENSITY\n{numeral(density)}")
+                self.flat.warnings.append(
+                    f"the material {key} has no *DENSITY; {density:g} was given and taken [density-given]"
+                )
+            out.body.append((-2, "\n".join(lines)))
+
+    def _density(self, material: str) -> float | None:
+        """The density that was given for a material: of one of the sets that it is for, or of all."""
+        given = {name.upper(): value for name, value in self.options.density.items()}
+        for _, card, _ in self.deck.cards:
+            if card.options.get("MATERIAL", "").upper() == material:
+                own = given.get(card.options.get("ELSET", "").upper())
+                if own is not None:
+                    return own
+        return given.get(material, given.get("ALL"))
+
+    def _problem(self, what: str, *flags: str) -> None:
+        self.deck.problems.add(Problem(what=what, file=self.deck.name, keyword="MATERIAL", flags=flags))
+
+
+def _plain_card(card: Card) -> Card:
+    """A card of a step without options that belong to its history."""
+    kept = {key: value for key, value in card.options.items() if key not in ("AMPLITUDE", "TIME DELAY", "LOAD CASE")}
+    return Card(card.keyword, kept, card.file)

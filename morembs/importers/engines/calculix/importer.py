@@ -1,0 +1,95 @@
+"""Decks that CalculiX assembles."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from morembs.base.arguments import check_value
+from morembs.base.errors import InputError
+from morembs.base.limits import Count, Positive
+from morembs.importers.abaqus.assembly import Assembly
+from morembs.importers.decks.options import Boundary, DeckOptions, deck_options
+from morembs.importers.engines.calculix.flat import Choices, flat_deck
+from morembs.importers.engines.calculix.model import Exported
+from morembs.importers.engines.calculix.program import Ccx, find_ccx
+from morembs.importers.engines.calculix.read import EngineDeck, read_for_engine
+from morembs.importers.engines.calculix.ties import Flat
+from morembs.importers.imported import Imported
+from morembs.importers.tolerances import TOL
+
+
+def import_with_calculix(
+    path: str | Path,
+    *,
+    executable: str = "",
+    density: float | dict[str, float] | None = None,
+    contact: str = "refuse",
+    skip: list[str] | str = "",
+    boundary: str = "drop",
+    preload: int = 0,
+    timeout: float = TOL.engine_seconds,
+    keep_files: str = "",
+    allow_includes_outside: bool = False,
+) -> Imported:
+    """A deck as CalculiX assembles it, in the deck's own units.
+
+    Args:
+        executable: the path of ccx; "" looks for it.
+        density: of materials with *ELASTIC and without *DENSITY, or set -> density, "all" standing for all.
+        contact: "refuse" contact pairs, "skip" them, or "tie" them: glue their surfaces.
+        skip: keywords and element types to leave out, although stiffness or mass may depend on them.
+        boundary: "drop" what *BOUNDARY holds, for a free body, or "keep" it.
+        preload: steps that run first; the matrices are those of small motions after them.
+        timeout: seconds for each run of ccx.
+        keep_files: a folder for what ccx read and wrote.
+        allow_includes_outside: includes may name files beyond the folder of the deck.
+
+    Peak memory: that of the matrices several times, and of ccx itself.
+
+    Raises:
+        DeckError: all that keeps the deck from becoming a model.
+        InputError: no ccx, options that are not known, or a run that fails.
+    """
+    program = find_ccx(executable)
+    choices = _choices(deck_options(density, contact, skip), boundary, preload, timeout)
+    deck, assembly, flat = _flat(Path(path), choices, outside=allow_includes_outside)
+    keep = Path(keep_files) if keep_files else None
+    with Ccx(program=program, flat=flat.deck, seconds=timeout, keep=keep) as ccx:
+        read = ccx.export()
+        model = Exported(deck, assembly, flat, read, ccx.expansion(), held=choices.keep)
+        return model.imported(ccx, choices)
+
+
+def readable_by_calculix(
+    path: Path,
+    *,
+    density: dict[str, float] | None = None,
+    contact: str = "refuse",
+    skip: list[str] | str = "",
+    allow_includes_outside: bool = False,
+) -> None:
+    """Whether a deck can be written for CalculiX; it is not run.
+
+    Raises:
+        InputError: it cannot.
+    """
+    _flat(path, Choices(options=deck_options(density, contact, skip)), outside=allow_includes_outside)
+
+
+def _flat(path: Path, choices: Choices, *, outside: bool) -> tuple[EngineDeck, Assembly, Flat]:
+    deck = read_for_engine(path, choices.options, outside=outside)
+    with deck.problems.ending():
+        assembly = Assembly(deck)
+        return deck, assembly, flat_deck(deck, assembly, choices)
+
+
+def _choices(options: DeckOptions, boundary: str, preload: int, timeout: float) -> Choices:
+    check_value("--boundary", boundary, Boundary)
+    check_value("--preload", preload, Count)
+    check_value("--engine-timeout", timeout, Positive)
+    if preload and boundary == "drop":
+        raise InputError(
+            f"--preload {preload} was given with --boundary drop, but supports carry the load; give --boundary keep, "
+            "or [preload] in the job"
+        )
+    return Choices(options=options, keep=boundary == "keep", preload=preload)

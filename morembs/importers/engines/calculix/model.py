@@ -1,0 +1,326 @@
+"""What CalculiX exported as a model: its matrices on nodes, and how dependent dofs follow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from morembs.base.errors import InputError
+from morembs.base.types import Ints
+from morembs.fem import DofMap, Mesh, Nodes
+from morembs.fem.constraints import AverageElement, Equations
+from morembs.fem.fe_model import Component
+from morembs.importers.abaqus.assembly import Assembly
+from morembs.importers.abaqus.deck import SOLIDS
+from morembs.importers.abaqus.importer import skipped_warnings
+from morembs.importers.abaqus.left_out import notes_of
+from morembs.importers.abaqus.mesh import mesh_of
+from morembs.importers.abaqus.words import of_kind
+from morembs.importers.decks.formulations import deck_warnings
+from morembs.importers.engines.calculix.flat import Choices
+from morembs.importers.engines.calculix.program import Ccx
+from morembs.importers.engines.calculix.read import EngineDeck
+from morembs.importers.engines.calculix.rows import Expanded, RowMap, map_rows, strain
+from morembs.importers.engines.calculix.ties import Flat
+from morembs.importers.imported import Imported, nodes_of, on_rows, sets_on
+from morembs.importers.matrices.calculix import CalculixMatrices
+from morembs.importers.tolerances import TOL
+
+FOLLOWS = "constraints of CalculiX"
+
+
+class Exported:
+    """Rows of an export on nodes of the deck and of expanded elements."""
+
+    def __init__(
+        self,
+        deck: EngineDeck,
+        assembly: Assembly,
+        flat: Flat,
+        read: CalculixMatrices,
+        expanded: Expanded | None,
+        *,
+        held: bool,
+    ) -> None:
+        self.deck, self.assembly, self.flat, self.expanded = deck, assembly, flat, expanded
+        self.plain = self.read = read
+        self.solid = np.zeros(len(assembly.ids), dtype=bool)
+        for block in assembly.blocks:
+            self.solid[block.nodes] = True
+        used = self.solid.copy()
+        for _, _, nodes in assembly.others:
+            used[nodes] = True
+        for element in assembly.discrete:
+            used[element.nodes] |= element.code not in ("DCOUP3D", "ROTARYI", "MASS")
+        self.used = used
+        bodies = [*flat.bodies, *flat.turning.values()]
+        placed = used.copy()
+        placed[np.array(bodies, dtype=np.int64) - 1] = True
+        unplaced = np.flatnonzero(~placed) + 1
+        self.map = map_rows(
+            read.K,
+            read.node,
+            read.dof,
+            assembly.xyz,
+            expanded=expanded,
+            turning=flat.turning,
+            unplaced=unplaced,
+            bodies=len(flat.bodies),
+            held=held,
+        )
+        self.T = self.map.change
+        if self.T is not None:
+            K, M = (_changed(A, self.T) for A in (read.K, read.M))
+            self.read = replace(read, K=K, M=M)
+        self.strain = strain(self.read.K, self.map)
+
+    def imported(self, ccx: Ccx, choices: Choices) -> Imported:
+        """The whole model."""
+        mapped = self._with_rotations(self.map)
+        try:
+            node, direction, S = self._followers(ccx, mapped, outside=True)
+        except InputError:
+            # A spring on a node without elements may bring its other dofs to life; such nodes are left out then.
+            node, direction, S = self._followers(ccx, mapped, outside=False)
+        return self._joined(mapped, node, direction, S, choices)
+
+    def _followers(self, ccx: Ccx, mapped: RowMap, *, outside: bool) -> tuple[Ints, Ints, sp.csr_array | None]:
+        """Label and direction of dofs without rows, and S (k, N), how they follow those that have one."""
+        node, direction = self._missing(mapped, outside=outside)
+        if not len(node):
+            return node, direction, None
+        # What the boundary holds in global axes follows nothing; springs tell the rest.
+        held = self.flat.deck.held[node - 1, direction - 1] & ~np.isin(node - 1, list(self.flat.turned))
+        probed = np.flatnonzero(~held)
+        S = sp.csr_array((len(node), len(self.plain.node)))
+        if len(probed):
+            probes = ccx.probe(self.plain, node[probed], direction[probed])
+            into = sp.csr_array((np.ones(len(probed)), (probed, np.arange(len(probed)))), (len(node), len(probed)))
+            S = sp.csr_array(into @ probes)
+        return node, direction, S if self.T is None else sp.csr_array(S @ self.T)
+
+    def _with_rotations(self, mapped: RowMap) -> RowMap:
+        """Rotations of rigid bodies at their reference nodes, where each has its own three."""
+        turns = (mapped.component > 2) & (mapped.component < Component.SCALAR) & (mapped.owner == 0)
+        groups = np.unique(mapped.group[turns])
+        bodies = [*self.flat.bodies, *([] if self.expanded is None else self.expanded.knots.tolist())]
+        if not len(groups) or len(groups) != len(bodies) or len(set(bodies)) < len(bodies):
+            return mapped
+        owner, place = mapped.owner.copy(), mapped.place.copy()
+        owner[turns] = np.array(bodies)[np.searchsorted(groups, mapped.group[turns])]
+        place[turns] = self.assembly.xyz[owner[turns] - 1]
+        return replace(mapped, owner=owner, place=place)
+
+    def _missing(self, mapped: RowMap, *, outside: bool) -> tuple[Ints, Ints]:
+        """Label and direction 1..3 of dofs of solids and reference nodes that have no row, of nodes ``outside`` of
+        elements too that follow others."""
+        wanted = self.solid.copy()
+        wanted[list(self.flat.deck.followers if outside else [])] = True
+        wanted[np.array([*self.flat.bodies, *self.flat.turning.values()], dtype=np.int64) - 1] = True
+        if self.expanded is not None:
+            # A node of a shell or beam is not in the model; those that it became are.
+            wanted[self.expanded.parent - 1] &= self.solid[self.expanded.parent - 1]
+        have = np.zeros((len(wanted), 3), dtype=bool)
+        own = (mapped.owner > 0) & (mapped.component < 3)
+        have[mapped.owner[own] - 1, mapped.component[own]] = True
+        node, axis = np.nonzero(wanted[:, None] & ~have)
+        return node + 1, axis + 1
+
+    def _joined(
+        self, mapped: RowMap, node: Ints, direction: Ints, S: sp.csr_array | None, choices: Choices
+    ) -> Imported:
+        """Rows in the order of the model: x, y, z of the mesh's nodes first, then all others."""
+        flat, assembly = self.flat, self.assembly
+        notes, warnings = [*flat.notes], [*flat.warnings, *self.deck.warnings, *flat.deck.reversed]
+        deck, others = mapped.owner[mapped.owner > 0] - 1, nodes_of([*flat.average, *flat.masses])
+        extra = np.unique(np.concatenate([deck, node - 1, others]).astype(np.int64))
+        named = {name: assembly.members("node", placed, own) for name, (placed, own) in assembly.named("node").items()}
+        mesh: Mesh | None = None
+        if assembly.blocks:
+            mesh, nodes, row = mesh_of(assembly, extra)
+            self.deck.problems.refuse()
+        else:
+            row = np.full(len(assembly.ids), -1, dtype=np.int64)
+            row[extra] = np.arange(len(extra))
+            nodes = Nodes(ids=assembly.ids[extra], xyz=assembly.xyz[extra])
+        named_by = np.zeros(len(mapped.owner), dtype=bool)
+        if S is not None:
+            named_by[S.indices] = True
+        nodes, at = self._with_own_nodes(nodes, row, mapped, named, named_by)
+        solid = 0 if mesh is None else len(mesh.nodes)
+        dependent = row[node - 1], direction - 1
+        K, M, dofs = _ordered(self.read, at, mapped.component, dependent, solid)
+        equations = () if S is None else (_equations(S, dependent, at, mapped.component),)
+        average = tuple(self._on_expanded(item, row, at, mapped) for item in flat.average)
+        masses = on_rows(flat.masses, row)
+        warnings += self._told(mapped, choices)
+        notes += _notes(self.deck, choices)
+        return Imported(
+            source=self.deck.name,
+            K=K,
+            M=M,
+            nodes=nodes,
+            dofs=dofs,
+            mesh=mesh,
+            average=average,
+            equations=equations,
+            masses=masses,
+            surfaces=sets_on(flat.constraints.surfaces.nodes, row),
+            notes=(*notes, *assembly.notes),
+            warnings=tuple(dict.fromkeys(warnings)),
+        )
+
+    def _told(self, mapped: RowMap, choices: Choices) -> list[str]:
+        """In what the model differs from others of its deck, a sentence each."""
+        hybrid = {code: count for code, count in self.deck.counts.items() if code in SOLIDS and "H" in code}
+        warnings = [*skipped_warnings(self.deck), *deck_warnings(hybrid, "calculix", guessed=False)]
+        moves = (mapped.component[:, None] == np.arange(3)).astype(float)
+        along = np.einsum("ia,ia->a", moves, self.read.M @ moves)
+        if np.ptp(along) > TOL.uneven_mass * along.max() and not choices.keep:
+            warnings.append(
+                f"the mass of what CalculiX wrote is {along[0]:.6g}, {along[1]:.6g}, {along[2]:.6g} along x, y and z: "
+                "equations that hold some of it, or rows that went to wrong nodes; then please report it [engine-map]"
+            )
+        if self.strain > TOL.rigid_strain and not choices.keep:
+            warnings.append(
+                f"rigid motion strains the stiffness that CalculiX wrote by {self.strain:.1e} of its terms: springs to "
+                "the ground, equations that hold the body, or elements C3D8R that are distorted, whose hourglass "
+                "stiffness resists rotation there; own assembly has not that defect [engine-rotation]"
+            )
+        if self.deck.dialects == {"abaqus"}:
+            warnings.append(
+                "the deck is one of Abaqus, and CalculiX has other formulations and consistent masses: its frequencies "
+                "are those of CalculiX [formulation-differs]"
+            )
+        for (code, plain), count in self.deck.replaced.items():
+            warnings.append(f"{count} elements {code} are assembled as {plain} [hybrid-as-plain]")
+        return warnings
+
+    def _on_expanded(self, item: AverageElement, row: Ints, at: Ints, mapped: RowMap) -> AverageElement:
+        """The element on rows of the model; nodes of shells and beams share their weights among what they became."""
+        if self.expanded is None:
+            return on_rows([item], row)[0]
+        nodes, weights = [], []
+        mine = np.flatnonzero((mapped.owner < 0) & (mapped.component == 0))
+        parent = self.expanded.parent[np.searchsorted(self.expanded.nodes, -mapped.owner[mine])]
+        for node, weight in zip(item.nodes.tolist(), item.weights.tolist(), strict=True):
+            became = at[mine[parent == node + 1]]
+            own = became if len(became) and not self.solid[node] else row[[node]]
+            nodes.append(own)
+            weights.append(np.full(len(own), weight / len(own)))
+        return replace(
+            item, reference=int(row[item.reference]), nodes=np.concatenate(nodes), weights=np.concatenate(weights)
+        )
+
+    def _with_own_nodes(
+        self, nodes: Nodes, row: Ints, mapped: RowMap, named: dict[str, Ints], named_by: NDArray[np.bool_]
+    ) -> tuple[Nodes, Ints]:
+        """Nodes with those that CalculiX made, and the node row (N,) of each row of the export.
+
+        Expanded nodes get labels beyond the deck and are in the sets of their parents; modes inside elements belong
+        to the first node that K couples them to, those that equations name (``named_by``) have a node of their own.
+        """
+        first = 10 ** len(str(int(self.assembly.ids.max())))
+        at = np.full(len(mapped.owner), -1, dtype=np.int64)
+        deck = mapped.owner > 0
+        at[deck] = row[mapped.owner[deck] - 1]
+        ids, xyz, sets = [nodes.ids], [nodes.xyz], {name: rows for name, rows in nodes.sets.items()}
+        # What has neither a node of the deck nor is a mode: expanded nodes, and rotations of bodies without a name.
+        scalar = mapped.component == Component.SCALAR
+        own = (mapped.owner < 0) | ((mapped.owner == 0) & (~scalar | named_by))
+        if own.any():
+            group_key = TOL.made_label + 5 * mapped.group + scalar * (1 + self.read.dof)
+            key = np.where(mapped.owner < 0, -mapped.owner, group_key)
+            keys, where, inverse = np.unique(key[own], return_index=True, return_inverse=True)
+            at[own] = len(nodes) + inverse
+            places = mapped.place[own][where]
+            lost = ~np.isfinite(places).all(axis=1)
+            places[lost] = nodes.xyz.mean(axis=0) if len(nodes) else 0.0
+            ids.append(first + np.arange(1, len(keys) + 1))
+            xyz.append(places)
+            if self.expanded is not None:
+                sets = self._expanded_sets(sets, keys, len(nodes), row, named)
+        K, none = self.read.K, np.iinfo(np.int64).max
+        full = np.flatnonzero(np.diff(K.indptr))
+        coupled = np.full(len(at), none)
+        coupled[full] = np.minimum.reduceat(np.where(at < 0, none, at)[K.indices], K.indptr[full])
+        at[at < 0] = np.where(coupled == none, 0, coupled)[at < 0]
+        whole = Nodes(ids=np.concatenate(ids), xyz=np.vstack(xyz), sets=sets)
+        return whole, at
+
+    def _expanded_sets(
+        self, sets: dict[str, Ints], keys: Ints, start: int, row: Ints, named: dict[str, Ints]
+    ) -> dict[str, Ints]:
+        """Sets with the expanded nodes, which are at the rows from ``start`` on, of the nodes that they hold."""
+        expanded = self.expanded
+        if expanded is None:
+            return sets
+        which = np.minimum(np.searchsorted(expanded.nodes, keys), len(expanded.nodes) - 1)
+        parent = np.where(expanded.nodes[which] == keys, expanded.parent[which], 0)
+        result = dict(sets)
+        for name, rows in named.items():
+            members = start + np.flatnonzero(np.isin(parent, rows + 1))
+            kept = row[rows][row[rows] >= 0]
+            if len(members) or len(kept):
+                result[name] = np.unique(np.concatenate([kept, members]))
+        return result
+
+
+def _changed(A: sp.csr_array, T: sp.csr_array) -> sp.csr_array:
+    """T' A T, symmetric, without what is round-off of its terms: a truss has no stiffness across its axis."""
+    product, terms = sp.csr_array(T.T @ A @ T), abs(T).T @ abs(A) @ abs(T)
+    product = sp.csr_array(0.5 * (product + product.T))
+    left = sp.csr_array(product.multiply(abs(product) > TOL.cancelled_sum * 0.5 * (terms + terms.T)))
+    # Both are semidefinite: a diagonal that is zero has nothing beside it.
+    kept = sp.diags_array((left.diagonal() > 0).astype(float))
+    left = sp.csr_array(kept @ left @ kept)
+    left.eliminate_zeros()
+    return left
+
+
+def _ordered(
+    read: CalculixMatrices, node: Ints, component: Ints, dependent: tuple[Ints, Ints], solid: int
+) -> tuple[sp.csr_array, sp.csr_array, DofMap]:
+    """K and M with empty rows for dependent dofs, those of the first ``solid`` nodes in front, node by node."""
+    size = len(node)
+    nodes, components = np.concatenate([node, dependent[0]]), np.concatenate([component, dependent[1]])
+    behind = (nodes >= solid) | (components > 2)
+    order = np.lexsort((components, nodes, behind))
+    grown = [
+        sp.csr_array(
+            (A.data, A.indices, np.concatenate([A.indptr, np.full(len(nodes) - size, A.indptr[-1])])),
+            shape=(len(nodes),) * 2,
+        )
+        for A in (read.K, read.M)
+    ]
+    K, M = (sp.csr_array(A[order][:, order]) for A in grown)
+    return K, M, DofMap(node=nodes[order], component=components[order])
+
+
+def _equations(S: sp.csr_array, dependent: tuple[Ints, Ints], node: Ints, component: Ints) -> Equations:
+    """Rows of S as equations."""
+    return Equations(
+        name=FOLLOWS,
+        nodes=dependent[0],
+        components=dependent[1],
+        offsets=S.indptr,
+        term_nodes=node[S.indices],
+        term_components=component[S.indices],
+        coefficients=S.data,
+    )
+
+
+def _notes(deck: EngineDeck, choices: Choices) -> list[str]:
+    """What was left out, a sentence each."""
+    notes = ["The matrices are those of CalculiX."]
+    in_steps = [card.keyword for step in deck.steps[choices.preload :] for card, _ in step]
+    left_out = of_kind("load") if choices.keep else of_kind("load", "support")
+    notes += notes_of(dict.fromkeys([*deck.noted, *(word for word in in_steps if word in left_out)]))
+    if deck.steps:
+        held = " but for what the first holds" if choices.keep and not choices.preload else ""
+        held = f" beyond step {choices.preload}" if choices.preload else held
+        notes.append(f"Steps are not applied{held}.")
+    return notes

@@ -1,0 +1,1 @@
+"""MYSTRAN as the program that assembles a deck; ``importer`` is the entry."""

@@ -1,0 +1,288 @@
+"""Decks that MYSTRAN assembles: K and M of its elements, with couplings, springs and masses of the own reader."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+
+from morembs.base.arguments import check_value
+from morembs.base.errors import InputError
+from morembs.base.limits import Positive, PositiveCount
+from morembs.base.types import Ints
+from morembs.fem import DofMap, Mesh, Nodes, rigid_motion
+from morembs.fem.constraints import Equations
+from morembs.fem.handedness import right_handed
+from morembs.importers.decks.options import Boundary, DeckOptions, deck_options, lacking_problems
+from morembs.importers.engines.mystran.elements import STRUCTURES, Structures, solid_elements
+from morembs.importers.engines.mystran.program import Mystran, cores, mystran_path
+from morembs.importers.engines.mystran.rotations import turning, with_springs
+from morembs.importers.engines.mystran.sections import CARDS, Sections
+from morembs.importers.imported import Imported, nodes_of
+from morembs.importers.nastran.bulk import Bulk
+from morembs.importers.nastran.importer import (
+    bulk_mesh,
+    grids_of,
+    notes_of,
+    sets_of,
+    skipped_warnings,
+    solid_parts,
+    tied,
+)
+from morembs.importers.nastran.names import RESTRAINTS
+from morembs.importers.nastran.restraints import held_directions, held_equations
+from morembs.importers.tolerances import TOL
+
+# Cards beside those of the own reader.
+CARDS_READ = (
+    *STRUCTURES,
+    *(name for names in CARDS.values() for name in names if name != "PSOLID"),
+    "MAT2",
+    "MAT8",
+    "BAROR",
+    "BEAMOR",
+    "SPC",
+    "SPC1",
+    "SPCADD",
+)
+
+
+def import_with_mystran(
+    path: str | Path,
+    *,
+    executable: str = "",
+    density: float | dict[str, float] | None = None,
+    skip: list[str] | str = "",
+    boundary: str = "drop",
+    timeout: float = TOL.engine_seconds,
+    keep_files: str = "",
+    grids: int = TOL.run_grids,
+    jobs: int | None = None,
+    allow_includes_outside: bool = False,
+) -> Imported:
+    """Bulk data as MYSTRAN assembles them, in the units of the file, along the basic axes.
+
+    Args:
+        executable: the path of MYSTRAN; "" looks for it.
+        density: of materials without one (before WTMASS), or set -> density, "all" standing for all.
+        skip: cards to leave out, although stiffness or mass may depend on them.
+        boundary: "drop" what SPC and PS hold, for a free body, or "keep" it.
+        timeout: seconds for each run of MYSTRAN.
+        keep_files: a folder for what MYSTRAN read and wrote.
+        grids: of one run of MYSTRAN at most.
+        jobs: runs at once; None for as many as there are cores.
+        allow_includes_outside: INCLUDE may name files beyond the folder of the file.
+
+    Peak memory: the entries of K and M several times, and what the runs at once take.
+
+    Raises:
+        DeckError: all that keeps the deck from becoming a model.
+        InputError: no MYSTRAN, options that are not known, or a run that fails.
+    """
+    program = mystran_path(executable)
+    check_value("--boundary", boundary, Boundary)
+    check_value("--engine-timeout", timeout, Positive)
+    check_value("grids", grids, PositiveCount)
+    check_value("jobs", jobs, PositiveCount | None)
+    deck = _Deck(Path(path), deck_options(density, "refuse", skip), boundary == "keep", allow_includes_outside)
+    keep = Path(keep_files) if keep_files else None
+    with Mystran(
+        program=program,
+        file=deck.bulk.file,
+        blocks=deck.blocks,
+        properties=deck.properties,
+        ids=deck.bulk.grids.ids,
+        xyz=deck.bulk.grids.xyz,
+        seconds=timeout,
+        jobs=jobs or cores(),
+        keep=keep,
+    ) as mystran:
+        K, M = mystran.matrices(grids)
+        return deck.imported(K, M, mystran.version)
+
+
+def readable_by_mystran(
+    path: Path,
+    *,
+    density: dict[str, float] | None = None,
+    skip: list[str] | str = "",
+    allow_includes_outside: bool = False,
+) -> None:
+    """Whether a deck can be written for MYSTRAN; it is not run.
+
+    Raises:
+        InputError: it cannot.
+    """
+    _Deck(path, deck_options(density, "refuse", skip), False, allow_includes_outside)
+
+
+class _Deck:
+    """A deck as far as it is read without MYSTRAN; what is wrong with it is refused in one message."""
+
+    def __init__(self, path: Path, options: DeckOptions, keep: bool, outside: bool) -> None:
+        self.bulk = bulk = Bulk(path, outside=outside, options=options, more=CARDS_READ)
+        self.notes: list[str] = []
+        self.warnings: list[str] = []
+        with bulk.problems.ending():
+            self.scale, self.keep = bulk.mass_scale(), keep
+            self.sections = Sections(bulk)
+            self.structures = Structures(bulk, self.sections)
+            self.parts, middles = solid_parts(bulk) if bulk.solids else ([], None)
+            solid = grids_of(bulk, self.parts)
+            for block in self.structures.blocks:
+                solid[block.nodes] = False
+            self.ties, springs = tied(bulk, solid, self.scale)
+            self.held = held_directions(bulk) if keep else {}
+            self.whole = Imported(
+                source=bulk.file,
+                rigid=tuple(self.ties.rigid),
+                average=tuple(self.ties.average),
+                masses=tuple(self.ties.masses),
+                equations=(*self.ties.equations, *([middles] if middles else [])),
+                discrete=tuple(springs.elements),
+            )
+            self._mesh()
+            self.properties = self._properties(options)
+        bulk.problems.refuse()
+
+    def _mesh(self) -> None:
+        """Nodes of the model, those of solids first, and all elements."""
+        bulk = self.bulk
+        own = [block.nodes.ravel() for block in self.structures.blocks]
+        extra = np.unique(np.concatenate([nodes_of(self.whole.ties), *own]))
+        self.mesh: Mesh | None = None
+        self.blocks = list(self.structures.blocks)
+        if self.parts:
+            mesh, nodes, self.row = bulk_mesh(bulk, self.parts, extra, self.notes)
+            mesh = right_handed(replace(mesh, warnings=()))
+            self.warnings += [*mesh.warnings, *bulk.text.warnings]
+            self.mesh = mesh
+            self.blocks += solid_elements(bulk, mesh, self.sections)
+        else:
+            self.row = np.full(len(bulk.grids.ids), -1, dtype=np.int64)
+            self.row[extra] = np.arange(len(extra))
+            sets = sets_of(bulk, self.row, (), {}, self.notes)
+            nodes = Nodes(ids=bulk.grids.ids[extra], xyz=bulk.grids.xyz[extra], sets=sets)
+            self.warnings += bulk.text.warnings
+        if not self.blocks:
+            raise InputError(
+                f"{bulk.file} has no elements that MYSTRAN assembles; expected solids, {', '.join(STRUCTURES)}"
+            )
+        sets = dict(nodes.sets)
+        for block in self.structures.blocks:
+            for pid in np.unique(block.properties).tolist():
+                members = self.row[block.nodes[block.properties == pid]]
+                name = self.sections.sets[pid - 1]
+                sets[name] = np.union1d(sets.get(name, np.empty(0, dtype=np.int64)), members)
+        self.nodes = replace(nodes, sets=sets)
+
+    def _properties(self, options: DeckOptions) -> list[tuple[str, ...]]:
+        """The cards of properties, with the densities that were given; sets without any are problems."""
+        bulk = self.bulk
+        filled, lacking, said = options.completed((), self.sections.lacking())
+        self.warnings += said
+        solid = {name: lack for name, lack in lacking.items() if name.startswith("PSOLID")}
+        heavy = len(lacking) < len(set(self.sections.sets)) or bool(self.whole.masses)
+        heavy = heavy or any(element.matrix == "M" for element in self.whole.discrete)
+        wanted = solid if heavy else lacking
+        bulk.problems.entries += lacking_problems(bulk.file, wanted)
+        self.warnings += [
+            f"{lack.sentence} and gives no mass; --density fills it in [no-density]"
+            for name, lack in lacking.items()
+            if name not in wanted
+        ]
+        cards = self.sections.cards({material.set: material.density for material in filled})
+        self.warnings += self.sections.warnings
+        return cards
+
+    def imported(self, K: sp.csr_array, M: sp.csr_array, version: str) -> Imported:
+        """The model with the matrices (6 n, 6 n) of all n grids of the deck."""
+        grids, whole = self.bulk.grids, self.whole
+        M = sp.csr_array(self.scale * (M + self._shear_masses()))
+        turned = turning(whole.ties, len(grids.ids))
+        K, loose = with_springs(K, M, self.blocks, grids.xyz, turned, self.held)
+        filled = np.diff(K.indptr) + np.diff(M.indptr)
+        # Means are those of displacements along all axes, also of grids that nothing holds along one.
+        filled.reshape(-1, 6)[nodes_of(whole.average), :3] += 1
+        filled = np.flatnonzero(filled)
+        K, M = (sp.csr_array(A[filled][:, filled]) for A in (K, M))
+        equations = whole.equations + self._held(filled)
+        node, component = self.row[filled // 6], filled % 6
+        solid = 0 if self.mesh is None else len(self.mesh.nodes)
+        order = np.lexsort((component, node, (node >= solid) | (component > 2)))
+        K, M = (sp.csr_array(A[order][:, order]) for A in (K, M))
+        dofs = DofMap(node=node[order], component=component[order])
+        self._tell(K, M, dofs)
+        return replace(
+            replace(whole, equations=equations).on_rows(self.row),
+            K=K,
+            M=M,
+            nodes=self.nodes,
+            dofs=dofs,
+            mesh=self.mesh,
+            notes=tuple(self._said(version, loose, len(filled))),
+            warnings=tuple(dict.fromkeys([*self.warnings, *self._differing()])),
+        )
+
+    def _held(self, filled: Ints) -> tuple[Equations, ...]:
+        there = np.zeros((len(self.row), 6), dtype=bool)
+        there.ravel()[filled] = True
+        there[nodes_of(self.whole.ties)] = True
+        equations = held_equations(self.held, there)
+        return () if equations is None else (equations,)
+
+    def _shear_masses(self) -> sp.csr_array:
+        """Masses of shear panels, a quarter at each grid; MYSTRAN gives them none."""
+        diagonal = np.zeros(6 * len(self.row))
+        for block in self.structures.blocks:
+            if block.card == "CSHEAR":
+                x = self.bulk.grids.xyz[block.nodes]
+                area = np.linalg.norm(np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1]), axis=1) / 2
+                mass = area * np.array([self.sections.shear_mass(pid) for pid in block.properties.tolist()])
+                for axis in range(3):
+                    np.add.at(diagonal, 6 * block.nodes + axis, mass[:, None] / 4)
+        return sp.csr_array(sp.diags_array(diagonal))
+
+    def _tell(self, K: sp.csr_array, M: sp.csr_array, dofs: DofMap) -> None:
+        """Warnings that follow from the matrices."""
+        R = rigid_motion(self.nodes.xyz[dofs.node] - self.nodes.xyz.mean(axis=0), dofs.component)
+        strain = float(np.abs(K @ R).max() / (abs(K) @ np.abs(R)).max())
+        if strain > TOL.rigid_strain:
+            self.warnings.append(
+                f"rigid motion strains the stiffness that MYSTRAN wrote by {strain:.1e} of its terms: its CQUAD4 "
+                "resist rotation where their four grids are not in a plane [engine-rotation]"
+            )
+        along = [float(R[:, axis] @ (M @ R[:, axis])) for axis in range(3)]
+        if max(along) - min(along) > TOL.uneven_mass * max(along):
+            listed = ", ".join(f"{mass:.6g}" for mass in along)
+            self.warnings.append(
+                f"the mass that MYSTRAN wrote is {listed} along x, y and z; please report it [engine-map]"
+            )
+
+    def _differing(self) -> list[str]:
+        """In what the model differs from that of the deck, a sentence each."""
+        said = [
+            "MYSTRAN has formulations of its own, consistent masses of solids and lumped ones of all else (also with "
+            "PARAM COUPMASS): frequencies are those of Nastran as far as these agree [formulation-differs]"
+        ]
+        if self.structures.beams:
+            said.append(f"{self.structures.beams} CBEAM of constant section are assembled as CBAR [beam-as-bar]")
+        return [*said, *skipped_warnings(self.bulk)]
+
+    def _said(self, version: str, loose: int, rows: int) -> list[str]:
+        """What was left out, a sentence each."""
+        notes = [f"The matrices of elements are those of MYSTRAN{' ' + version if version else ''}."]
+        kept = RESTRAINTS[:3] if self.keep else ()
+        for name in RESTRAINTS[:3]:
+            if self.bulk.rows[name] and name not in kept:
+                notes.append(f"{len(self.bulk.rows[name])} {name}: not applied; the body is free.")
+        if loose:
+            notes.append(
+                f"{loose} grids turn freely about an axis, such as the normal of flat shells; they follow the "
+                "rotation of an element by springs that carry no force."
+            )
+        skipped = "Permanent restraints" if self.keep else "\0"
+        notes += [note for note in notes_of(self.bulk, self.scale) if not note.startswith(skipped)]
+        return [*notes, *self.notes, *self.ties.notes]

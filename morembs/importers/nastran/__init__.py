@@ -1,0 +1,1 @@
+"""Bulk data of Nastran: cards, grids, elements, ties, properties, restraints; ``importer`` is the entry."""
