@@ -18,7 +18,8 @@ from morembs.fem import Mesh, Nodes
 from morembs.fem.handedness import right_handed
 from morembs.fem.middle_nodes import mesh_in_order
 from morembs.importers.abaqus.importer import import_abaqus, read_abaqus
-from morembs.importers.ansys.cdb import import_ansys_cdb
+from morembs.importers.ansys.cdb import read_ansys
+from morembs.importers.decks.model import Deck
 from morembs.importers.imported import Imported
 from morembs.importers.matrices.ansys_full import import_ansys_full
 from morembs.importers.matrices.ansys_text import import_ansys_matrices
@@ -31,11 +32,11 @@ from morembs.importers.matrices.npz import import_npz
 from morembs.importers.meshes import import_mesh, read_with_meshio
 from morembs.importers.nastran.importer import import_nastran, read_nastran
 from morembs.importers.native import import_native
-from morembs.importers.unv import import_unv, read_unv
+from morembs.importers.unv import read_unv
 from morembs.storage.hdf5 import reading
 
 # Endings with a mesh reader of their own; every other mesh goes through meshio.
-READERS: dict[str, Callable[..., Mesh]] = {
+READERS: dict[str, Callable[..., Mesh | Deck]] = {
     ".inp": read_abaqus,
     ".bdf": read_nastran,
     ".nas": read_nastran,
@@ -50,11 +51,12 @@ _NO_OPTIONS = ("budget",)
 
 @dataclass(frozen=True, kw_only=True)
 class Importer:
-    """A format: what it is in one line, the endings of its files, the function that reads one."""
+    """A format: what it is in one line, the endings of its files, the function that reads one (a ``Deck`` becomes an
+    ``Imported``)."""
 
     about: str
     endings: tuple[str, ...]
-    read: Callable[..., Imported]
+    read: Callable[..., Imported | Deck]
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -82,7 +84,7 @@ _OWN: dict[str, Importer] = {
         endings=(".bdf", ".nas", ".dat", ".fem"),
         read=import_nastran,
     ),
-    "ansys": Importer(about="ANSYS archive (.cdb): mesh, materials, masses", endings=(".cdb",), read=import_ansys_cdb),
+    "ansys": Importer(about="ANSYS archive (.cdb): mesh, materials, masses", endings=(".cdb",), read=read_ansys),
     "ansys-full": Importer(about="ANSYS .full: K and M", endings=(".full",), read=import_ansys_full),
     "ansys-matrices": Importer(
         about="K of ANSYS as text (MMF, HBMAT); M, D and the mapping are options",
@@ -95,7 +97,7 @@ _OWN: dict[str, Importer] = {
     "hdf5": Importer(
         about="sparse matrices in HDF5 groups (SciPy, MATLAB, Octave)", endings=(".h5", ".hdf5"), read=import_hdf5
     ),
-    "unv": Importer(about="universal file of I-deas or Salome: mesh and groups", endings=(".unv",), read=import_unv),
+    "unv": Importer(about="universal file of I-deas or Salome: mesh and groups", endings=(".unv",), read=read_unv),
     "mesh": Importer(
         about="solid mesh without materials, all that meshio reads",
         endings=(".msh", ".vtk", ".vtu", ".med", ".rmed", ".xdmf", ".mesh"),
@@ -134,10 +136,13 @@ def read_mesh(
     if not path.is_file():
         raise InputError(f"mesh file {str(path)!r} does not exist; check the path")
     reader = READERS.get(path.suffix.lower())
-    given = {"dialect": dialect} if dialect != "auto" else {}
+    given: dict[str, Any] = {"dialect": dialect} if dialect != "auto" else {}
     if given and reader is not read_abaqus:
         raise InputError(f"dialect = {dialect!r} was given for {path.name}, which is no deck .inp; leave it out")
-    mesh = reader(path, allow_includes_outside=allow_includes_outside, **given) if reader else read_with_meshio(path)
+    if reader is not None and "allow_includes_outside" in known(reader):
+        given |= {"allow_includes_outside": allow_includes_outside}
+    found = read_with_meshio(path) if reader is None else reader(path, **given)
+    mesh = found.mesh() if isinstance(found, Deck) else found
     if not mesh.blocks:
         raise InputError(f"{path.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)")
     nodes = mesh.nodes
@@ -214,4 +219,5 @@ def import_file(
     values = read_options(
         importer.read, given, "the format", where=f"{path.name}: ", hidden=_NO_OPTIONS, cure="; give --set {key}=VALUE"
     )
-    return importer.read(path, **values)
+    found = importer.read(path, **values)
+    return found.imported() if isinstance(found, Deck) else found

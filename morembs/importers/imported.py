@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -79,21 +79,22 @@ def nodes_of(elements: Iterable[Ties]) -> Ints:
     return np.unique(np.concatenate(rows)).astype(np.int64)
 
 
-def on_rows(elements: Iterable[Tied], row: Ints) -> tuple[Tied, ...]:
-    """The elements on the new rows ``row`` (n,) of their nodes."""
+def on_rows(elements: Iterable[Tied], row: Ints | Callable[[Ints], Ints]) -> tuple[Tied, ...]:
+    """The elements on other rows (or labels) of their nodes: ``row`` (n,) by the present ones, or what gives them."""
+    new: Callable[[Ints], Ints] = row if callable(row) else row.__getitem__
 
     def moved(element: Tied) -> Tied:
         change: dict[str, Any]
         if isinstance(element, RigidElement):
-            change = {"master": int(row[element.master]), "slaves": row[element.slaves]}
+            change = {"master": int(new(np.array(element.master))), "slaves": new(element.slaves)}
         elif isinstance(element, AverageElement):
-            change = {"reference": int(row[element.reference]), "nodes": row[element.nodes]}
+            change = {"reference": int(new(np.array(element.reference))), "nodes": new(element.nodes)}
         elif isinstance(element, Equations):
-            change = {"nodes": row[element.nodes], "term_nodes": row[element.term_nodes]}
+            change = {"nodes": new(element.nodes), "term_nodes": new(element.term_nodes)}
         elif isinstance(element, DiscreteElement):
-            change = {"nodes": row[element.nodes]}
+            change = {"nodes": new(element.nodes)}
         else:
-            change = {"node": int(row[element.node])}
+            change = {"node": int(new(np.array(element.node)))}
         return replace(element, **change)
 
     return tuple(map(moved, elements))
@@ -158,8 +159,8 @@ class Imported:
         """All that joins nodes or hangs on them."""
         return [*self.rigid, *self.average, *self.equations, *self.masses, *self.discrete]
 
-    def on_rows(self, row: Ints) -> Imported:
-        """With its ties on the new rows ``row`` (n,) of their nodes."""
+    def on_rows(self, row: Ints | Callable[[Ints], Ints]) -> Imported:
+        """With its ties on other rows of their nodes, as ``on_rows`` of ties has them."""
         return replace(
             self,
             rigid=on_rows(self.rigid, row),

@@ -14,8 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.fem import ElementBlock, Mesh, Nodes
-from morembs.importers.imported import Imported
+from morembs.base.types import Ints
+from morembs.importers.decks.labels import Labels, ranges_of
+from morembs.importers.decks.model import Deck
+from morembs.importers.decks.tables import Elements, LeftOut
 
 # FE descriptor -> type and the nodes of the file in VTK order. Quadratic solids list each middle between its corners,
 # bottom, upright edges, top.
@@ -92,19 +94,22 @@ _ELEMENTS = (Dataset.FORMER_ELEMENTS, Dataset.ELEMENTS)
 _GROUPS = (2435, 2452, 2467, 2477)
 
 
+_LEFT_OUT = "left out: only solids are assembled"
+
+
 @dataclass
 class _Contents:
-    """What a file holds, by labels."""
+    """What a file holds, by labels: ``solids`` and ``flat`` elements by descriptor, each a label and its nodes."""
 
     ids: list[int] = field(default_factory=list)
     xyz: list[list[float]] = field(default_factory=list)
-    elements: dict[int, list[list[int]]] = field(default_factory=dict)
-    flat: int = 0
+    solids: dict[int, list[list[int]]] = field(default_factory=dict)
+    flat: dict[int, list[int]] = field(default_factory=dict)
     groups: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
 
-def import_unv(path: str | Path) -> Imported:
+def read_unv(path: str | Path) -> Deck:
     """Mesh and groups of a universal file, in its units; groups of nodes are node sets, of solids element sets.
 
     Raises:
@@ -118,20 +123,7 @@ def import_unv(path: str | Path) -> Imported:
             if isinstance(error, InputError):
                 raise
             raise InputError(f"{path.name}: the dataset {number} cannot be read ({error}); write it again") from error
-    mesh = _mesh(contents, path.name)
-    return Imported(source=path.name, nodes=mesh.nodes, mesh=mesh, notes=tuple(contents.notes))
-
-
-def read_unv(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
-    """Mesh of a universal file, which includes no others.
-
-    Raises:
-        InputError: as ``import_unv``.
-    """
-    mesh = import_unv(path).mesh
-    if mesh is None:
-        raise InputError(f"{path.name} has no mesh")
-    return mesh
+    return _deck(contents, path.name)
 
 
 def _datasets(path: Path) -> Iterator[tuple[int, list[str]]]:
@@ -188,9 +180,9 @@ def _take_elements(lines: list[str], contents: _Contents, name: str) -> None:
         if kind in SOLIDS:
             if len(nodes) != len(SOLIDS[kind][1]):
                 raise ValueError(f"element {label} has {len(nodes)} nodes")
-            contents.elements.setdefault(kind, []).append([label, *nodes])
+            contents.solids.setdefault(kind, []).append([label, *nodes])
         elif kind in _FLAT:
-            contents.flat += 1
+            contents.flat.setdefault(kind, []).append(label)
         else:
             raise InputError(
                 f"{name}: element {label} is of the kind {kind}, which is not supported; expected solids "
@@ -211,37 +203,41 @@ def _take_groups(lines: list[str], contents: _Contents) -> None:
         members += [(words[i], words[i + 1]) for i in range(0, 4 * count, 4)]
 
 
-def _mesh(contents: _Contents, name: str) -> Mesh:
-    if not contents.elements:
-        raise InputError(f"{name} has no solid elements (datasets 780 or 2412); expected a mesh of solids")
+def _deck(contents: _Contents, name: str) -> Deck:
     if not contents.ids:
         raise InputError(f"{name} has no nodes (datasets 15, 781 or 2411); write it again")
-    order = np.argsort(contents.ids, kind="stable")
-    ids, xyz = np.array(contents.ids, dtype=np.int64)[order], np.array(contents.xyz)[order]
-    twice = ids[1:][np.diff(ids) == 0]
-    if len(twice):
-        raise InputError(f"{name} defines the node {twice[0]} twice; expected each node once")
-    blocks = []
-    for kind, rows in contents.elements.items():
-        table = np.array(rows, dtype=np.int64)
-        at = np.minimum(np.searchsorted(ids, table[:, 1:]), max(len(ids) - 1, 0))
-        wrong = table[:, 1:][ids[at] != table[:, 1:]]
-        if len(wrong):
-            some = ", ".join(map(str, np.unique(wrong)[:10]))
-            raise InputError(f"{name}: elements name nodes that are not defined: {some}")
-        shape, vtk = SOLIDS[kind]
-        blocks.append(ElementBlock(type=shape, nodes=at[:, vtk], ids=table[:, 0]))
-    if contents.flat:
-        contents.notes.append(f"{contents.flat} elements that are no solids were left out")
-    node_sets, element_sets = {}, {}
+    parts = []
+    for kind, rows in contents.solids.items():
+        table, (shape, vtk) = np.array(rows, dtype=np.int64), SOLIDS[kind]
+        ids, nodes = table[:, 0], table[:, 1:][:, vtk]
+        parts.append(Elements(code=f"descriptor {kind}", kind="solid", shape=shape, ids=ids, nodes=nodes))
+    for kind, labels in contents.flat.items():
+        none = np.empty((len(labels), 0), dtype=np.int64)
+        parts.append(
+            Elements(code=f"descriptor {kind}", kind="none", shape="", ids=np.array(labels, dtype=np.int64), nodes=none)
+        )
+    if flat := sum(map(len, contents.flat.values())):
+        contents.notes.append(f"{flat} elements that are no solids were left out")
+    ids = np.array(contents.ids, dtype=np.int64)
+    elements = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(part.ids for part in parts)]))
+    return Deck(
+        name=name,
+        program="UNV",
+        ids=ids,
+        xyz=np.array(contents.xyz),
+        elements=tuple(parts),
+        node_sets=_sets(contents, Entity.NODE, Labels(ids, name)),
+        element_sets=_sets(contents, Entity.ELEMENT, Labels(elements, name, "element")),
+        left_out={f"descriptor {kind}": LeftOut(len(own), _LEFT_OUT) for kind, own in contents.flat.items()},
+        notes=tuple(contents.notes),
+    )
+
+
+def _sets(contents: _Contents, entity: Entity, known: Labels) -> dict[str, Ints]:
+    """Ranges of the members of each group that are of an entity, and in the file."""
+    sets = {}
     for title, members in contents.groups.items():
-        of_nodes = np.array([label for kind, label in members if kind == Entity.NODE], dtype=np.int64)
-        of_elements = np.array([label for kind, label in members if kind == Entity.ELEMENT], dtype=np.int64)
-        chosen = np.flatnonzero(np.isin(ids, of_nodes))
-        if len(chosen):
-            node_sets[title] = chosen
-        picked = tuple(np.flatnonzero(np.isin(block.ids, of_elements)) for block in blocks)
-        if any(map(len, picked)):
-            element_sets[title] = picked
-    nodes = Nodes(ids=ids, xyz=xyz, sets=node_sets)
-    return Mesh(nodes=nodes, blocks=tuple(blocks), element_sets=element_sets, source=name)
+        labels = np.array([label for kind, label in members if kind == entity], dtype=np.int64)
+        if len(labels := labels[known.has(labels)]):
+            sets[title] = ranges_of(labels)
+    return sets

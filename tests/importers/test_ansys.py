@@ -13,7 +13,7 @@ from morembs.fem import rigid_motion
 from morembs.fem.assembly import assemble
 from morembs.fem.material import isotropic
 from morembs.importers import import_file
-from morembs.importers.ansys.cdb import import_ansys_cdb
+from morembs.importers.ansys.cdb import read_ansys
 from morembs.importers.matrices.abaqus import read_abaqus_matrix
 from morembs.importers.matrices.ansys_full import import_ansys_full, read_ansys_full
 from morembs.importers.matrices.ansys_text import import_ansys_matrices, read_ansys_matrix
@@ -26,6 +26,10 @@ FULL_HZ = [1283.20037, 1283.20037, 5781.97486, 6919.39888, 6919.39888, 10172.614
 FREE_HZ = [7366.49503969, 7366.49503969, 11504.89523664, 17285.70459456, 17285.70459, 20137.193]
 ROTOR_ANSYS_HZ, ROTOR_ABAQUS_HZ = 104.63701055079783, 104.6370132606291
 ROTOR_HZ = [104.637011, 104.637011, 187.824087, 212.329701]
+
+
+def import_ansys_cdb(path, **options):
+    return read_ansys(path, **options).imported()
 
 
 def hertz(K, M):
@@ -523,7 +527,7 @@ TWISTED = [(7, 1, 1, 1, [101, 102, 103, 104, 105, 105, 106, 107])]
         ({"after": "CERIG,101,102\nTB,ANEL,1\n"}, "TB,ANEL"),
         ({"after": "MP,EX,1,2e11\nMP,NUXY,1,0.6\nMP,DENS,1,7850\n"}, "poisson = 0.6"),
         ({"after": components(("C", "NODE", [101, 999]))}, r"C names 1 nodes that are not defined .first: 999"),
-        ({"after": components(("C", "ELEM", [1, 999]))}, "component C names 1 elements that are not defined"),
+        ({"after": components(("C", "ELEM", [1, 999]))}, "set C names 1 elements that are not defined"),
         ({"after": components(("C", "NODE", [-105]))}, "does not run from a label"),
         ({"after": components(("C", "NODE", [105, -102]))}, "does not run from a label"),
         ({"after": components(("C", "NODE", [105, -99999999]))}, "C names 99999887 nodes .* .first: 113"),
@@ -570,7 +574,7 @@ def test_edges_without_middle_nodes_are_linear(tmp_path):
         imported = import_ansys_cdb(write(tmp_path, text[:at] + MP_STEEL + lines))
         models.append((imported, model_of(imported)))
     (imported, model), (linear, _) = models
-    assert linear.mesh.blocks[0].type == "hex8" and "12 nodes of no element" in linear.notes[-1]
+    assert linear.mesh.blocks[0].type == "hex8" and "12 nodes belong to no element" in linear.notes[0]
     assert imported.mesh.blocks[0].type == "hex20" and imported.nodes.ids[-1] == 121 and not imported.incomplete
     S, R = model.dependent.S, rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
     gone = mesh.nodes.xyz[mesh.blocks[0].nodes[0][8]]

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 import morembs
 from morembs import InputError, Problem, read_mesh
 from morembs.importers import import_file
-from morembs.importers.unv import SOLIDS, import_unv
+from morembs.importers.unv import SOLIDS, read_unv
 from tests.support.meshes import box, steel
 
 DESCRIPTOR = {kind: number for number, (kind, _) in SOLIDS.items()}
@@ -49,7 +49,7 @@ def test_every_solid_comes_back(kind, old, tmp_path):
     mesh = box(kind, (2, 1, 1), (0.3, 0.2, 0.1))
     path = tmp_path / "mesh.unv"
     path.write_text(universal(mesh, old=old))
-    imported = import_unv(path)
+    imported = read_unv(path).imported()
     assert np.array_equal(imported.mesh.blocks[0].nodes, mesh.blocks[0].nodes)
     assert np.array_equal(imported.nodes.xyz, mesh.nodes.xyz) and imported.nodes.sets["LEFT END"].tolist() == [0, 1, 2]
     assert [rows.tolist() for rows in imported.mesh.element_sets["FIRST"]] == [[0]]
@@ -72,7 +72,7 @@ def test_damaged_files_are_refused(change, words, tmp_path):
     path = tmp_path / "mesh.unv"
     path.write_text(change(universal(box("hex8", (2, 1, 1), (0.3, 0.2, 0.1)))))
     with pytest.raises(InputError, match=words):
-        import_unv(path)
+        read_unv(path).imported()
 
 
 def test_matrices_of_any_kind_become_a_model():
@@ -155,4 +155,4 @@ def test_nodes_of_another_form_are_refused(change, words, tmp_path):
     path = tmp_path / "mesh.unv"
     path.write_text(change(universal(box("hex8", (1, 1, 1), (1.0, 1.0, 1.0)))))
     with pytest.raises(InputError, match=words):
-        import_unv(path)
+        read_unv(path).imported()

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.fem import ElementBlock, skew
+from morembs.fem import ElementBlock
 from morembs.fem.elements import TYPES
 from morembs.fem.middle_nodes import in_order
 from morembs.importers.abaqus.deck import Deck, Instance, values
 from morembs.importers.abaqus.names import Discrete, Names, Placed, ascending, of_instance
+from morembs.importers.decks.algebra import rotation_about
 from morembs.importers.tolerances import TOL
 
 # Type, formulation and mass of solids.
@@ -223,6 +224,5 @@ def _motion(instance: Instance) -> tuple[Floats, Floats, Floats]:
         length = np.linalg.norm(axis)
         if not 0 < length < np.inf:
             raise InputError(f"{instance.card}: the two points of the axis of rotation must differ")
-        A = skew(axis / length)
-        R = np.eye(3) + np.sin(angle) * A + (1 - np.cos(angle)) * A @ A
+        R = rotation_about(axis / length, float(angle))
     return R, shift, point

@@ -14,8 +14,8 @@ from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.data import number
 from morembs.importers.abaqus.deck import Rows, values
 from morembs.importers.abaqus.keywords import Card
-from morembs.importers.abaqus.materials import frame_of
 from morembs.importers.abaqus.names import Placed
+from morembs.importers.decks.algebra import frame_of
 from morembs.importers.tolerances import TOL
 
 _TEMPERATURE = "11"

@@ -10,10 +10,10 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.fem import skew
 from morembs.importers.abaqus.data import label
 from morembs.importers.abaqus.deck import Members, NamedSet, Rows, Scope, join, values
 from morembs.importers.abaqus.keywords import Card
+from morembs.importers.decks.algebra import rotation_about
 from morembs.importers.tolerances import TOL
 
 GENERATING = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY")
@@ -122,13 +122,8 @@ def _arc(scope: Scope, card: Card, row: list[str], a: Floats, b: Floats, t: Floa
     else:
         axis = normal / np.linalg.norm(normal)
     sizes = np.linalg.norm(from_) + t * (np.linalg.norm(to) - np.linalg.norm(from_))
-    turned = np.array([_turn(axis, angle * part) @ from_ for part in t])
+    turned = np.array([rotation_about(axis, angle * part) @ from_ for part in t])
     return np.asarray(center + turned * (sizes / np.linalg.norm(from_))[:, None])
-
-
-def _turn(axis: Floats, angle: float) -> Floats:
-    A = skew(axis)
-    return np.asarray(np.eye(3) + np.sin(angle) * A + (1 - np.cos(angle)) * A @ A)
 
 
 def _fill(scope: Scope, card: Card, row: list[str]) -> None:
@@ -160,7 +155,7 @@ def _copy_nodes(scope: Scope, card: Card, rows: Rows) -> None:
     axis = turn[3:6] - turn[:3]
     if turn[6] and not np.linalg.norm(axis) > 0:
         raise InputError(f"{card}: the two points of the axis of rotation must differ")
-    R = _turn(axis / np.linalg.norm(axis), np.radians(turn[6])) if turn[6] else np.eye(3)
+    R = rotation_about(axis / np.linalg.norm(axis), np.radians(turn[6])) if turn[6] else np.eye(3)
     xyz = _places(scope, card, labels)
     for time in range(1, multiple + 1):
         xyz = (xyz + shift - turn[:3]) @ R.T + turn[:3]

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats
-from morembs.fem.material import VOIGT, Material, isotropic, orthotropic
+from morembs.fem.material import Material, isotropic, orthotropic
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.deck import Deck, Rows, Scope, values
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
+from morembs.importers.decks.algebra import frame_of, rotate_stiffness
 from morembs.importers.imported import Lacking
-from morembs.importers.tolerances import TOL
 
 # What has a stiffness of its own, but no linear one.
 _NOT_LINEAR = {
@@ -189,7 +189,7 @@ def _elastic(
     for (i, j), value in zip(places, _numbers(card, rows, len(places), name, warnings), strict=True):
         i, j = _ORDER[i], _ORDER[j]
         C[i, j] = C[j, i] = value
-    return Material(set=final, stiffness=C if axes is None else turned(C, axes), density=density)
+    return Material(set=final, stiffness=C if axes is None else rotate_stiffness(C, axes), density=density)
 
 
 def _axes(placed: Placed, scope: Scope, deck: Deck, key: str, elset: str, name: str) -> Floats:
@@ -222,30 +222,3 @@ def _axes(placed: Placed, scope: Scope, deck: Deck, key: str, elset: str, name: 
         c, s = np.cos(angle), np.sin(angle)
         axes[[j, k]] = c * axes[j] + s * axes[k], c * axes[k] - s * axes[j]
     return axes
-
-
-def frame_of(first: Floats, plane: Floats) -> Floats | None:
-    """Orthonormal rows: along ``first``, in its plane with ``plane``, normal to both; None if these are on a line."""
-    if not (np.abs([first, plane]) < TOL.largest_number).all():
-        return None
-    lengths = np.linalg.norm(first), np.linalg.norm(plane)
-    if not min(lengths) > 0:
-        return None
-    e1 = first / lengths[0]
-    normal = np.cross(e1, plane / lengths[1])
-    size = np.linalg.norm(normal)
-    if not size > TOL.parallel:
-        return None
-    e3 = normal / size
-    return np.array([e1, np.cross(e3, e1), e3])
-
-
-def turned(C: Floats, axes: Floats) -> Floats:
-    """Stiffness ``C`` (6, 6) given along the rows of ``axes``, in the frame that these are written in."""
-    T = np.zeros((6, 6))  # strains along the axes from those of the frame
-    for q, (k, m) in enumerate(VOIGT):
-        strain = np.zeros((3, 3))
-        strain[k, m] = strain[m, k] = 1.0 if k == m else 0.5
-        local = axes @ strain @ axes.T
-        T[:, q] = [local[i, j] * (1 if i == j else 2) for i, j in VOIGT]
-    return np.asarray(T.T @ C @ T)

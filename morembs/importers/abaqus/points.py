@@ -11,6 +11,7 @@ from morembs.importers.abaqus.deck import Deck, Rows, values
 from morembs.importers.abaqus.equations import Axes
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Discrete, Placed
+from morembs.importers.decks.algebra import along
 from morembs.importers.discrete import spring
 from morembs.importers.imported import DiscreteElement, PointMass
 from morembs.importers.tolerances import TOL
@@ -115,22 +116,20 @@ class Points:
         """A spring along its line, with the geometric stiffness of its force where the program counts that."""
         matrix = _MATRIX[card.keyword]
         a, b = (self.assembly.xyz[node] for node in element.nodes)
-        length = float(np.linalg.norm(b - a))
-        if not length > 0:
+        part, length = along(b - a), float(np.linalg.norm(b - a))
+        if part is None:
             raise InputError(f"{card}: the ends of the element {element.label} are at one place; expected a line")
-        line = (b - a) / length
-        directions = [(line, value)]
+        directions = [(part, value)]
         if preload and self.deck.dialect == "calculix":
             # A force turns with its line, which resists motions across it by force over length.
-            _, _, axes = np.linalg.svd(line[None])
-            directions += [(axis, preload / length) for axis in axes[1:]]
+            _, _, axes = np.linalg.svd(part[None, :3])
+            directions += [(np.append(axis, np.zeros(3)), preload / length) for axis in axes[1:]]
         elif preload:
             self.warnings.append(
                 f"{card} of {card.options['ELSET']} has a force of {preload:g} at zero elongation; the stiffness that "
                 "it adds across the line was left out, as Abaqus does without NLGEOM [spring-slope]"
             )
-        for direction, stiffness in directions:
-            part = np.concatenate([direction, np.zeros(3)])
+        for part, stiffness in directions:
             ends = [(element.nodes[0], -part), (element.nodes[1], part)]
             self.discrete.append(spring(name, matrix, ends, stiffness))
 

@@ -16,6 +16,7 @@ from morembs.importers.abaqus.generate import GENERATING, generate
 from morembs.importers.abaqus.keywords import Card, cards
 from morembs.importers.abaqus.left_out import refusal_of
 from morembs.importers.abaqus.words import CONSTRAINTS, CONTACT, GAPS, LEFT_OUT, MATERIAL, PROPERTIES, STRUCTURAL
+from morembs.importers.decks.algebra import points_of
 from morembs.importers.decks.formulations import dialect_of, dialects_of_comments
 from morembs.importers.decks.includes import open_text
 from morembs.importers.decks.options import DeckOptions
@@ -176,8 +177,7 @@ class DeckReader:
         for piece in pieces:
             ids, xyz = node_rows(piece, card) if piece else (np.empty(0, dtype=np.int64), np.empty((0, 3)))
             if system == "C":
-                r, angle = xyz[:, 0], np.radians(xyz[:, 1])
-                xyz = np.column_stack([r * np.cos(angle), r * np.sin(angle), xyz[:, 2]])
+                xyz = points_of("C", xyz)
             self.scope.node_ids.append(ids)
             self.scope.xyz.append(xyz)
             join(self.scope.node_sets, card.options.get("NSET", ""), Members(ids, [], [], ""))

@@ -11,7 +11,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem.constraints import Term
 from morembs.importers.ansys import blocks
-from morembs.importers.ansys.elements import Elements, from_plain_form, from_solid_form
+from morembs.importers.ansys.elements import Rows, from_plain_form, from_solid_form
 from morembs.importers.ansys.properties import ELASTIC, SAID
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problems
@@ -85,7 +85,7 @@ class Archive:
     ids: list[Ints] = field(default_factory=list)
     xyz: list[Floats] = field(default_factory=list)
     angles: list[Floats] = field(default_factory=list)
-    elements: list[tuple[int, Elements]] = field(default_factory=list)
+    elements: list[tuple[int, Rows]] = field(default_factory=list)
     types: dict[int, tuple[int, dict[int, int]]] = field(default_factory=dict)
     plain: list[tuple[int, Ints]] = field(default_factory=list)
     # Ranges (k, 2) of labels: written out, a damaged file could fill the memory.

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from morembs.importers.ansys.elements import Routine
+from morembs.importers.ansys.names import Routine
 
 DIALECTS = ("auto", "abaqus", "calculix")
 

@@ -6,13 +6,55 @@ fewer nodes (Bathe 2014, section 5.3.2): so such an edge is given a node that de
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from morembs.base.types import Ints
 from morembs.fem.constraints import Equations
 from morembs.fem.elements import TYPES
+from morembs.importers.decks.labels import Labels
+from morembs.importers.decks.tables import DeckTables
 
 LINEAR_EDGES = "edges without middle nodes"
+
+
+def with_middles(deck: DeckTables) -> DeckTables:
+    """The deck with all middle nodes of its solids: new ones behind its nodes, and equations by which they move.
+
+    Elements with the same corners share a node.
+
+    Raises:
+        InputError: corners that are not defined, or nodes that are there twice.
+    """
+    gaps = {i: np.nonzero(part.nodes == 0) for i, part in enumerate(deck.elements) if part.kind == "solid"}
+    gaps = {i: places for i, places in gaps.items() if len(places[0])}
+    if not gaps:
+        return deck
+    ends = [
+        np.sort(deck.elements[i].nodes[element[:, None], _corners_of_middles(deck.elements[i].shape)[middle]], axis=1)
+        for i, (element, middle) in gaps.items()
+    ]
+    pairs, which = np.unique(np.concatenate(ends), axis=0, return_inverse=True)
+    first, elements, at = int(deck.ids.max(initial=0)) + 1, list(deck.elements), 0
+    for i, places in gaps.items():
+        nodes = elements[i].nodes.copy()
+        nodes[places] = first + which.ravel()[at : at + len(places[0])]
+        at += len(places[0])
+        elements[i] = replace(elements[i], nodes=nodes)
+    corners = Labels(deck.ids, deck.name, deck.node).rows(pairs, "elements name")
+    note = (
+        f"{len(pairs)} edges of quadratic elements have no middle node; nodes with labels from {first} were added, "
+        "which move as the means of their corners."
+    )
+    return replace(
+        deck,
+        ids=np.concatenate([deck.ids, first + np.arange(len(pairs))]),
+        xyz=np.concatenate([deck.xyz, deck.xyz[corners].mean(axis=1)]),
+        elements=tuple(elements),
+        equations=(*deck.equations, middle_equations(pairs, first)),
+        notes=(*deck.notes, note),
+    )
 
 
 def filled(blocks: list[tuple[str, Ints]], first: int) -> tuple[list[Ints], Ints]:

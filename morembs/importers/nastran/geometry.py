@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.importers.abaqus.materials import frame_of
+from morembs.importers.decks.algebra import axes_at, frame_of, points_of
 from morembs.importers.nastran.cards import Table, integer, real
 from morembs.importers.tolerances import TOL
 
@@ -75,31 +75,14 @@ class Systems:
     def points(self, number: int, xyz: Floats, grids: Grids, above: tuple[int, ...] = ()) -> Floats:
         """Points (n, 3) given in a system, in the basic one."""
         kind, origin, axes = self.frame(number, grids, above)
-        if kind == "C":
-            angle = np.radians(xyz[:, 1])
-            xyz = np.column_stack([xyz[:, 0] * np.cos(angle), xyz[:, 0] * np.sin(angle), xyz[:, 2]])
-        elif kind == "S":
-            polar, around = np.radians(xyz[:, 1]), np.radians(xyz[:, 2])
-            out = xyz[:, 0] * np.sin(polar)
-            xyz = np.column_stack([out * np.cos(around), out * np.sin(around), xyz[:, 0] * np.cos(polar)])
-        return xyz if number == 0 else xyz @ axes + origin
+        return xyz if number == 0 else points_of(kind, xyz) @ axes + origin
 
     def axes(self, number: int, x: Floats, grids: Grids) -> Floats:
         """The axes (3, 3) of a system at a point (3,) as rows in the basic system."""
         if number <= 0:
             return np.eye(3)
         kind, origin, axes = self.frame(number, grids)
-        if kind == "R":
-            return axes
-        local = axes @ (x - origin)
-        around = np.arctan2(local[1], local[0])
-        c, s = np.cos(around), np.sin(around)
-        out, turning, up = np.array([c, s, 0.0]), np.array([-s, c, 0.0]), np.array([0.0, 0.0, 1.0])
-        if kind == "C":
-            return np.array([out, turning, up]) @ axes
-        polar = np.arctan2(np.hypot(local[0], local[1]), local[2])
-        p, q = np.sin(polar), np.cos(polar)
-        return np.array([p * out + q * up, q * out - p * up, turning]) @ axes
+        return axes_at(kind, axes, x - origin)
 
     def direction(self, row: int, component: int, grids: Grids) -> Floats:
         """A component, 0 to 5, along the axes (CD) of the grid in a row, as parts (6,) along the basic axes."""

@@ -7,7 +7,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem.material import Material, isotropic, orthotropic
-from morembs.importers.abaqus.materials import turned
+from morembs.importers.decks.algebra import rotate_stiffness
 from morembs.importers.imported import Lacking
 from morembs.importers.nastran.cards import integer, real
 from morembs.importers.nastran.geometry import Grids, Systems
@@ -131,7 +131,7 @@ class Materials:
         kind, _, axes = systems.frame(system, grids)
         if kind != "R":
             raise InputError(f"{what}: its directions vary (CORDM = {system} is not rectangular); expected CORD2R")
-        return turned(C, axes)
+        return rotate_stiffness(C, axes)
 
     def _without_density(self, name: str, card: str, like: Material) -> list[Material]:
         self.lacking[name] = Lacking(sentence=f"{card} of the set {name} has no density", stiffness=like.stiffness)

@@ -7,7 +7,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.fem import skew
-from morembs.importers.abaqus.materials import frame_of
+from morembs.importers.decks.algebra import frame_of
 from morembs.importers.discrete import spring
 from morembs.importers.imported import DiscreteElement
 from morembs.importers.nastran.cards import integer, real

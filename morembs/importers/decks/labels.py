@@ -1,0 +1,118 @@
+"""Labels of nodes and elements: which row each has, and ranges of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from morembs.base.errors import InputError
+from morembs.base.types import Bools, Ints
+
+
+class Labels:
+    """Rows of the labels ``ids`` (n,), each of which is there once.
+
+    Args:
+        source: the name of the file, for messages.
+        noun: what has the labels, such as "node".
+        where: what stands behind a label in messages, such as " of the instance 'A'".
+
+    Raises:
+        InputError: a label twice, or below 1.
+    """
+
+    def __init__(self, ids: Ints, source: str, noun: str = "node", where: str = "") -> None:
+        self.ids, self._source, self._noun, self._where = ids, source, noun, where
+        # Rows by label.
+        self.order = np.arange(len(ids)) if (ids[1:] > ids[:-1]).all() else np.argsort(ids, kind="stable")
+        self.ascending = ids[self.order]
+        twice = self.ascending[1:][np.diff(self.ascending) == 0]
+        if len(twice) or (len(ids) and self.ascending[0] < 1):
+            label = f"{twice[0]}{where} twice" if len(twice) else f"{self.ascending[0]}{where}"
+            raise InputError(f"{source} defines the {noun} {label}; expected unique labels from 1")
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def has(self, labels: Ints) -> Bools:
+        """Whether each label (any shape) is there."""
+        return self._found(np.asarray(labels))[1]
+
+    def rows(self, labels: Ints, who: str) -> Ints:
+        """Rows of ``labels`` (any shape).
+
+        Args:
+            who: who names them and the verb, such as "elements name".
+
+        Raises:
+            InputError: a label that is not defined.
+        """
+        labels = np.asarray(labels)
+        at, there = self._found(labels)
+        if not there.all():
+            missing = np.unique(labels[~there])
+            some, one = ", ".join(map(str, missing[:10].tolist())), len(missing) == 1
+            what = f"the {self._noun} {some}" if one else f"{len(missing)} {self._noun}s"
+            rest = f"{self._where}, which is not defined" if one else f"{self._where} that are not defined: {some}"
+            raise InputError(f"{self._source}: {who} {what}{rest}")
+        return np.asarray(self.order[at])
+
+    def members(self, ranges: Ints, who: str) -> Ints:
+        """Rows, by label, of the labels in ``ranges`` (k, 2), first and last.
+
+        Raises:
+            InputError: a label that is not defined.
+        """
+        ids = self.ascending
+        low, high = np.searchsorted(ids, ranges[:, 0]), np.searchsorted(ids, ranges[:, 1], side="right")
+        lacking = ranges[:, 1] - ranges[:, 0] + 1 - (high - low)
+        if lacking.any():
+            at = int(np.flatnonzero(lacking)[0])
+            there = ids[low[at] : high[at]] - ranges[at, 0]
+            first = ranges[at, 0] + int(np.flatnonzero(np.append(there, -1) != np.arange(len(there) + 1))[0])
+            raise InputError(
+                f"{self._source}: {who} {lacking.sum()} {self._noun}s that are not defined (first: {first}); write the "
+                "file again with all selected"
+            )
+        mark = np.zeros(len(ids) + 1, dtype=np.int64)
+        np.add.at(mark, low, 1)
+        np.add.at(mark, high, -1)
+        return self.order[np.cumsum(mark[:-1]) > 0]
+
+    def _found(self, labels: Ints) -> tuple[Ints, Bools]:
+        """Places of labels among the ascending ones, and whether each is there."""
+        ids = self.ascending
+        if not len(ids):
+            return np.zeros(labels.shape, dtype=np.int64), np.zeros(labels.shape, dtype=bool)
+        if ids[-1] - ids[0] + 1 == len(ids):
+            # Without gaps a place follows from its label.
+            at = labels - ids[0]
+            there = (at >= 0) & (at < len(ids))
+        else:
+            at = np.minimum(np.searchsorted(ids, labels), len(ids) - 1)
+            there = ids[at] == labels
+        return at, there
+
+
+def ranges_of(labels: Ints) -> Ints:
+    """Ranges (k, 2), first and last, of ``labels`` in any order."""
+    labels = np.unique(labels)
+    if not len(labels):
+        return np.empty((0, 2), dtype=np.int64)
+    gaps = np.flatnonzero(np.diff(labels) > 1)
+    return np.column_stack([labels[np.concatenate([[0], gaps + 1])], labels[np.append(gaps, len(labels) - 1)]])
+
+
+def ranges_by_number(parts: Iterable[tuple[Ints, Ints]]) -> dict[int, Ints]:
+    """Number -> ranges of the labels that have it, from pairs (labels, numbers) (k,), numbers ascending."""
+    table = np.concatenate([np.empty((2, 0), dtype=np.int64), *(np.stack(pair) for pair in parts)], axis=1)
+    labels, numbers = table
+    return {number: ranges_of(labels[numbers == number]) for number in np.unique(numbers).tolist()}
+
+
+def in_ranges(labels: Ints, ranges: Ints) -> Bools:
+    """Whether each of ``labels`` (n,) is in one of ``ranges`` (k, 2)."""
+    starts, ends = np.sort(ranges[:, 0]), np.sort(ranges[:, 1])
+    # A label is in a range where more of them have begun than ended.
+    return np.asarray(np.searchsorted(starts, labels, side="right") > np.searchsorted(ends, labels))
