@@ -192,6 +192,8 @@ class ImporterTolerances:
     # --- CalculiX
     # Difference of K with and without springs to the same dofs, over its largest entry.
     same_stiffness: float = 1e-9
+    # Difference of a stiffness from that of two constants, over its largest entry: round-off of the few sums, 45 eps.
+    isotropic_error: float = 1e-14
     # Sums below this part of their terms are round-off; CalculiX writes 14 digits.
     cancelled_sum: float = 1e-12
     # A number above all internal numbers of nodes.

@@ -13,8 +13,13 @@ from typer.testing import CliRunner
 from morembs import InputError
 from morembs.app.cli import app
 from morembs.fem import FEModel, rigid_motion
+from morembs.fem.material import isotropic, orthotropic
 from morembs.importers import import_file
+from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.surfaces import FACES
+from morembs.importers.decks.options import deck_options
+from morembs.importers.engines.calculix.flat import Choices, flat_deck
+from morembs.importers.engines.calculix.read import read_for_engine
 from morembs.importers.model_file import read_model
 from morembs.importers.to_model import model_of
 from morembs.problem import Problem
@@ -296,6 +301,78 @@ def test_a_preload_stiffens_as_ccx_says(tmp_path):
     pulled = eigenvalues(imported(tmp_path, deck + step, boundary="keep", preload=1))
     assert pulled == pytest.approx(own_frequencies(deck, tmp_path, before=step), rel=1e-6)
     assert pulled[0] > 1.05 * plain[0]
+
+
+def flat_text(tmp_path: Path, deck: str, *materials: object, skip: str = "") -> str:
+    """What CalculiX reads of a deck with the materials that were given."""
+    (tmp_path / "deck.inp").write_text(deck)
+    choices = Choices(options=deck_options(None, "refuse", skip), materials=materials)
+    raw = read_for_engine(tmp_path / "deck.inp", choices.options)
+    return flat_deck(raw, Assembly(raw), choices).deck.text("", "")
+
+
+@needs_ccx
+@pytest.mark.parametrize(
+    ("change", "sets"),
+    [
+        (("*SOLID SECTION,ELSET=A,MATERIAL=STEEL\n", ""), ("A",)),
+        (("*SOLID SECTION,ELSET=A,MATERIAL=STEEL\n", ""), ("all",)),
+        (("*SOLID SECTION,ELSET=A,MATERIAL=STEEL", "*SOLID SECTION,ELSET=A,MATERIAL=GONE"), ("a",)),
+        ((STEEL, "*MATERIAL,NAME=STEEL\n*PLASTIC\n1.,0.\n"), ("B", "all")),
+        (("*NODE\n", "*NODE\n"), ()),
+    ],
+    ids=["no section", "of all", "no material", "not elastic", "none"],
+)
+def test_materials_that_are_given_take_the_place_of_those_that_lack(tmp_path, change, sets):
+    given = [isotropic(set=name, young=2.1e11, poisson=0.3, density=7850.0) for name in sets]
+    wanted, _ = calculix.stored_matrices(flat_text(tmp_path, TIED), tmp_path)
+    read, said = calculix.stored_matrices(flat_text(tmp_path, TIED.replace(*change), *given), tmp_path)
+    assert read is not None, said[-500:]
+    for theirs, own in ((wanted.K, read.K), (wanted.M, read.M)):
+        assert abs(theirs - own).max() < 1e-14 * abs(theirs).max()
+
+
+@needs_ccx
+def test_a_material_of_any_kind_is_written_for_ccx(tmp_path):
+    """Engineering constants of the deck and the stiffness that own assembly makes of them."""
+    axes = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    young, poisson, shear = (140e9, 10e9, 8e9), (0.3, 0.25, 0.4), (5e9, 4e9, 3.5e9)
+    body = solids("C3D8", (1, 1, 1), (1.0, 0.8, 0.5)).split("*MATERIAL")[0]
+    constants = f"{','.join(map(str, (*young, *poisson, *shear[:2])))}\n{shear[2]}\n"
+    deck = f"{body}*ORIENTATION,NAME=O\n.6,.8,0,-.8,.6,0\n*MATERIAL,NAME=P\n*ELASTIC,TYPE=ENGINEERING CONSTANTS\n"
+    deck += f"{constants}*DENSITY\n1600.\n*SOLID SECTION,ELSET=BODY,MATERIAL=P,ORIENTATION=O\n"
+    wanted, _ = calculix.stored_matrices(flat_text(tmp_path, deck), tmp_path)
+    ply = orthotropic(set="BODY", young=young, poisson=poisson, shear=shear, density=1600.0, axes=axes)
+    read, _ = calculix.stored_matrices(flat_text(tmp_path, body, ply), tmp_path)
+    assert abs(wanted.K - read.K).max() < 1e-11 * abs(wanted.K).max()
+
+
+@pytest.mark.parametrize(
+    ("lines", "sets", "message"),
+    [
+        ("", ("all",), "--material was given for 'all', where nothing lacks a material; leave it out"),
+        ("", ("A",), "--material was given for 'A', where nothing lacks"),
+        ("", ("AB",), "--material was given for the set 'AB'; did you mean"),
+        (
+            "*NODE\n41,0,0,9\n*ELEMENT,TYPE=C3D4,ELSET=N\n9,1,2,3,41\n",
+            (),
+            "1 solid elements have no section and so no material .first: 9.; --material young",
+        ),
+        ("*SOLID SECTION,ELSET=A,MATERIAL=IRON\n", (), "'IRON', which is not defined; --material young.*set=A"),
+    ],
+)
+def test_what_lacks_a_material_is_told_before_a_run(tmp_path, lines, sets, message):
+    given = [isotropic(set=name, young=1.0, poisson=0.3, density=1.0) for name in sets]
+    with pytest.raises(InputError, match=message):
+        flat_text(tmp_path, TIED + lines, *given)
+
+
+def test_sections_of_elements_that_are_left_out_are_left_out(tmp_path):
+    plane = "*ELEMENT,TYPE=CPS4,ELSET=Q\n9,1,2,3,4\n*SOLID SECTION,ELSET=Q,MATERIAL=GONE\n"
+    mixed = "*ELSET,ELSET=M\nA,Q\n*BOUNDARY\n1,1\n*SOLID SECTION,ELSET=M,MATERIAL=STEEL\n"
+    text = flat_text(tmp_path, TIED + plane + mixed, skip="CPS4")
+    assert "GONE" not in text and "CPS4" not in text and text.count("*SOLID SECTION") == 3
+    assert "\n1, 3," not in text.split("*ELEMENT")[-1]
 
 
 @needs_ccx

@@ -108,6 +108,12 @@ class FlatDeck:
         mesh = right_handed(Mesh(nodes=nodes, blocks=tuple(self.assembly.blocks)))
         self.blocks, self.reversed = mesh.blocks, mesh.warnings
         self.held = np.zeros((len(self.assembly.ids), 3), dtype=bool)
+        left = [np.full(len(ids), not nodes.shape[1]) for _, ids, nodes in self.assembly.others]
+        self.left = np.concatenate([np.zeros(len(self.labels) - sum(map(len, left)), dtype=bool), *left])
+
+    def written(self, numbers: Ints) -> Ints:
+        """Those of the elements that are not left out."""
+        return np.asarray(numbers[~self.left[numbers]])
 
     @property
     def free(self) -> int:
@@ -189,7 +195,8 @@ class FlatDeck:
             return str(int(find(placed, text)[0]) + 1)
         key = kind, id(placed), text.upper()
         if key not in self.sets:
-            self.sets[key] = self.new_set(kind, find(placed, text))
+            rows = find(placed, text)
+            self.sets[key] = self.new_set(kind, rows if kind == "n" else self.written(rows))
         return self.sets[key]
 
     def new_set(self, kind: str, rows: Ints) -> str:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from morembs.base.types import Ints
+from morembs.base.types import Floats, Ints
 from morembs.fem import ElementBlock
 from morembs.importers.abaqus.assembly import Assembly
+from morembs.importers.tolerances import TOL
 
 
 class Line:
@@ -38,6 +39,19 @@ def numeral(value: float) -> str:
     """A number in the characters that CalculiX reads."""
     text = repr(float(value))
     return text if len(text) <= Line.NUMBER_CHARACTERS else f"{value:.12e}"
+
+
+def elastic_lines(C: Floats) -> list[str]:
+    """*ELASTIC of the stiffness C (6, 6) along the global axes; by two constants where these say it all."""
+    lam, mu = C[0, 1], C[3, 3]
+    plain = np.diag([2 * mu] * 3 + [mu] * 3)
+    plain[:3, :3] += lam
+    if np.abs(C - plain).max() <= TOL.isotropic_error * np.abs(C).max():
+        return ["*ELASTIC", f"{numeral(mu * (3 * lam + 2 * mu) / (lam + mu))}, {numeral(lam / (2 * (lam + mu)))}"]
+    # Columns of the upper triangle, shear in the order 12, 13, 23.
+    order = [0, 1, 2, 5, 4, 3]
+    constants = [numeral(C[order[i], order[j]]) for j in range(6) for i in range(j + 1)]
+    return ["*ELASTIC, TYPE=ANISO", *(", ".join(constants[i : i + 8]) for i in (0, 8, 16))]
 
 
 def sixteen(labels: Ints) -> list[str]:
@@ -75,5 +89,8 @@ def element_lines(assembly: Assembly, blocks: tuple[ElementBlock, ...], masses: 
             block(element.code, np.array([element.nodes]))
     number = 1 + assembly.solids + len(assembly.discrete)
     for code, _, nodes in assembly.others:
-        block(code, nodes)
+        if nodes.shape[1]:
+            block(code, nodes)
+        else:
+            number += len(nodes)
     return lines
