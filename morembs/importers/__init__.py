@@ -30,7 +30,7 @@ from morembs.importers.matrices.matlab import import_matlab
 from morembs.importers.matrices.matrix_market import import_matrix_market
 from morembs.importers.matrices.npz import import_npz
 from morembs.importers.meshes import import_mesh, read_with_meshio
-from morembs.importers.nastran.importer import import_nastran, read_nastran
+from morembs.importers.nastran.importer import read_nastran
 from morembs.importers.native import import_native
 from morembs.importers.unv import read_unv
 from morembs.storage.hdf5 import reading
@@ -82,7 +82,7 @@ _OWN: dict[str, Importer] = {
     "nastran": Importer(
         about="Nastran bulk data: mesh, materials, RBE2, RBE3, CONM2",
         endings=(".bdf", ".nas", ".dat", ".fem"),
-        read=import_nastran,
+        read=read_nastran,
     ),
     "ansys": Importer(about="ANSYS archive (.cdb): mesh, materials, masses", endings=(".cdb",), read=read_ansys),
     "ansys-full": Importer(about="ANSYS .full: K and M", endings=(".full",), read=import_ansys_full),

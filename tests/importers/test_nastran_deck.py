@@ -12,7 +12,7 @@ from morembs.fem.material import isotropic, orthotropic
 from morembs.fem.surface import nodal_areas, outer_faces
 from morembs.importers.decks.problems import DeckError
 from morembs.importers.nastran.cards import real
-from morembs.importers.nastran.importer import import_nastran, read_nastran
+from morembs.importers.nastran.importer import read_nastran
 from morembs.importers.to_model import model_of
 from morembs.importers.tolerances import TOL
 from morembs.problem import Problem
@@ -48,7 +48,7 @@ def bulk(tmp_path):
     def write(text, name="model.bdf"):
         path = tmp_path / name
         path.write_text(text)
-        return import_nastran(path)
+        return read_nastran(path).imported()
 
     return write
 
@@ -71,7 +71,7 @@ def test_every_type_in_every_form_gives_the_stiffness_of_its_mesh(kind, form, bu
 def test_meshio_reads_the_same_elements(kind, tmp_path):
     path = tmp_path / "model.bdf"
     path.write_text("BEGIN BULK\n" + nastran_mesh(box(kind, (2, 1, 1), (0.5, 0.25, 0.125)), "small") + "ENDDATA\n")
-    ours, theirs = read_nastran(path), meshio.read(path)
+    ours, theirs = read_nastran(path).mesh(), meshio.read(path)
     assert np.allclose(ours.nodes.xyz, theirs.points, rtol=0, atol=1e-12)
     assert np.array_equal(ours.blocks[0].nodes, theirs.cells[0].data)
 
@@ -232,7 +232,7 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
         ("GRID,10,,0.,0.,.1\n", "grid 10 twice"),
         ("GRID,11,5,0.,0.,0.\n", "coordinate system 5, which is not defined"),
         ("CTETRA,7,1,10,20,30,50\n", "element 7 twice"),
-        ("CTETRA,8,1,10,20,30,55\n", "names the grid 55"),
+        ("CTETRA,8,1,10,20,30,55\n", "elements name the grid 55"),
         ("CTETRA,8,1,10,20,30\n", "CTETRA 8 has 3 nodes"),
         ("CTETRA,8,1,10,20,,50,60,70\n", "CTETRA 8 has 5 nodes"),
         (
@@ -564,7 +564,7 @@ def test_thermal_expansion_of_a_rigid_element_is_no_grid(bulk):
 def test_two_blocks_by_comsol(shared_data):
     """119 nodes, 358 tetrahedra of two properties fill a box with a volume of its own; no material is named."""
     path = shared_data / "finetools" / "twoblocks.nas"
-    imported, theirs = import_nastran(path), meshio.read(path)
+    imported, theirs = read_nastran(path).imported(), meshio.read(path)
     assert len(imported.nodes) == 119 and np.array_equal(imported.mesh.blocks[0].nodes, theirs.cells[0].data)
     assert not imported.materials
     assert sum("names no material" in why.sentence for why in imported.incomplete.values()) == 2
@@ -591,7 +591,7 @@ def test_damaged_files_end_in_one_message(tmp_path):
     for data in damaged(sources, 450, 7, b"0123456789,.*-=+\n\r\t AzE$'\xff\x00"):
         path.write_bytes(data)
         try:
-            import_nastran(path)
+            read_nastran(path).imported()
         except InputError:
             refused += 1
     assert refused > 100
@@ -687,7 +687,7 @@ def test_cards_are_skipped_and_densities_given_where_asked(tmp_path):
     path.write_text(CUBE + "CQUAD4,8,1,10,20,30,40\nRBE2,9,11,123,10\nPSOLID,1,1\nMAT1,1,2.1+11,,.3\nMATT1,1,7\n")
     words = r"has 3 problems: .*1 CQUAD4.*RBE2 9 names the grid 11.*has no density"
     with pytest.raises(DeckError, match=words) as told:
-        import_nastran(path)
+        read_nastran(path).imported()
     assert "--skip CQUAD4,RBE2 --density X" in str(told.value)
-    imported = import_nastran(path, skip=["CQUAD4", "RBE2"], density=7850.0)
+    imported = read_nastran(path, skip=["CQUAD4", "RBE2"], density=7850.0).imported()
     assert imported.materials[0].density == 7850.0 and len(imported.warnings) == 4

@@ -53,7 +53,7 @@ def import_deck(deck: DeckTables) -> Imported:
     problems = _problems(deck)
     with problems.ending():
         deck = with_middles(deck)
-        tied = _tied(deck)
+        tied = couplings_of(deck)
         solids = join(deck, nodes_of(tied.ties))
         mesh = _mesh(deck, solids)
         given, lacking = _materials(deck)
@@ -84,7 +84,7 @@ def mesh_of(deck: DeckTables) -> Mesh:
     problems = _problems(deck)
     with problems.ending():
         deck = with_middles(deck)
-    names = list(dict.fromkeys(tie.name for tie in _tied(deck).ties))
+    names = list(dict.fromkeys(tie.name for tie in couplings_of(deck).ties))
     if names:
         what = f"{deck.name} has {', '.join(names[:10])}, which a mesh cannot carry; import the whole deck, or take "
         problems.add(Problem(what=f"{what}them out", file=deck.name))
@@ -101,7 +101,8 @@ def _problems(deck: DeckTables) -> Problems:
     return problems
 
 
-def _tied(deck: DeckTables) -> Imported:
+def couplings_of(deck: DeckTables) -> Imported:
+    """Couplings, masses and springs of a deck, on labels."""
     return Imported(
         source=deck.name,
         rigid=deck.rigid,

@@ -52,36 +52,12 @@ def with_middles(deck: DeckTables) -> DeckTables:
         ids=np.concatenate([deck.ids, first + np.arange(len(pairs))]),
         xyz=np.concatenate([deck.xyz, deck.xyz[corners].mean(axis=1)]),
         elements=tuple(elements),
-        equations=(*deck.equations, middle_equations(pairs, first)),
+        equations=(*deck.equations, _equations(pairs, first)),
         notes=(*deck.notes, note),
     )
 
 
-def filled(blocks: list[tuple[str, Ints]], first: int) -> tuple[list[Ints], Ints]:
-    """Nodes of quadratic elements without gaps, and the corners (m, 2) of the nodes that were added.
-
-    Args:
-        blocks: type, and rows of nodes (k, n) with -1 where there is none.
-        first: row of the first node that is added; elements with the same corners share one.
-    """
-    gaps: list[Ints] = [np.empty((0, 2), dtype=np.int64)]
-    places = []
-    for kind, nodes in blocks:
-        element, middle = np.nonzero(nodes < 0)
-        ends = _corners_of_middles(kind)[middle]
-        places.append((element, middle))
-        gaps.append(np.sort(nodes[element[:, None], ends], axis=1))
-    pairs, which = np.unique(np.concatenate(gaps), axis=0, return_inverse=True)
-    whole, at = [], 0
-    for (_, nodes), (element, middle) in zip(blocks, places, strict=True):
-        nodes = nodes.copy()
-        nodes[element, middle] = first + which.ravel()[at : at + len(element)]
-        at += len(element)
-        whole.append(nodes)
-    return whole, pairs
-
-
-def middle_equations(pairs: Ints, first: int) -> Equations:
+def _equations(pairs: Ints, first: int) -> Equations:
     """Displacements of the nodes from ``first`` on as means of those of the corners in ``pairs`` (m, 2)."""
     count = 3 * len(pairs)
     nodes = np.repeat(first + np.arange(len(pairs)), 3)

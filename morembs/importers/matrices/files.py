@@ -106,8 +106,9 @@ def _placed(nodes: Nodes, text: BulkText) -> Nodes:
     grids.sort([])
     if grids.cp.any() or (grids.cd > 0).any():
         return nodes
-    at = np.minimum(np.searchsorted(grids.ids, nodes.ids), len(grids.ids) - 1)
-    xyz = np.where((grids.ids[at] == nodes.ids)[:, None], grids.xyz[at], np.nan)
+    there = grids.labels.has(nodes.ids)
+    xyz = np.full((len(nodes), 3), np.nan)
+    xyz[there] = grids.xyz[grids.labels.rows(nodes.ids[there], "DMIG names")]
     return Nodes(ids=nodes.ids, xyz=xyz)
 
 

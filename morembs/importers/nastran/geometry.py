@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.importers.decks.algebra import axes_at, frame_of, points_of
+from morembs.importers.decks.labels import Labels
+from morembs.importers.decks.tables import System
 from morembs.importers.nastran.cards import Table, integer, real
 from morembs.importers.tolerances import TOL
 
@@ -46,6 +49,11 @@ class Systems:
                 if number < 1 or number in self._cards:
                     raise InputError(f"{self.file}: {name} {number} is defined twice, or below 1")
                 self._cards[number] = name, part
+
+    @property
+    def placed(self) -> dict[str, System]:
+        """The systems by number that are used, without the basic one."""
+        return {str(n): System(kind=k, origin=x, axes=axes) for n, (k, x, axes) in self._known.items() if n}
 
     def frame(self, number: int, grids: Grids, above: tuple[int, ...] = ()) -> tuple[str, Floats, Floats]:
         """Kind (R, C, S), origin (3,) and axes (3, 3, as rows) in the basic system."""
@@ -104,7 +112,7 @@ class Grids:
     fixed: int = 0
     superelements: int = 0
     repeated: int = 0
-    middles: int = 0
+    labels: Labels = field(init=False)
     _pieces: list[tuple[Ints, Floats, Ints, Ints]] = field(default_factory=list)
     _systems: list[tuple[NDArray[np.bool_], NDArray[np.bool_]]] = field(default_factory=list)
     _permanent: list[Ints] = field(default_factory=list)
@@ -148,13 +156,11 @@ class Grids:
             & (self.cp[twice] == self.cp[twice + 1])
             & (self.cd[twice] == self.cd[twice + 1])
         )
-        if not same.all() or self.ids[0] < 1:
-            at = self.ids[twice[~same][0]] if not same.all() else self.ids[0]
-            raise InputError(f"{self.file} defines the grid {at} twice, or below 1; expected unique labels")
-        if len(twice):
+        if len(twice := twice[same]):
             self.repeated = len(twice)
             for name in ("ids", "xyz", "cp", "cd", "ps"):
                 setattr(self, name, np.delete(getattr(self, name), twice, axis=0))
+        self.labels = Labels(self.ids, self.file, "grid")
 
     def place(self, systems: Systems) -> None:
         """Coordinates in the basic system."""
@@ -170,22 +176,16 @@ class Grids:
         if not (np.abs(self.xyz) < TOL.largest_number).all():
             raise InputError(f"{self.file}: coordinates are too large; check the grids and coordinate systems")
 
-    def add_middles(self, pairs: Ints) -> None:
-        """Grids behind all others in the middle of two, given by rows (m, 2)."""
-        self.middles, count = len(pairs), len(pairs)
-        self.ids = np.concatenate([self.ids, self.ids[-1] + 1 + np.arange(count)])
-        self.xyz = np.concatenate([self.xyz, self.xyz[pairs].mean(axis=1)])
-        none = np.zeros(count, dtype=np.int64)
+    def extend(self, ids: Ints, xyz: Floats) -> None:
+        """Grids behind all others, along the basic axes."""
+        none = np.zeros(len(ids), dtype=np.int64)
+        self.ids, self.xyz = np.concatenate([self.ids, ids]), np.concatenate([self.xyz, xyz])
         self.cp, self.cd, self.ps = (np.concatenate([part, none]) for part in (self.cp, self.cd, self.ps))
+        self.labels = Labels(self.ids, self.file, "grid")
 
     def rows(self, labels: Ints, who: str) -> Ints:
         """Rows of labels (any shape)."""
-        at = np.searchsorted(self.ids, labels)
-        at[at == len(self.ids)] = 0
-        wrong = self.ids[at] != labels
-        if wrong.any():
-            raise InputError(f"{self.file}: {who} names the grid {labels[wrong][0]}, which is not defined")
-        return at
+        return self.labels.rows(labels, f"{who.removeprefix(f'{self.file}: ')} names")
 
     def point(self, label: int, systems: Systems, who: str, above: tuple[int, ...]) -> Floats:
         """Coordinates (3,) of a grid in the basic system."""
@@ -227,21 +227,10 @@ class Solids:
     def __bool__(self) -> bool:
         return bool(self._pieces)
 
-    def blocks(self, grids: Grids) -> list[tuple[str, Ints, Ints, Ints]]:
-        """Type, labels, property ids and rows of grids of each type, -1 for middle nodes that are not there; what was
+    def blocks(self) -> Iterator[tuple[str, Ints, Ints, Ints]]:
+        """Type, labels, property ids and labels of grids of each type, 0 for middle nodes that are not there; what was
         added is given up.
         """
-        blocks = []
         for kind in list(self._pieces):
             ids, pids, nodes = (np.concatenate(part) for part in zip(*self._pieces.pop(kind), strict=True))
-            there = nodes != 0
-            rows = np.full(nodes.shape, -1, dtype=np.int64)
-            rows[there] = grids.rows(nodes[there], f"an element {kind}")
-            blocks.append((kind, ids, pids, rows))
-        if not blocks:
-            raise InputError(f"{self.file} has no solid elements; expected {', '.join(SOLIDS)}")
-        labels = np.sort(np.concatenate([ids for _, ids, *_ in blocks]))
-        twice = np.flatnonzero(np.diff(labels) == 0)
-        if len(twice):
-            raise InputError(f"{self.file} defines the element {labels[twice[0]]} twice; expected unique labels")
-        return blocks
+            yield kind, ids, pids, nodes

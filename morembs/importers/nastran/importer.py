@@ -7,25 +7,21 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from morembs.base.errors import InputError
-from morembs.base.types import Ints
-from morembs.fem import ElementBlock, Mesh, Nodes
-from morembs.fem.constraints import Equations
-from morembs.importers.decks.formulations import Meaning, nastran_mass_warnings, nastran_meaning, warnings_of
-from morembs.importers.decks.missing_middles import filled, middle_equations
-from morembs.importers.decks.options import DeckOptions, deck_options, left_out
-from morembs.importers.decks.problems import Problem
-from morembs.importers.imported import Imported, first_nodes, nodes_of
+from morembs.base.types import Bools, Ints
+from morembs.importers.decks.formulations import nastran_mass_warnings, nastran_meaning, warnings_of
+from morembs.importers.decks.labels import Labels, ranges_by_number, ranges_of
+from morembs.importers.decks.model import Deck
+from morembs.importers.decks.options import deck_options, left_out
+from morembs.importers.decks.tables import Elements, LeftOut
+from morembs.importers.imported import Imported, nodes_of
 from morembs.importers.nastran.bulk import Bulk
 from morembs.importers.nastran.geometry import card_of
-from morembs.importers.nastran.names import OF_TEMPERATURE, RESTRAINTS, RIGID, SCALARS
+from morembs.importers.nastran.names import OF_TEMPERATURE, RESTRAINTS, SCALARS
 from morembs.importers.nastran.properties import Materials, labels_of, padded
 from morembs.importers.nastran.rigid import Ties
 from morembs.importers.nastran.springs import Springs
@@ -35,36 +31,17 @@ OFF = ("-1", "NO", "")
 _SET = re.compile(r"^[ \t]*SET[ \t]+(\d{1,9})[ \t]*=((?:[^\n]*,[ \t]*\n)*[^\n]*)", re.MULTILINE | re.IGNORECASE)
 
 
-def read_nastran(path: Path, *, allow_includes_outside: bool = False) -> Mesh:
-    """Mesh of bulk data in the units of the file; materials are not read.
-
-    Raises:
-        InputError: not bulk data, or cards that a mesh cannot carry.
-    """
-    bulk = Bulk(path, outside=allow_includes_outside)
-    ties = [name for name in (*RIGID, "CONM1", "CONM2", "MPC", "CBUSH", *SCALARS) if bulk.rows[name]]
-    if ties:
-        what = f"{bulk.file} has {', '.join(ties)}, which a mesh cannot carry; import the whole file, or take them out"
-        bulk.problems.add(Problem(what=what, file=bulk.file, keyword=ties[0]))
-    bulk.problems.refuse()
-    parts, middles = solid_parts(bulk)
-    if middles:
-        raise InputError(f"{bulk.file} has edges without middle nodes, which a mesh cannot carry; import it all")
-    return bulk_mesh(bulk, parts, np.empty(0, dtype=np.int64), [])[0]
-
-
-def import_nastran(
+def read_nastran(
     path: str | Path,
     *,
     density: float | dict[str, float] | None = None,
     skip: list[str] | str = "",
     allow_includes_outside: bool = False,
-) -> Imported:
-    """All of a file of bulk data that a model can carry, in the units of the file, along the basic axes.
+) -> Deck:
+    """All of a file of bulk data by labels, in the units of the file, along the basic axes.
 
-    Elements of the property 3 are the set "PSOLID_3"; SET1 5 and SET 5 of case control are "SET1_5" and "SET_5". The
-    rows of ``nodes`` are those of ``mesh.nodes``, and behind them grids that belong to no element but are named by a
-    rigid element, a spring, an MPC or a mass. Restraints and loads are not applied (``notes`` say so).
+    Elements of the property 3 are the set "PSOLID_3"; SET1 5 and SET 5 of case control are "SET1_5" and "SET_5".
+    Restraints and loads are not applied (``notes`` say so).
 
     Args:
         density: of materials without one (before WTMASS), or set -> density, "all" standing for all.
@@ -74,42 +51,72 @@ def import_nastran(
     Peak memory: the numbers of the mesh about twice, besides a piece of the file as tables (about 150 MB).
 
     Raises:
-        DeckError: all that keeps the file from becoming a model: an ``InputError`` with ``problems``.
+        DeckError: what ends the reading, with all problems that were found before.
     """
-    options = deck_options(density, "refuse", skip)
-    bulk = Bulk(Path(path), outside=allow_includes_outside, options=options)
-    notes: list[str] = []
+    bulk = Bulk(Path(path), outside=allow_includes_outside, options=deck_options(density, "refuse", skip))
     with bulk.problems.ending():
         scale = bulk.mass_scale()
-        parts, middles = list[Part](), None
-        with bulk.problems.collected():
-            parts, middles = solid_parts(bulk)
+        parts = solid_elements(bulk)
         ties, springs = tied(bulk, grids_of(bulk, parts), scale)
-        if not parts:
-            bulk.problems.refuse()
-        everything = Imported(
-            source=bulk.file,
-            rigid=tuple(ties.rigid),
-            average=tuple(ties.average),
-            masses=tuple(ties.masses),
-            equations=(*ties.equations, *([middles] if middles else [])),
-            discrete=tuple(springs.elements),
-        )
-        mesh, nodes, row = bulk_mesh(bulk, parts, nodes_of(everything.ties), notes)
-        pids = [int(name.removeprefix("PSOLID_")) for name in mesh.element_sets if name.startswith("PSOLID_")]
-        materials = Materials(bulk.file, scale)
-        assigned = materials.of(pids, bulk.rows["PSOLID"], bulk.rows, bulk.systems, bulk.grids)
-    given = DeckOptions(density={name: scale * value for name, value in options.density.items()})
-    whole, lacking, said = given.all_materials(bulk.problems, assigned, materials.lacking)
-    return replace(
-        everything.on_rows(row),
-        nodes=nodes,
-        mesh=mesh,
-        materials=whole,
-        incomplete=lacking,
+        return deck_of(bulk, parts, ties, springs, Materials(bulk.file, scale))
+
+
+def deck_of(
+    bulk: Bulk,
+    parts: Sequence[Elements],
+    ties: Ties,
+    springs: Springs,
+    materials: Materials | None = None,
+    more: Ints | None = None,
+) -> Deck:
+    """The tables of bulk data with the solids ``parts``.
+
+    Args:
+        materials: reads those of solids; None leaves them to the caller.
+        more: rows of grids of elements that are no solids.
+    """
+    grids, scale, remarks = bulk.grids, ties.scale, list[str]()
+    whole = Imported(
+        source=bulk.file,
+        rigid=tuple(ties.rigid),
+        average=tuple(ties.average),
+        masses=tuple(ties.masses),
+        equations=tuple(ties.equations),
+        discrete=tuple(springs.elements),
+    )
+    used = grids_of(bulk, parts)
+    used[np.concatenate([nodes_of(whole.ties), *([] if more is None else [more])])] = True
+    properties = ranges_by_number((part.ids, part.numbers["property"]) for part in parts)
+    node_sets, element_sets = _sets(bulk, used, parts, remarks)
+    sections = [] if materials is None else materials.of(list(properties), bulk.rows, bulk.systems, grids)
+    whole = whole.on_rows(grids.ids.__getitem__)
+    return Deck(
+        name=bulk.file,
+        program="Nastran",
+        node="grid",
+        ids=grids.ids,
+        xyz=grids.xyz,
+        elements=tuple(parts),
+        node_sets=node_sets,
+        element_sets={f"PSOLID_{pid}": ranges for pid, ranges in properties.items()} | element_sets,
+        materials={} if materials is None else materials.known,
+        sections=tuple(sections),
+        rigid=whole.rigid,
+        average=whole.average,
+        masses=whole.masses,
+        equations=whole.equations,
+        discrete=whole.discrete,
+        systems=bulk.systems.placed,
+        turned=grids.ids[grids.cd != 0],
+        left_out={name: LeftOut(count, _why(name)) for name, count in bulk.noted.items()},
+        notes=tuple(notes_of(bulk, scale)),
+        remarks=(*remarks, *([] if materials is None else materials.notes), *ties.notes),
+        warnings=(*skipped_warnings(bulk), *dict.fromkeys([] if materials is None else materials.warnings)),
+        mesh_warnings=_warnings(bulk, parts),
+        problems=tuple(bulk.problems.entries),
+        options=bulk.options,
+        mass_scale=scale,
         seams=True,
-        notes=(*notes_of(bulk, scale), *notes, *materials.notes, *ties.notes),
-        warnings=(*skipped_warnings(bulk), *dict.fromkeys(materials.warnings), *said),
     )
 
 
@@ -124,15 +131,16 @@ def skipped_warnings(bulk: Bulk) -> list[str]:
     return [*skipped, *cold]
 
 
-def grids_of(bulk: Bulk, parts: Sequence[Part]) -> NDArray[np.bool_]:
+def grids_of(bulk: Bulk, parts: Sequence[Elements]) -> Bools:
     """Which grids solids have."""
     solid = np.zeros(len(bulk.grids.ids), dtype=bool)
     for part in parts:
-        solid[part.nodes] = True
+        nodes = part.nodes[bulk.grids.labels.has(part.nodes)]
+        solid[bulk.grids.labels.rows(nodes, "elements name")] = True
     return solid
 
 
-def tied(bulk: Bulk, solid: NDArray[np.bool_], scale: float) -> tuple[Ties, Springs]:
+def tied(bulk: Bulk, solid: Bools, scale: float) -> tuple[Ties, Springs]:
     """Rigid elements, equations, masses and springs; their faults are problems. ``solid`` grids have no rotations."""
     ties = Ties(bulk.grids, bulk.systems, scale, solid)
     springs = Springs(bulk.grids, bulk.systems, bulk.rows, scale)
@@ -157,33 +165,29 @@ def tied(bulk: Bulk, solid: NDArray[np.bool_], scale: float) -> tuple[Ties, Spri
     return ties, springs
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Part:
-    """Solids (k,) of one type and meaning: labels, property ids and ``nodes`` (k, n), rows of grids."""
-
-    type: str
-    meaning: Meaning
-    ids: Ints
-    pids: Ints
-    nodes: Ints
-
-
-def solid_parts(bulk: Bulk) -> tuple[list[Part], Equations | None]:
-    """All solids, and equations of the middle nodes that they lack; ``bulk.solids`` gives them up."""
+def solid_elements(bulk: Bulk) -> list[Elements]:
+    """All solids by shape and meaning, with the numbers of their "property"; ``bulk.solids`` gives them up."""
     full = [int(words[0]) for row in bulk.rows["PSOLID"] if is_full(words := padded(row, 6))]
-    parts, first = [], len(bulk.grids.ids)
-    blocks = bulk.solids.blocks(bulk.grids)
-    whole, pairs = filled([(kind, nodes) for kind, *_, nodes in blocks], first)
-    if len(pairs):
-        bulk.grids.add_middles(pairs)
-    for (kind, ids, pids, _), nodes in zip(blocks, whole, strict=True):
-        asked = np.isin(pids, full)
-        of = {given: nastran_meaning(card_of(kind), nodes.shape[1], full=given) for given in (False, True)}
+    parts = []
+    for shape, ids, pids, nodes in bulk.solids.blocks():
+        code, asked = card_of(shape), np.isin(pids, full)
+        of = {given: nastran_meaning(code, nodes.shape[1], full=given) for given in (False, True)}
         for meaning in dict.fromkeys(of.values()):
             rows = np.flatnonzero(np.where(asked, of[True] == meaning, of[False] == meaning))
             if len(rows):
-                parts.append(Part(type=kind, meaning=meaning, ids=ids[rows], pids=pids[rows], nodes=nodes[rows]))
-    return parts, middle_equations(pairs, first) if len(pairs) else None
+                numbers = {"property": pids[rows]}
+                parts.append(
+                    Elements(
+                        code=code,
+                        kind="solid",
+                        shape=shape,
+                        ids=ids[rows],
+                        nodes=nodes[rows],
+                        meaning=meaning,
+                        numbers=numbers,
+                    )
+                )
+    return parts
 
 
 def is_full(words: list[str]) -> bool:
@@ -191,67 +195,24 @@ def is_full(words: list[str]) -> bool:
     return words[0].isdigit() and words[5].upper() in ("1", "FULL") and words[3].upper() in ("2", "TWO", "3", "THREE")
 
 
-def _warnings(bulk: Bulk, parts: Sequence[Part]) -> tuple[str, ...]:
+def _warnings(bulk: Bulk, parts: Sequence[Elements]) -> tuple[str, ...]:
     """What the element types mean otherwise in Nastran, and what the text warns of."""
-    names = ((f"{card_of(part.type)} with {part.nodes.shape[1]} nodes", len(part.ids), part.meaning) for part in parts)
+    names = ((f"{part.code} with {part.nodes.shape[1]} nodes", len(part.ids), part.meaning) for part in parts)
     consistent = bulk.parameter("COUPMASS", "-1").lstrip("+") not in OFF
     mass = nastran_mass_warnings(sum(len(part.ids) for part in parts), consistent=consistent)
     return (*warnings_of("Nastran", names), *mass, *bulk.text.warnings)
 
 
-def bulk_mesh(bulk: Bulk, parts: Sequence[Part], extra: Ints, notes: list[str]) -> tuple[Mesh, Nodes, Ints]:
-    """Mesh, its nodes with ``extra`` rows behind them, and the row among these of all grids (or -1)."""
-    grids = bulk.grids
-    used = np.zeros(len(grids.ids), dtype=bool)
-    for part in parts:
-        used[part.nodes] = True
-    kept, loose = np.flatnonzero(used), np.unique(extra[~used[extra]])
-    row = np.full(len(grids.ids), -1, dtype=np.int64)
-    row[kept] = np.arange(len(kept))
-    row[loose] = len(kept) + np.arange(len(loose))
-    blocks = tuple(
-        ElementBlock(
-            type=part.type,
-            nodes=row[part.nodes],
-            ids=part.ids,
-            formulation=part.meaning.formulation,
-            mass=part.meaning.mass,
-        )
-        for part in parts
-    )
-    properties = [part.pids for part in parts]
-    element_sets = {
-        f"PSOLID_{pid}": tuple(np.flatnonzero(own == pid) for own in properties)
-        for pid in np.unique(np.concatenate([np.unique(own) for own in properties])).tolist()
-    }
-    left = len(grids.ids) - len(kept) - len(loose)
-    if left:
-        notes.append(f"{left} grids belong to no element and were left out (first: {grids.ids[row < 0][0]}).")
-    node_sets = sets_of(bulk, row, blocks, element_sets, notes)
-    both = np.concatenate([kept, loose])
-    nodes = Nodes(ids=grids.ids[both], xyz=grids.xyz[both], sets=node_sets)
-    mesh = Mesh(
-        nodes=first_nodes(nodes, len(kept)),
-        blocks=blocks,
-        element_sets=element_sets,
-        source=bulk.file,
-        warnings=_warnings(bulk, parts),
-    )
-    return mesh, nodes, row
-
-
-def sets_of(
-    bulk: Bulk, row: Ints, blocks: tuple[ElementBlock, ...], element_sets: dict[str, tuple[Ints, ...]], notes: list[str]
-) -> dict[str, Ints]:
-    """Node sets of SET1 and of case control; a set of case control that fits elements only goes to ``element_sets``."""
-    ids, sets = bulk.grids.ids, dict[str, Ints]()
+def _sets(
+    bulk: Bulk, used: Bools, parts: Sequence[Elements], notes: list[str]
+) -> tuple[dict[str, Ints], dict[str, Ints]]:
+    """Sets of SET1 and of case control, of grids and of elements; one of case control that fits grids which are
+    ``used`` is of these."""
+    ids, node_sets, element_sets = bulk.grids.ids, dict[str, Ints](), dict[str, Ints]()
     for card in bulk.rows["SET1"]:
         what = f"{bulk.file}: SET1 {padded(card, 1)[0]}"
-        rows = row[bulk.grids.rows(np.array(labels_of(card[1:], what, ids), dtype=np.int64), what)]
-        if (rows >= 0).any():
-            sets[f"SET1_{card[0]}"] = np.unique(rows[rows >= 0])
-        else:
-            notes.append(f"SET1 {padded(card, 1)[0]} holds no node of the model and was left out.")
+        node_sets[f"SET1_{card[0]}"] = ranges_of(np.array(labels_of(card[1:], what, ids), dtype=np.int64))
+    known = Labels(np.unique(np.concatenate([ids[:0], *(part.ids for part in parts)])), bulk.file, "element")
     for number, text in _SET.findall(bulk.text.head):
         words = text.upper().replace(",", " ").split()
         name, what = f"SET_{int(number)}", f"{bulk.file}: SET {number}"
@@ -259,20 +220,21 @@ def sets_of(
             notes.append(f"SET {number} of case control is not a plain list of labels and was left out.")
             continue
         labels = np.array(labels_of(words, what, ids), dtype=np.int64)
-        if np.isin(labels, ids).all():
-            rows = row[bulk.grids.rows(labels, what)]
-            if (rows >= 0).any():
-                sets[name] = np.unique(rows[rows >= 0])
-                notes.append(f"SET {number} of case control was read as a set of grids.")
-                continue
-        known = np.sort(np.concatenate([block.ids for block in blocks] or [np.empty(0, dtype=np.int64)]))
-        labels = np.array(labels_of(words, what, known), dtype=np.int64)
-        if np.isin(labels, known).all() and len(labels):
-            element_sets[name] = tuple(np.flatnonzero(np.isin(block.ids, labels)) for block in blocks)
+        if bulk.grids.labels.has(labels).all() and used[bulk.grids.labels.rows(labels, what)].any():
+            node_sets[name] = ranges_of(labels)
+            notes.append(f"SET {number} of case control was read as a set of grids.")
+            continue
+        labels = np.array(labels_of(words, what, known.ids), dtype=np.int64)
+        if known.has(labels).all() and len(labels):
+            element_sets[name] = ranges_of(labels)
             notes.append(f"SET {number} of case control was read as a set of elements.")
         else:
             notes.append(f"SET {number} of case control names neither grids nor elements only and was left out.")
-    return sets
+    return node_sets, element_sets
+
+
+def _why(name: str) -> str:
+    return "not applied; the body is free" if name in RESTRAINTS else "not carried over"
 
 
 def notes_of(bulk: Bulk, scale: float) -> list[str]:
@@ -281,19 +243,13 @@ def notes_of(bulk: Bulk, scale: float) -> list[str]:
     if bulk.text.head.strip():
         notes.append("Executive and case control are not carried over, sets of labels excepted.")
     for name, count in bulk.noted.items():
-        reason = "not applied; the body is free" if name in RESTRAINTS else "not carried over"
-        notes.append(f"{count} {name}: {reason}.")
+        notes.append(f"{count} {name}: {_why(name)}.")
     if bulk.grids.fixed:
         notes.append("Permanent restraints of grids (PS) are not applied; the body is free.")
     if bulk.grids.repeated:
         notes.append(f"{bulk.grids.repeated} grids are given twice in the same way.")
     if bulk.grids.superelements:
         notes.append(f"{bulk.grids.superelements} grids belong to superelements (SEID); all of the file is one model.")
-    if bulk.grids.middles:
-        notes.append(
-            f"{bulk.grids.middles} edges of quadratic elements have no middle node; nodes with labels from "
-            f"{bulk.grids.ids[-bulk.grids.middles]} were added, which move as the means of their corners."
-        )
     turned = int((bulk.grids.cd != 0).sum())
     if turned:
         notes.append(f"{turned} grids have axes of their own (CD); here all motions are along the basic axes.")

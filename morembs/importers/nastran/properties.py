@@ -6,9 +6,9 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.fem.material import Material, isotropic, orthotropic
+from morembs.fem.material import isotropic, orthotropic
 from morembs.importers.decks.algebra import rotate_stiffness
-from morembs.importers.imported import Lacking
+from morembs.importers.decks.tables import ElasticMaterial, Section
 from morembs.importers.nastran.cards import integer, real
 from morembs.importers.nastran.geometry import Grids, Systems
 from morembs.importers.tolerances import TOL
@@ -24,52 +24,61 @@ def padded(row: list[str], count: int) -> list[str]:
 
 
 class Materials:
-    """PSOLID, MAT1, MAT9 and MAT11 as a material for each property."""
+    """PSOLID, MAT1, MAT9 and MAT11: a section for each property, and the materials that are ``known`` by name."""
 
     def __init__(self, file: str, scale: float) -> None:
         self.file, self.scale = file, scale
         self.notes: list[str] = []
         self.warnings: list[str] = []
-        self.lacking: dict[str, Lacking] = {}
+        self.known: dict[str, ElasticMaterial] = {}
 
-    def of(
-        self, pids: list[int], psolid: Rows, mats: dict[str, Rows], systems: Systems, grids: Grids
-    ) -> list[Material]:
-        """Materials of the properties ``pids``, their densities times PARAM WTMASS."""
-        properties = self._by_number("PSOLID", psolid)
-        cards = {name: self._by_number(name, mats[name]) for name in ("MAT1", "MAT9", "MAT11")}
-        of: dict[int, str] = {}
-        for card, given in cards.items():
-            for mid in given:
-                if mid in of:
-                    raise InputError(f"{self.file} defines the material {mid} as {of[mid]} and as {card}")
-                of[mid] = card
-        materials = []
+    def of(self, pids: list[int], rows: dict[str, Rows], systems: Systems, grids: Grids) -> list[Section]:
+        """Sections of the properties ``pids``, their densities times PARAM WTMASS."""
+        properties = self._by_number("PSOLID", rows["PSOLID"])
+        readers = {"MAT1": self._mat1, "MAT9": self._mat9, "MAT11": self._mat11}
+        cards: dict[int, tuple[str, list[str]]] = {}
+        for card in readers:
+            for mid, row in self._by_number(card, rows[card]).items():
+                if mid in cards:
+                    raise InputError(f"{self.file} defines the material {mid} as {cards[mid][0]} and as {card}")
+                cards[mid] = card, row
+        sections = []
         for pid in pids:
-            name = f"PSOLID_{pid}"
+            code, set_ = f"PSOLID {pid}", f"PSOLID_{pid}"
             if pid not in properties:
-                self.lacking[name] = Lacking(sentence=f"the property {pid} of solids is not in the file")
+                lacks = f"the property {pid} of solids is not in the file"
+                sections.append(Section(set=set_, code=code, lacks=lacks))
                 continue
             row = padded(properties[pid], 8)
             if row[6] and row[6].upper() not in ("SMECH", "0"):
-                raise InputError(f"{self.file}: PSOLID {pid} is of the kind {row[6]!r}; expected a structural one")
-            mid = integer(row[1], f"{self.file}: PSOLID {pid}")
-            if mid not in of:
-                what = f"names the material {mid}, which is no {', '.join(cards)} there" if mid else "names no material"
-                self.lacking[name] = Lacking(sentence=f"PSOLID {pid} {what}")
-            elif of[mid] == "MAT1":
-                materials += self._mat1(name, mid, cards["MAT1"][mid])
-            else:
-                take = self._mat9 if of[mid] == "MAT9" else self._mat11
-                C, density = take(mid, cards[of[mid]][mid])
-                what = f"{self.file}: {of[mid]} {mid}"
-                C = self._along(C, integer(row[2], f"{self.file}: PSOLID {pid}"), what, systems, grids)
-                if density:
-                    materials.append(Material(set=name, stiffness=C, density=density * self.scale))
-                else:
-                    like = Material(set=name, stiffness=C, density=1.0)
-                    materials += self._without_density(name, f"{of[mid]} {mid}", like)
-        return materials
+                raise InputError(f"{self.file}: {code} is of the kind {row[6]!r}; expected a structural one")
+            mid = integer(row[1], f"{self.file}: {code}")
+            if mid not in cards:
+                what = (
+                    f"names the material {mid}, which is no {', '.join(readers)} there" if mid else "names no material"
+                )
+                sections.append(Section(set=set_, code=code, lacks=f"{code} {what}"))
+                continue
+            card, fields = cards[mid]
+            name = f"{card} {mid}"
+            if name not in self.known:
+                self.known[name] = readers[card](mid, fields, set_)
+            material = self.known[name]
+            system = integer(row[2], f"{self.file}: {code}") if card != "MAT1" else 0
+            axes = self._axes(system, f"{self.file}: {name}", systems, grids)
+            C, density = material.stiffness, material.density
+            sections.append(
+                Section(
+                    set=set_,
+                    code=code,
+                    material=name,
+                    stiffness=C if axes is None or C is None else rotate_stiffness(C, axes),
+                    density=density,
+                    lacks="" if density else f"{name} of the set {set_} has no density",
+                    axes=axes,
+                )
+            )
+        return sections
 
     def _by_number(self, name: str, rows: Rows) -> dict[int, list[str]]:
         cards: dict[int, list[str]] = {}
@@ -80,7 +89,7 @@ class Materials:
             cards[number] = row
         return cards
 
-    def _mat1(self, name: str, mid: int, row: list[str]) -> list[Material]:
+    def _mat1(self, mid: int, row: list[str], set_: str) -> ElasticMaterial:
         what, row = f"{self.file}: MAT1 {mid}", padded(row, 8)
         E, G, nu, rho = (real(text, what) for text in row[1:5])
         given = [bool(text) for text in row[1:4]]
@@ -101,41 +110,39 @@ class Materials:
             nu = E / (2 * G) - 1
         if row[7] and real(row[7], what):
             self.notes.append(f"MAT1 {mid}: the structural damping GE = {row[7]} is not carried over.")
-        if not rho:
-            return self._without_density(name, f"MAT1 {mid}", isotropic(set=name, young=E, poisson=nu, density=1.0))
-        return [isotropic(set=name, young=E, poisson=nu, density=rho * self.scale)]
+        C = isotropic(set=set_, young=E, poisson=nu, density=1.0).stiffness
+        return self._material(f"MAT1 {mid}", C, rho, {"E": E, "G": G, "NU": nu})
 
-    def _mat9(self, mid: int, row: list[str]) -> tuple[Floats, float]:
-        """Stiffness (6, 6) along the axes of the material, and density."""
+    def _mat9(self, mid: int, row: list[str], set_: str) -> ElasticMaterial:
         numbers = [real(text, f"{self.file}: MAT9 {mid}") for text in padded(row, 23)[1:23]]
         C = np.zeros((6, 6))
         C[np.triu_indices(6)] = numbers[:21]
-        return (C + np.triu(C, 1).T)[np.ix_(np.argsort(_MAT9), np.argsort(_MAT9))], numbers[21]
+        C = (C + np.triu(C, 1).T)[np.ix_(np.argsort(_MAT9), np.argsort(_MAT9))]
+        return self._material(f"MAT9 {mid}", C, numbers[21], {})
 
-    def _mat11(self, mid: int, row: list[str]) -> tuple[Floats, float]:
-        """Stiffness (6, 6) along the axes of the material, and density."""
-        e1, e2, e3, n12, n13, n23, g12, g13, g23, density = (
-            real(text, f"{self.file}: MAT11 {mid}") for text in padded(row, 11)[1:11]
-        )
+    def _mat11(self, mid: int, row: list[str], set_: str) -> ElasticMaterial:
+        names = ("E1", "E2", "E3", "NU12", "NU13", "NU23", "G12", "G13", "G23")
+        *numbers, density = (real(text, f"{self.file}: MAT11 {mid}") for text in padded(row, 11)[1:11])
+        e1, e2, e3, n12, n13, n23, g12, g13, g23 = numbers
         material = orthotropic(
-            set="all", young=(e1, e2, e3), poisson=(n12, n13, n23), shear=(g12, g13, g23), density=density or 1.0
+            set=set_, young=(e1, e2, e3), poisson=(n12, n13, n23), shear=(g12, g13, g23), density=1.0
         )
-        return material.stiffness, density
+        return self._material(f"MAT11 {mid}", material.stiffness, density, dict(zip(names, numbers, strict=True)))
 
-    def _along(self, C: Floats, system: int, what: str, systems: Systems, grids: Grids) -> Floats:
-        """Stiffness along the basic axes of a material along those of a system (CORDM)."""
+    def _material(self, name: str, C: Floats, density: float, constants: dict[str, float]) -> ElasticMaterial:
+        scaled = density * self.scale if density else None
+        return ElasticMaterial(name=name, stiffness=C, density=scaled, constants=constants)
+
+    def _axes(self, system: int, what: str, systems: Systems, grids: Grids) -> Floats | None:
+        """Directions of a material along those of a system (CORDM), as rows along the basic axes."""
         if not system:
-            return C
+            return None
         if system < 0:
             raise InputError(f"{what}: its directions are those of each element (CORDM = {system}); expected a system")
         kind, _, axes = systems.frame(system, grids)
         if kind != "R":
             raise InputError(f"{what}: its directions vary (CORDM = {system} is not rectangular); expected CORD2R")
-        return rotate_stiffness(C, axes)
-
-    def _without_density(self, name: str, card: str, like: Material) -> list[Material]:
-        self.lacking[name] = Lacking(sentence=f"{card} of the set {name} has no density", stiffness=like.stiffness)
-        return []
+        return axes
 
 
 def labels_of(texts: list[str], what: str, known: Ints) -> list[int]:

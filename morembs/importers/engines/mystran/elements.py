@@ -178,7 +178,7 @@ def _nothing(what: str, words: list[str], grids: Ints) -> tuple[list[Field], str
     return [], ""
 
 
-def solid_elements(bulk: Bulk, mesh: Mesh, sections: Sections) -> list[Elements]:
+def solid_cards(bulk: Bulk, mesh: Mesh, sections: Sections) -> list[Elements]:
     """The solids of a mesh whose element sets PSOLID_3, ... are the properties."""
     rows = bulk.grids.rows(mesh.nodes.ids, "a solid")
     result = []

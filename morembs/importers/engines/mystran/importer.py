@@ -12,25 +12,20 @@ from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
 from morembs.base.limits import Positive, PositiveCount
 from morembs.base.types import Ints
-from morembs.fem import DofMap, Mesh, Nodes, rigid_motion
+from morembs.fem import DofMap, rigid_motion
 from morembs.fem.constraints import Equations
 from morembs.fem.handedness import right_handed
+from morembs.importers.decks.join import couplings_of, join
+from morembs.importers.decks.missing_middles import with_middles
 from morembs.importers.decks.options import Boundary, DeckOptions, deck_options, lacking_problems
-from morembs.importers.engines.mystran.elements import STRUCTURES, Structures, solid_elements
+from morembs.importers.decks.tables import DeckTables
+from morembs.importers.engines.mystran.elements import STRUCTURES, Structures, solid_cards
 from morembs.importers.engines.mystran.program import Mystran, cores, mystran_path
 from morembs.importers.engines.mystran.rotations import turning, with_springs
 from morembs.importers.engines.mystran.sections import CARDS, Sections
 from morembs.importers.imported import Imported, nodes_of
 from morembs.importers.nastran.bulk import Bulk
-from morembs.importers.nastran.importer import (
-    bulk_mesh,
-    grids_of,
-    notes_of,
-    sets_of,
-    skipped_warnings,
-    solid_parts,
-    tied,
-)
+from morembs.importers.nastran.importer import deck_of, grids_of, notes_of, skipped_warnings, solid_elements, tied
 from morembs.importers.nastran.names import RESTRAINTS
 from morembs.importers.nastran.restraints import held_directions, held_equations
 from morembs.importers.tolerances import TOL
@@ -129,43 +124,33 @@ class _Deck:
             self.scale, self.keep = bulk.mass_scale(), keep
             self.sections = Sections(bulk)
             self.structures = Structures(bulk, self.sections)
-            self.parts, middles = solid_parts(bulk) if bulk.solids else ([], None)
-            solid = grids_of(bulk, self.parts)
+            parts = solid_elements(bulk)
+            solid = grids_of(bulk, parts)
             for block in self.structures.blocks:
                 solid[block.nodes] = False
-            self.ties, springs = tied(bulk, solid, self.scale)
+            ties, springs = tied(bulk, solid, self.scale)
             self.held = held_directions(bulk) if keep else {}
-            self.whole = Imported(
-                source=bulk.file,
-                rigid=tuple(self.ties.rigid),
-                average=tuple(self.ties.average),
-                masses=tuple(self.ties.masses),
-                equations=(*self.ties.equations, *([middles] if middles else [])),
-                discrete=tuple(springs.elements),
-            )
-            self._mesh()
+            own = np.concatenate([bulk.grids.ids[:0], *(block.nodes.ravel() for block in self.structures.blocks)])
+            self._mesh(deck_of(bulk, parts, ties, springs, more=own), own)
             self.properties = self._properties(options)
         bulk.problems.refuse()
 
-    def _mesh(self) -> None:
-        """Nodes of the model, those of solids first, and all elements."""
-        bulk = self.bulk
-        own = [block.nodes.ravel() for block in self.structures.blocks]
-        extra = np.unique(np.concatenate([nodes_of(self.whole.ties), *own]))
-        self.mesh: Mesh | None = None
+    def _mesh(self, deck: DeckTables, own: Ints) -> None:
+        """Nodes of the model, those of solids first, and all elements; ``own`` rows of grids are of other elements."""
+        bulk, before = self.bulk, deck
+        deck = with_middles(deck)
+        bulk.grids.extend(deck.ids[len(before.ids) :], deck.xyz[len(before.ids) :])
+        tied = couplings_of(deck)
+        solids = join(deck, np.concatenate([nodes_of(tied.ties), deck.ids[own]]))
+        self.whole = tied.on_rows(lambda labels: solids.labels.rows(labels, "couplings name"))
+        self.row, self.mesh, nodes = solids.row, solids.mesh, solids.nodes
         self.blocks = list(self.structures.blocks)
-        if self.parts:
-            mesh, nodes, self.row = bulk_mesh(bulk, self.parts, extra, self.notes)
-            mesh = right_handed(replace(mesh, warnings=()))
-            self.warnings += [*mesh.warnings, *bulk.text.warnings]
-            self.mesh = mesh
-            self.blocks += solid_elements(bulk, mesh, self.sections)
-        else:
-            self.row = np.full(len(bulk.grids.ids), -1, dtype=np.int64)
-            self.row[extra] = np.arange(len(extra))
-            sets = sets_of(bulk, self.row, (), {}, self.notes)
-            nodes = Nodes(ids=bulk.grids.ids[extra], xyz=bulk.grids.xyz[extra], sets=sets)
-            self.warnings += bulk.text.warnings
+        self.notes += [*deck.notes[len(before.notes) :], *solids.notes, *deck.remarks]
+        if self.mesh is not None:
+            self.mesh = right_handed(replace(self.mesh, warnings=()))
+            self.warnings += self.mesh.warnings
+            self.blocks += solid_cards(bulk, self.mesh, self.sections)
+        self.warnings += bulk.text.warnings
         if not self.blocks:
             raise InputError(
                 f"{bulk.file} has no elements that MYSTRAN assembles; expected solids, {', '.join(STRUCTURES)}"
@@ -285,4 +270,4 @@ class _Deck:
             )
         skipped = "Permanent restraints" if self.keep else "\0"
         notes += [note for note in notes_of(self.bulk, self.scale) if not note.startswith(skipped)]
-        return [*notes, *self.notes, *self.ties.notes]
+        return [*notes, *self.notes]
