@@ -1,195 +1,284 @@
-"""How many decks of a folder become a model through CalculiX, and whether it is the model that CalculiX has.
+"""What own assembly and the engines make of all decks of folders, beside the frequencies of the deck's own program.
 
-    python -m benchmarks.decks /usr/share/doc/calculix-ccx-test/examples/test [--limit 1000] [--only NAME ...]
+    python -m benchmarks.decks FOLDER... [--rows 4000] [--only NAME ...] [--without WAY ...]
 
-Taken are decks with *ELASTIC and solids, shells or beams in space, without user or hyperelastic material. Each is
-imported with --contact skip --density 7.8e-9 --skip "CYCLIC SYMMETRY MODEL", free and with --boundary keep. For those
-of at most --limit rows ccx itself computes frequencies of the deck as it stands (its steps replaced by *FREQUENCY), and
-these are compared with those of the held model. Printed are a line for each deck and the figures of all; --json FILE
-keeps them.
+Each deck goes through own assembly, CalculiX, MYSTRAN and ``auto``, with the cures that their messages name. The first
+frequencies of each free model are compared with those of ccx (of MYSTRAN for Nastran decks) for the deck itself. A deck
+that its program computes and a way refuses is a failure, listed with its reason; so is a model whose frequencies differ
+by more than 1e-6 without a warning that has a code. Figures of all go to benchmarks/results/decks.json.
 """
 
 from __future__ import annotations
 
 import argparse
-import gzip
 import json
 import re
-import subprocess
+import signal
 import sys
-import tempfile
 import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
-import numpy as np
-import scipy.linalg as sl
-import scipy.sparse as sp
-import scipy.sparse.linalg as sla
-
-from morembs.base.errors import MorembsError
-from morembs.fem import FEModel, rigid_motion
-from morembs.importers import import_file
-from morembs.importers.engines.calculix.importer import import_with_calculix
-from morembs.importers.engines.calculix.program import find_ccx
-from morembs.importers.to_model import model_of
-
-DENSITY, MODES, SECONDS, SECTOR = 7.8e-9, 10, 60, "CYCLIC SYMMETRY MODEL"
-# The first eigenvalue of a held body, of the largest one that is looked at, at least.
-HELD = 1e-9
-_IN_SPACE = re.compile(r"^\*ELEMENT.*TYPE *= *\"?(C3D|S3|S4|S6|S8|B3|M3D|T3D|SC)", re.IGNORECASE | re.MULTILINE)
-_NOT_IN_SPACE = re.compile(r"TYPE *= *\"?(CPE|CPS|CAX|D[ ,\n]|F3D|DC3D|U\d|T2D|B2|AC3D)", re.IGNORECASE)
-_NOT_LINEAR = re.compile(r"^\*(USER MATERIAL|HYPER|USER ELEMENT|DEFORMATION PLAST)", re.IGNORECASE | re.MULTILINE)
-# What a deck may hold its body with, so that rigid motion is strained by its own will.
-_CONSTRAINED = re.compile(r"^\*(EQUATION|MPC|SPRING|ELEMENT.*TYPE *= *(SPRING|GAP))", re.IGNORECASE | re.MULTILINE)
-_CONTACT = (
-    "*CONTACTPAIR",
-    "*SURFACEINTERACTION",
-    "*SURFACEBEHAVIOR",
-    "*FRICTION",
-    "*CLEARANCE",
-    "*CONTACTDAMPING",
-    "*GAPCONDUCTANCE",
+from benchmarks.deck_programs import (
+    DENSITY,
+    Holds,
+    Spectrum,
+    decks_of,
+    difference,
+    holds,
+    of_ccx,
+    of_mystran,
+    spectrum_of,
+    unpacked,
 )
+from morembs.app.jobs.import_job import ImportJob, run_import
+from morembs.base.errors import InputError, MorembsError
+from morembs.fem import FEModel
+from morembs.fem.material import Material, isotropic
+from morembs.importers.decks.problems import DeckError
+
+RESULTS = Path(__file__).parent / "results" / "decks.json"
+# The decks that Debian's package calculix-ccx-test brings.
+EXAMPLES = Path("/usr/share/doc/calculix-ccx-test/examples/test")
+SAME, SECONDS, ROUNDS = 1e-6, 300, 6
+# The engine of each way, and the formats that it is for.
+WAYS: dict[str, tuple[str | None, tuple[str, ...]]] = {
+    "own": (None, ("abaqus", "nastran", "ansys")),
+    "calculix": ("calculix", ("abaqus",)),
+    "mystran": ("mystran", ("nastran",)),
+    "auto": ("auto", ("abaqus", "nastran", "ansys")),
+}
+_FLAG = re.compile(r"--(density|contact|skip|material|format)((?: \"[^\"]+\")|(?: [^\s;\"]+))?")
+# Elements with stiffness: a model without them is another one, so that skipping them is no cure.
+_CARRIES = re.compile(
+    r"^(C3D|S\d|STRI|SC\d|B3\d|M3D|T3D|CHEXA|CPENTA|CTETRA|CQUAD|CTRIA|CBAR|CBEAM|CROD|CONROD|CTUBE|CSHEAR)"
+)
+_CODE = re.compile(r"\[([a-z0-9-]+)\]")
 
 
-def structural(text: str) -> bool:
-    """Whether a deck holds a linear structure in space."""
-    elastic = re.search(r"^\*ELASTIC", text, re.IGNORECASE | re.MULTILINE) is not None
-    return elastic and bool(_IN_SPACE.search(text)) and not (_NOT_IN_SPACE.search(text) or _NOT_LINEAR.search(text))
+@dataclass
+class Cures:
+    """Options that the messages of a deck name, gathered until it comes in."""
+
+    format: str | None = None
+    density: dict[str, float] = field(default_factory=dict)
+    contact: str = "refuse"
+    skip: list[str] = field(default_factory=list)
+    materials: dict[str, Material] = field(default_factory=dict)
+
+    def learn(self, error: MorembsError) -> bool:
+        """Take up what a message names; whether that is anything new."""
+        before = repr(self)
+        flags = [flag for problem in error.problems for flag in problem.flags] if isinstance(error, DeckError) else []
+        for name, value in _FLAG.findall(
+            " ; ".join(flags) if flags and all(p.flags for p in error.problems) else str(error)
+        ):
+            self._take(name, value.strip().strip('"'))
+        return repr(self) != before
+
+    def _take(self, name: str, value: str) -> None:
+        if name == "density":
+            self.density = {"all": DENSITY}
+        elif name == "contact":
+            self.contact = "skip"
+        elif name == "skip" and not _CARRIES.match(value):
+            self.skip += [word for word in value.split(",") if word not in self.skip]
+        elif name == "material":
+            owner = value.partition("set=")[2] or "all"
+            self.materials[owner] = isotropic(set=owner, young=2.1e5, poisson=0.3, density=DENSITY)
+        elif name == "format":
+            self.format = value
+
+    @property
+    def words(self) -> list[str]:
+        """The options by name."""
+        given = {"density": self.density, "contact skip": self.contact != "refuse", "format": self.format}
+        return [
+            *(name for name, value in given.items() if value),
+            *(f"skip {word}" for word in self.skip),
+            *(f"material of {name}" for name in self.materials),
+        ]
 
 
-def as_frequency(text: str) -> str:
-    """The deck with its steps replaced by *FREQUENCY, contact left out and densities filled in."""
-    blocks, boundary, in_step, steps = [], [], False, 0
-    for block in re.split(r"(?m)^(?=\*[A-Za-z])", re.sub(r"(?m)^\*\*.*\n", "", text)):
-        word = re.sub(r"\s", "", block.split("\n", 1)[0].split(",")[0]).upper()
-        if word == "*STEP":
-            in_step, steps = True, steps + 1
-        if in_step:
-            if word == "*BOUNDARY" and steps == 1:
-                _, *rows = [row for row in block.split("\n") if row.strip()]
-                boundary.append("\n".join(["*BOUNDARY", *(",".join(row.split(",")[:3]) for row in rows)]) + "\n")
-            in_step = word != "*ENDSTEP"
-        elif word not in _CONTACT:
-            blocks.append(block if block.endswith("\n") else block + "\n")
-    model = _with_densities(blocks)
-    return f"{model}{''.join(boundary)}*STEP\n*FREQUENCY\n{MODES}\n*END STEP\n"
+@contextmanager
+def _limited(seconds: int) -> Iterator[None]:
+    """End what takes longer by an error."""
 
+    def late(number: int, frame: FrameType | None) -> None:
+        raise InputError(f"it took more than {seconds} s")
 
-def _with_densities(blocks: list[str]) -> str:
-    result: list[str] = []
-    materials = [i for i, block in enumerate(blocks) if block.upper().replace(" ", "").startswith("*MATERIAL")]
-    for i, block in enumerate(blocks):
-        result.append(block)
-        if i in materials:
-            end = next((j for j in materials if j > i), len(blocks))
-            if not any(b.upper().replace(" ", "").startswith("*DENSITY") for b in blocks[i:end]):
-                result.append(f"*DENSITY\n{DENSITY}\n")
-    return "".join(result)
-
-
-def own_eigenvalues(model: FEModel) -> np.ndarray:
-    """The first eigenvalues of the independent dofs of a model that is held, ascending."""
-    K, M = model.K, model.M
-    if model.dependent is not None:
-        T = sp.csr_array(model.dependent.S[:, np.flatnonzero(model.dependent.owner < 0)])
-        K, M = T.T @ K @ T, T.T @ M @ T
-    moves = np.flatnonzero(abs(K).max(axis=0).toarray().ravel() > 0)
-    K, M = (sp.csc_array(A[moves][:, moves]) for A in (K, M))
-    if len(moves) < MODES + 2:
-        return np.sort(sl.eigvals(K.toarray(), M.toarray()).real)
-    start = np.random.default_rng(1).standard_normal(len(moves))
-    return np.sort(sla.eigsh(K, MODES, M=M, sigma=0.0, v0=start, return_eigenvectors=False))
-
-
-def ccx_eigenvalues(folder: Path, name: str) -> np.ndarray:
-    """Eigenvalues that ccx writes into its .dat."""
-    subprocess.run([find_ccx().path, name], cwd=folder, capture_output=True, timeout=SECONDS, check=False)
-    values = []
-    for line in (folder / f"{name}.dat").read_text(errors="replace").splitlines():
-        fields = line.split()
-        if len(fields) == 5 and fields[0].isdigit():
-            values.append(float(fields[1]))
-        elif values and "P A R T I C" in line:
-            break
-    return np.array(values)
-
-
-def examine(path: Path, limit: int) -> dict[str, Any]:
-    """Figures of one deck."""
-    result: dict[str, Any] = {"deck": path.name}
-    options: dict[str, Any] = {"density": DENSITY, "contact": "skip", "skip": SECTOR, "timeout": SECONDS}
-    start = time.perf_counter()
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(seconds)
     try:
-        model = model_of(import_with_calculix(path, **options))
-    except MorembsError as error:
-        return result | {"error": str(error)}
-    result |= {"seconds": time.perf_counter() - start, "rows": model.size}
-    K, R = model.K, rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
-    terms = float((abs(K) @ np.abs(R)).max())
-    result["rigid"] = float(np.abs(K @ R).max()) / max(terms, 1e-300)
-    result["own_constraints"] = bool(_CONSTRAINED.search(path.read_text(errors="replace")))
-    if model.dependent is not None:
-        result["follows"] = float(np.abs(model.dependent.S @ R - R).max() / np.abs(R).max())
-    kilograms = float(R[:, 0] @ (model.M @ R[:, 0]))
-    try:
-        own_options = {key: options[key] for key in ("density", "contact", "skip")} | {"dialect": "calculix"}
-        own = model_of(import_file(path, options=own_options))
-        along = (own.dofs.component == 0).astype(float)
-        result["mass"] = abs(kilograms / float(along @ (own.M @ along)) - 1)
-    except MorembsError:
-        pass  # own assembly does not take it
-    if model.size > limit:
-        return result
-    try:
-        held = model_of(import_with_calculix(path, **options, boundary="keep"))
-        with tempfile.TemporaryDirectory() as folder:
-            (Path(folder) / "a.inp").write_text(as_frequency(path.read_text(errors="replace")))
-            wanted = ccx_eigenvalues(Path(folder), "a")
-        computed = own_eigenvalues(held)[: len(wanted)]
-        count = min(len(computed), len(wanted))
-        computed, wanted = computed[:count], wanted[:count]
-        if count and min(wanted.min(), computed[0]) > HELD * wanted.max():
-            result["frequency"] = float((np.abs(computed / wanted - 1) / 2).max())
-            result["ccx"], result["own"] = wanted.tolist(), computed.tolist()
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def imported(path: Path, format: str, engine: str | None) -> tuple[FEModel | str, list[str]]:
+    """The model of a deck, or why there is none; with the cures that were taken."""
+    cures = Cures(format=None if format == "abaqus" and path.suffix == ".inp" else format)
+    for _ in range(ROUNDS):
+        try:
+            job = ImportJob(
+                out=Path("deck.model.h5"),
+                file=path,
+                format=cures.format,
+                materials=tuple(cures.materials.values()),
+                density=cures.density,
+                contact=cures.contact,
+                skip=tuple(cures.skip),
+                engine=engine,
+                dialect="calculix" if format == "abaqus" and engine != "calculix" else "auto",
+            )
+            return run_import(job, dry=True).model, cures.words
+        except MorembsError as error:
+            reason = str(error)
+            if not cures.learn(error):
+                break
+    return reason, cures.words
+
+
+def examine(path: Path, rows: int, ways: Sequence[str]) -> dict[str, Any]:
+    """Figures of one deck: of each way, and of the deck's own program."""
+    held = holds(path)
+    result: dict[str, Any] = {"deck": path.name, **vars(held), "ways": {}}
+    models: dict[str, FEModel] = {}
+    for name in ways:
+        engine, formats = WAYS[name]
+        if held.format not in formats:
+            continue
+        start = time.perf_counter()
+        with _limited(SECONDS):
+            try:
+                model, cures = imported(path, held.format, engine)
+            except Exception as error:  # a traceback is a finding, too
+                model, cures = f"{type(error).__name__}: {error}", []
+        row: dict[str, Any] = {"taken": not isinstance(model, str), "cures": cures}
+        row["seconds"] = round(time.perf_counter() - start, 2)
+        if isinstance(model, str):
+            row["reason"] = model[:600]
         else:
-            result["held"] = "the deck does not hold its body, of which ccx finds no frequencies"
-    except (MorembsError, OSError, subprocess.TimeoutExpired, RuntimeError, ValueError) as error:
-        result["held"] = str(error)
+            models[name] = model
+            row |= {"rows": model.size, "codes": sorted(set(_CODE.findall(" ".join(model.warnings))))}
+        result["ways"][name] = row
+    with _limited(SECONDS):
+        _compare(path, held, models, result, rows)
     return result
 
 
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--limit", type=int, default=1000)
-    parser.add_argument("--only", nargs="*", default=[])
-    parser.add_argument("--json", type=Path)
-    given = parser.parse_args(arguments)
-    results = []
-    for path in sorted(path for path in given.folder.rglob("*.inp*") if path.name.endswith((".inp", ".inp.gz"))):
-        packed = path.suffix == ".gz"
-        text = (gzip.decompress(path.read_bytes()) if packed else path.read_bytes()).decode("latin-1")
-        if not structural(text) or (given.only and path.name.split(".inp")[0] not in given.only):
-            continue
-        with tempfile.TemporaryDirectory() as folder:
-            if packed:
-                path = Path(folder) / path.stem
-                path.write_text(text, encoding="latin-1")
-            results.append(examine(path, given.limit))
-        print({k: v for k, v in results[-1].items() if k not in ("ccx", "own")}, flush=True)
-        if given.json:
-            given.json.write_text(json.dumps(results, indent=1))
-    taken = [result for result in results if "error" not in result]
-    print(f"{len(taken)} of {len(results)} imported ({100 * len(taken) / max(len(results), 1):.1f} %)")
-    for key, most in (("rigid", 1e-9), ("follows", 1e-12), ("mass", 1e-6), ("frequency", 1e-6)):
-        values = [result[key] for result in taken if key in result]
-        print(
-            f"{key}: {sum(v <= most for v in values)} of {len(values)} within {most:g}; worst "
-            f"{max(values, default=0):.1e}"
+def _compare(path: Path, held: Holds, models: dict[str, FEModel], result: dict[str, Any], rows: int) -> None:
+    """Frequencies of the models and of the program of the deck."""
+    program = {"abaqus": of_ccx, "nastran": of_mystran}.get(held.format)
+    if program is None or max((model.size for model in models.values()), default=0) > rows:
+        result["program"] = "not run"
+        return
+    try:
+        wanted = program(path)
+    except (MorembsError, OSError, ValueError) as error:
+        result["program"] = str(error)[:300]
+        return
+    result |= {"program": "computes", "frequencies": wanted.frequencies}
+    found: dict[int, Spectrum] = {}
+    for name, model in models.items():
+        with suppress(MorembsError):
+            found[id(model)] = found.get(id(model)) or spectrum_of(model)
+            result["ways"][name]["difference"] = difference(found[id(model)], wanted)
+            result["ways"][name]["frequencies"] = found[id(model)].frequencies
+
+
+def failures(result: dict[str, Any]) -> list[str]:
+    """What is wrong with a deck: its program computes it and a way refuses it, or differs from it without a word."""
+    found = []
+    for name, row in result["ways"].items():
+        if not row["taken"] and result["program"] == "computes":
+            found.append(f"{name} refuses: {row['reason']}")
+        elif row.get("difference", 0.0) > SAME and not row["codes"]:
+            found.append(f"{name} differs by {row['difference']:.1e} without a warning")
+    return found
+
+
+def table(results: Sequence[dict[str, Any]]) -> str:
+    """Counts of each way: decks by what they hold, frequencies by what they are."""
+    lines = []
+    for format in dict.fromkeys(result["format"] for result in results):
+        own = [result for result in results if result["format"] == format and result["structure"]]
+        lines.append(f"\n{format}: {len(own)} structures, {sum(r['solids'] for r in own)} of solids alone")
+        lines.append(
+            "way       structures       complete         solids           same   told  silent  refused, computed"
         )
-    return 0
+        for name in WAYS:
+            mine = [result for result in own if name in result["ways"]]
+            if mine:
+                lines.append(f"{name:9} " + _counts(mine, name))
+    return "\n".join(lines)
+
+
+def _counts(results: Sequence[dict[str, Any]], name: str) -> str:
+    words = []
+    for which in ("structure", "complete", "solids"):
+        of = [result["ways"][name]["taken"] for result in results if result[which]]
+        words.append(f"{sum(of):4} of {len(of):3} {100 * sum(of) / max(len(of), 1):3.0f} %")
+    rows = [result["ways"][name] for result in results]
+    apart = [row for row in rows if "difference" in row]
+    same = sum(row["difference"] <= SAME for row in apart)
+    told = sum(row["difference"] > SAME and bool(row["codes"]) for row in apart)
+    refused = sum(not result["ways"][name]["taken"] and result["program"] == "computes" for result in results)
+    return "  ".join(words) + f"  {same:4}   {told:4}  {len(apart) - same - told:6}  {refused:6}"
+
+
+def reasons(results: Sequence[dict[str, Any]]) -> str:
+    """Refusals by kind and way, the most frequent first, with one deck each."""
+    kinds: Counter[tuple[str, str]] = Counter()
+    example: dict[tuple[str, str], str] = {}
+    for result in results:
+        for name, row in result["ways"].items():
+            if not row["taken"] and result["structure"]:
+                plain = re.sub(r"'[^']*'|\d+(\.\d*)?(e[-+]?\d+)?", "#", row["reason"].replace(result["deck"], "DECK"))
+                kinds[name, plain[:110]] += 1
+                example.setdefault((name, plain[:110]), result["deck"])
+    return "\n".join(
+        f"{count:4} {name}: {kind} ({example[name, kind]})" for (name, kind), count in kinds.most_common(40)
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Examine all decks; 1 where there are failures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", type=Path, nargs="*", default=[EXAMPLES])
+    parser.add_argument("--rows", type=int, default=4000, help="of models whose frequencies are compared")
+    parser.add_argument("--megabytes", type=float, default=2.0, help="of a deck at most")
+    parser.add_argument("--only", nargs="*", default=[], help="names of decks")
+    parser.add_argument("--without", nargs="*", default=[], choices=WAYS, help="ways to leave out")
+    parser.add_argument("--json", type=Path, default=RESULTS)
+    given = parser.parse_args(arguments)
+    ways = [name for name in WAYS if name not in given.without]
+    results, failed = [], 0
+    for path in (path for folder in given.folders for path in decks_of(folder, given.megabytes)):
+        if given.only and path.name.split(".")[0] not in given.only:
+            continue
+        with unpacked(path) as deck:
+            results.append(examine(deck, given.rows, ways))
+        wrong = failures(results[-1]) if results[-1]["structure"] else []
+        failed += bool(wrong)
+        print(_line(results[-1]), *wrong, sep="\n    ", flush=True)
+        given.json.write_text(json.dumps(results, indent=1))
+    print(table(results), reasons(results), f"{failed} of {len(results)} decks failed", sep="\n\n")
+    return int(failed > 0)
+
+
+def _line(result: dict[str, Any]) -> str:
+    words = [result["deck"], "solids" if result["solids"] else "structure" if result["structure"] else "no structure"]
+    for name, row in result["ways"].items():
+        said = f"{row['difference']:.0e}" if "difference" in row else "in" if row["taken"] else "-"
+        words.append(f"{name} {said}")
+    return ", ".join(words)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ packages=(libmumps-seq-dev libsuitesparse-dev libmetis-dev libopenblas0-pthread
           libopenblas-dev python3-venv libglu1-mesa libgl1 libxrender1 libxcursor1
           libxfixes3 libxext6 libxft2 libfontconfig1 libxinerama1 libgomp1)
 # What some tests compare with, or look at pages with; they are skipped without it. Only set up for the tests.
-optional=(calculix-ccx chromium gcc libc6-dev libmumps-dev openmpi-bin slurmctld slurmd slurm-client)
+optional=(calculix-ccx calculix-ccx-test chromium gcc libc6-dev libmumps-dev openmpi-bin slurmctld slurmd slurm-client)
 venv=.venv
 stamp=$venv/.morembs-setup
 fingerprint=$(cat scripts/setup.sh pyproject.toml | sha256sum | cut -d' ' -f1)

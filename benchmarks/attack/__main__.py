@@ -20,8 +20,13 @@ from benchmarks.attack import report
 from benchmarks.measure import HERE, Settings
 
 COUNTS = {"kill": 200, "damage": 2000}
-# Verbs with a command line of their own: modules here that are run as scripts with the rest of the arguments.
-OWN = ("cluster", "jobs", "structured")
+# Verbs with a command line of their own: modules that are run as scripts with the rest of the arguments.
+OWN = {
+    "cluster": "benchmarks.attack.cluster",
+    "decks": "benchmarks.decks",
+    "jobs": "benchmarks.attack.jobs",
+    "structured": "benchmarks.attack.structured",
+}
 
 
 def options(arguments: Sequence[str]) -> argparse.Namespace:
@@ -45,7 +50,7 @@ def options(arguments: Sequence[str]) -> argparse.Namespace:
 def main(arguments: Sequence[str]) -> int:
     """Run a verb; 1 where something failed."""
     if arguments and arguments[0] in OWN:
-        name = f"benchmarks.attack.{arguments[0]}"
+        name = OWN[arguments[0]]
         if importlib.util.find_spec(name) is None:
             raise SystemExit(f"{name} is not here")
         sys.argv = [name, *arguments[1:]]

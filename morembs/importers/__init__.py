@@ -5,7 +5,7 @@ An importer takes a path and returns an ``Imported`` in the units of the file; o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,12 @@ from morembs.base.plugins import Registry
 from morembs.base.units import Units, parse_units
 from morembs.fem import Mesh, Nodes
 from morembs.fem.handedness import right_handed
+from morembs.fem.material import Material
 from morembs.fem.middle_nodes import mesh_in_order
 from morembs.importers.abaqus.importer import import_abaqus, read_abaqus
 from morembs.importers.ansys.cdb import read_ansys
 from morembs.importers.decks.model import Deck
+from morembs.importers.decks.problems import DeckError
 from morembs.importers.imported import Imported
 from morembs.importers.matrices.ansys_full import import_ansys_full
 from morembs.importers.matrices.ansys_text import import_ansys_matrices
@@ -196,28 +198,69 @@ def _hdf5_kind(path: Path) -> str:
 
 
 def import_file(
-    path: str | Path, format: str | None = None, options: Mapping[str, Any] | None = None, *, engine: str | None = None
+    path: str | Path,
+    format: str | None = None,
+    options: Mapping[str, Any] | None = None,
+    *,
+    engine: str | None = None,
+    materials: Sequence[Material] = (),
 ) -> Imported:
     """What a file holds, in its units.
 
     Args:
         format: a name of ``IMPORTERS``; by default the ending of the file tells.
         options: keyword arguments of the importer, or of the engine.
-        engine: the program that assembles a deck, NAME or NAME:PATH with a name of ``engines.ENGINES``.
+        engine: the program that assembles a deck, NAME or NAME:PATH with a name of ``engines.ENGINES``; "auto" takes
+            own assembly where it takes the deck, else the first engine that is there and does.
+        materials: of element sets of a mesh that lack one ("all": of all), in the units of the file.
 
     Raises:
         InputError: the file is missing or cannot be used, or an option that its format does not have.
     """
     path = Path(path)
+    importer = IMPORTERS[format_of(path, format)]
+    # Not at the top: other imports do without programs.
+    if engine == "auto":
+        from morembs.importers.engines.choice import import_by_choice
+
+        format = format_of(path, format)
+        return import_by_choice(
+            path,
+            format,
+            options or {},
+            lambda given: import_file(path, format, given, materials=materials),
+            importer.options,
+            materials=materials,
+        )
     if engine is not None:
-        # Not at the top: other imports do without programs.
         from morembs.importers.engines import import_with_engine
 
-        return import_with_engine(path, format_of(path, format), engine, options or {})
-    importer = IMPORTERS[format_of(path, format)]
+        return import_with_engine(path, format_of(path, format), engine, options or {}, materials)
     given = {key: Text(value) if isinstance(value, str) else value for key, value in (options or {}).items()}
     values = read_options(
         importer.read, given, "the format", where=f"{path.name}: ", hidden=_NO_OPTIONS, cure="; give --set {key}=VALUE"
     )
-    found = importer.read(path, **values)
-    return found.imported() if isinstance(found, Deck) else found
+    try:
+        found = importer.read(path, **values)
+        return _with_materials(found.imported() if isinstance(found, Deck) else found, materials)
+    except DeckError as error:
+        # Materials that are given count before the problems of a deck are told.
+        sets = {material.set for material in materials}
+        rest = [p for p in error.problems if not p.element_set or not sets & {p.element_set, "all"}]
+        if len(rest) == len(error.problems):
+            raise
+        raise DeckError(error.source, rest, error.given) from None
+
+
+def _with_materials(imported: Imported, materials: Sequence[Material]) -> Imported:
+    """With materials of sets that lack one.
+
+    Raises:
+        InputError: the file brings its own.
+    """
+    if not materials:
+        return imported
+    are_open = {material.set for material in materials} <= set(imported.incomplete)
+    if imported.K is not None or (imported.materials and not are_open):
+        raise InputError(f"{imported.source} brings its own materials or matrices; leave --material out")
+    return replace(imported, materials=(*imported.materials, *materials))

@@ -218,6 +218,8 @@ class ImporterTolerances:
     # --- MYSTRAN
     # Grids of one run, by which the time is least: MYSTRAN writes dense matrices, and needs 40 ms for a start.
     run_grids: int = 150
+    # Relative difference to an isotropic stiffness of one that MAT1 can say: round-off of its moduli.
+    isotropic_stiffness: float = 1e-9
     # Part of a grid's largest rotational stiffness below which there is none (AUTOSPC_RAT of Nastran).
     no_rotational_stiffness: float = 1e-8
     # Difference between a direction and its image in the motion of an element that tells it.

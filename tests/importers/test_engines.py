@@ -414,6 +414,10 @@ WRITES = (
     "from pathlib import Path\nfor end, text in {files!r}.items():\n    Path(job + end).write_text(text)\n"
     "print({said!r})"
 )
+CRASH = (
+    "import os, signal\nprint('Using up to 1 cpu\\n\\nProgram received signal SIGSEGV\\n#0  0x7f in ???', flush=True)\n"
+    "os.kill(os.getpid(), signal.SIGSEGV)"
+)
 ONE = {".dof": "1.1\n1.2\n1.3\n", ".sti": "1 1 1.\n2 2 1.\n3 3 1.\n", ".mas": "1 1 1.\n2 2 1.\n3 3 1.\n"}
 
 
@@ -425,7 +429,8 @@ ONE = {".dof": "1.1\n1.2\n1.3\n", ".sti": "1 1 1.\n2 2 1.\n3 3 1.\n", ".mas": "1
             "print(' *ERROR reading *ELEMENT: element 2\\n   has no volume')",
             r"ccx: \*ERROR .* element 2 \(label 2 of the deck\)",
         ),
-        ("print('segmentation')", "ended without a word that it finished"),
+        ("print('half')\nsys.exit(3)", "it ended with exit status 3; its last words are 'half'"),
+        (CRASH, r"it crashed with SIGSEGV \(Segmentation fault\); its last words are 'Using up to 1 cpu'"),
         ("print('Job finished')", "wrote no matrices"),
         (WRITES.format(files={**ONE, ".mas": ""}, said="Job finished"), r"finished without writing model\.mas"),
         (
@@ -438,7 +443,7 @@ ONE = {".dof": "1.1\n1.2\n1.3\n", ".sti": "1 1 1.\n2 2 1.\n3 3 1.\n", ".mas": "1
         (WRITES.format(files={**ONE, ".dof": "\x00\x01"}, said="Job finished"), "not a text of lines"),
         (WRITES.format(files=ONE, said="Job finished"), "springs to them change the rest"),
     ],
-    ids=["hangs", "error", "crash", "none", "lost", "nan", "half", "short", "size", "garbage", "other"],
+    ids=["hangs", "error", "status", "crash", "none", "lost", "nan", "half", "short", "size", "garbage", "other"],
 )
 def test_what_an_engine_may_do_wrong_is_one_message(tmp_path, body, message):
     with pytest.raises(InputError, match=message):
@@ -451,7 +456,8 @@ def test_hard_limits_of_a_queue_are_kept(tmp_path):
         "import resource, sys; from pathlib import Path; from morembs.importers.engines.run import run\n"
         "resource.setrlimit(resource.RLIMIT_AS, (8 << 30,) * 2)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20,) * 2)\n"
-        "print(run(['sh', '-c', 'ulimit -v; ulimit -f; ulimit -c'], Path(), seconds=60, memory=1 << 40, late='late'))"
+        "said = run(['sh', '-c', 'ulimit -v; ulimit -f; ulimit -c'], Path(), seconds=60, memory=1 << 40, late='late')\n"
+        "print(said.output)"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.split()[0] == str(8 << 20) and done.stdout.split()[2] == "0"
@@ -460,11 +466,11 @@ def test_hard_limits_of_a_queue_are_kept(tmp_path):
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        (["--engine", "calculx"], "did you mean 'calculix'?"),
+        (["--engine", "calculx"], "did you mean 'calculix'?, or auto"),
         (["--engine", "calculix:/nowhere/ccx"], "no file that can be run"),
         (["--engine", "calculix", "--preload", "1"], "supports carry the load"),
         (["--engine", "calculix", "--boundary", "hold"], 'expected "drop" or "keep"'),
-        (["--engine", "calculix", "--dialect", "abaqus"], "--dialect was given with --engine calculix"),
+        (["--engine", "calculix", "--dialect", "ansys"], 'expected "auto", "abaqus" or "calculix"'),
         (["--boundary", "keep"], "--boundary was given without --engine"),
         (["--engine", "calculix", "--format", "nastran"], "reads decks of Abaqus or CalculiX"),
     ],

@@ -13,7 +13,9 @@ from typer.testing import CliRunner
 from morembs import InputError
 from morembs.app.cli import app
 from morembs.fem import FEModel, rigid_motion
+from morembs.fem.material import isotropic
 from morembs.importers import import_file
+from morembs.importers.decks.problems import DeckError
 from morembs.importers.model_file import read_model
 from morembs.importers.to_model import model_of
 from tests.support import mystran
@@ -308,7 +310,7 @@ def output(size: int, value: float = 1.0) -> bytes:
             SAYS.format(" *ERROR  1950: QUAD4 ELEMENT 24 IS WRONG\n"),
             r"ERROR 1950: QUAD4 ELEMENT 24 \(label 24 of the deck\)",
         ),
-        ("print('segmentation')", "its last line is 'segmentation'"),
+        ("print('segmentation')", "exit status 0; its last words are 'segmentation'"),
         (WRITES.format(b""), "no matrices, or not all of them"),
         (WRITES.format(output(210)[:-40]), "no matrices, or not all of them"),
         (WRITES.format(b"\x00\x01garbage" * 30), "no matrices, or not all of them"),
@@ -318,7 +320,10 @@ def output(size: int, value: float = 1.0) -> bytes:
             WRITES.format(output(210)) + "\n" + SAYS.format(" *LOADB-WARNING : PRIOR ENTRY NOT PROCESSED BY MYSTRAN\n"),
             "it passed over cards",
         ),
-        ("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)", "no matrices"),
+        (
+            "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)",
+            r"it crashed with SIGKILL \(Killed\); it says nothing",
+        ),
     ],
     ids=["hangs", "error", "crash", "empty", "half", "garbage", "size", "nan", "passed over", "killed"],
 )
@@ -352,6 +357,29 @@ def test_a_run_that_fails_ends_the_others(tmp_path):
 def test_what_mystran_has_not_is_refused_before_a_run(tmp_path, lines, message):
     with pytest.raises(InputError, match=message):
         imported(tmp_path, SHEET + lines, program(tmp_path, "sys.exit()"))
+
+
+@needs_mystran
+@pytest.mark.parametrize("owner", ["all", "PSHELL_1"])
+def test_a_material_is_given_to_properties_without_one(tmp_path, owner):
+    whole = imported(tmp_path, SHEET)
+    (tmp_path / "deck.bdf").write_text(SHEET.replace(STEEL, "") + "ENDDATA\n")
+    with pytest.raises(DeckError, match="PSHELL_1 names the material 1, which is not there") as told:
+        import_file(tmp_path / "deck.bdf", engine="mystran")
+    assert told.value.problems[0].flags == ("--material young=..,poisson=..,density=..,set=PSHELL_1",)
+    steel = isotropic(set=owner, young=2.1e11, poisson=0.3, density=7850.0)
+    given = model_of(import_file(tmp_path / "deck.bdf", engine="mystran", materials=[steel]))
+    for A, B in ((given.K, whole.K), (given.M, whole.M)):
+        assert abs(A - B).max() < 1e-12 * abs(B).max()
+
+
+@needs_mystran
+def test_a_material_that_is_given_counts_behind_the_mass_scale(tmp_path):
+    deck = boxes("PSOLID,1,1\nPARAM,WTMASS,.5\n") + "ENDDATA\n"
+    (tmp_path / "deck.bdf").write_text(deck)
+    steel = isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)
+    given = model_of(import_file(tmp_path / "deck.bdf", engine="mystran", materials=[steel]))
+    assert masses(given)[0, 0] == pytest.approx(1.0 * 0.2 * 0.16 * 7850, rel=1e-9)
 
 
 def test_all_problems_are_told_at_once_with_their_cures(tmp_path):

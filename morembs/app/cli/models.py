@@ -35,7 +35,7 @@ def import_model(
     nodes: Annotated[Path | None, typer.Option(help="A mesh that gives nodes to matrices.")] = None,
     dofs: Annotated[Path | None, typer.Option(help="A table node,dof of the rows (.csv).")] = None,
     material: Annotated[
-        list[str] | None, typer.Option(help="For a mesh: young=..,poisson=..,density=..[,set=NAME].")
+        list[str] | None, typer.Option(help="For sets without: young=..,poisson=..,density=..[,set=NAME].")
     ] = None,
     mass_integration: Annotated[str, typer.Option(help="For a mesh: element, exact or reduced.")] = "element",
     dialect: Annotated[
@@ -49,7 +49,7 @@ def import_model(
         list[str] | None, typer.Option(help="Keywords, cards or element types to leave out, between commas.")
     ] = None,
     engine: Annotated[
-        str | None, typer.Option(help="The program that assembles a deck: calculix or mystran, with :PATH of it.")
+        str | None, typer.Option(help="Who assembles a deck: calculix or mystran (NAME:PATH), or auto.")
     ] = None,
     boundary: Annotated[str, typer.Option(help="With --engine: drop what the deck holds, or keep it.")] = "drop",
     preload: Annotated[int, typer.Option(help="With --engine: the steps up to this one run first.")] = 0,

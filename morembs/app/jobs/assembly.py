@@ -15,7 +15,7 @@ from morembs.app.jobs.schema import SubstructureTable
 from morembs.app.jobs.solver import solver_of
 from morembs.app.jobs.stages.certificate import certified_band
 from morembs.app.jobs.stages.couple import damping_of, interfaces_of
-from morembs.app.jobs.stages.model import materials_of, mesh_of
+from morembs.app.jobs.stages.model import materials_of, mesh_of, model_of_file
 from morembs.app.jobs.stages.reduction import reducers_of
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
@@ -23,7 +23,6 @@ from morembs.body.file import StoredBodies, read_body
 from morembs.body.stored import choose_body
 from morembs.dynamics.assembly import AssembledModel, Couple, Substructure, assemble_bodies
 from morembs.fem.assembly import assemble
-from morembs.importers.model_file import read_model
 from morembs.problem import Problem
 from morembs.storage.safefile import one_file
 
@@ -108,7 +107,7 @@ class _Maker:
     def _problem(self, job: Job) -> Problem:
         own = self.job
         if own.tables.model.file is not None:
-            model = equations_of_motion(own, read_model(own.resolve(own.tables.model.file)))
+            model = equations_of_motion(own, model_of_file(own))
         else:
             rule = own.tables.model.mass_integration
             model = assemble(mesh_of(own), materials_of(own), mass_integration=rule)

@@ -48,7 +48,8 @@ class ImportJob:
     nodes (and elements) to matrices, ``dofs`` a table of node and dof for each row. ``options`` of the importer;
     ``dialect`` is the program that a deck .inp was written for; ``density`` of sets ("all": of all) whose materials
     have stiffness only, what becomes of ``contact`` (refuse, skip or tie), and what to ``skip`` of a deck; ``engine``
-    is the program that assembles a deck, NAME or NAME:PATH (None: own assembly), with ``engine_options`` of its own;
+    is the program that assembles a deck, NAME or NAME:PATH (None: own assembly; "auto": whichever takes it), with
+    ``engine_options`` of its own;
     ``allow_includes_outside`` lets decks include files from beyond their folders; ``split`` writes a file for each part
     that nothing joins to others, NAME-1.model.h5 (the largest), NAME-2.model.h5 and so on.
     """
@@ -197,42 +198,38 @@ def _read(job: ImportJob) -> tuple[Imported, str]:
         raise InputError(
             f"{imported.source} is a model file in SI units with its nodes; leave --units, --nodes, --dofs"
         )
-    if job.materials:
-        open_sets = {material.set for material in job.materials} <= set(imported.incomplete)
-        if imported.K is not None or (imported.materials and not open_sets):
-            raise InputError(f"{imported.source} brings its own materials or matrices; leave --material out")
-        imported = replace(imported, materials=(*imported.materials, *job.materials))
+    if job.materials and job.file is None:
+        raise InputError(f"{imported.source} brings its own materials or matrices; leave --material out")
     if imported.K is None and job.dofs is not None:
         raise InputError("--dofs was given for a mesh; it belongs to matrices")
     return _with_geometry(imported, job), format
 
 
 def _assembled(job: ImportJob, engine: str) -> tuple[Imported, str]:
-    """A deck that another program assembles."""
+    """A deck that another program assembles, or that own assembly or one of these does."""
     # Not at the top: other imports do without programs.
-    from morembs.importers.engines import engine_of
+    from morembs.importers.engines import AUTO, engine_of
 
     name = engine.partition(":")[0]
-    if job.file is None or job.materials or job.nodes or job.dofs:
-        raise InputError(f"--engine {name} takes one deck with its materials; leave --material, --nodes, --dofs out")
-    known = engine_of(engine)[0].options
-    wrong = next((word for word in _given(job) if word not in known), None)
-    if wrong:
-        raise InputError(f"--{wrong} was given with --engine {name}, whose own formulations are taken; leave it out")
+    if job.file is None or job.nodes or job.dofs:
+        raise InputError(f"--engine {name} takes one deck; leave --nodes, --dofs out")
     format = format_of(job.file, job.format)
-    given = {**_given(job), **job.engine_options, **_outside(job), **job.options}
-    return import_file(job.file, format, given, engine=engine), f"{format} ({name})"
+    options = {**_given(job), **job.engine_options, **_outside(job), **job.options}
+    if engine != AUTO:
+        known = engine_of(engine)[0].options
+        wrong = next((word for word in _given(job) if word not in known), None)
+        if wrong:
+            raise InputError(f"--{wrong} was given with --engine {name}, which has no such option; leave it out")
+    return import_file(job.file, format, options, engine=engine, materials=job.materials), f"{format} ({name})"
 
 
 def _of_file(job: ImportJob, format: str) -> Imported:
-    """What the one file holds; materials that are given count before its problems are told."""
+    """What the one file holds, with the materials that are given."""
     try:
-        return import_file(job.file or Path(), format, {**_of_decks(job, format), **job.options})
+        options = {**_of_decks(job, format), **job.options}
+        return import_file(job.file or Path(), format, options, materials=job.materials)
     except DeckError as error:
-        sets = {material.set for material in job.materials}
-        rest = [p for p in error.problems if not p.element_set or not sets & {p.element_set, "all"}]
-        told = error if len(rest) == len(error.problems) else DeckError(error.source, rest, error.given)
-        raise _with_engines(told, job, format) from None
+        raise _with_engines(error, job, format) from None
 
 
 def _with_engines(error: DeckError, job: ImportJob, format: str) -> DeckError:
@@ -240,7 +237,7 @@ def _with_engines(error: DeckError, job: ImportJob, format: str) -> DeckError:
     # Not at the top: other imports do without programs.
     from morembs.importers.engines import ENGINES, engines_for
 
-    names = engines_for(job.file or Path(), format, {**_given(job), **_outside(job)})
+    names = engines_for(job.file or Path(), format, {**_given(job), **_outside(job), "materials": job.materials})
     if not names:
         return error
     hint = "; ".join(f"{ENGINES[name].program} would read this deck: --engine {name}" for name in names)

@@ -51,6 +51,7 @@ class ModelTable(Table):
 
     mesh: Annotated[str, text('the path of a mesh file such as "conrod.msh"')] | None = None
     file: Annotated[str, text('the path of a model file of morembs import such as "conrod.model.h5"')] | None = None
+    engine: Annotated[str, text('who assembles a deck that file names: "auto", "calculix" or "mystran"')] | None = None
     units: str | UnitsTable = described(
         '"length-mass-time" such as "mm-t-s", or a table with length, mass and time', "m-kg-s"
     )
@@ -66,9 +67,12 @@ class ModelTable(Table):
     def refuse_conflicts(self) -> None:
         if self.mesh is not None and self.file is not None:
             raise InputError("mesh and file were both given; choose one")
-        if self.file is not None and "mass_integration" in self.given:
+        if self.engine is not None and self.file is None:
+            raise InputError(f'engine = "{self.engine}" was given without file, the deck that it is for; give file')
+        if self.file is not None and self.engine is None and "mass_integration" in self.given:
             raise InputError("mass_integration was given for a model file, whose matrices are ready; leave it out")
-        if self.dialect != "auto" and not (self.mesh or "").lower().endswith(".inp"):
+        deck = self.mesh or (self.file if self.engine is not None else None) or ""
+        if self.dialect != "auto" and not deck.lower().endswith(".inp"):
             raise InputError(f'dialect = "{self.dialect}" was given without a deck .inp; leave it out')
 
 
@@ -481,6 +485,6 @@ class JobTables(Table):
     def _materials(self) -> None:
         if self.model.mesh is not None and not self.material:
             raise InputError("material is missing; expected at least one table [[material]]")
-        if self.model.mesh is None and self.material:
+        if self.model.mesh is None and self.model.engine is None and self.material:
             what = "a model file" if self.model.file is not None else "bodies"
             raise InputError(f"[[material]] was given for {what}, whose matrices are ready; leave it out")

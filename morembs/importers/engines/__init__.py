@@ -6,7 +6,7 @@ those of the program, in the units of the deck.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any
 from morembs.base.errors import InputError
 from morembs.base.options import Text, known, read_options
 from morembs.base.plugins import Registry
+from morembs.fem.material import Material
 from morembs.importers.engines.calculix.importer import import_with_calculix, readable_by_calculix
 from morembs.importers.engines.calculix.program import find_ccx
 from morembs.importers.engines.mystran.importer import import_with_mystran, readable_by_mystran
@@ -22,8 +23,10 @@ from morembs.importers.engines.mystran.program import find_mystran
 from morembs.importers.engines.run import Program
 from morembs.importers.imported import Imported
 
+# What lets own assembly or one of the engines take a deck, whichever does.
+AUTO = "auto"
 # What of the parameters is no option.
-_NO_OPTIONS = ("executable",)
+_NO_OPTIONS = ("executable", "materials")
 # What people call decks by their formats.
 _KINDS = {"abaqus": "Abaqus or CalculiX", "nastran": "Nastran bulk data", "ansys": "an archive of ANSYS"}
 
@@ -81,7 +84,7 @@ def engine_of(text: str) -> tuple[Engine, str]:
     """
     name, _, path = text.partition(":")
     if name not in ENGINES:
-        raise InputError(f"--engine {text!r} was given; {ENGINES.advice(name)}")
+        raise InputError(f"--engine {text!r} was given; {ENGINES.advice(name)}, or {AUTO}")
     return ENGINES[name], path
 
 
@@ -97,8 +100,13 @@ def engines_for(path: Path, format: str, options: Mapping[str, Any]) -> list[str
     return names
 
 
-def import_with_engine(path: Path, format: str, text: str, options: Mapping[str, Any]) -> Imported:
+def import_with_engine(
+    path: Path, format: str, text: str, options: Mapping[str, Any], materials: Sequence[Material] = ()
+) -> Imported:
     """What the engine NAME or NAME:PATH makes of a deck of a format.
+
+    Args:
+        materials: of element sets that have none, or "all" of these, in the units of the deck.
 
     Raises:
         InputError: an unknown engine or option, a deck of another format, or what the engine refuses.
@@ -116,4 +124,4 @@ def import_with_engine(path: Path, format: str, text: str, options: Mapping[str,
         hidden=_NO_OPTIONS,
         cure="; give --set {key}=VALUE",
     )
-    return engine.read(path, executable=executable, **values)
+    return engine.read(path, executable=executable, materials=tuple(materials), **values)

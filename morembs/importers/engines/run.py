@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from morembs.base.errors import InputError
 from morembs.importers.tolerances import TOL
+
+# Where the runtime of Fortran, C or Python begins to say where a program crashed.
+_TRACEBACK = re.compile(r"Program received signal|Backtrace for this error|forrtl: severe|\*\*\* stack smashing|#0 +0x")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,6 +28,30 @@ class Program:
     name: str
     path: Path
     version: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A run of a program that has ended: the end of its ``output``, and its exit ``status``, below 0 the signal that
+    ended it."""
+
+    output: str
+    status: int
+
+    @property
+    def last_words(self) -> str:
+        """How it ended and the last line that it printed before any traceback, for a message."""
+        lines = [line.strip() for line in self.output.splitlines() if line.strip()]
+        crash = next((i for i, line in enumerate(lines) if _TRACEBACK.match(line)), len(lines))
+        words = (
+            f"its last words are {lines[:crash][-1][: TOL.shown_last_line]!r}" if lines[:crash] else "it says nothing"
+        )
+        if self.status >= 0:
+            return f"it ended with exit status {self.status}; {words}"
+        with suppress(ValueError):
+            number = signal.Signals(-self.status)
+            return f"it crashed with {number.name} ({signal.strsignal(number)}); {words}"
+        return f"it crashed with signal {-self.status}; {words}"
 
 
 def find_executable(name: str, given: str, variable: str, executables: Sequence[str], cure: str) -> Path:
@@ -54,8 +83,8 @@ def run(
     environment: Mapping[str, str] | None = None,
     late: str,
     stop: threading.Event | None = None,
-) -> str:
-    """Run a program in ``folder`` and return the end of what it printed, whatever its exit status is.
+) -> Run:
+    """Run a program in ``folder`` to its end, whatever its exit status is.
 
     Args:
         seconds: time after which it and its children are ended.
@@ -102,7 +131,7 @@ def run(
             _end(process)
     with log.open("rb") as text:
         text.seek(max(log.stat().st_size - TOL.log_bytes, 0))
-        return text.read().decode("utf-8", "replace")
+        return Run(output=text.read().decode("utf-8", "replace"), status=process.returncode)
 
 
 def _wait(process: subprocess.Popen[bytes], seconds: float, late: str, stop: threading.Event | None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,8 +18,9 @@ from morembs.base.units import Units
 from morembs.fem import FEModel, Mesh
 from morembs.fem.assembly import assemble
 from morembs.fem.material import Material, isotropic, orthotropic
-from morembs.importers import read_mesh
+from morembs.importers import import_file, read_mesh
 from morembs.importers.model_file import read_model
+from morembs.importers.to_model import model_of
 
 MESH: Result[Mesh] = Result("mesh")
 
@@ -61,9 +62,9 @@ class Assemble(JobStage):
 
 
 class ReadModel(JobStage):
-    """The model of a model file, with what the job makes of its equations."""
+    """The model of a model file or of a deck that an engine assembles, with what the job makes of its equations."""
 
-    tables: ClassVar[tuple[str, ...]] = ("model", "flow")
+    tables: ClassVar[tuple[str, ...]] = ("model", "material", "flow")
     gives = (MODEL,)
 
     def is_asked(self, job: Job) -> bool:
@@ -77,7 +78,7 @@ class ReadModel(JobStage):
 
     def matrices(self, job: Job) -> FEModel:
         """The model as it stands in its file."""
-        return read_model(job.resolve(job.tables.model.file or ""))
+        return model_of_file(job)
 
     def run(self, work: Work) -> None:
         job = work.job
@@ -91,6 +92,24 @@ class ReadModel(JobStage):
             lambda: least_memory(job, model, work.solver, work.start, work.counts_modes),
         )
         work.give(MODEL, equations_of_motion(job, model))
+
+
+def model_of_file(job: Job) -> FEModel:
+    """The model that the file of the job holds, in SI units, or that the engine makes of it.
+
+    Raises:
+        InputError: no model file, or a deck that the engine does not take.
+    """
+    given = job.tables.model
+    path = job.resolve(given.file or "")
+    if given.engine is None:
+        return read_model(path)
+    options: dict[str, Any] = {} if given.dialect == "auto" else {"dialect": given.dialect}
+    if given.allow_includes_outside:
+        options["allow_includes_outside"] = True
+    materials = [_material(table, Units()) for table in job.tables.material]
+    imported = import_file(path, options=options, engine=given.engine, materials=materials)
+    return model_of(imported, job.units, mass_integration=given.mass_integration)
 
 
 def materials_of(job: Job) -> list[Material]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
-from morembs.base.limits import Count, Positive
+from morembs.base.limits import Count, Positive, one_of
+from morembs.fem.material import Material
 from morembs.importers.abaqus.assembly import Assembly
+from morembs.importers.decks.formulations import DIALECTS
 from morembs.importers.decks.options import Boundary, DeckOptions, deck_options
 from morembs.importers.engines.calculix.flat import Choices, flat_deck
 from morembs.importers.engines.calculix.model import Exported
@@ -30,6 +33,8 @@ def import_with_calculix(
     timeout: float = TOL.engine_seconds,
     keep_files: str = "",
     allow_includes_outside: bool = False,
+    dialect: str = "auto",
+    materials: tuple[Material, ...] = (),
 ) -> Imported:
     """A deck as CalculiX assembles it, in the deck's own units.
 
@@ -43,6 +48,8 @@ def import_with_calculix(
         timeout: seconds for each run of ccx.
         keep_files: a folder for what ccx read and wrote.
         allow_includes_outside: includes may name files beyond the folder of the deck.
+        dialect: the program that the deck was written for; a model of one of Abaqus says that CalculiX differs.
+        materials: of element sets that have none, or "all" of these, in the units of the deck.
 
     Peak memory: that of the matrices several times, and of ccx itself.
 
@@ -51,8 +58,10 @@ def import_with_calculix(
         InputError: no ccx, options that are not known, or a run that fails.
     """
     program = find_ccx(executable)
-    choices = _choices(deck_options(density, contact, skip), boundary, preload, timeout)
+    check_value("dialect", dialect, Annotated[str, one_of(*DIALECTS)])
+    choices = _choices(deck_options(density, contact, skip), boundary, preload, timeout, materials)
     deck, assembly, flat = _flat(Path(path), choices, outside=allow_includes_outside)
+    deck.dialects = deck.dialects if dialect == "auto" else {dialect}
     keep = Path(keep_files) if keep_files else None
     with Ccx(program=program, flat=flat.deck, seconds=timeout, keep=keep) as ccx:
         read = ccx.export()
@@ -67,13 +76,15 @@ def readable_by_calculix(
     contact: str = "refuse",
     skip: list[str] | str = "",
     allow_includes_outside: bool = False,
+    materials: tuple[Material, ...] = (),
 ) -> None:
     """Whether a deck can be written for CalculiX; it is not run.
 
     Raises:
         InputError: it cannot.
     """
-    _flat(path, Choices(options=deck_options(density, contact, skip)), outside=allow_includes_outside)
+    choices = Choices(options=deck_options(density, contact, skip), materials=materials)
+    _flat(path, choices, outside=allow_includes_outside)
 
 
 def _flat(path: Path, choices: Choices, *, outside: bool) -> tuple[EngineDeck, Assembly, Flat]:
@@ -83,7 +94,9 @@ def _flat(path: Path, choices: Choices, *, outside: bool) -> tuple[EngineDeck, A
         return deck, assembly, flat_deck(deck, assembly, choices)
 
 
-def _choices(options: DeckOptions, boundary: str, preload: int, timeout: float) -> Choices:
+def _choices(
+    options: DeckOptions, boundary: str, preload: int, timeout: float, materials: tuple[Material, ...]
+) -> Choices:
     check_value("--boundary", boundary, Boundary)
     check_value("--preload", preload, Count)
     check_value("--engine-timeout", timeout, Positive)
@@ -92,4 +105,4 @@ def _choices(options: DeckOptions, boundary: str, preload: int, timeout: float) 
             f"--preload {preload} was given with --boundary drop, but supports carry the load; give --boundary keep, "
             "or [preload] in the job"
         )
-    return Choices(options=options, keep=boundary == "keep", preload=preload)
+    return Choices(options=options, keep=boundary == "keep", preload=preload, materials=materials)

@@ -159,7 +159,7 @@ class Ccx(Closing):
         count = len(self.flat.assembly.ids)
         late = f"ccx did not finish in {self.seconds:g} s ({count:,} nodes); --engine-timeout, or own assembly"
         try:
-            said = run(
+            ended = run(
                 [self.program.path, name],
                 self.folder.path,
                 seconds=self.seconds,
@@ -172,9 +172,9 @@ class Ccx(Closing):
                 for file in self.folder.path.glob(f"{name}.*"):
                     copy_into(self.keep, file)
                 copy_into(self.keep, self.folder.path / "output.txt", f"{name}.output.txt")
-        errors = _errors(said)
-        if errors or done not in said:
-            told = self._translated("; ".join(errors[:3])) if errors else _last_words(said)
+        errors = _errors(ended.output)
+        if errors or done not in ended.output or (not done and ended.status < 0):
+            told = self._translated("; ".join(errors[:3])) if errors else ended.last_words
             raise InputError(f"ccx: {told}{'' if self.keep else '; --keep-files DIR keeps its files'}")
 
     def _translated(self, said: str) -> str:
@@ -213,10 +213,3 @@ def _errors(said: str) -> list[str]:
                 rest.append(following.strip())
             errors.append(" ".join([line.strip(), *rest]))
     return list(dict.fromkeys(errors))
-
-
-def _last_words(said: str) -> str:
-    lines = [line.strip() for line in said.splitlines() if line.strip()]
-    if not lines:
-        return "no output"
-    return f"it ended without a word that it finished; its last line is {lines[-1][: TOL.shown_last_line]!r}"

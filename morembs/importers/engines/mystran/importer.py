@@ -15,6 +15,7 @@ from morembs.base.types import Ints
 from morembs.fem import DofMap, rigid_motion
 from morembs.fem.constraints import Equations
 from morembs.fem.handedness import right_handed
+from morembs.fem.material import Material
 from morembs.importers.decks.join import couplings_of, join
 from morembs.importers.decks.missing_middles import with_middles
 from morembs.importers.decks.options import Boundary, DeckOptions, deck_options, lacking_problems
@@ -56,6 +57,7 @@ def import_with_mystran(
     grids: int = TOL.run_grids,
     jobs: int | None = None,
     allow_includes_outside: bool = False,
+    materials: tuple[Material, ...] = (),
 ) -> Imported:
     """Bulk data as MYSTRAN assembles them, in the units of the file, along the basic axes.
 
@@ -69,6 +71,7 @@ def import_with_mystran(
         grids: of one run of MYSTRAN at most.
         jobs: runs at once; None for as many as there are cores.
         allow_includes_outside: INCLUDE may name files beyond the folder of the file.
+        materials: isotropic ones of sets of properties whose materials are not there, or "all" of these.
 
     Peak memory: the entries of K and M several times, and what the runs at once take.
 
@@ -81,7 +84,8 @@ def import_with_mystran(
     check_value("--engine-timeout", timeout, Positive)
     check_value("grids", grids, PositiveCount)
     check_value("jobs", jobs, PositiveCount | None)
-    deck = _Deck(Path(path), deck_options(density, "refuse", skip), boundary == "keep", allow_includes_outside)
+    options = deck_options(density, "refuse", skip)
+    deck = _Deck(Path(path), options, boundary == "keep", allow_includes_outside, materials)
     keep = Path(keep_files) if keep_files else None
     with Mystran(
         program=program,
@@ -104,25 +108,28 @@ def readable_by_mystran(
     density: dict[str, float] | None = None,
     skip: list[str] | str = "",
     allow_includes_outside: bool = False,
+    materials: tuple[Material, ...] = (),
 ) -> None:
     """Whether a deck can be written for MYSTRAN; it is not run.
 
     Raises:
         InputError: it cannot.
     """
-    _Deck(path, deck_options(density, "refuse", skip), False, allow_includes_outside)
+    _Deck(path, deck_options(density, "refuse", skip), False, allow_includes_outside, materials)
 
 
 class _Deck:
     """A deck as far as it is read without MYSTRAN; what is wrong with it is refused in one message."""
 
-    def __init__(self, path: Path, options: DeckOptions, keep: bool, outside: bool) -> None:
+    def __init__(
+        self, path: Path, options: DeckOptions, keep: bool, outside: bool, materials: tuple[Material, ...]
+    ) -> None:
         self.bulk = bulk = Bulk(path, outside=outside, options=options, more=CARDS_READ)
         self.notes: list[str] = []
         self.warnings: list[str] = []
         with bulk.problems.ending():
             self.scale, self.keep = bulk.mass_scale(), keep
-            self.sections = Sections(bulk)
+            self.sections = Sections(bulk, materials, self.scale)
             self.structures = Structures(bulk, self.sections)
             parts = solid_elements(bulk)
             solid = grids_of(bulk, parts)
@@ -171,14 +178,16 @@ class _Deck:
         solid = {name: lack for name, lack in lacking.items() if name.startswith("PSOLID")}
         heavy = len(lacking) < len(set(self.sections.sets)) or bool(self.whole.masses)
         heavy = heavy or any(element.matrix == "M" for element in self.whole.discrete)
-        wanted = solid if heavy else lacking
+        # What has no stiffness is no element; what has no mass may hang on what has.
+        soft = {name: lack for name, lack in lacking.items() if lack.stiffness is None}
+        wanted = solid | soft if heavy else lacking
         bulk.problems.entries += lacking_problems(bulk.file, wanted)
         self.warnings += [
             f"{lack.sentence} and gives no mass; --density fills it in [no-density]"
             for name, lack in lacking.items()
             if name not in wanted
         ]
-        cards = self.sections.cards({material.set: material.density for material in filled})
+        cards = self.sections.cards({material.set: material.density for material in filled}, without=soft)
         self.warnings += self.sections.warnings
         return cards
 

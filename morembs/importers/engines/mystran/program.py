@@ -29,9 +29,8 @@ from morembs.base.scratch import ScratchFolder
 from morembs.base.types import Floats, Ints
 from morembs.importers.engines.mystran.cards import card
 from morembs.importers.engines.mystran.elements import Elements
-from morembs.importers.engines.run import Program, find_executable, run
+from morembs.importers.engines.run import Program, Run, find_executable, run
 from morembs.importers.matrices.op4 import OP4Matrix, read_op4
-from morembs.importers.tolerances import TOL
 from morembs.storage.safefile import copy_into
 
 CURE = (
@@ -60,7 +59,7 @@ def find_mystran(given: str = "") -> Program:
     with closing(ScratchFolder(None)) as scratch:
         try:
             # It asks for the name of a file, and ends without one.
-            said = run([path], scratch.path, seconds=10.0, late="it does not answer")
+            said = run([path], scratch.path, seconds=10.0, late="it does not answer").output
         except InputError:
             said = ""
     return Program(name="MYSTRAN", path=path, version=_version(said))
@@ -186,7 +185,7 @@ class Mystran(Closing):
             "assembly"
         )
         try:
-            said = run(
+            ended = run(
                 [self.program, path.name],
                 folder,
                 seconds=self.seconds,
@@ -195,8 +194,8 @@ class Mystran(Closing):
                 late=late,
                 stop=self._stop,
             )
-            self.version = self.version or _version(said)
-            return self._read(folder / name, said, group)
+            self.version = self.version or _version(ended.output)
+            return self._read(folder / name, ended, group)
         finally:
             self._put_away(folder, name)
 
@@ -213,10 +212,10 @@ class Mystran(Closing):
             first += len(rows)
         yield from used
 
-    def _read(self, stem: Path, said: str, group: Group) -> list[tuple[Ints, Ints, Floats]]:
+    def _read(self, stem: Path, ended: Run, group: Group) -> list[tuple[Ints, Ints, Floats]]:
         errors = stem.with_suffix(".ERR")
         log = errors.read_text(encoding="utf-8", errors="replace") if errors.is_file() else ""
-        matrices = self._matrices(stem.with_suffix(".OU1"), log, said, group)
+        matrices = self._matrices(stem.with_suffix(".OU1"), log, ended, group)
         rows = (6 * group.grids[:, None] + np.arange(6)).ravel()
         result = []
         for name, what in (("KGG", "stiffness"), ("MGG", "mass")):
@@ -230,10 +229,9 @@ class Mystran(Closing):
             result.append((rows[entries.row], rows[entries.col], np.asarray(entries.data, dtype=np.float64)))
         return result
 
-    def _matrices(self, output: Path, log: str, said: str, group: Group) -> dict[str, OP4Matrix]:
+    def _matrices(self, output: Path, log: str, ended: Run, group: Group) -> dict[str, OP4Matrix]:
         """KGG and MGG, where all cards were read; what MYSTRAN says of modes comes behind them and does not count."""
-        lines = [line.strip() for line in said.splitlines() if line.strip()]
-        reason = f"its last line is {lines[-1][: TOL.shown_last_line]!r}" if lines else "it says nothing"
+        reason = ended.last_words
         if _PASSED_OVER in log:
             reason = "it passed over cards"
         elif output.is_file() and output.stat().st_size:

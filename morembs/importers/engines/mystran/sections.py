@@ -6,12 +6,13 @@ go into their NSM (MYSTRAN leaves out a ply), tubes become rods, beams of consta
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from math import pi
 
 import numpy as np
 
 from morembs.base.errors import InputError
+from morembs.fem.material import Material, isotropic
 from morembs.importers.engines.mystran.cards import Field, card, system_card
 from morembs.importers.imported import Lacking
 from morembs.importers.nastran.bulk import Bulk
@@ -56,11 +57,13 @@ _STATIONS = ("YES", "YESA", "NO")
 class Sections:
     """The properties that elements use, numbered from 1 in the order in which they are named.
 
-    ``sets`` are the names of these, such as PSHELL_3; ``beams`` counts those of beams.
+    ``sets`` are the names of these, such as PSHELL_3. ``materials`` are isotropic ones of sets, or "all" of these,
+    whose own ones are not there; their densities count behind the mass scale ``scale`` of the deck.
     """
 
-    def __init__(self, bulk: Bulk) -> None:
+    def __init__(self, bulk: Bulk, materials: Sequence[Material], scale: float) -> None:
         self.bulk, self.file = bulk, bulk.file
+        self._given = {material.set: _isotropic_row(material, scale) for material in materials}
         self.sets: list[str] = []
         self.warnings: list[str] = []
         self._numbers: dict[tuple[str, int], int] = {}
@@ -76,6 +79,9 @@ class Sections:
                 matches = [("CONROD", list(own))]
             else:
                 matches = [(name, rows[pid]) for name, rows in self._properties[kind].items() if pid in rows]
+            if not matches and kind == "solid":
+                # Solids need no more than a material, which may be given.
+                matches = [("PSOLID", [str(pid)])]
             if len(matches) != 1:
                 expected = " or ".join(CARDS[kind])
                 raise InputError(f"{what} names the property {pid}; expected one {expected} with that number")
@@ -90,13 +96,18 @@ class Sections:
         bare = {}
         for name, (kind, row, _) in zip(self.sets, self._rows, strict=True):
             mids = self._mass_of(kind, row)
-            if mids and not self._nsm(kind, row) and not any(map(self._density, mids)):
-                sentence = f"{self._material_name(mids[0])} of the set {name} has no density"
+            missing = [mid for mid in mids or [0] if not self._is_there(mid, name)]
+            if missing and (kind == "PSOLID" or mids):
+                what = f"names the material {missing[0]}, which is not there" if missing[0] else "has no material"
+                bare[name] = Lacking(sentence=f"the set {name} {what}")
+            elif mids and not self._nsm(kind, row) and not any(self._density(mid, name) for mid in mids):
+                sentence = f"{self.material(mids[0], self.file, name)[0]} {mids[0]} of the set {name} has no density"
                 bare[name] = Lacking(sentence=sentence, stiffness=np.eye(6))
         return bare
 
-    def cards(self, densities: Mapping[str, float]) -> list[tuple[str, ...]]:
-        """The cards of each property and of all that it names, with ``densities`` of sets.
+    def cards(self, densities: Mapping[str, float], without: Collection[str]) -> list[tuple[str, ...]]:
+        """The cards of each property and of all that it names, with ``densities`` of sets; none of sets ``without`` a
+        material.
 
         Raises:
             DeckError: what MYSTRAN has not, or has wrong.
@@ -105,6 +116,8 @@ class Sections:
         result: list[tuple[str, ...]] = []
         for i, (name, (kind, row, element)) in enumerate(zip(self.sets, self._rows, strict=True)):
             with self.bulk.problems.collected():
+                if name in without:
+                    continue
                 property_ = _Property(self, i + 1, f"{self.file}: {name.replace('_', ' ')}", row, densities.get(name))
                 result.append(property_.cards(kind, element))
         return result
@@ -113,7 +126,7 @@ class Sections:
         """Mass per area of the PSHEAR with a number."""
         name, (_, row, _) = self.sets[number - 1], self._rows[number - 1]
         what, row = f"{self.file}: {name.replace('_', ' ')}", padded(row, 5)
-        density = self.densities.get(name, self._density(integer(row[1], what)))
+        density = self.densities.get(name, self._density(integer(row[1], what), name))
         return density * real(row[2], what) + real(row[3], what)
 
     def _by_number(self, name: str) -> dict[int, list[str]]:
@@ -125,19 +138,22 @@ class Sections:
             of[number] = row
         return of
 
-    def material(self, mid: int, what: str) -> tuple[str, list[str]]:
-        """Name and fields of a material card."""
-        for name, rows in self._materials.items():
+    def _is_there(self, mid: int, name: str) -> bool:
+        return any(mid in rows for rows in self._materials.values()) or name in self._given or "all" in self._given
+
+    def material(self, mid: int, what: str, name: str) -> tuple[str, list[str]]:
+        """Name and fields of a material card, of the set ``name`` the one that was given where there is none."""
+        for card_, rows in self._materials.items():
             if mid in rows:
-                return name, padded(rows[mid], _MATERIALS[name][1])
-        raise InputError(f"{what} names the material {mid}; expected one of {', '.join(_MATERIALS)}")
+                return card_, padded(rows[mid], _MATERIALS[card_][1])
+        given = self._given.get(name, self._given.get("all"))
+        if given is None:
+            raise InputError(f"{what} names the material {mid}; expected one of {', '.join(_MATERIALS)}")
+        return "MAT1", given
 
-    def _density(self, mid: int) -> float:
-        name, row = self.material(mid, self.file)
-        return real(row[_MATERIALS[name][0]], f"{self.file}: {name} {mid}")
-
-    def _material_name(self, mid: int) -> str:
-        return f"{self.material(mid, self.file)[0]} {mid}"
+    def _density(self, mid: int, name: str) -> float:
+        card_, row = self.material(mid, self.file, name)
+        return real(row[_MATERIALS[card_][0]], f"{self.file}: {card_} {mid}")
 
     def _mass_of(self, kind: str, row: list[str]) -> list[int]:
         """Materials that give mass."""
@@ -163,6 +179,17 @@ class Sections:
         return real(padded(row, at + 1)[at], self.file) if at is not None else 0.0
 
 
+def _isotropic_row(material: Material, scale: float) -> list[str]:
+    """The fields of MAT1: number, E, G, NU, density before it is scaled."""
+    C = material.stiffness
+    lam, mu = float(C[0, 1]), float(C[3, 3])
+    young, poisson = mu * (3 * lam + 2 * mu) / (lam + mu), lam / (2 * (lam + mu))
+    like = isotropic(set=material.set, young=young, poisson=poisson, density=material.density)
+    if not np.allclose(like.stiffness, C, rtol=TOL.isotropic_stiffness, atol=0.0):
+        raise InputError(f"the material of the set {material.set!r} is not isotropic, which MYSTRAN is given here")
+    return ["0", repr(young), "", repr(poisson), repr(material.density / scale)]
+
+
 def plies(kind: str, row: list[str], what: str) -> list[tuple[int, float, float]]:
     """Material, thickness and angle in degrees of the plies of a PCOMP or PCOMPG; a blank one is as that before."""
     result: list[tuple[int, float, float]] = []
@@ -186,6 +213,7 @@ class _Property:
 
     def __init__(self, of: Sections, number: int, what: str, row: list[str], density: float | None) -> None:
         self.of, self.number, self.what, self.density = of, number, what, density
+        self.set = of.sets[number - 1]
         self.row = padded(row, 64)
         self.beside: dict[str, None] = {}
         self._mats = 0
@@ -216,10 +244,8 @@ class _Property:
 
     def _material(self, text: str, density: float | None = None) -> int:
         """The number under which a material is written for this property alone."""
-        mid = integer(text, self.what)
-        if not mid:
-            raise InputError(f"{self.what} names no material; expected one")
-        name, words = self.of.material(mid, self.what)
+        mid = integer(text, self.what) if text else 0
+        name, words = self.of.material(mid, self.what, self.set)
         if name == "MAT1" and sum(bool(word) for word in words[1:4]) < 2:
             raise InputError(f"{self.of.file}: MAT1 {mid} gives less than two of E, G and NU; expected two")
         at, count = _MATERIALS[name]
@@ -296,7 +322,7 @@ class _Property:
         return card("PCOMP", fields)
 
     def _density(self, mid: int) -> float:
-        name, words = self.of.material(mid, self.what)
+        name, words = self.of.material(mid, self.what, self.set)
         return real(words[_MATERIALS[name][0]], self.what)
 
     def _pshear(self) -> str:

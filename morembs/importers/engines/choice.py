@@ -1,0 +1,99 @@
+"""``auto``: own assembly where it takes a deck, else the first program there that reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from morembs.base.errors import InputError
+from morembs.base.options import known
+from morembs.importers.decks.problems import DeckError, Problem
+from morembs.importers.engines import ENGINES, Engine, import_with_engine
+from morembs.importers.imported import Imported
+
+# Options of programs that say nothing of the model: own assembly does without them.
+_OF_RUNS = ("timeout", "keep_files", "jobs", "grids")
+
+
+def import_by_choice(
+    path: Path,
+    format: str,
+    options: Mapping[str, Any],
+    own: Callable[[Mapping[str, Any]], Imported],
+    own_options: Collection[str],
+    **given: Any,
+) -> Imported:
+    """A deck as own assembly makes it, else as the first engine that is there and reads it; a note says which and why.
+
+    Args:
+        options: of own assembly and of engines; each gets its own.
+        own: the deck by own assembly with options, of which it has ``own_options``.
+        given: further arguments of engines, such as materials.
+
+    Raises:
+        InputError: nobody takes the deck: what keeps it from the one that needs least.
+    """
+    engines = {name: engine for name, engine in ENGINES.items() if format in engine.formats}
+    plain = {key: value for key, value in options.items() if key not in _OF_RUNS}
+    known_there = {key for engine in engines.values() for key in engine.options}
+    if not set(plain) <= {*own_options, *known_there}:
+        return own(plain)  # which says that there is no such option
+    beyond = [key for key in plain if key not in own_options]
+    try:
+        if beyond:
+            raise InputError(f"own assembly has no --{beyond[0]}")
+        imported = own(plain)
+    except InputError as error:
+        refused = error
+    else:
+        return _noted(imported, "own assembly, which takes all elements of the deck")
+    errors, said = [refused], list[str]()
+    for name, engine in engines.items():
+        its_options = {key: value for key, value in options.items() if key in engine.options}
+        try:
+            executable = engine.find("")
+        except InputError:
+            said += _would_read(path, engine, options)
+            continue
+        try:
+            imported = import_with_engine(path, format, f"{name}:{executable.path}", its_options, **given)
+        except DeckError as error:
+            errors.append(error)
+        except InputError as error:
+            said.append(f"{engine.program} fails: {error}")
+        else:
+            return _noted(imported, f"{engine.program}, as own assembly refuses the deck: {_first(refused)}")
+    least = min(errors, key=_needs)
+    hint = "; ".join(said)
+    if isinstance(least, DeckError):
+        raise DeckError(least.source, least.problems, least.given, hint=hint) from least
+    raise InputError(f"{least}{hint and '; '}{hint}") from least
+
+
+def _noted(imported: Imported, who: str) -> Imported:
+    return replace(imported, notes=(f"Assembled by {who} (auto).", *imported.notes))
+
+
+def _would_read(path: Path, engine: Engine, options: Mapping[str, Any]) -> list[str]:
+    """A word on a program that is not there and would read the deck."""
+    try:
+        engine.readable(path, **{key: value for key, value in options.items() if key in known(engine.readable)})
+    except InputError:
+        return []
+    return [f"{engine.program} would read this deck and was not found; install it"]
+
+
+def _first(error: InputError) -> str:
+    """The first thing that keeps a deck from own assembly, without its cure."""
+    text = error.problems[0].what if isinstance(error, DeckError) and error.problems else str(error)
+    return text.split("; ")[0].rstrip(".")
+
+
+def _needs(error: InputError) -> tuple[bool, int, int]:
+    """How much an answer to an error takes: whether options answer it at all, what it loses, and problems."""
+    problems = error.problems if isinstance(error, DeckError) else (Problem(what=str(error)),)
+    flags = [flag for problem in problems for flag in problem.flags]
+    lost = sum(flag.startswith("--skip") for flag in flags)
+    return not all(problem.flags for problem in problems), lost, len(problems)

@@ -1,0 +1,132 @@
+"""``auto`` takes own assembly where all elements are its own, else the program that is there and reads the deck."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from morembs import InputError
+from morembs.app.cli import app
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.run import run_job
+from morembs.body.file import read_body
+from morembs.fem import FEModel, rigid_motion
+from morembs.fem.material import isotropic
+from morembs.importers import import_file
+from morembs.importers.decks.problems import DeckError
+from morembs.importers.to_model import model_of
+from tests.importers.test_engines import PLATE, SHELL, TIED
+from tests.support import calculix
+from tests.support.calculix import needs_ccx, solids
+from tests.support.mystran import needs_mystran, plate
+
+BOX = solids("C3D8", (2, 1, 1), (2.0, 1.0, 1.0))
+JOB = (
+    '[model]\n{}\n[[interface]]\nname = "A"\nnodes = "box:-1,-9,-9,.1,9,9"\n'
+    '[[reduce]]\nmethod = "craig-bampton"\nmodes = 2\n[output]\npath = "shell.h5"\n'
+)
+SHEET = plate(2, 2, np.eye(3)) + "PSHELL,1,1,.01,1,,1\nMAT1,1,2.1+11,,.3,7850.\nENDDATA\n"
+
+
+def mass(model: FEModel) -> float:
+    R = rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
+    return float(R[:, 0] @ (model.M @ R[:, 0]))
+
+
+def written(folder: Path, name: str, text: str) -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture
+def no_programs(tmp_path, monkeypatch):
+    """A machine without ccx and MYSTRAN."""
+    for name in ("MOREMBS_CCX", "MOREMBS_MYSTRAN"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr("sys.prefix", str(tmp_path))
+
+
+def test_solids_are_assembled_here_whatever_is_there(tmp_path, no_programs):
+    path = written(tmp_path, "box.inp", BOX)
+    chosen, own = (model_of(import_file(path, engine=engine)) for engine in ("auto", None))
+    assert abs(chosen.K - own.K).max() == 0
+    assert chosen.notes[0] == "Assembled by own assembly, which takes all elements of the deck (auto)."
+
+
+def test_a_program_is_taken_for_what_is_not_assembled_here(tmp_path, monkeypatch):
+    path = written(tmp_path, "plate.inp", PLATE)
+    monkeypatch.setenv("MOREMBS_CCX", str(calculix.replay(tmp_path, "plate")))
+    done = CliRunner().invoke(app, ["import", str(path), "-o", str(tmp_path / "a.model.h5"), "--engine", "auto"])
+    assert done.exit_code == 0, done.stderr
+    assert "read as abaqus (auto)" in done.stdout
+    assert "Assembled by CalculiX, as own assembly refuses the deck" in done.stdout and "'S4'" in done.stdout
+
+
+@pytest.mark.parametrize(("name", "deck", "program"), [("a.inp", SHELL, "CalculiX"), ("a.bdf", SHEET, "MYSTRAN")])
+def test_a_program_that_is_missing_is_named(tmp_path, no_programs, name, deck, program):
+    with pytest.raises(DeckError, match=f"{program} would read this deck and was not found; install it"):
+        import_file(written(tmp_path, name, deck), engine="auto")
+
+
+def test_what_both_refuse_is_told_by_the_one_that_needs_least(tmp_path, monkeypatch):
+    """Own assembly would have to leave the shells out; CalculiX needs a density."""
+    path = written(tmp_path, "plate.inp", PLATE.replace("*DENSITY\n7850.\n", ""))
+    monkeypatch.setenv("MOREMBS_CCX", str(calculix.replay(tmp_path, "plate")))
+    with pytest.raises(DeckError) as told:
+        import_file(path, engine="auto")
+    assert [problem.flags for problem in told.value.problems] == [("--density X",)]
+    assert import_file(path, options={"density": 7850.0}, engine="auto").K is not None
+
+
+def test_what_keeps_supports_goes_to_a_program(tmp_path, monkeypatch):
+    path = written(tmp_path, "tied.inp", TIED)
+    monkeypatch.setenv("MOREMBS_CCX", str(calculix.replay(tmp_path, "tied")))
+    imported = import_file(path, options={"boundary": "keep"}, engine="auto")
+    assert "CalculiX, as own assembly refuses the deck: own assembly has no --boundary" in imported.notes[0]
+
+
+def test_an_option_that_nobody_has_is_refused(tmp_path):
+    with pytest.raises(InputError, match="has no option 'colour'"):
+        import_file(written(tmp_path, "box.inp", BOX), options={"colour": 1}, engine="auto")
+
+
+@needs_ccx
+def test_a_material_is_given_whoever_assembles(tmp_path):
+    bare = written(tmp_path, "bare.inp", BOX.split("*MATERIAL")[0])
+    steel = isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)
+    models = [model_of(import_file(bare, engine=engine, materials=[steel])) for engine in (None, "auto", "calculix")]
+    assert [mass(model) for model in models] == pytest.approx([2 * 7850.0] * 3)
+    assert abs(models[2].K - models[0].K).max() < 1e-12 * abs(models[0].K).max()
+
+
+@needs_mystran
+def test_nastran_shells_go_to_mystran(tmp_path):
+    imported = import_file(written(tmp_path, "sheet.bdf", SHEET), engine="auto")
+    assert imported.notes[0].startswith("Assembled by MYSTRAN, as own assembly refuses the deck")
+
+
+def test_a_job_reads_a_deck_that_a_program_assembles(tmp_path, monkeypatch):
+    written(tmp_path, "plate.inp", PLATE)
+    monkeypatch.setenv("MOREMBS_CCX", str(calculix.replay(tmp_path, "plate")))
+    job = written(tmp_path, "job.toml", JOB.format('file = "plate.inp"\nengine = "auto"'))
+    run_job(load_job(job))
+    assert next(iter(read_body(tmp_path / "shell.h5").bodies.values())).mass == pytest.approx(0.05 * 4 * 7850)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ('mesh = "a.inp"\nengine = "auto"', "was given without file"),
+        ('file = "a.inp"\nengine = "ansys"', "--engine 'ansys' was given"),
+        ('file = "a.inp"\nengine = "auto"\nmesh = "a.inp"', "mesh and file were both given"),
+    ],
+)
+def test_engines_of_jobs_that_cannot_be_are_refused(tmp_path, table, message):
+    written(tmp_path, "a.inp", BOX)
+    with pytest.raises(InputError, match=message):
+        run_job(load_job(written(tmp_path, "job.toml", JOB.format(table))))
