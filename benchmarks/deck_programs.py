@@ -30,8 +30,8 @@ from morembs.importers.matrices.calculix import read_calculix_matrices
 # motions, compared; seconds of a run.
 DENSITY, MODES, COMPARED, SECONDS = 7.8e-9, 40, 10, 60
 # Digits that ccx writes of a stiffness; parts of the largest eigenvalue that one of a rigid motion has here, and as
-# MYSTRAN prints it.
-DIGITS, RIGID, PRINTED = 1e-14, 1e-10, 1e-9
+# MYSTRAN prints it; part of the largest reciprocal below which one is that of an infinite eigenvalue.
+DIGITS, RIGID, PRINTED, TOLD = 1e-14, 1e-10, 1e-9, 1e-12
 # Rows up to which eigenvalues are those of whole matrices.
 _DENSE = 400
 
@@ -265,7 +265,7 @@ def spectrum(K: sp.csr_array, M: sp.csr_array) -> Spectrum:
     ratios = K.diagonal()[heavy] / M.diagonal()[heavy]
     try:
         first = _shifted(K, M, 1e-7 * float(np.median(ratios)))
-        values = _shifted(K, M, 1e-2 * float(np.abs(first).max()))
+        values = _shifted(K, M, 1e-2 * float(np.abs(first[: 2 * COMPARED]).max()))
     except (RuntimeError, ValueError, sl.LinAlgError, sla.ArpackError) as error:
         raise InputError(f"no eigenvalues: {error}") from error
     return Spectrum(values=values, error=max(DIGITS * float(ratios.max()), RIGID * float(values[-1])))
@@ -281,7 +281,8 @@ def _shifted(K: sp.csc_array, M: sp.csc_array, shift: float) -> np.ndarray:
         inverse = sla.splu(B, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         operator = sla.LinearOperator(B.shape, inverse.solve)
         theta = np.sort(sla.eigsh(M, count, M=B, Minv=operator, v0=start, return_eigenvectors=False))[::-1]
-    return np.sort(1.0 / theta[theta > 0] - shift)
+    # Of rows without mass there are infinite ones.
+    return np.sort(1.0 / theta[theta > TOLD * theta[0]] - shift)
 
 
 def difference(ours: Spectrum, theirs: Spectrum) -> float:

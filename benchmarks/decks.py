@@ -74,11 +74,15 @@ class Cures:
     def learn(self, error: MorembsError) -> bool:
         """Take up what a message names; whether that is anything new."""
         before = repr(self)
-        flags = [flag for problem in error.problems for flag in problem.flags] if isinstance(error, DeckError) else []
-        for name, value in _FLAG.findall(
-            " ; ".join(flags) if flags and all(p.flags for p in error.problems) else str(error)
-        ):
-            self._take(name, value.strip().strip('"'))
+        text = str(error)
+        if isinstance(error, DeckError) and all(problem.flags for problem in error.problems):
+            text = " ; ".join(flag for problem in error.problems for flag in problem.flags)
+        named = _FLAG.findall(text)
+        # A message that names both leaves the choice; a density leaves the deck its own stiffness.
+        other = "material" if not self.density and any(name == "density" for name, _ in named) else ""
+        for name, value in named:
+            if name != other:
+                self._take(name, value.strip().strip('"'))
         return repr(self) != before
 
     def _take(self, name: str, value: str) -> None:

@@ -25,8 +25,8 @@ from tests.support.mystran import needs_mystran, plate
 
 BOX = solids("C3D8", (2, 1, 1), (2.0, 1.0, 1.0))
 JOB = (
-    '[model]\n{}\n[[interface]]\nname = "A"\nnodes = "box:-1,-9,-9,.1,9,9"\n'
-    '[[reduce]]\nmethod = "craig-bampton"\nmodes = 2\n[output]\npath = "shell.h5"\n'
+    '[model]\n{}\n[[interface]]\nname = "A"\nnodes = "box:0,0,1.9,1,1,2.1"\n'
+    '[[reduce]]\nmethod = "craig-bampton"\nmodes = 2\n[output]\npath = "body.h5"\n'
 )
 SHEET = plate(2, 2, np.eye(3)) + "PSHELL,1,1,.01,1,,1\nMAT1,1,2.1+11,,.3,7850.\nENDDATA\n"
 
@@ -110,12 +110,12 @@ def test_nastran_shells_go_to_mystran(tmp_path):
     assert imported.notes[0].startswith("Assembled by MYSTRAN, as own assembly refuses the deck")
 
 
-def test_a_job_reads_a_deck_that_a_program_assembles(tmp_path, monkeypatch):
-    written(tmp_path, "plate.inp", PLATE)
-    monkeypatch.setenv("MOREMBS_CCX", str(calculix.replay(tmp_path, "plate")))
-    job = written(tmp_path, "job.toml", JOB.format('file = "plate.inp"\nengine = "auto"'))
-    run_job(load_job(job))
-    assert next(iter(read_body(tmp_path / "shell.h5").bodies.values())).mass == pytest.approx(0.05 * 4 * 7850)
+@pytest.mark.parametrize("engine", ["auto", "calculix"])
+def test_a_job_reads_a_deck_that_is_assembled_by_whom_it_names(tmp_path, monkeypatch, engine):
+    written(tmp_path, "tied.inp", TIED)
+    monkeypatch.setenv("MOREMBS_CCX", str(calculix.replay(tmp_path, "tied")))
+    run_job(load_job(written(tmp_path, "job.toml", JOB.format(f'file = "tied.inp"\nengine = "{engine}"'))))
+    assert next(iter(read_body(tmp_path / "body.h5").bodies.values())).part.mass == pytest.approx(1.25 * 7850)
 
 
 @pytest.mark.parametrize(
