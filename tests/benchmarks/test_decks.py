@@ -57,7 +57,7 @@ def test_what_own_assembly_refuses_and_ccx_computes_is_a_failure(tmp_path, capsy
     assert box["ways"]["own"]["cures"] == ["density"] and not decks.failures(box)
     assert not shell["ways"]["own"]["taken"] and shell["ways"]["auto"]["taken"]
     assert [words.split(":")[0] for words in decks.failures(shell)] == ["own refuses"]
-    assert "1 of 2 decks failed" in said and "1 own: DECK has 2 problems" in said
+    assert "1 of 2 decks failed" in said and "1 own: DECK has # problems" in said
     row = next(line for line in said.splitlines() if line.startswith("own "))
     assert row.split()[1:6] == ["1", "of", "2", "50", "%"]
 
