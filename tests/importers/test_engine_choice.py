@@ -116,7 +116,7 @@ def test_a_job_reads_a_deck_that_is_assembled_by_whom_it_names(tmp_path, monkeyp
     monkeypatch.setenv("MOREMBS_CCX", str(calculix.replay(tmp_path, "tied")))
     run_job(load_job(written(tmp_path, "job.toml", JOB.format(f'file = "tied.inp"\nengine = "{engine}"'))))
     body = read_body(tmp_path / "body.h5")
-    assert body.source.mass == pytest.approx(1.25 * 7850)
+    assert body.mass == pytest.approx(1.25 * 7850)
 
 
 @pytest.mark.parametrize(
