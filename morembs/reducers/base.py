@@ -290,7 +290,7 @@ class Reducer(ABC):
         outputs = _interface_motions(basis, problem)
         if basis.W is None:
             M = space.project(V, problem.M)
-            _refuse_singular_mass(self.method, M, basis.kinds)
+            refuse_singular_mass(self.method, M, basis.kinds)
             K = without_rigid_motion(symmetric(basis.K), M, basis.rigid)
             B = outputs.T
         else:
@@ -330,7 +330,7 @@ class Reducer(ABC):
         )
 
 
-def _refuse_singular_mass(method: str, M: Floats, kinds: Sequence[str]) -> None:
+def refuse_singular_mass(method: str, M: Floats, kinds: Sequence[str]) -> None:
     """Refuse motions of the basis that have no mass, such as rotations of interfaces beside lumped masses.
 
     Raises:
