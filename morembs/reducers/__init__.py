@@ -11,6 +11,7 @@ from morembs.reducers.craig_bampton import CraigBampton
 from morembs.reducers.free_interface import FreeInterface
 from morembs.reducers.gramian import Gramian
 from morembs.reducers.guyan import Guyan
+from morembs.reducers.improved_reduced_system import ImprovedReducedSystem
 from morembs.reducers.irka import Irka
 from morembs.reducers.krylov import Krylov
 from morembs.reducers.modal import Modal
@@ -23,6 +24,7 @@ _OWN: tuple[type[Reducer], ...] = (
     AutoReducer,
     Modal,
     Guyan,
+    ImprovedReducedSystem,
     CraigBampton,
     FreeInterface,
     Krylov,
@@ -46,6 +48,7 @@ __all__ = [
     "FreeInterface",
     "Gramian",
     "Guyan",
+    "ImprovedReducedSystem",
     "Irka",
     "Krylov",
     "Modal",

@@ -25,6 +25,7 @@ LISTED: list[tuple[str, dict[str, Any]]] = [
     ("modal", {"modes": 5}),
     ("modal", {"modes": 5, "interfaces": "fixed"}),
     ("guyan", {}),
+    ("irs", {"steps": 3}),
     ("craig-bampton", {"modes": 5}),
     ("craig-bampton", {"modes": 14, "inertia_modes": True}),
     ("craig-bampton", {"modes": 3, "interface_modes": 4}),

@@ -176,6 +176,7 @@ def test_other_methods_and_damping_without_a_matrix_are_refused():
         "irka": {"order": 4, "band_hz": [0.0, 500.0]},
         "free-interface": {"modes": 3},
         "guyan": {},
+        "irs": {},
     }
     with Problem(model, ports(model)) as problem:
         for method, given in options.items():
