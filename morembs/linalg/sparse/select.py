@@ -17,6 +17,7 @@ from morembs.linalg.sparse.mixed import Mixed
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps, MumpsSolver
 from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.pardiso import Pardiso
+from morembs.linalg.sparse.rslab import Rslab
 from morembs.linalg.sparse.solver import STRUCTURES, Analysis, Forecast, LinearSolver
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
@@ -33,6 +34,7 @@ _OWN: tuple[type[LinearSolver], ...] = (
     Mixed,
     Cholmod,
     Umfpack,
+    Rslab,
     Amg,
     RankedMumps,
     SuperLU,
