@@ -10,16 +10,16 @@ from typing import Any
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.linalg import lanczos, slicing
+from morembs.linalg import eigen, lanczos, sturm
 from morembs.linalg.sparse.symmetric import Lower
-from morembs.linalg.statics import ConstrainedStatics, Statics
+from morembs.linalg.statics import Statics
 
 # What counts as which stage: where the function is looked up, its name, the stage.
 _STAGES: tuple[tuple[Any, str, str], ...] = (
     (Statics, "apply", "solves"),
-    (slicing.ShiftedInverse, "apply", "solves_shifted"),
-    (slicing.ShiftedInverse, "__init__", "count"),
-    (ConstrainedStatics, "count_below", "count"),
+    (sturm.ShiftedInverse, "apply", "solves_shifted"),
+    (sturm.ShiftedInverse, "__init__", "count"),
+    (eigen, "count_below", "count"),
     (sp.csr_array, "__matmul__", "products"),
     (Lower, "__matmul__", "products"),
     (lanczos, "take_out", "orthogonal"),

@@ -17,9 +17,10 @@ from morembs.base.units import eigenvalue_in_hz
 from morembs.linalg.columns import dense, fix_signs, m_norms, symmetric
 from morembs.linalg.lanczos import BlockLanczos, largest
 from morembs.linalg.second_shift import first_look, keeps_two_factors, modes_below
-from morembs.linalg.slicing import ShiftedInverse, sliced_modes
+from morembs.linalg.slicing import sliced_modes
 from morembs.linalg.space import Space
-from morembs.linalg.statics import ConstrainedStatics, off_eigenvalues
+from morembs.linalg.statics import ConstrainedStatics
+from morembs.linalg.sturm import ShiftedInverse, count_below, off_eigenvalues
 from morembs.linalg.tolerances import TOL
 
 log = logging.getLogger(__name__)
@@ -106,11 +107,11 @@ def _up_to(body: ConstrainedStatics, M: sp.csr_array, below: float) -> tuple[int
     """How many modes lie below, and the factor that counted them where it will be of use."""
     if keeps_two_factors(body) and M.shape[0] > TOL.dense_part_rows:
         try:
-            shifted = off_eigenvalues(below, partial(ShiftedInverse, body, M))
+            shifted = off_eigenvalues(below, partial(ShiftedInverse, body))
             return shifted.below, shifted
         except SolverError as error:
             log.info("no second shift: %s", error)
-    return body.count_below(below), None
+    return count_below(body, below), None
 
 
 def _dense(body: ConstrainedStatics, M: sp.csr_array, count: int | None, below: float | None) -> Modes:
@@ -199,7 +200,7 @@ def _sparse(
         cut = first_look(lanczos, count, what=what)
         try:
             if shifted is None and cut is not None:
-                shifted = off_eigenvalues(cut, partial(ShiftedInverse, body, M))
+                shifted = off_eigenvalues(cut, partial(ShiftedInverse, body))
         except SolverError as error:
             log.info("no second shift: %s", error)
         if shifted is not None and cut is not None:
@@ -229,7 +230,7 @@ def _counted(
             continue
         counted = int((values < cut).sum())
         lanczos.store()
-        true = count if below is not None else body.count_below(cut)
+        true = count if below is not None else count_below(body, cut)
         log.info("Sturm count: %d %s below %.6g Hz, %d found", true, what, eigenvalue_in_hz(cut), counted)
         if counted == true:
             vectors = body.statics.space.fix_signs(Y[:, :count])

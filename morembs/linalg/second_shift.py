@@ -14,8 +14,8 @@ from morembs.base.memory import installed_bytes
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz
 from morembs.linalg.lanczos import BlockLanczos
-from morembs.linalg.slicing import ShiftedInverse
 from morembs.linalg.statics import ConstrainedStatics
+from morembs.linalg.sturm import ShiftedInverse
 from morembs.linalg.tolerances import TOL
 
 

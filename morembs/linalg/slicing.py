@@ -12,66 +12,19 @@ import logging
 from functools import partial
 
 import numpy as np
-import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.base import progress
-from morembs.base.closing import Closing
 from morembs.base.errors import SolverError
 from morembs.base.types import Floats, Ints
 from morembs.base.units import eigenvalue_in_hz
-from morembs.linalg.columns import dense, symmetric
-from morembs.linalg.dynamic_stiffness import with_fixed_rows
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.linalg.space import Space
-from morembs.linalg.statics import ConstrainedStatics, off_eigenvalues, single_dof_rows
+from morembs.linalg.statics import ConstrainedStatics
+from morembs.linalg.sturm import ShiftedInverse, off_eigenvalues
 from morembs.linalg.tolerances import TOL
 
 log = logging.getLogger(__name__)
-
-
-class ShiftedInverse(Closing):
-    """(K - sigma M)^-1 on the subspace of ``body``, and the number of its modes ``below`` sigma."""
-
-    def __init__(self, body: ConstrainedStatics, M: sp.csr_array, sigma: float) -> None:
-        self.body, self.M = body, M
-        self.sigma, A = sigma, body.statics.pencil.shifted(sigma)
-        self.rows = None if body.mean_axes else single_dof_rows(body.C)
-        if self.rows is not None:
-            A = with_fixed_rows(A, self.rows)
-        solver = body.counter().with_memory(body.statics.budget.room_for_factor())
-        self.factor = solver.factorize(A, "symmetric", f"K - sigma M at {eigenvalue_in_hz(sigma):.6g} Hz")
-        self.below = self.factor.negative_pivots()
-        if body.mean_axes:
-            self.below -= body.count
-        elif self.rows is None:
-            self.X = body.statics.space.map_columns(self.factor.solve, body.C)
-            S = dense(body.C.T @ self.X)
-            # Scaled: constraints on displacements and on rotations differ by orders of magnitude.
-            self.scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
-            S = self.scale[:, None] * symmetric(S) * self.scale
-            self.schur = sl.lu_factor(S)
-            self.below -= int(np.count_nonzero(sl.eigvalsh(S) < 0))
-
-    def apply(self, F: Floats) -> Floats:
-        """u (N, k) with (K - sigma M) u = f - C lam and C'u = 0."""
-        if self.rows is not None:
-            F = F.copy()
-            F[self.rows] = 0.0
-        U = np.asarray(self.factor.solve(F))
-        if self.body.mean_axes:
-            # C = M Z; by columns, as the solver leaves them.
-            U -= ((self.body.C.T @ U).T @ self.body.statics.Z.T).T
-        elif self.rows is None:
-            # Twice: round-off of the first time would leave the subspace.
-            for _ in range(2):
-                off = self.scale[:, None] * (self.body.C.T @ U)
-                U -= self.X @ (self.scale[:, None] * sl.lu_solve(self.schur, off))
-        return U
-
-    def close(self) -> None:
-        """Release the factor."""
-        self.factor.close()
 
 
 def sliced_modes(
@@ -104,11 +57,11 @@ def sliced_modes(
         sigma = min(recent[-1] + step, below)
         # Down, as the last shift is the limit.
         words = "; move the limit by a percent"
-        with off_eigenvalues(sigma, partial(ShiftedInverse, body, M), side=-1, words=words) as shifted:
+        with off_eigenvalues(sigma, partial(ShiftedInverse, body), side=-1, words=words) as shifted:
             missing = shifted.below - int((lam < shifted.sigma).sum())
             near = np.sort(np.argsort(np.abs(lam - shifted.sigma))[: 3 * per_slice])
             limit = min(below, 2 * shifted.sigma - recent[-1])
-            new, V = _slice(shifted, locked[:, :size], near, missing, limit, 2 * per_slice)
+            new, V = _slice(shifted, M, locked[:, :size], near, missing, limit, 2 * per_slice)
         if int((new < shifted.sigma).sum()) != missing or size + len(new) > count:
             raise SolverError(
                 f"{missing} more modes lie below {eigenvalue_in_hz(shifted.sigma):.6g} Hz, the eigensolver found "
@@ -132,14 +85,13 @@ def sliced_modes(
 
 
 def _slice(
-    shifted: ShiftedInverse, known: Floats, near: Ints, missing: int, limit: float, capacity: int
+    shifted: ShiftedInverse, M: sp.csr_array, known: Floats, near: Ints, missing: int, limit: float, capacity: int
 ) -> tuple[Floats, Floats]:
     """Converged modes up to ``limit``, at least the ``missing`` ones below the shift, without the ``known`` ones.
 
     Those ``near`` the shift are taken out of the space; others seldom converge in it, and are left out then.
     """
-    M, space = shifted.M, Space(shifted.M, budget=shifted.body.statics.budget)
-    locked = known[:, near]
+    space, locked = Space(M, budget=shifted.body.statics.budget), known[:, near]
 
     def flexibility(F: Floats) -> Floats:
         U = shifted.apply(F)

@@ -13,27 +13,18 @@ interface (C = B), for any kind of coupling.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
-
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.base.budget import Budget, current_budget
+from morembs.base.budget import Budget
 from morembs.base.closing import Closing
-from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError, enough_megabytes
+from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats, Ints
-from morembs.base.units import eigenvalue_in_hz
 from morembs.linalg.columns import m_norms, symmetric
-from morembs.linalg.dynamic_stiffness import DynamicStiffness, spring_stiffness, with_fixed_rows
+from morembs.linalg.dynamic_stiffness import DynamicStiffness, spring_stiffness
 from morembs.linalg.space import Columns
-from morembs.linalg.sparse.select import select_solver
-from morembs.linalg.sparse.solver import Forecast, LinearSolver
-from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.tolerances import TOL
-
-Used = TypeVar("Used")
 
 
 def support_dofs(Z: Floats) -> Ints:
@@ -47,6 +38,8 @@ def support_dofs(Z: Floats) -> Ints:
 class Statics(Closing):
     """K_c^-1 of the stiffness of ``pencil`` (N, N), positive semidefinite with null space ``Z`` (N, r).
 
+    ``System.inverse`` of a problem does not serve here: K is singular, and what makes it regular is supports, which
+    belong to statics alone.
     ``held`` (N, h) are rigid motions that the stiffness holds, perhaps softly.
 
     Raises:
@@ -111,6 +104,8 @@ class ConstrainedStatics:
         H[:, np.abs(H).max(axis=0, initial=0.0) <= TOL.unseen_motion * np.abs(Z).max(axis=0, initial=0.0)] = 0.0
         c, r = H.shape
         self.count = c
+        # What the constraints are where each holds a single dof.
+        self.rows = None if mean_axes else single_dof_rows(C)
         border = np.block([[symmetric(E), -H], [-H.T, np.zeros((r, r))]])
         self.scale = _scales(np.diag(E), H)
         scaled = self.scale[:, None] * border * self.scale
@@ -244,80 +239,6 @@ class ConstrainedStatics:
         """Columns of as many interface degrees of freedom as the budget allows at once."""
         width = self.statics.columns()
         return [slice(at, at + width) for at in range(0, self.count, width)]
-
-    def count_below(self, sigma: float) -> int:
-        """Number of eigenvalues of (K, M) on the subspace below ``sigma`` > 0 (Sylvester).
-
-        Rigid modes are simply not counted; rows that are held drop out of the matrix. For general constraints the
-        negative pivots of K - sigma M less those of C' (K - sigma M)^-1 C are the count (Haynsworth 1968).
-
-        Raises:
-            SolverError: eigenvalues lie so close to ``sigma`` that no count is possible.
-        """
-        return off_eigenvalues(
-            sigma, self._count_below, words=" and cannot be counted there; move the limit by a percent"
-        )
-
-    def counter(self) -> LinearSolver:
-        """The solver for indefinite matrices, which counts negative eigenvalues."""
-        solver = self.statics.pencil.solver
-        return solver if solver.counts else select_solver(scratch=solver.scratch)
-
-    def _count_below(self, sigma: float) -> int:
-        pencil = self.statics.pencil
-        A = pencil.shifted(sigma)
-        rows = None if self.mean_axes else single_dof_rows(self.C)
-        solver = self.counter().with_memory(pencil.budget.room_for_factor())
-        what = "K - sigma M"
-        if self.mean_axes:
-            return solver.negative_eigenvalues(A, what) - int(self.count)
-        if rows is not None:
-            return solver.negative_eigenvalues(with_fixed_rows(A, rows), what)
-        with solver.factorize(A, "symmetric", what) as factor:
-            negative = factor.negative_pivots()
-            S = self.C.T @ self.statics.space.map_columns(factor.solve, self.C)
-        scale = 1.0 / np.sqrt(np.maximum(np.abs(S).max(axis=1), np.finfo(float).tiny))
-        return negative - int(np.count_nonzero(sl.eigvalsh(scale[:, None] * (S + S.T) * scale) < 0))
-
-
-def off_eigenvalues(sigma: float, use: Callable[[float], Used], *, side: int = 1, words: str = "") -> Used:
-    """``use`` (sigma), or where that hits an eigenvalue of a place a little above ``sigma``, with ``side`` -1 below it.
-
-    Raises:
-        SolverError: eigenvalues cluster there, or round-off hides them.
-    """
-    for nudge in TOL.shift_nudges:
-        try:
-            return use(sigma * (1 + side * nudge))
-        except SingularMatrixError:
-            continue
-    raise SolverError(f"many eigenfrequencies cluster at {eigenvalue_in_hz(sigma):.6g} Hz{words}")
-
-
-def require_room_to_count(solver: LinearSolver, lower: Lower, room: int | None) -> Forecast:
-    """What a Sturm count will need, refused now where it would be refused after hours of work.
-
-    Args:
-        room: bytes that may be allocated once all pages that can be released are; None for no limit.
-
-    Raises:
-        BudgetError: the count has no room within the budget; the message says how much more it takes.
-    """
-    solver = solver if solver.counts else select_solver(scratch=solver.scratch)
-    if room is None:
-        return solver.with_memory(None).inertia_forecast(lower)
-    # The values of K - sigma M, and the blocks of the eigensolver that wait.
-    beside = 8 * lower.nnz + TOL.count_columns * 8 * lower.n + TOL.count_bytes
-    try:
-        return solver.with_memory(max(room - beside, 0)).inertia_forecast(lower)
-    except BudgetError as error:
-        more = current_budget().raise_for(error.needed + beside - room)
-        raise BudgetError(
-            f"the memory budget leaves {room / 1e6:.0f} MB for the Sturm count that proves the modes complete; it "
-            f"needs {(error.needed + beside) / 1e6:.0f} MB: raise the budget by {enough_megabytes(more)} MB or more, "
-            "or take a coarser mesh",
-            needed=error.needed + beside,
-        ) from None
 
 
 def single_dof_rows(C: Floats | sp.csc_array) -> Ints | None:

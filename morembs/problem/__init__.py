@@ -2,7 +2,8 @@
 
 from morembs.fem.fe_model import STRUCTURAL
 from morembs.problem.damping import Damping, frequency_domain_only, modal_steps
-from morembs.problem.problem import SOFTER, Problem
+from morembs.problem.problem import Problem
+from morembs.problem.soundness import SOFTER
 from morembs.problem.system import System
 
 __all__ = ["SOFTER", "STRUCTURAL", "Damping", "Problem", "System", "frequency_domain_only", "modal_steps"]

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from morembs.base.budget import UNLIMITED, Budget, current_budget
 from morembs.base.closing import Closing
-from morembs.base.errors import InputError, MorembsError, SingularMatrixError, SolverError
+from morembs.base.errors import InputError, MorembsError, SingularMatrixError
 from morembs.base.former_names import with_budget_argument, with_progress_argument
 from morembs.base.progress import listener, listening
 from morembs.base.summary import summarised
@@ -20,29 +20,25 @@ from morembs.fem import FEModel
 from morembs.fem.fe_model import has_places
 from morembs.fem.interface import Coupling, Interface, couple
 from morembs.fem.mass import mass_properties
-from morembs.fem.rigid_residual import share_of_other_geometry
 from morembs.linalg.columns import dense
-from morembs.linalg.congruence import congruence, scaled_row_sums
+from morembs.linalg.congruence import congruence
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import Modes, lowest_modes
-from morembs.linalg.rigid import decimal_precision, has_stiffness
 from morembs.linalg.space import Space
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
-from morembs.linalg.statics import ConstrainedStatics, Statics, require_room_to_count
+from morembs.linalg.statics import ConstrainedStatics, Statics
+from morembs.linalg.sturm import require_room_to_count
 from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem.damping import Damping as Damping
-from morembs.problem.rigid_motions import need_factor, nodes_of_rows, rigid_motions, terms_in_rows
+from morembs.problem.rigid_motions import acts_on_rigid_motion, need_factor, rigid_motions
+from morembs.problem.soundness import refuse_lost_modes, refuse_lost_supports, refuse_other_geometry, why_singular
 from morembs.problem.system import System
 from morembs.problem.tolerances import TOL
 
 Shared = TypeVar("Shared")
 # Key of the constraint modes among the solutions that reducers share.
 CONSTRAINT = "constraint modes"
-SOFTER = (
-    "make stiff links and penalty springs softer (a thousand times the stiffness of what they join is rigid enough) or "
-    "replace them by rigid couplings, or leave a soft support to the simulation"
-)
 
 
 @summarised
@@ -184,43 +180,20 @@ class Problem(Closing):
         return self.G is None and self.N is None
 
     @cached_property
-    def velocity_matrix(self) -> sp.csr_array | None:
-        """D + G of the model (Nc, Nc), None without either."""
-        if self.D is None or self.G is None:
-            return self.G if self.D is None else self.D
-        return sp.csr_array(self.D + self.G)
-
-    @cached_property
-    def damps_rigid_motion(self) -> bool:
-        """Whether D or G of the model acts on rigid-body motion, which then couples to the elastic part."""
-        return self._acts_on_rigid_motion("D") or self._acts_on_rigid_motion("G")
-
-    def _acts_on_rigid_motion(self, name: str) -> bool:
-        own, given = getattr(self, name), getattr(self.model, name)
-        if own is None or given is None or not own.nnz or not self.rigid.shape[1]:
-            return False
-        # A row that moves by the round-off of these vectors alone has no terms that its force could cancel among.
-        moves = np.abs(self.rigid) > TOL.still_row * np.abs(self.rigid).max(axis=0)
-        rigid = np.where(moves, self.rigid, 0.0)
-        return has_stiffness(
-            own,
-            rigid,
-            terms_in_rows(self.model, self.coupling, given, rigid),
-            nodes_of_rows(self.model, self.coupling),
-            decimal_precision(given.data),
-        )
-
-    @cached_property
     def system(self) -> System:
         """The matrices with what solving at any s takes; goes to other processes."""
+        one = self.G if self.D is None else self.D
         return System(
             K=self.K,
             M=self.M,
-            velocity_matrix=self.velocity_matrix,
+            velocity_matrix=sp.csr_array(self.D + self.G) if self.D is not None and self.G is not None else one,
             N=self.N,
             rigid=self.rigid,
             damping=self.damping,
-            damps_rigid_motion=self.damps_rigid_motion,
+            damps_rigid_motion=any(
+                acts_on_rigid_motion(self.model, self.coupling, own, given, self.rigid)
+                for own, given in ((self.D, self.model.D), (self.G, self.model.G))
+            ),
             stiffness=self.stiffness,
             space=self.space,
         )
@@ -229,13 +202,13 @@ class Problem(Closing):
     def statics(self) -> Statics:
         """The one factorisation: supported stiffness, shared by all reducers."""
         self._refuse_free_flutter()
-        self._refuse_other_geometry()
+        refuse_other_geometry(self.model, self.coupling, self.system, self._held)
         try:
             statics = Statics(self.stiffness, self.rigid, self._held)
         except SingularMatrixError as error:
-            raise SingularMatrixError(self._mechanism()) from error
+            raise SingularMatrixError(why_singular(self.coupling, self.system)) from error
         try:
-            self._refuse_lost_supports(statics)
+            refuse_lost_supports(statics, self.M)
         except MorembsError:
             statics.close()
             raise
@@ -336,110 +309,8 @@ class Problem(Closing):
             return known
         with listening(listener() or self.listener):
             modes = lowest_modes(body, self.M, count=count, below=below, what=what)
-        off = TOL.usual_roundoff * self.uncertainty(modes)
-        lost = np.flatnonzero(off > TOL.lost_digits * modes.eigenvalues)
-        if len(lost):
-            k = int(lost[np.argmax(off[lost] / np.maximum(modes.eigenvalues[lost], np.finfo(float).tiny))])
-            raise SolverError(
-                f"round-off in the stiffness matrix hides {len(lost)} of the {what}: that at "
-                f"{modes.frequencies_hz[k]:.6g} Hz has a stiffness of {modes.eigenvalues[k]:.3g} (rad/s)2, known to "
-                f"{off[k]:.1e} only (needed {TOL.lost_digits:.0e} of it); {SOFTER}"
-            )
+        refuse_lost_modes(modes, self.system.roundoff(modes.vectors), what)
         return modes
-
-    def uncertainty(self, modes: Modes) -> Floats:
-        """How far round-off in K moves the eigenvalues (k,) of ``modes`` at most, in (rad/s)2."""
-        return self.rounding(modes.vectors)
-
-    def rounding(self, V: Floats) -> Floats:
-        """What round-off in K makes of the energies of the columns of ``V`` (Nc, k) at most: eps abs(v)' abs(K) abs(v).
-
-        Row sums of abs(K) stand for its products, so that no copy of K is made.
-        """
-        weights = self.shared("row sums of |K|", lambda: scaled_row_sums(self.K))
-        return np.asarray(np.finfo(float).eps * np.einsum("i,ij,ij->j", weights, V, V))
-
-    def _refuse_lost_supports(self, statics: Statics) -> None:
-        """Refuse a factor that does not give back the rigid motions that K holds from their own forces.
-
-        Raises:
-            SolverError: as said.
-        """
-        held = statics.held
-        if not held.shape[1]:
-            return
-        change = statics.apply(statics.supported(held)) - held
-        # The motions are M-orthonormal.
-        lost = float(np.sqrt(np.linalg.norm(change.T @ (self.M @ change), 2)))
-        if not lost <= TOL.lost_digits:
-            raise SolverError(
-                f"the body is held so softly that its static motion on the supports comes out wrong by {lost:.1e} "
-                f"(needed {TOL.lost_digits:.0e}): round-off of the stiff parts hides its digits; {SOFTER}"
-            )
-
-    def _refuse_other_geometry(self) -> None:
-        """Refuse coordinates or dofs that are not those of K: they strain it, and it has other motions without energy.
-
-        Raises:
-            InputError: as said.
-        """
-        model = self.model
-        if not self._held.shape[1] or model.dependent is not None or not has_places(model):
-            return
-        share = share_of_other_geometry(model.K, model.nodes, model.dofs)
-        if not share:
-            return
-        # Frames of interfaces may hold what they do not fit.
-        lower = sp.csr_array(model.K - self._round_off_shift(model.K, self.rigid[:, :0]) * model.M)
-        try:
-            count = self.solver.with_memory(self.budget.left()).negative_eigenvalues(lower, "K - sigma M")
-        except SingularMatrixError:
-            return
-        if count > self.rigid.shape[1]:
-            raise InputError(
-                f"the stiffness matrix K does not fit the geometry: rigid motion strains it at {share:.0%} of the dofs "
-                f"and {count} other motions have no energy; check that coordinates and dof map belong to these "
-                "matrices, in this order; morembs.body.diagnostics.examine_model(model) says more"
-            )
-
-    def _round_off_shift(self, K: sp.csr_array, Z: Floats) -> float:
-        """A shift far above the round-off of ``K`` in motions ``Z``, so far below every elastic mode of a sound part.
-
-        Without any such motion: the round-off in a translation of all rows.
-        """
-        weights = scaled_row_sums(K)
-        if Z.shape[1]:
-            lost = float(np.einsum("i,ij,ij->j", weights, Z, Z).max())
-        else:
-            mass = self.mass_properties[0]
-            lost = float(weights.sum() / (mass if mass > 0 else self.M.diagonal().max(initial=0.0) or 1.0))
-        return TOL.mechanism_shift * float(np.finfo(float).eps) * lost
-
-    def _mechanism(self) -> str:
-        """Message for a stiffness with more zero-energy motions than the rigid ones."""
-        sigma = self._round_off_shift(self.K, self.rigid)
-        try:
-            solver = self.solver.with_memory(self.budget.left())
-            negative = solver.negative_eigenvalues(self.stiffness.shifted(-sigma), "K + sigma M")
-            count = solver.negative_eigenvalues(self.stiffness.shifted(sigma), "K - sigma M")
-        except MorembsError:
-            return (
-                "the stiffness matrix is singular beyond its rigid-body modes: a mechanism, or a body so slender or so "
-                "far from its interface points that double precision does not resolve it; check the mesh and the units"
-            )
-        if negative:
-            return (
-                f"the stiffness matrix has {negative} negative eigenvalues: the body buckles or diverges under its "
-                "load, speed or flow; lower that below the critical one (complex modes of the full model are computed "
-                "above it too)"
-            )
-        if count <= self.rigid.shape[1]:
-            return "the stiffness matrix is singular to working precision; check the units and the material"
-        return (
-            f"the model has a mechanism: {count} rigid-body modes were found where {self.rigid.shape[1]} are expected; "
-            "look for parts that touch in a node or an edge only, nodes that should be merged, or coordinates that are "
-            "not those of the matrices"
-        )
 
 
 def _cut(modes: Modes, count: int | None, below: float | None) -> Modes:

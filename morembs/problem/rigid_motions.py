@@ -20,7 +20,7 @@ from morembs.fem.fe_model import Component, has_places
 from morembs.fem.interface import Coupling
 from morembs.linalg.congruence import abs_products
 from morembs.linalg.null_space import groups_of, null_space
-from morembs.linalg.rigid import decimal_precision, free_in_groups, rigid_null_space
+from morembs.linalg.rigid import decimal_precision, free_in_groups, has_stiffness, rigid_null_space
 from morembs.linalg.sparse.solver import LinearSolver
 from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem.tolerances import TOL
@@ -80,6 +80,20 @@ def nodes_of_rows(model: FEModel, coupling: Coupling) -> Ints:
     T = sp.csc_array(coupling.T)
     of_entry = np.asarray(model.dofs.node, dtype=np.int64)[T.indices]
     return np.minimum.reduceat(of_entry, T.indptr[:-1])
+
+
+def acts_on_rigid_motion(
+    model: FEModel, coupling: Coupling, own: sp.csr_array | None, given: sp.csr_array | None, rigid: Floats
+) -> bool:
+    """Whether a matrix ``own`` (Nc, Nc) of the coupled dofs, ``given`` (N, N) in the model, acts on the motions
+    ``rigid`` (Nc, r), which then couple to the elastic part."""
+    if own is None or given is None or not own.nnz or not rigid.shape[1]:
+        return False
+    # A row that moves by the round-off of these vectors alone has no terms that its force could cancel among.
+    moves = np.abs(rigid) > TOL.still_row * np.abs(rigid).max(axis=0)
+    rigid = np.where(moves, rigid, 0.0)
+    sums, rows = terms_in_rows(model, coupling, given, rigid), nodes_of_rows(model, coupling)
+    return has_stiffness(own, rigid, sums, rows, decimal_precision(given.data))
 
 
 def _independent_motions(R: Floats, M: sp.csr_array) -> tuple[Floats, Floats]:

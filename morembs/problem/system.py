@@ -18,6 +18,7 @@ from morembs.base.memory import resident_bytes
 from morembs.base.types import Floats, Values
 from morembs.base.units import in_hz
 from morembs.base.worker_pool import WorkerPool
+from morembs.linalg.congruence import scaled_row_sums
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.space import Space
 from morembs.linalg.sparse.solver import STRUCTURES
@@ -60,6 +61,18 @@ class System:
             if A is not None:
                 out = out + factor * ((A.T if transposed else A) @ X)
         return np.asarray(out)
+
+    @cached_property
+    def row_sums(self) -> Floats:
+        """Row sums (Nc,) of abs(K), which stand for its products, so that no copy of K is made."""
+        return scaled_row_sums(self.K)
+
+    def roundoff(self, V: Floats) -> Floats:
+        """What round-off in K makes of the energies of the columns of ``V`` (Nc, k) at most: eps abs(v)' abs(K) abs(v).
+
+        Of modes of unit mass: how far it moves their eigenvalues, in (rad/s)2.
+        """
+        return np.asarray(np.finfo(float).eps * np.einsum("i,ij,ij->j", self.row_sums, V, V))
 
     @contextmanager
     def inverse(self, s: complex, *, damped: bool = True) -> Iterator[Solve]:

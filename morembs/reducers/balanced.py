@@ -305,7 +305,7 @@ def _elastic(problem: Problem, system: System) -> SecondOrder:
     """The elastic part as the iteration sees it: no solution has rigid motion in it."""
     M, K, D = problem.M, problem.K, problem.D
     alpha, beta = _rayleigh(problem)
-    if problem.damps_rigid_motion:
+    if problem.system.damps_rigid_motion:
         raise InputError(
             "the damping matrix of this model damps its rigid-body motion, so its elastic part has no Gramian of "
             "its own; hold the body somewhere, or give [damping] instead of the matrix"

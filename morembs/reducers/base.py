@@ -374,7 +374,7 @@ def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Probl
     coupled = basis.W is None and np.count_nonzero(K) > np.count_nonzero(np.diag(K))
     values, Y = accurate_eigh(K, M) if coupled else (np.abs(np.diag(K)), np.eye(n))
     # Round-off in K V y, at most: the norms of columns add up.
-    noise = (np.sqrt(problem.rounding(V)) @ np.abs(Y)) ** 2 / TOL.stiffness_error
+    noise = (np.sqrt(problem.system.roundoff(V)) @ np.abs(Y)) ** 2 / TOL.stiffness_error
     lowest = values[r]
     scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.maximum(values, lowest), noise), np.finfo(float).tiny))
     # Signs that no structure of a basis has.

@@ -152,7 +152,7 @@ class Krylov(Reducer):
         return elastic_basis(problem, spaces[0].V, "krylov", notes)
 
     def _check(self, problem: Problem) -> None:
-        if 0.0 in self.shifts_hz and problem.damps_rigid_motion:
+        if 0.0 in self.shifts_hz and problem.system.damps_rigid_motion:
             raise InputError(
                 "the model's damping or gyroscopic matrix acts on its rigid-body motion, so there is no expansion at "
                 "0 Hz; take real_shifts, or shifts_hz above zero"
@@ -167,7 +167,7 @@ class Krylov(Reducer):
     def _columns(self, problem: Problem, loads: int) -> int:
         """Columns of the basis before rank decisions."""
         width = min(loads, self.tangential or loads)
-        own = problem.velocity_matrix is not None
+        own = problem.system.velocity_matrix is not None
         total = sum(
             count * width * (2 if own and s.imag else 1) * len(_sides(problem, s)) for s, count in self._points()
         )
@@ -242,7 +242,7 @@ class _LoadSpace:
         F = problem.B[:, rows].toarray() * problem.motion_scale[rows]
         self.names: tuple[object, ...] = (*rows.tolist(), "inertia" if inertia else "")
         whole = np.linalg.norm(F, axis=0)
-        if not problem.damps_rigid_motion:
+        if not problem.system.damps_rigid_motion:
             F = elastic_part(problem, F)
         bends = np.linalg.norm(F, axis=0) > TOL.rigid_load * whole
         self.lost = [] if bends.all() else [f"{(~bends).sum()} of the {name} do not deform the body"]

@@ -41,7 +41,7 @@ def to_pymor(model: Problem | ReducedModel) -> Any:
         E = damping.alpha * model.M + damping.beta * model.K
         B = sp.csr_array(model.B)
         # Inputs and outputs are dense in pyMOR: their operators hold rows that are ready.
-        E = E if model.velocity_matrix is None else E + model.velocity_matrix
+        E = E if model.system.velocity_matrix is None else E + model.system.velocity_matrix
         K = model.K if model.N is None else model.K + model.N
         matrices = [model.M, E, K, B.toarray(), B.T.toarray()]
     return iosys.SecondOrderModel.from_matrices(*matrices)

@@ -292,7 +292,7 @@ class _Build:
         parts = [np.zeros(0)]
         for at in range(0, n, width):
             X = model.vectors(np.eye(n, min(width, n - at), -at))
-            parts.append(problem.rounding(X) + EPS * self.band[1] * np.einsum("i,ij,ij->j", weights, X, X))
+            parts.append(problem.system.roundoff(X) + EPS * self.band[1] * np.einsum("i,ij,ij->j", weights, X, X))
         return np.concatenate(parts)
 
     def grown(self) -> CertifiedReference:

@@ -9,7 +9,6 @@ import scipy.linalg as sl
 
 from morembs.base.types import Floats
 from morembs.linalg.columns import m_norms, orthonormal, symmetric
-from morembs.linalg.congruence import scaled_row_sums
 from morembs.linalg.eigen import Modes
 from morembs.problem import Problem
 from morembs.responses.reference import ReferenceSpace
@@ -66,7 +65,7 @@ class ReferenceBasis:
         # Few rows of V, which may lie in a file.
         rows = np.unique(problem.B.indices)
         b = np.vstack([(problem.B.T @ U).T, (problem.B[rows].T @ self.V[rows] @ Y[:, k:]).T]) * problem.motion_scale
-        unsure = np.concatenate([problem.rounding(U), self.uncertain(Y[:, k:])])
+        unsure = np.concatenate([problem.system.roundoff(U), self.uncertain(Y[:, k:])])
         unsure = np.maximum(unsure, 4 * EPS * (values + highest**2))
         rest = np.zeros((len(values), len(values)))
         rest[:k], rest[k:, :k] = coupled, coupled[:, k:].T
@@ -96,7 +95,7 @@ class ReferenceBasis:
         rows = np.unique(problem.B.indices)
         B, Z = abs(problem.B[rows]).T, np.abs(problem.B.T @ problem.rigid)
         sums = np.vstack([(B @ np.abs(U[rows])).T, ((B @ np.abs(self.V[rows])) @ np.abs(Y)).T])
-        off = EPS * (sums + Z.sum(axis=1)) + turned[:, None] * (Z @ np.sqrt(problem.rounding(problem.rigid)))
+        off = EPS * (sums + Z.sum(axis=1)) + turned[:, None] * (Z @ np.sqrt(problem.system.roundoff(problem.rigid)))
         return np.asarray(off * problem.motion_scale)
 
     def sharpened(self, modes: RitzModes) -> RitzModes:
@@ -115,8 +114,8 @@ class ReferenceBasis:
         return np.asarray(self.root @ Y[self.rows])
 
     def uncertain(self, Y: Floats) -> Floats:
-        """(k,) how far round-off in K moves the eigenvalues of V ``Y`` at most, as ``Problem.uncertainty``."""
-        weights, V = self.problem.shared("row sums of |K|", lambda: scaled_row_sums(self.problem.K)), self.V
+        """(k,) how far round-off in K moves the eigenvalues of V ``Y`` at most, as ``System.roundoff``."""
+        weights, V = self.problem.system.row_sums, self.V
         gram = np.zeros((V.shape[1], V.shape[1]))
         for first in range(0, len(V), TOL.rows_at_once):
             rows = slice(first, first + TOL.rows_at_once)

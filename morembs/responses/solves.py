@@ -48,7 +48,7 @@ class Solves:
     @cached_property
     def weights(self) -> Floats:
         """W (Nc,) of K."""
-        return self.problem.shared("row sums of |K|", lambda: scaled_row_sums(self.problem.K))
+        return self.problem.system.row_sums
 
     @cached_property
     def gamma(self) -> float:

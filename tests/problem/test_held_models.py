@@ -350,6 +350,6 @@ def test_damping_of_a_guided_beam_leaves_its_free_motion_alone() -> None:
             model, [make_interface(model, name="slide", nodes=np.arange(2), coupling="direct", components=[1])]
         )
         assert problem.rigid.shape[1] == 1
-        assert not problem.damps_rigid_motion
+        assert not problem.system.damps_rigid_motion
         grounded = replace(model, D=model.D + sp.csr_array(np.diag([1e-3, 0, 0, 0, 0, 0])))
-        assert Problem(grounded, problem.interfaces).damps_rigid_motion
+        assert Problem(grounded, problem.interfaces).system.damps_rigid_motion

@@ -27,7 +27,7 @@ from morembs.linalg.dynamic_stiffness import plan_at_shift
 from morembs.linalg.sparse.solver import Forecast, LinearSolver
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.sparse.threads import blas_threads, measured_speed
-from morembs.linalg.statics import require_room_to_count
+from morembs.linalg.sturm import require_room_to_count
 from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem.system import worker_bytes
 from morembs.problem.tolerances import TOL as PROBLEM
