@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +13,7 @@ from morembs.base.types import Floats, Ints
 from morembs.fem import ElementBlock
 from morembs.fem.elements import TYPES
 from morembs.fem.middle_nodes import in_order
-from morembs.importers.abaqus.deck import Deck, Instance, values
+from morembs.importers.abaqus.deck import Contents, Instance, values
 from morembs.importers.abaqus.names import Discrete, Names, Placed, ascending, of_instance
 from morembs.importers.decks.algebra import rotation_about
 from morembs.importers.tolerances import TOL
@@ -29,7 +30,7 @@ class Assembly(Names):
     labels, rows of nodes), which are not assembled here.
     """
 
-    def __init__(self, deck: Deck) -> None:
+    def __init__(self, deck: Contents) -> None:
         super().__init__()
         self.deck = deck.name
         self.problems = deck.problems
@@ -63,7 +64,7 @@ class Assembly(Names):
             start += len(ids)
         self._elements([placed for placed, *_ in node_parts], deck)
 
-    def _unused(self, deck: Deck) -> None:
+    def _unused(self, deck: Contents) -> None:
         used = {instance.part for instance in deck.instances.values()}
         spare = [part.name for key, part in deck.parts.items() if key not in used and part.node_ids]
         if spare and not deck.instances and len(deck.parts) == 1:
@@ -85,7 +86,7 @@ class Assembly(Names):
         self.notes.append(f"The same {what} labels are in several instances, so these labels were raised: {moved}.")
         return [j * step for j in range(len(labels))]
 
-    def _elements(self, scopes: list[Placed], deck: Deck) -> None:
+    def _elements(self, scopes: list[Placed], deck: Contents) -> None:
         """Blocks with rows of all nodes; labels of each scope to numbers of elements: type by type, then those on
         single nodes, then others."""
         kinds = [_by_kind(placed, deck, spent=len(self.placed) < 2) for placed in scopes]
@@ -149,6 +150,14 @@ class Assembly(Names):
         discrete = np.array([element.label for element in self.discrete], dtype=np.int64)
         return np.concatenate([_NONE, *(b.ids for b in self.blocks), discrete, *(ids for _, ids, _ in self.others)])
 
+    def resolved(self, kind: str) -> Iterator[tuple[str, Ints]]:
+        """Sets of nodes, or of elements, by their final names, with rows or numbers; what is wrong is a problem."""
+        for name, (placed, own) in self.named(kind).items():
+            rows = _NONE
+            with self.problems.collected():
+                rows = self.members(kind, placed, own)
+            yield name, rows
+
     def _in_order(self, kind: str, nodes: Ints, ids: Ints) -> Ints:
         """Nodes in VTK order; surfaces, too, go by it. Programs differ in the order of the 7 inner nodes of hex27, so
         it is taken from where they are."""
@@ -187,7 +196,7 @@ def _repeats(labels: Ints) -> bool:
     return len(ascending(labels)) < len(labels)
 
 
-def _by_kind(placed: Placed, deck: Deck, *, spent: bool) -> dict[Kind, Ints]:
+def _by_kind(placed: Placed, deck: Contents, *, spent: bool) -> dict[Kind, Ints]:
     """Labels and nodes (k, width) of the solids of each kind; ``spent`` pieces are let go."""
     kinds: dict[Kind, list[Ints]] = {}
     for scope in placed.contents:

@@ -12,7 +12,7 @@ from morembs.base.types import Floats, Ints
 from morembs.fem.constraints import AverageElement, Equations, RigidElement, Term
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.data import number
-from morembs.importers.abaqus.deck import Deck, Rows
+from morembs.importers.abaqus.deck import Contents, Rows
 from morembs.importers.abaqus.equations import Axes, equations_of, mpc_sums, solved
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
@@ -22,6 +22,7 @@ from morembs.importers.abaqus.surfaces import Surfaces
 from morembs.importers.abaqus.ties import Glue, is_sector
 from morembs.importers.abaqus.words import CONTACT
 from morembs.importers.decks.problems import Problem
+from morembs.importers.decks.tables import Tie
 from morembs.importers.imported import DiscreteElement, PointMass
 
 _ALL = (0, 1, 2, 3, 4, 5)
@@ -38,6 +39,7 @@ class DeckTies:
     equations: list[Equations] = field(default_factory=list)
     masses: list[PointMass] = field(default_factory=list)
     discrete: list[DiscreteElement] = field(default_factory=list)
+    ties: list[Tie] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
@@ -45,7 +47,7 @@ class DeckTies:
 class Constraints:
     """Reads what stands in the scopes of an assembly; what cannot be read is a problem of the deck."""
 
-    def __init__(self, deck: Deck, assembly: Assembly) -> None:
+    def __init__(self, deck: Contents, assembly: Assembly) -> None:
         self.assembly = assembly
         self.deck, self.problems, self.options = deck, deck.problems, deck.options
         self.ties = DeckTies()
@@ -89,6 +91,7 @@ class Constraints:
         glue = Glue(self.assembly, self.surfaces, self._followers(), self.deck.dialect)
         glue.read(pairs)
         self.ties.equations += glue.equations
+        self.ties.ties = glue.ties
         self.ties.notes += glue.notes
         self.ties.warnings += glue.warnings
         return self.ties
@@ -274,7 +277,7 @@ class Constraints:
         return surface.nodes, surface.weights
 
 
-def refuse_sector(card: Card, deck: Deck) -> None:
+def refuse_sector(card: Card, deck: Contents) -> None:
     """A *TIE of the sides of a sector is a problem, unless sectors are to be taken as they are."""
     if deck.options.skips(SECTOR):
         deck.skip(Card(SECTOR, {}, card.file))

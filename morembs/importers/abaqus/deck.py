@@ -104,7 +104,7 @@ class Instance:
 
 
 @dataclass
-class Deck:
+class Contents:
     """All of a deck; ``counts`` of element types as they are written, ``noted`` keywords without effect and the
     ``warnings`` of some of them, ``skipped`` what was left out as asked; ``dialect`` is the program whose types are
     meant, and ``guessed`` says that the deck does not tell."""

@@ -5,28 +5,20 @@ Read here and not by meshio, which drops labels, sets named inside keywords, ins
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
-
-import numpy as np
 
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
 from morembs.base.limits import one_of
 from morembs.fem import Mesh
 from morembs.importers.abaqus.assembly import Assembly
-from morembs.importers.abaqus.constraints import Constraints
-from morembs.importers.abaqus.deck import SOLIDS, Deck
-from morembs.importers.abaqus.left_out import LOCKED, PRETENSION, notes_of
-from morembs.importers.abaqus.materials import materials_of
-from morembs.importers.abaqus.mesh import mesh_of
 from morembs.importers.abaqus.reader import read_deck
-from morembs.importers.abaqus.words import of_kind
-from morembs.importers.decks.formulations import DIALECTS, deck_warnings
-from morembs.importers.decks.options import deck_options, left_out
+from morembs.importers.abaqus.whole import deck_of, mesh_deck
+from morembs.importers.decks.formulations import DIALECTS
+from morembs.importers.decks.options import deck_options
 from morembs.importers.decks.problems import Problem
-from morembs.importers.imported import Imported, nodes_of, sets_on
+from morembs.importers.imported import Imported
 
 
 def read_abaqus(path: Path, *, dialect: str = "auto", allow_includes_outside: bool = False) -> Mesh:
@@ -49,9 +41,11 @@ def read_abaqus(path: Path, *, dialect: str = "auto", allow_includes_outside: bo
             )
         )
     with deck.problems.ending():
-        mesh = mesh_of(Assembly(deck), np.empty(0, dtype=np.int64))[0]
-    deck.problems.refuse()
-    return _with_warnings(mesh, deck)
+        whole = mesh_deck(deck, Assembly(deck))
+    if not any(part.kind == "solid" for part in whole.elements):
+        deck.problems.refuse()
+        raise InputError(f"{deck.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)")
+    return whole.mesh()
 
 
 def import_abaqus(
@@ -84,63 +78,11 @@ def import_abaqus(
         InputError: options that are not known.
     """
     options = deck_options(density, contact, skip)
-    deck = read_deck(Path(path), outside=allow_includes_outside, dialect=_known(dialect), options=options)
-    with deck.problems.ending():
-        assembly = Assembly(deck)
-        if not assembly.blocks:
-            raise InputError(f"{deck.name} has no solid elements; expected a mesh of solids (C3D4, C3D10, C3D8, ...)")
-        constraints = Constraints(deck, assembly)
-        ties = constraints.read()
-        sections = materials_of(deck, assembly)
-        tied = Imported(
-            source=deck.name,
-            rigid=tuple(ties.rigid),
-            average=tuple(ties.average),
-            equations=tuple(ties.equations),
-            masses=tuple(ties.masses),
-            discrete=tuple(ties.discrete),
-        )
-        mesh, nodes, row = mesh_of(assembly, nodes_of(tied.ties))
-    materials, lacking, said = options.all_materials(deck.problems, sections.materials, sections.lacking)
-    for instance in deck.instances.values():
-        if instance.moves:
-            assembly.notes.append(f"The instance {instance.scope.name} was moved to its place.")
-    return replace(
-        tied.on_rows(row),
-        nodes=nodes,
-        mesh=_with_warnings(mesh, deck),
-        materials=materials,
-        incomplete=lacking,
-        surfaces=sets_on(constraints.surfaces.nodes, row),
-        notes=(*_notes(deck), *assembly.notes, *sections.notes, *ties.notes),
-        warnings=(*skipped_warnings(deck), *deck.warnings, *ties.warnings, *sections.warnings, *said),
-    )
+    return deck_of(
+        read_deck(Path(path), outside=allow_includes_outside, dialect=_known(dialect), options=options)
+    ).imported()
 
 
 def _known(dialect: str) -> str:
     check_value("dialect", dialect, Annotated[str, one_of(*DIALECTS)])
     return dialect
-
-
-def skipped_warnings(deck: Deck) -> list[str]:
-    """What was left out as asked, a sentence each."""
-    contact = ("*CONTACT PAIR", "*CONTACT")
-    return [left_out(kind, count, contact=kind in contact) for kind, count in deck.skipped.items()]
-
-
-def _with_warnings(mesh: Mesh, deck: Deck) -> Mesh:
-    """The mesh with what its element types mean otherwise in their program."""
-    solids = {code: count for code, count in deck.counts.items() if code in SOLIDS and count}
-    return replace(mesh, warnings=(*mesh.warnings, *deck_warnings(solids, deck.dialect, guessed=deck.guessed)))
-
-
-def _notes(deck: Deck) -> list[str]:
-    """What was left out, a sentence for each class."""
-    in_steps = [word for word in deck.in_steps if word in of_kind("support", "load")]
-    notes = notes_of(dict.fromkeys([*deck.noted, *in_steps]))
-    if f"*{PRETENSION}" in deck.skipped:
-        notes.append(LOCKED.format(""))
-    if deck.in_steps:
-        listed = ", ".join(f"*{word}" for word in deck.in_steps if word != "END STEP")
-        notes.append(f"Steps and all in them are not applied: {listed}.")
-    return notes

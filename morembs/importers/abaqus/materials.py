@@ -1,8 +1,8 @@
-"""Materials and solid sections of an input deck as one material for each element set."""
+"""Solid sections of an input deck with their materials."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +11,11 @@ from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats
 from morembs.fem.material import Material, isotropic, orthotropic
 from morembs.importers.abaqus.assembly import Assembly
-from morembs.importers.abaqus.deck import Deck, Rows, Scope, values
+from morembs.importers.abaqus.deck import Contents, Rows, Scope, values
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
 from morembs.importers.decks.algebra import frame_of, rotate_stiffness
-from morembs.importers.imported import Lacking
+from morembs.importers.decks.tables import Section
 
 # What has a stiffness of its own, but no linear one.
 _NOT_LINEAR = {
@@ -40,15 +40,14 @@ _ANISOTROPIC = tuple((i, j) for j in range(6) for i in range(j + 1))
 
 @dataclass
 class SectionMaterials:
-    """A material for each solid section, what those of other sets lack, and what is to be said."""
+    """Solid sections with their materials, and what is to be said."""
 
-    materials: list[Material] = field(default_factory=list)
-    lacking: dict[str, Lacking] = field(default_factory=dict)
+    sections: list[Section] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
 
-def materials_of(deck: Deck, assembly: Assembly) -> SectionMaterials:
+def materials_of(deck: Contents, assembly: Assembly) -> SectionMaterials:
     """The materials of a deck; sections that name what is not there are problems of it."""
     result = SectionMaterials()
     sections = [
@@ -67,7 +66,7 @@ def materials_of(deck: Deck, assembly: Assembly) -> SectionMaterials:
         if card.options.get("ELSET", "").upper() in placed.sets("element"):
             with deck.problems.collected(card):
                 _section(deck, assembly, placed, scope, card, result, owner == number)
-    if not result.materials and not deck.materials:
+    if not deck.materials:
         result.notes.append("The deck has no materials; give them when the model is built.")
     result.notes[:] = dict.fromkeys(result.notes)
     result.warnings[:] = dict.fromkeys(result.warnings)
@@ -75,7 +74,7 @@ def materials_of(deck: Deck, assembly: Assembly) -> SectionMaterials:
 
 
 def _section(
-    deck: Deck,
+    deck: Contents,
     assembly: Assembly,
     placed: Placed,
     scope: Scope,
@@ -106,11 +105,12 @@ def _section(
     given = _properties(deck, name, result)
     final = assembly.final_name("element", placed, elset)
     of_set = f"the material {name} of the set {final}"
+    section = Section(set=final, code=f"*{card.keyword}", material=name)
     if "ELASTIC" not in given:
         other = [own.keyword for own, _ in deck.materials[name.upper()] if own.keyword in _NOT_LINEAR]
         missing = "ELASTIC" if "DENSITY" in given else "ELASTIC and no *DENSITY"
         sentence = f"is *{other[0]} only, which is not linear elastic" if other else f"has no *{missing}"
-        result.lacking[final] = Lacking(sentence=f"{of_set} {sentence}")
+        result.sections.append(replace(section, lacks=f"{of_set} {sentence}"))
         return
     elastic, rows = given["ELASTIC"]
     axes = None
@@ -123,13 +123,14 @@ def _section(
         axes = own_axes @ placed.rotation.T
     if "DENSITY" not in given:
         stiffness = _elastic(elastic, rows, final, name, 1.0, axes, result.warnings).stiffness
-        result.lacking[final] = Lacking(sentence=f"{of_set} has no *DENSITY", stiffness=stiffness)
+        result.sections.append(replace(section, stiffness=stiffness, lacks=f"{of_set} has no *DENSITY"))
         return
     density = _numbers(*given["DENSITY"], 1, name, result.warnings)[0]
-    result.materials.append(_elastic(elastic, rows, final, name, density, axes, result.warnings))
+    material = _elastic(elastic, rows, final, name, density, axes, result.warnings)
+    result.sections.append(replace(section, stiffness=material.stiffness, density=density))
 
 
-def _properties(deck: Deck, name: str, result: SectionMaterials) -> dict[str, tuple[Card, Rows]]:
+def _properties(deck: Contents, name: str, result: SectionMaterials) -> dict[str, tuple[Card, Rows]]:
     """*ELASTIC and *DENSITY of a material."""
     given: dict[str, tuple[Card, Rows]] = {}
     for own, rows in deck.materials[name.upper()]:
@@ -192,7 +193,7 @@ def _elastic(
     return Material(set=final, stiffness=C if axes is None else rotate_stiffness(C, axes), density=density)
 
 
-def _axes(placed: Placed, scope: Scope, deck: Deck, key: str, elset: str, name: str) -> Floats:
+def _axes(placed: Placed, scope: Scope, deck: Contents, key: str, elset: str, name: str) -> Floats:
     """Rows are the material directions 1, 2, 3 in the axes of the part."""
     orientation = scope.orientations.get(key) or deck.top.orientations.get(key)
     if not orientation:

@@ -7,7 +7,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.importers.abaqus.assembly import Assembly
-from morembs.importers.abaqus.deck import Deck, Rows, values
+from morembs.importers.abaqus.deck import Contents, Rows, values
 from morembs.importers.abaqus.equations import Axes
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Discrete, Placed
@@ -32,7 +32,7 @@ _PROPERTY_OF = {
 class Points:
     """``masses``, and springs and dashpots as ``discrete`` elements, of all scopes, with ``warnings``."""
 
-    def __init__(self, deck: Deck, assembly: Assembly, axes: Axes) -> None:
+    def __init__(self, deck: Contents, assembly: Assembly, axes: Axes) -> None:
         self.deck, self.assembly = deck, assembly
         # Springs of CalculiX act along global directions whatever axes their nodes have.
         self.axes = Axes(assembly) if deck.dialect == "calculix" else axes

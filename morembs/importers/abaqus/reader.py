@@ -11,7 +11,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.importers.abaqus.blocks import other_records, set_parts, solid_records
 from morembs.importers.abaqus.data import fields, node_rows
-from morembs.importers.abaqus.deck import DISCRETE, KINDS, SOLIDS, Deck, Instance, Members, Rows, Scope, join
+from morembs.importers.abaqus.deck import DISCRETE, KINDS, SOLIDS, Contents, Instance, Members, Rows, Scope, join
 from morembs.importers.abaqus.generate import GENERATING, generate
 from morembs.importers.abaqus.keywords import Card, cards
 from morembs.importers.abaqus.left_out import refusal_of
@@ -28,7 +28,9 @@ _OF_ENGINE = re.compile(r"S[3468]|B3[123]|M3D|T3D")
 _EMPTY = ("SFM3D",)
 
 
-def read_deck(path: Path, *, outside: bool = False, dialect: str = "auto", options: DeckOptions | None = None) -> Deck:
+def read_deck(
+    path: Path, *, outside: bool = False, dialect: str = "auto", options: DeckOptions | None = None
+) -> Contents:
     """The deck of a file; ``outside`` allows to include files from beyond its folder.
 
     ``dialect`` "auto" looks at keywords and at comments of the head; where they do not tell one program, a deck without
@@ -38,7 +40,7 @@ def read_deck(path: Path, *, outside: bool = False, dialect: str = "auto", optio
         InputError: the text is not an input deck.
     """
     options = options or DeckOptions()
-    deck = Deck(path.name, options, Problems(path.name, options.flags))
+    deck = Contents(path.name, options, Problems(path.name, options.flags))
     with deck.problems.ending():
         reader = DeckReader(deck)
         for card, pieces in cards(path, outside=outside):
@@ -61,7 +63,7 @@ def read_deck(path: Path, *, outside: bool = False, dialect: str = "auto", optio
     return deck
 
 
-def _others(deck: Deck) -> None:
+def _others(deck: Contents) -> None:
     """A problem where there are elements that a model cannot carry; those to be skipped are counted."""
     unknown = {code: n for code, n in deck.counts.items() if code not in SOLIDS and code not in DISCRETE and n}
     for code in list(unknown):
@@ -92,7 +94,7 @@ class DeckReader:
 
     glues = True
 
-    def __init__(self, deck: Deck) -> None:
+    def __init__(self, deck: Contents) -> None:
         self.deck = deck
         self.open: list[str] = []
         self.scope = deck.top

@@ -1,13 +1,11 @@
-"""Surfaces of an input deck: their faces, their nodes and the weights of these, as rows of all nodes."""
+"""Surfaces of an input deck: their faces, their nodes and the weights of these, with rows of nodes for labels."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from morembs.base.errors import InputError, nearest
-from morembs.base.types import Floats, Ints
+from morembs.base.types import Ints
 from morembs.fem import Mesh, Nodes
 from morembs.fem.elements import TYPES
 from morembs.fem.surface import outer_faces
@@ -16,6 +14,7 @@ from morembs.importers.abaqus.data import number
 from morembs.importers.abaqus.deck import Rows
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
+from morembs.importers.decks.tables import Surface
 
 # Corners of the faces S1, S2, ...
 FACES = {
@@ -34,24 +33,14 @@ def faces_of(kind: str) -> list[tuple[str, Ints]]:
     return faces
 
 
-@dataclass(eq=False)
-class Surface:
-    """``nodes`` (k,) ascending with ``weights`` (k,), their shares of the area or as given; ``faces`` of each type (nf,
-    corners and middles) where it is one of faces."""
-
-    nodes: Ints
-    weights: Floats
-    faces: list[tuple[str, Ints]] = field(default_factory=list)
-
-
 class Surfaces:
-    """The surfaces of an assembly by name; ``notes`` on those that were left out."""
+    """The surfaces of an assembly by name, on rows of all nodes; ``notes`` on those that were left out."""
 
     def __init__(self, assembly: Assembly) -> None:
         self.assembly = assembly
-        self.nodes: dict[str, Ints] = {}
+        self.named: dict[str, Surface] = {}
         self.notes: list[str] = []
-        self._named: dict[tuple[int, str], Surface] = {}
+        self._of_scope: dict[tuple[int, str], Surface] = {}
         self._outer: dict[str, Ints] | None = None
 
     def read(self) -> None:
@@ -75,9 +64,9 @@ class Surfaces:
             surface = self._union([self.of(placed, text, card) for row in rows for text in row if text])
         else:
             surface = self._of_nodes(placed, rows, card) if kind == "NODE" else self.of_faces(placed, rows, card)
-        self._named[id(placed), name.upper()] = surface
-        clash = placed.name and (several or name in self.nodes)
-        self.nodes[f"{placed.name}.{name}" if clash else name] = surface.nodes
+        self._of_scope[id(placed), name.upper()] = surface
+        clash = placed.name and (several or name in self.named)
+        self.named[f"{placed.name}.{name}" if clash else name] = surface
 
     def of(self, placed: Placed, name: str, card: Card) -> Surface:
         """The surface that a card of a scope names.
@@ -88,16 +77,16 @@ class Surfaces:
         first, _, rest = name.partition(".")
         scope = self.assembly.placed.get(first.upper()) if placed is self.assembly.top else None
         key = (id(scope), rest.upper()) if scope else (id(placed), name.upper())
-        if key not in self._named:
-            raise InputError(f"{card} names the surface {name!r}; {nearest(name, self.nodes)}")
-        return self._named[key]
+        if key not in self._of_scope:
+            raise InputError(f"{card} names the surface {name!r}; {nearest(name, self.named)}")
+        return self._of_scope[key]
 
     def _union(self, parts: list[Surface]) -> Surface:
         weight = np.zeros(len(self.assembly.ids))
         for part in parts:
             weight[part.nodes] += part.weights
         nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(part.nodes for part in parts)]))
-        return Surface(nodes, weight[nodes], [face for part in parts for face in part.faces])
+        return Surface(nodes=nodes, weights=weight[nodes], faces=tuple(face for part in parts for face in part.faces))
 
     def _of_nodes(self, placed: Placed, rows: Rows, card: Card) -> Surface:
         weight = np.zeros(len(self.assembly.ids))
@@ -107,7 +96,7 @@ class Surfaces:
             inside[nodes] = True
             weight[nodes] = number(row[1], card) if len(row) > 1 else 1.0
         nodes = np.flatnonzero(inside)
-        return Surface(nodes, weight[nodes])
+        return Surface(nodes=nodes, weights=weight[nodes])
 
     def of_faces(self, placed: Placed, rows: Rows, card: Card) -> Surface:
         """The surface of sides of solids that data lines name."""
@@ -127,7 +116,7 @@ class Surfaces:
                 inside[faces] = True
                 blocks.append((kind, faces))
         nodes = np.flatnonzero(inside)
-        return Surface(nodes, weight[nodes], blocks)
+        return Surface(nodes=nodes, weights=weight[nodes], faces=tuple(blocks))
 
     def _faces(self, numbers: Ints, side: str, card: Card) -> list[tuple[str, Ints]]:
         """Type and nodes (nf, k) of the faces ``side`` (S1, ...) of elements; of their free faces if it is empty."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -19,9 +20,10 @@ from morembs.importers.abaqus.data import number
 from morembs.importers.abaqus.deck import Rows
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
-from morembs.importers.abaqus.surfaces import Surface, Surfaces
+from morembs.importers.abaqus.surfaces import Surfaces
 from morembs.importers.decks.facing import Facing
 from morembs.importers.decks.projection import face_size, project
+from morembs.importers.decks.tables import Surface, Tie
 from morembs.importers.tolerances import TOL
 
 _SECTORS = ("CYCLIC SYMMETRY", "MULTISTAGE", "FLUID PERIODIC", "FLUID CYCLIC")
@@ -44,6 +46,7 @@ class Glue:
     def __init__(self, assembly: Assembly, surfaces: Surfaces, taken: set[int], dialect: str) -> None:
         self.assembly, self.surfaces, self.taken, self.dialect = assembly, surfaces, taken, dialect
         self.equations: list[Equations] = []
+        self.ties: list[Tie] = []
         self.notes: list[str] = []
         self.warnings: list[str] = []
         self._pairs: list[tuple[Pair, Surface, Surface]] = []
@@ -134,6 +137,9 @@ class Glue:
             xyz[nodes[near]] = projection.foot[near]
         self.taken.update(nodes[near].tolist())
         self.equations.append(_equations(title, nodes[near], projection.nodes[near], projection.weights[near]))
+        names = {id(surface): name for name, surface in self.surfaces.named.items()}
+        tie = Tie(name=title, slave=names[id(slave)], master=names[id(master)], tolerance=given, moves=moves)
+        self.ties.append(replace(tie, is_contact=contact))
 
     def _everywhere(self) -> None:
         """General contact: outer faces of bodies with those of others within the tolerance; the finer follow."""

@@ -9,6 +9,8 @@ TOLERANCE says (CalculiX 2.20, seen by experiment and in its published source).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,13 +26,13 @@ _TRIANGLES = {
     "quad8": ((0, 4, 7), (4, 1, 5), (6, 5, 2), (7, 6, 3), (7, 4, 6), (4, 5, 6)),
 }
 _TRIANGLES["quad9"] = _TRIANGLES["quad8"]
-Faces = list[tuple[str, Ints]]
+Faces = Sequence[tuple[str, Ints]]
 
 
 class Facing:
-    """The triangles of the faces of all ``masters``, each a list of type and nodes (nf, k), rows of ``xyz``."""
+    """The triangles of the faces of all ``masters``, each a sequence of type and nodes (nf, k), rows of ``xyz``."""
 
-    def __init__(self, xyz: Floats, masters: list[Faces]) -> None:
+    def __init__(self, xyz: Floats, masters: Sequence[Faces]) -> None:
         self.faces = [part for faces in masters for part in faces]
         corners, parts, rows, self._starts = [np.empty((0, 3), dtype=np.int64)], [], [], [0]
         for part, (kind, nodes) in enumerate(self.faces):

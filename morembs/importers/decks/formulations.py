@@ -100,6 +100,11 @@ def dialects_of_comments(text: bytes) -> set[str]:
     return {dialect for dialect, words in _IN_COMMENTS.items() if words.search(text)}
 
 
+def program_of(dialect: str) -> str:
+    """What people call the program of a dialect."""
+    return _TABLES[dialect][0]
+
+
 def meaning_of(code: str, dialect: str) -> Meaning:
     """What an element type of a deck means, such as C3D8R; ``dialect`` is "abaqus" or "calculix"."""
     known = _TABLES[dialect][1]

@@ -26,6 +26,8 @@ _SOLIDS = {
     "ANSYS": "SOLID185, SOLID186, SOLID187, ...",
     "UNV": "datasets 780 or 2412",
 }
+# Their decks have sets for loads and output, of which nothing is said where part of them is left out.
+_SILENT = ("Abaqus", "CalculiX")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -189,7 +191,7 @@ def _node_sets(deck: DeckTables, labels: Labels, row: Ints, notes: list[str]) ->
         if not len(kept):
             notes.append(f"The {deck.node} set {name} holds no node of the model and was left out.")
             continue
-        if len(kept) < len(members):
+        if len(kept) < len(members) and deck.program not in _SILENT:
             left = len(members) - len(kept)
             notes.append(f"{left} of {len(members)} {deck.node}s of the set {name} belong to no element.")
         yield name, kept
@@ -205,7 +207,8 @@ def _element_sets(
     for name, ranges in deck.element_sets.items():
         count = len(known.members(ranges, f"the set {name} names"))
         picked = tuple(np.flatnonzero(in_ranges(block.ids, ranges)) for block in blocks)
-        if left := int(in_ranges(gone, ranges).sum()):
+        left = int(in_ranges(gone, ranges).sum())
+        if left and deck.program not in _SILENT:
             notes.append(f"{left} of {count} elements of the set {name} are no solids and were left out.")
         if any(map(len, picked)):
             yield name, picked

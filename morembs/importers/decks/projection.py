@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ class Projection:
     weights: Floats
 
 
-def face_size(xyz: Floats, faces: list[tuple[str, Ints]]) -> float:
+def face_size(xyz: Floats, faces: Sequence[tuple[str, Ints]]) -> float:
     """Root of the mean area of plane faces through the corners."""
     areas = []
     for kind, nodes in faces:
@@ -34,7 +35,7 @@ def face_size(xyz: Floats, faces: list[tuple[str, Ints]]) -> float:
     return float(np.sqrt(np.concatenate(areas).mean()))
 
 
-def project(points: Floats, xyz: Floats, faces: list[tuple[str, Ints]]) -> Projection:
+def project(points: Floats, xyz: Floats, faces: Sequence[tuple[str, Ints]]) -> Projection:
     """The points (n, 3) on the nearest of ``faces`` (type, rows (nf, k) of ``xyz``).
 
     Feet are found by Gauss-Newton steps in the coordinates of each face, which are kept within it, and of its edges.

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.fem import DofMap, Mesh, Nodes
+from morembs.fem import DofMap, Nodes
 from morembs.fem.constraints import AverageElement, Equations
 from morembs.fem.fe_model import Component
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.deck import SOLIDS
-from morembs.importers.abaqus.importer import skipped_warnings
 from morembs.importers.abaqus.left_out import notes_of
-from morembs.importers.abaqus.mesh import mesh_of
+from morembs.importers.abaqus.whole import mesh_deck, skipped_warnings
 from morembs.importers.abaqus.words import of_kind
 from morembs.importers.decks.formulations import deck_warnings
+from morembs.importers.decks.join import join
 from morembs.importers.engines.calculix.flat import Choices
 from morembs.importers.engines.calculix.program import Ccx
 from morembs.importers.engines.calculix.read import EngineDeck
@@ -135,17 +135,13 @@ class Exported:
         """Rows in the order of the model: x, y, z of the mesh's nodes first, then all others."""
         flat, assembly = self.flat, self.assembly
         notes, warnings = [*flat.notes], [*flat.warnings, *self.deck.warnings, *flat.deck.reversed]
-        deck, others = mapped.owner[mapped.owner > 0] - 1, nodes_of([*flat.average, *flat.masses])
-        extra = np.unique(np.concatenate([deck, node - 1, others]).astype(np.int64))
-        named = {name: assembly.members("node", placed, own) for name, (placed, own) in assembly.named("node").items()}
-        mesh: Mesh | None = None
-        if assembly.blocks:
-            mesh, nodes, row = mesh_of(assembly, extra)
-            self.deck.problems.refuse()
-        else:
-            row = np.full(len(assembly.ids), -1, dtype=np.int64)
-            row[extra] = np.arange(len(extra))
-            nodes = Nodes(ids=assembly.ids[extra], xyz=assembly.xyz[extra])
+        own, others = mapped.owner[mapped.owner > 0] - 1, nodes_of([*flat.average, *flat.masses])
+        extra = np.unique(np.concatenate([own, node - 1, others]).astype(np.int64))
+        named = dict(assembly.resolved("node"))
+        deck = mesh_deck(self.deck, assembly)
+        self.deck.problems.refuse()
+        solids = join(deck, assembly.ids[extra])
+        mesh, nodes, row = solids.mesh, solids.nodes, solids.row
         named_by = np.zeros(len(mapped.owner), dtype=bool)
         if S is not None:
             named_by[S.indices] = True
@@ -168,8 +164,8 @@ class Exported:
             average=average,
             equations=equations,
             masses=masses,
-            surfaces=sets_on(flat.constraints.surfaces.nodes, row),
-            notes=(*notes, *assembly.notes),
+            surfaces=sets_on({name: own.nodes for name, own in flat.constraints.surfaces.named.items()}, row),
+            notes=(*notes, *deck.notes, *solids.notes),
             warnings=tuple(dict.fromkeys(warnings)),
         )
 

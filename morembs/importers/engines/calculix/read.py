@@ -11,7 +11,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.importers.abaqus.data import element_numbers, fields
-from morembs.importers.abaqus.deck import DISCRETE, NODES, SOLIDS, Deck, Members, Rows, Scope, join
+from morembs.importers.abaqus.deck import DISCRETE, NODES, SOLIDS, Contents, Members, Rows, Scope, join
 from morembs.importers.abaqus.generate import GENERATING
 from morembs.importers.abaqus.keywords import Card, cards
 from morembs.importers.abaqus.reader import DeckReader
@@ -70,7 +70,7 @@ _FLOW = ("DC3D", "DC2D", "DCC", "F3D", "DS", "AC3D")
 
 
 @dataclass
-class EngineDeck(Deck):
+class EngineDeck(Contents):
     """A deck with all ``cards`` outside of steps that the own reader has no table for, and those of each step.
 
     ``replaced`` counts element types that were taken for others (as it is written, as it was taken).

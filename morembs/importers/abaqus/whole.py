@@ -1,0 +1,117 @@
+"""An input deck as a ``Deck``: parts in their places, labels of the whole, names resolved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from morembs.base.types import Ints
+from morembs.importers.abaqus.assembly import Assembly
+from morembs.importers.abaqus.constraints import Constraints, DeckTies
+from morembs.importers.abaqus.deck import SOLIDS, Contents
+from morembs.importers.abaqus.left_out import LOCKED, PRETENSION, notes_of
+from morembs.importers.abaqus.materials import SectionMaterials, materials_of
+from morembs.importers.abaqus.words import of_kind
+from morembs.importers.decks.formulations import Meaning, deck_warnings, program_of
+from morembs.importers.decks.labels import ranges_of
+from morembs.importers.decks.model import Deck
+from morembs.importers.decks.options import left_out
+from morembs.importers.decks.tables import Elements, Surface
+from morembs.importers.imported import on_rows
+
+
+def deck_of(contents: Contents) -> Deck:
+    """What a deck holds, as tables by labels of the whole.
+
+    Raises:
+        DeckError: it makes no sense; what else was found is among the problems of the deck.
+    """
+    with contents.problems.ending():
+        assembly = Assembly(contents)
+        ties, sections, surfaces = DeckTies(), SectionMaterials(), dict[str, Surface]()
+        if assembly.blocks:
+            constraints = Constraints(contents, assembly)
+            ties, surfaces = constraints.read(), constraints.surfaces.named
+            sections = materials_of(contents, assembly)
+        deck = mesh_deck(contents, assembly)
+    ids = assembly.ids
+    moved = (own.scope.name for own in contents.instances.values() if own.moves)
+    return replace(
+        deck,
+        surfaces={name: _labelled(surface, ids) for name, surface in surfaces.items()},
+        sections=tuple(sections.sections),
+        rigid=on_rows(ties.rigid, ids),
+        average=on_rows(ties.average, ids),
+        equations=on_rows(ties.equations, ids),
+        masses=on_rows(ties.masses, ids),
+        discrete=on_rows(ties.discrete, ids),
+        ties=tuple(ties.ties),
+        notes=(*_notes(contents), *deck.notes),
+        remarks=(*(f"The instance {name} was moved to its place." for name in moved), *sections.notes, *ties.notes),
+        warnings=(*skipped_warnings(contents), *contents.warnings, *ties.warnings, *sections.warnings),
+        problems=tuple(contents.problems.entries),
+    )
+
+
+def mesh_deck(contents: Contents, assembly: Assembly) -> Deck:
+    """Nodes, elements and sets alone; the assembly gives up its solids."""
+    labels, ids = assembly.element_labels(), assembly.ids
+    node_sets = {name: ranges_of(ids[rows]) for name, rows in assembly.resolved("node")}
+    element_sets = {name: ranges_of(labels[numbers]) for name, numbers in assembly.resolved("element")}
+    counted = {code: count for code, count in contents.counts.items() if code in SOLIDS and count}
+    return Deck(
+        name=contents.name,
+        program=program_of(contents.dialect),
+        ids=ids,
+        xyz=assembly.xyz,
+        elements=tuple(_elements(contents, assembly)),
+        node_sets=node_sets,
+        element_sets=element_sets,
+        notes=tuple(assembly.notes),
+        mesh_warnings=(*assembly.warnings, *deck_warnings(counted, contents.dialect, guessed=contents.guessed)),
+        problems=tuple(contents.problems.entries),
+        options=contents.options,
+    )
+
+
+def _elements(contents: Contents, assembly: Assembly) -> Iterator[Elements]:
+    """Solids by what they mean, then elements on single nodes, then others."""
+    codes = {contents.kind(code): code for code in reversed(contents.counts) if code in SOLIDS}
+    while assembly.blocks:
+        block = assembly.blocks.pop(0)
+        kind = block.type, block.formulation, block.mass
+        meaning = Meaning(formulation=block.formulation, mass=block.mass)
+        nodes = assembly.ids[block.nodes]
+        yield Elements(code=codes[kind], kind="solid", shape=block.type, ids=block.ids, nodes=nodes, meaning=meaning)
+    for code in dict.fromkeys(element.code for element in assembly.discrete):
+        own = [element for element in assembly.discrete if element.code == code]
+        labels, nodes = np.array([element.label for element in own]), np.array([element.nodes for element in own])
+        yield Elements(code=code, kind="point", shape="", ids=labels, nodes=assembly.ids[nodes])
+    for code, labels, nodes in assembly.others:
+        yield Elements(code=code, kind="none", shape="", ids=labels, nodes=assembly.ids[nodes])
+
+
+def _labelled(surface: Surface, ids: Ints) -> Surface:
+    """A surface on rows of all nodes, with the labels of these."""
+    faces = tuple((shape, ids[nodes]) for shape, nodes in surface.faces)
+    return Surface(nodes=ids[surface.nodes], weights=surface.weights, faces=faces)
+
+
+def skipped_warnings(contents: Contents) -> list[str]:
+    """What was left out as asked, a sentence each."""
+    contact = ("*CONTACT PAIR", "*CONTACT")
+    return [left_out(kind, count, contact=kind in contact) for kind, count in contents.skipped.items()]
+
+
+def _notes(contents: Contents) -> list[str]:
+    """What was left out, a sentence for each class."""
+    in_steps = [word for word in contents.in_steps if word in of_kind("support", "load")]
+    notes = notes_of(dict.fromkeys([*contents.noted, *in_steps]))
+    if f"*{PRETENSION}" in contents.skipped:
+        notes.append(LOCKED.format(""))
+    if contents.in_steps:
+        listed = ", ".join(f"*{word}" for word in contents.in_steps if word != "END STEP")
+        notes.append(f"Steps and all in them are not applied: {listed}.")
+    return notes
