@@ -21,6 +21,7 @@ from morembs.fem.fe_model import MATRICES, refuse_far
 from morembs.fem.handedness import right_handed
 from morembs.fem.middle_nodes import mesh_in_order
 from morembs.fem.surface import seam_faces
+from morembs.importers.decks.labels import find
 from morembs.importers.decks.missing_middles import LINEAR_EDGES
 from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.importers.discrete import si_discrete, with_discrete
@@ -284,10 +285,10 @@ def rows_of_labels(nodes: Nodes, labels: Ints, source: str) -> Ints:
     twice = known[1:][known[1:] == known[:-1]]
     if len(twice):
         raise InputError(f"two nodes have the label {twice[0]}; labels must be unique to be joined with {source}")
-    at = np.minimum(np.searchsorted(known, labels), max(len(known) - 1, 0))
-    missing = np.asarray(labels)[known[at] != labels] if len(known) else np.asarray(labels)
-    if len(missing):
+    at, there = find(known, np.asarray(labels))
+    if not there.all():
         raise InputError(
-            f"{source} names node {missing[0]}, which does not exist; check that the files belong together"
+            f"{source} names node {np.asarray(labels)[~there][0]}, which does not exist; check that the files belong "
+            "together"
         )
     return np.asarray(order[at], dtype=np.int64)

@@ -15,7 +15,7 @@ from morembs.importers.abaqus.data import number
 from morembs.importers.abaqus.deck import Rows, values
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
-from morembs.importers.decks.algebra import frame_of
+from morembs.importers.decks.algebra import frame_of, terms_of
 from morembs.importers.tolerances import TOL
 
 _TEMPERATURE = "11"
@@ -76,8 +76,7 @@ class Axes:
 
     def terms(self, node: int, component: int, coefficient: float) -> list[Term]:
         """A term of an equation in global components."""
-        part = coefficient * self.part(node, component)
-        return [(node, c, float(part[c])) for c in np.flatnonzero(part).tolist()] or [(node, component, coefficient)]
+        return terms_of(node, coefficient * self.part(node, component), component)
 
 
 def equations_of(

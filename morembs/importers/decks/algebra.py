@@ -6,6 +6,7 @@ import numpy as np
 
 from morembs.base.types import Floats
 from morembs.fem import skew
+from morembs.fem.constraints import Term
 from morembs.fem.material import VOIGT
 from morembs.importers.tolerances import TOL
 
@@ -88,3 +89,9 @@ def along(line: Floats, first: int = 0) -> Floats | None:
     part = np.zeros(6)
     part[first : first + 3] = line / length
     return part
+
+
+def terms_of(node: int, part: Floats, number: int) -> list[Term]:
+    """Terms of an equation in the motions (6,) ``part`` of a node, with a zero for the component ``number`` where there
+    are none: a first coefficient of zero is to be seen."""
+    return [(node, c, float(part[c])) for c in np.flatnonzero(part).tolist()] or [(node, number, 0.0)]

@@ -37,7 +37,7 @@ class Labels:
 
     def has(self, labels: Ints) -> Bools:
         """Whether each label (any shape) is there."""
-        return self._found(np.asarray(labels))[1]
+        return find(self.ascending, np.asarray(labels))[1]
 
     def rows(self, labels: Ints, who: str) -> Ints:
         """Rows of ``labels`` (any shape).
@@ -49,7 +49,7 @@ class Labels:
             InputError: a label that is not defined.
         """
         labels = np.asarray(labels)
-        at, there = self._found(labels)
+        at, there = find(self.ascending, labels)
         if not there.all():
             missing = np.unique(labels[~there])
             some, one = ", ".join(map(str, missing[:10].tolist())), len(missing) == 1
@@ -80,19 +80,17 @@ class Labels:
         np.add.at(mark, high, -1)
         return self.order[np.cumsum(mark[:-1]) > 0]
 
-    def _found(self, labels: Ints) -> tuple[Ints, Bools]:
-        """Places of labels among the ascending ones, and whether each is there."""
-        ids = self.ascending
-        if not len(ids):
-            return np.zeros(labels.shape, dtype=np.int64), np.zeros(labels.shape, dtype=bool)
-        if ids[-1] - ids[0] + 1 == len(ids):
-            # Without gaps a place follows from its label.
-            at = labels - ids[0]
-            there = (at >= 0) & (at < len(ids))
-        else:
-            at = np.minimum(np.searchsorted(ids, labels), len(ids) - 1)
-            there = ids[at] == labels
-        return at, there
+
+def find(ids: Ints, labels: Ints) -> tuple[Ints, Bools]:
+    """Places of ``labels`` (any shape) among the ascending ``ids`` (n,), and whether each is there."""
+    if not len(ids):
+        return np.zeros(labels.shape, dtype=np.int64), np.zeros(labels.shape, dtype=bool)
+    if ids[-1] - ids[0] + 1 == len(ids):
+        # Without gaps a place follows from its label.
+        at = labels - ids[0]
+        return at, (at >= 0) & (at < len(ids))
+    at = np.minimum(np.searchsorted(ids, labels), len(ids) - 1)
+    return at, ids[at] == labels
 
 
 def ranges_of(labels: Ints) -> Ints:

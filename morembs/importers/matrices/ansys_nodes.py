@@ -12,6 +12,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.fem import DofMap, Nodes, rigid_motion
 from morembs.importers.ansys.cdb import read_ansys_archive
+from morembs.importers.decks.labels import find
 from morembs.importers.imported import Imported, picked_nodes
 from morembs.importers.matrices.text import text_blocks
 from morembs.importers.tolerances import TOL
@@ -46,9 +47,8 @@ def joined(
     known = read_nodes(nodes)
     order = np.argsort(known.ids)
     used = np.unique(node)
-    at = np.searchsorted(known.ids[order], used)
-    missing = used[(at == len(order)) | (known.ids[order][np.minimum(at, len(order) - 1)] != used)]
-    if len(missing):
+    at, there = find(known.ids[order], used)
+    if len(missing := used[~there]):
         raise InputError(
             f"{source} has {len(missing)} nodes that {Path(nodes).name} lacks (first: {missing[0]}); give the archive "
             "of the same model"

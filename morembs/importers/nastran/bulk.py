@@ -10,7 +10,7 @@ from morembs.base.errors import InputError
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problem, Problems
-from morembs.importers.nastran.cards import Table, real, tables
+from morembs.importers.nastran.cards import Table, integer, real, tables
 from morembs.importers.nastran.geometry import SOLIDS, Grids, Solids, Systems
 from morembs.importers.nastran.names import NOTED, OF_TEMPERATURE, READ, REASONS, SYSTEMS
 from morembs.importers.nastran.properties import Rows, padded
@@ -104,6 +104,23 @@ class Bulk:
         return [
             (row, Card(name, {}, self.file, line)) for row, line in zip(self.rows[name], self.lines[name], strict=True)
         ]
+
+    def chosen(self, word: str, cure: str = "") -> tuple[set[int], bool]:
+        """Numbers of the sets that case control asks for by a ``word`` (SPC, MPC), with those that they add up (SPCADD,
+        MPCADD), and whether there is a case control.
+
+        Raises:
+            InputError: subcases that ask for different ones.
+        """
+        asked = {int(n) for n in re.findall(rf"(?im)^[ \t]*{word}[ \t]*=[ \t]*(\d+)", self.text.head)}
+        if len(asked) > 1:
+            raise InputError(
+                f"{self.file}: subcases ask for the {word} sets {sorted(asked)}; expected one of them{cure}"
+            )
+        for row in self.rows[f"{word}ADD"]:
+            if row and integer(row[0], f"{self.file}: {word}ADD") in asked:
+                asked |= {integer(text, f"{self.file}: {word}ADD") for text in row[1:] if text}
+        return asked, bool(self.text.head.strip())
 
     def mass_scale(self) -> float:
         """PARAM WTMASS."""

@@ -161,7 +161,8 @@ def tied(bulk: Bulk, solid: Bools, scale: float) -> tuple[Ties, Springs]:
             with bulk.problems.collected(card, (f"--skip {name}",)):
                 take(row)
     with bulk.problems.collected(next((card for _, card in bulk.cards("MPC")), None), ("--skip MPC",)):
-        ties.mpc(bulk.rows["MPC"], bulk.rows["MPCADD"], bulk.text.head)
+        if bulk.rows["MPC"]:
+            ties.mpc(bulk.rows["MPC"], *bulk.chosen("MPC"))
     return ties, springs
 
 

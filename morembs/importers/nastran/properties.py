@@ -23,6 +23,21 @@ def padded(row: list[str], count: int) -> list[str]:
     return row + [""] * (count - len(row))
 
 
+def by_number(file: str, name: str, rows: Rows) -> dict[int, list[str]]:
+    """Cards of a ``name`` by their first field.
+
+    Raises:
+        InputError: a number twice, or below 1.
+    """
+    cards: dict[int, list[str]] = {}
+    for row in rows:
+        number = integer(padded(row, 1)[0], f"{file}: {name}")
+        if number < 1 or number in cards:
+            raise InputError(f"{file}: {name} {number} is defined twice, or below 1")
+        cards[number] = row
+    return cards
+
+
 class Materials:
     """PSOLID, MAT1, MAT9 and MAT11: a section for each property, and the materials that are ``known`` by name."""
 
@@ -34,11 +49,11 @@ class Materials:
 
     def of(self, pids: list[int], rows: dict[str, Rows], systems: Systems, grids: Grids) -> list[Section]:
         """Sections of the properties ``pids``, their densities times PARAM WTMASS."""
-        properties = self._by_number("PSOLID", rows["PSOLID"])
+        properties = by_number(self.file, "PSOLID", rows["PSOLID"])
         readers = {"MAT1": self._mat1, "MAT9": self._mat9, "MAT11": self._mat11}
         cards: dict[int, tuple[str, list[str]]] = {}
         for card in readers:
-            for mid, row in self._by_number(card, rows[card]).items():
+            for mid, row in by_number(self.file, card, rows[card]).items():
                 if mid in cards:
                     raise InputError(f"{self.file} defines the material {mid} as {cards[mid][0]} and as {card}")
                 cards[mid] = card, row
@@ -79,15 +94,6 @@ class Materials:
                 )
             )
         return sections
-
-    def _by_number(self, name: str, rows: Rows) -> dict[int, list[str]]:
-        cards: dict[int, list[str]] = {}
-        for row in rows:
-            number = integer(padded(row, 1)[0], f"{self.file}: {name}")
-            if number < 1 or number in cards:
-                raise InputError(f"{self.file}: {name} {number} is defined twice, or below 1")
-            cards[number] = row
-        return cards
 
     def _mat1(self, mid: int, row: list[str], set_: str) -> ElasticMaterial:
         what, row = f"{self.file}: MAT1 {mid}", padded(row, 8)

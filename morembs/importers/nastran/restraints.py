@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import scipy.linalg as sl
 
-from morembs.base.errors import InputError
 from morembs.base.types import Bools, Floats
 from morembs.fem.constraints import Equations
 from morembs.importers.nastran.bulk import Bulk
@@ -15,8 +12,6 @@ from morembs.importers.nastran.cards import integer
 from morembs.importers.nastran.motions import components
 from morembs.importers.nastran.properties import labels_of, padded
 from morembs.importers.tolerances import TOL
-
-_SPC = re.compile(r"^[ \t]*SPC[ \t]*=[ \t]*(\d+)", re.MULTILINE | re.IGNORECASE)
 
 
 def held_directions(bulk: Bulk) -> dict[int, Floats]:
@@ -26,7 +21,8 @@ def held_directions(bulk: Bulk) -> dict[int, Floats]:
     Raises:
         InputError: subcases that ask for different sets, or cards that cannot be read.
     """
-    chosen = _chosen(bulk)
+    asked, has_control = bulk.chosen("SPC", " with --boundary keep")
+    chosen = asked if asked or has_control else None
     named: dict[int, set[int]] = {}
 
     def hold(label: int, text: str, what: str) -> None:
@@ -52,22 +48,6 @@ def held_directions(bulk: Bulk) -> dict[int, Floats]:
         row: np.array([bulk.systems.direction(row, c, bulk.grids) for c in sorted(own)])
         for row, own in sorted(named.items())
     }
-
-
-def _chosen(bulk: Bulk) -> set[int] | None:
-    """Numbers of the sets that hold, None for all."""
-    asked = {int(number) for number in _SPC.findall(bulk.text.head)}
-    if not asked:
-        return set() if bulk.text.head.strip() else None
-    if len(asked) > 1:
-        raise InputError(
-            f"{bulk.file}: subcases ask for the SPC sets {sorted(asked)}; expected one of them with --boundary keep"
-        )
-    what = f"{bulk.file}: SPCADD"
-    for row in bulk.rows["SPCADD"]:
-        if row and integer(row[0], what) in asked:
-            asked |= {integer(text, what) for text in row[1:] if text}
-    return asked
 
 
 def held_equations(held: dict[int, Floats], there: Bools) -> Equations | None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem.constraints import AverageElement, Equations, RigidElement, Term, solved_for_first
+from morembs.importers.decks.algebra import terms_of
 from morembs.importers.imported import PointMass
 from morembs.importers.nastran.cards import integer, real
 from morembs.importers.nastran.geometry import Grids, Systems
@@ -18,7 +17,6 @@ from morembs.importers.nastran.properties import Rows, labels_of, padded
 from morembs.importers.tolerances import TOL
 
 _ALL = (0, 1, 2, 3, 4, 5)
-_MPC = re.compile(r"^[ \t]*MPC[ \t]*=[ \t]*(\d+)", re.MULTILINE | re.IGNORECASE)
 
 
 class Ties:
@@ -204,13 +202,15 @@ class Ties:
         A = np.hstack([np.eye(len(which)), -G])
         self._add(what, A, [*lead, *motions], led or lead)
 
-    def mpc(self, cards: Rows, adds: Rows, head: str) -> None:
-        """The equations of MPC that the case control asks for, all of one set where there is none."""
-        chosen = self._chosen(adds, head) if cards else None
+    def mpc(self, cards: Rows, asked: set[int], has_control: bool) -> None:
+        """The equations of MPC in the sets that are ``asked`` for, all where there is no case control."""
+        if has_control and not asked:
+            self.notes.append("MPC: not applied, the case control asks for none.")
+            return
         sums: list[tuple[str, list[Term]]] = []
         for row in cards:
             what = f"{self.grids.file}: MPC {padded(row, 1)[0]} of grid {padded(row, 2)[1]}"
-            if chosen is not None and integer(padded(row, 1)[0], what) not in chosen:
+            if asked and integer(padded(row, 1)[0], what) not in asked:
                 continue
             terms: list[Term] = []
             for at in [i for line in range(0, len(row), 8) for i in (line + 1, line + 4)]:
@@ -220,26 +220,11 @@ class Ties:
                         raise InputError(f"{what} names the component {component or 0}; expected 1 to 6 of a grid")
                     grid = self.motions.row(label, what)
                     part = real(value, what) * self.motions.direction((grid, int(component) - 1))
-                    order = np.argsort(-np.abs(part), kind="stable").tolist()
-                    # A first coefficient of zero is to be seen.
-                    terms += [(grid, c, float(part[c])) for c in order if part[c]] or [(grid, int(component) - 1, 0.0)]
+                    # The largest is solved for where it is the first.
+                    terms += sorted(terms_of(grid, part, int(component) - 1), key=lambda term: -abs(term[2]))
             sums.append((what, terms))
         if sums:
             self.equations.append(solved_for_first("MPC", sums))
-
-    def _chosen(self, adds: Rows, head: str) -> set[int] | None:
-        """Numbers of the sets that are applied, None for all."""
-        asked = {int(number) for number in _MPC.findall(head)}
-        if not asked and head.strip():
-            self.notes.append("MPC: not applied, the case control asks for none.")
-            return set()
-        if len(asked) > 1:
-            raise InputError(f"{self.grids.file}: subcases ask for the MPC sets {sorted(asked)}; expected one of them")
-        what = f"{self.grids.file}: MPCADD"
-        for row in adds:
-            if row and integer(row[0], what) in asked:
-                asked |= {integer(text, what) for text in row[1:] if text}
-        return asked or None
 
     def conm2(self, row: list[str]) -> None:
         """CONM2: a mass with inertia at a grid."""
