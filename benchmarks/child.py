@@ -368,6 +368,13 @@ def mechanism(spec: Spec) -> Row:
     return measure(spec)
 
 
+def deck(spec: Spec) -> Row:
+    """See deck_text.py."""
+    from deck_text import read
+
+    return read(spec)
+
+
 def part(spec: Spec) -> Row:
     """See parts.py."""
     from parts import PARTS, prepare
@@ -393,6 +400,7 @@ TASKS: dict[str, Callable[[Spec], Row]] = {
     "switching": switching,
     "certify": certificates,
     "fmu": fmu,
+    "deck": deck,
     "part": part,
     "startup": startup,
     "mechanism": mechanism,

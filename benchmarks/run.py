@@ -32,6 +32,7 @@ MODULES = {
     "frames": ("frames",),
     "jobs": ("million", "forecast"),
     "switching": ("switching",),
+    "deck_text": ("decks",),
     "budgets": ("budgets",),
     "certify": ("certify",),
     "fmus": ("fmu",),

@@ -136,8 +136,8 @@ class ImporterTolerances:
     sparse_tags_per_node: int = 20
 
     # --- Sizes of pieces
-    # Bytes of a deck that are read at once.
-    piece_bytes: int = 1 << 22
+    # Bytes of a deck that are read at once: their numbers stay in the cache of a core.
+    piece_bytes: int = 1 << 19
     # Bytes of a matrix in text that are read at once.
     text_block_bytes: int = 1 << 20
     # Bytes of a file that are hashed at once.
@@ -154,8 +154,8 @@ class ImporterTolerances:
     rows_at_once: int = 1 << 12
     # Rows of a .full file that are read together.
     full_rows_at_once: int = 1 << 14
-    # Lines of an ANSYS block that are read together.
-    lines_at_once: int = 1 << 16
+    # Bytes of an ANSYS block that are read together: their numbers stay in the cache of a core.
+    block_bytes: int = 1 << 19
     # Codes of rows up to which a table by code serves instead of sorting: 512 MB.
     largest_table: int = 1 << 26
     # Threads that read numbers from text: chosen.

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.importers.abaqus.keywords import Card, decoded
-from morembs.importers.matrices.text import integers, numbers, table
+from morembs.importers.decks.numerals import words_of
+from morembs.importers.matrices.text import integers, numbers
 from morembs.importers.tolerances import TOL
 
 _GAP = re.compile(rb"[0-9.][ \t]+[0-9.+\-]")
@@ -49,13 +50,9 @@ def label(text: str) -> int | None:
 
 def node_rows(piece: bytes, card: Card) -> tuple[Ints, Floats]:
     """Labels (n,) and coordinates (n, 3) of the data lines of *NODE."""
-    if _is_plain(piece):
-        try:
-            rows = table(piece, 4, card.file)
-        except InputError:
-            rows = None
-        if rows is not None and piece.count(b",") == 3 * len(rows):
-            return integers(rows[:, 0], "a node label", card.file), rows[:, 1:]
+    read = _plain_nodes(piece)
+    if read is not None:
+        return read
     ids, xyz = [], []
     for row in fields(piece):
         if not row:
@@ -68,31 +65,33 @@ def node_rows(piece: bytes, card: Card) -> tuple[Ints, Floats]:
     return np.array(ids, dtype=np.int64), np.array(xyz, dtype=np.float64).reshape(-1, 3)
 
 
-_ALL_SEPARATORS, _SEPARATORS = (bytes(int(chr(code) in marks) for code in range(256)) for marks in (", \t\n", ",\n"))
-
-
-def _words(text: bytes, separators: bytes) -> int:
-    """How many words there are between separators."""
-    apart = np.frombuffer(text.translate(separators), dtype=np.uint8)
-    return int(np.count_nonzero(apart[1:] < apart[:-1])) + int(len(apart) > 0 and not apart[0])
-
-
-def _has_gap(piece: bytes) -> bool:
-    """Whether a blank stands within a field."""
-    if b" " not in piece and b"\t" not in piece:
-        return False
-    return _words(piece, _ALL_SEPARATORS) != _words(piece.translate(None, b" \t"), _SEPARATORS)
-
-
-def _is_plain(piece: bytes) -> bool:
-    """Whether no field is empty and none has a blank within it; searches for plain bytes take a tenth of patterns."""
-    text = piece.translate(None, b" \t")
-    return not (b",," in text or b",\n" in text or b"\n," in text or text[:1] == b"," or _has_gap(piece))
+def _plain_nodes(piece: bytes) -> tuple[Ints, Floats] | None:
+    """Labels and coordinates where all lines have as many fields and these are plain numbers, else None."""
+    words = words_of(piece)
+    width = 0 if words is None else words.width
+    if words is None or width < 2 or words.is_empty[::width].any():
+        return None
+    ids = words.integers(slice(0, None, width))
+    given = np.arange(len(words)).reshape(-1, width)[:, 1:4]
+    values = words.reals(given.ravel())
+    if ids is None or values is None or (ids < 0).any() or (np.abs(values) >= TOL.largest_number).any():
+        return None
+    xyz = np.zeros((len(ids), 3))
+    xyz[:, : given.shape[1]] = values.reshape(given.shape)
+    return ids, xyz
 
 
 def element_numbers(piece: bytes, card: Card) -> tuple[Ints, NDArray[np.bool_]]:
     """All integers (k,) of data lines, and which of them are the first of their line (k,)."""
-    gap = _GAP.search(piece) if _has_gap(piece) else None
+    words = words_of(piece)
+    plain = None if words is None else words.integers()
+    if words is not None and plain is not None:
+        given = ~words.is_empty
+        number: Ints = np.cumsum(words.ends_line) - words.ends_line
+        if not given.all():
+            plain, number = plain[given], number[given]
+        return plain, np.concatenate([np.ones(min(1, len(number)), dtype=bool), number[1:] > number[:-1]])
+    gap = _GAP.search(piece)
     if gap:
         line = piece[piece.rfind(b"\n", 0, gap.start()) + 1 :].split(b"\n")[0]
         raise InputError(f"{card}: {line.decode('latin-1')[:60]!r} has a blank within a field; expected commas")
@@ -112,8 +111,10 @@ def element_numbers(piece: bytes, card: Card) -> tuple[Ints, NDArray[np.bool_]]:
 
 def members(piece: bytes, card: Card) -> tuple[Ints, list[str]]:
     """Labels and names in the data lines of a set."""
-    if not piece.translate(None, b"0123456789, \t\n") and not _has_gap(piece):
-        return integers(numbers(piece, card.file), "a label", card.file), []
+    words = words_of(piece)
+    plain = None if words is None else words.integers()
+    if words is not None and plain is not None and not (plain < 0).any():
+        return plain[~words.is_empty], []
     labels: list[int] = []
     names: list[str] = []
     for row in fields(piece):

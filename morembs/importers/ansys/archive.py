@@ -12,6 +12,7 @@ from morembs.base.types import Floats, Ints
 from morembs.fem.constraints import Term
 from morembs.importers.ansys import blocks
 from morembs.importers.ansys.elements import Rows, from_plain_form, from_solid_form
+from morembs.importers.ansys.lines import Lines
 from morembs.importers.ansys.properties import ELASTIC, SAID
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problems
@@ -116,7 +117,7 @@ def read_commands(path: Path, problems: Problems | None = None, options: DeckOpt
     """
     archive = Archive(path.name)
     problems, options = problems or Problems(path.name), options or DeckOptions()
-    lines = blocks.Lines(path)
+    lines = Lines(path)
     for line in lines:
         text = line.decode("latin-1").split("!")[0].strip()
         if not text:
@@ -147,7 +148,7 @@ def read_commands(path: Path, problems: Problems | None = None, options: DeckOpt
     return archive
 
 
-def _take(archive: Archive, command: str, fields: list[str], lines: blocks.Lines) -> None:
+def _take(archive: Archive, command: str, fields: list[str], lines: Lines) -> None:
     if command == "NBLOCK":
         for values, store in zip(
             blocks.node_block(lines, fields), (archive.ids, archive.xyz, archive.angles), strict=True
@@ -245,7 +246,7 @@ def _take_coupling(archive: Archive, fields: list[str], line: int) -> None:
     archive.coupled.setdefault(key, []).extend(nodes)
 
 
-def _take_table(archive: Archive, command: str, fields: list[str], lines: blocks.Lines) -> None:
+def _take_table(archive: Archive, command: str, fields: list[str], lines: Lines) -> None:
     if command == "ETBLOCK":
         for row in blocks.element_types(lines):
             archive.types[row[0]] = row[1], {i: value for i, value in enumerate(row[2:], start=1) if value}

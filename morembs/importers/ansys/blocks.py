@@ -7,119 +7,99 @@ trailing zeros are left out.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.importers.decks.includes import open_text
+from morembs.importers.ansys.lines import BlockText, Lines
+from morembs.importers.decks.numerals import Words, fixed_integers, words_of
 from morembs.importers.tolerances import TOL
 
-_FORMAT = re.compile(r"(\d*)([IEFGD])(\d+)(?:\.\d+(?:E\d+)?)?")
+_GROUP = re.compile(r"(\d*)([IEFGD])(\d+)(?:\.\d+(?:E\d+)?)?|(\d+)X")
+_FORMAT = re.compile(rf"\(((?:{_GROUP.pattern})(?:,(?:{_GROUP.pattern}))*)\)?")
 
 
-class Lines:
-    """Lines of an archive without their ends, with one line of looking ahead; ``number`` of the last from 1."""
-
-    def __init__(self, path: Path) -> None:
-        self.name, self.number = path.name, 0
-        self._lines = self._read(path)
-        self._next: bytes | None = next(self._lines, None)
-
-    def _read(self, path: Path) -> Iterator[bytes]:
-        if not path.is_file():
-            what = "is not a file" if path.exists() else "does not exist"
-            raise InputError(f"archive {str(path)!r} {what}; check the path")
-        try:
-            with open_text(path) as file:
-                # Limited, so that a file without lines is not taken in whole.
-                while line := file.readline(1 << 16):
-                    if b"\0" in line or (len(line) == 1 << 16 and not line.endswith(b"\n")):
-                        raise InputError(f"{path.name} is not a text of lines; expected an archive (CDWRITE)")
-                    if not line.endswith((b"\n", b"\r")) and line.strip().upper() not in (b"", b"FINISH"):
-                        raise InputError(
-                            f"{path.name} ends within a line, so it may be cut off; write it again, or end the last "
-                            "line if the file is complete"
-                        )
-                    yield line.rstrip(b"\r\n")
-        except OSError as error:
-            raise InputError(f"archive {str(path)!r} cannot be read: {error.strerror}") from error
-
-    def __iter__(self) -> Iterator[bytes]:
-        while self._next is not None:
-            yield self.take("")
-
-    def take(self, within: str) -> bytes:
-        """The next line; ``within`` is the block that the file must not end in."""
-        line = self._next
-        if line is None:
-            raise InputError(f"{self.name} ends within {within}; it is cut off, write it again")
-        self._next = next(self._lines, None)
-        self.number += 1
-        return line
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Layout:
-    """Widths of the columns of a line: ``whole`` integer ones, then ``real`` ones."""
+    """Groups of columns of a line: kind (I whole, R real, X passed over), count and width."""
 
-    whole: int
-    width: int
-    real: int = 0
-    real_width: int = 0
+    groups: tuple[tuple[str, int, int], ...]
+
+    def count(self, kind: str) -> int:
+        """Columns of a kind."""
+        return sum(count for own, count, _ in self.groups if own == kind)
+
+    @property
+    def whole(self) -> int:
+        """Columns of integers."""
+        return self.count("I")
+
+    @property
+    def real(self) -> int:
+        """Columns of reals."""
+        return self.count("R")
 
     @property
     def length(self) -> int:
         """Characters of a full line."""
-        return self.whole * self.width + self.real * self.real_width
+        return sum(count * width for _, count, width in self.groups)
 
 
 def layout(line: bytes, block: str, name: str) -> Layout:
-    """Layout of a format line such as (19i10) or (3i9,6e21.13e3).
+    """Layout of a format line such as (19i10), (3i9,6e21.13e3) or (1i9,2x,3e20.13,3e16.9).
 
     Raises:
         InputError: another format.
     """
-    text = line.decode("latin-1").upper().replace("1P", "").split("!")[0].strip()
-    parts = _FORMAT.findall(text) if text.startswith("(") else []
-    counts = [(kind == "I", int(count or 1), int(width)) for count, kind, width in parts if len(count + width) < 6]
-    shape = [whole for whole, _, _ in counts]
-    if shape not in ([True], [True, False], [False]) or any(
-        not (0 < n <= TOL.block_numbers and 0 < w <= TOL.block_number_characters) for _, n, w in counts
+    text = line.decode("latin-1").upper().replace("1P,", "").replace("1P", "").split("!")[0].strip()
+    parts = _FORMAT.fullmatch(text.replace(" ", ""))
+    groups = []
+    for count, kind, width, blanks in _GROUP.findall(parts[1] if parts else ""):
+        if len(count + width + blanks) > 5:
+            break
+        number = ("I" if kind == "I" else "R", int(count or 1), int(width or 0))
+        groups.append(("X", 1, int(blanks)) if blanks else number)
+    if (
+        not parts
+        or len(groups) != parts[1].count(",") + 1
+        or not any(kind != "X" for kind, _, _ in groups)
+        or any(not (0 < n <= TOL.block_numbers and 0 < w <= TOL.block_number_characters) for _, n, w in groups)
     ):
         raise InputError(f"{name}: {block} has the format {text[:40]!r}; expected one such as (3i9,6e21.13e3)")
-    whole = counts[0] if shape[0] else (True, 0, 1)
-    real = counts[-1] if not shape[-1] else (False, 0, 0)
-    return Layout(whole=whole[1], width=whole[2], real=real[1], real_width=real[2])
+    return Layout(tuple(groups))
 
 
-def columns(lines: list[bytes], form: Layout, block: str, name: str) -> tuple[Ints, Floats]:
-    """Integers (k, whole) and reals (k, real) of ``lines``; what a line leaves out is zero.
+def columns(rows: BlockText, form: Layout, block: str, name: str) -> tuple[Ints, Floats]:
+    """Integers (k, whole) and reals (k, real) of lines; what a line leaves out is zero.
 
     Raises:
         InputError: a line that is too long, or something that is not a finite number.
     """
-    if not lines:
-        return np.zeros((0, form.whole), dtype=np.int64), np.zeros((0, form.real))
-    longest = max(map(len, lines))
-    if longest > form.length and max(len(line.rstrip()) for line in lines) > form.length:
-        bad = _shown(next(line for line in lines if len(line.rstrip()) > form.length))
-        raise InputError(f"{name}: a line of {block} is longer than its format: {bad!r}")
-    text = np.array([line[: form.length].ljust(form.length) for line in lines], dtype=f"S{form.length}")
-    table = text.view("S1").reshape(len(lines), form.length)
-    cut = form.whole * form.width
-    whole = _numbers(table[:, :cut], form.width, np.int64, lines, block, name)
-    real = _numbers(table[:, cut:], form.real_width, np.float64, lines, block, name)
-    if not np.isfinite(real).all():
-        bad = _shown(lines[int(np.flatnonzero(~np.isfinite(real).all(axis=1))[0])])
+    for row in np.flatnonzero(rows.lengths > form.length).tolist():
+        if len(rows[row].rstrip()) > form.length:
+            raise InputError(f"{name}: a line of {block} is longer than its format: {_shown(rows[row])!r}")
+    table, at = rows.characters(form.length), 0
+    longest = int(rows.lengths.max(initial=0))
+    whole: list[Ints] = [np.zeros((len(rows), 0), dtype=np.int64)]
+    real: list[Floats] = [np.zeros((len(rows), 0))]
+    for kind, count, width in form.groups:
+        # Columns that no line has are not looked at.
+        given = min(count, max(0, -(-(longest - at) // width)))
+        part, at = table[:, at : at + given * width].reshape(len(rows), given, width), at + count * width
+        if kind == "I":
+            whole += [_integers(part, rows, block, name), np.zeros((len(rows), count - given), dtype=np.int64)]
+        elif kind == "R":
+            real += [_reals(part, rows, block, name), np.zeros((len(rows), count - given))]
+    integers, reals = np.concatenate(whole, axis=1), np.concatenate(real, axis=1)
+    if not np.isfinite(reals).all():
+        bad = _shown(rows[int(np.flatnonzero(~np.isfinite(reals).all(axis=1))[0])])
         raise InputError(f"{name}: {block} holds a number that is not finite: {bad!r}")
-    if len(whole) and whole.size and np.abs(whole).max() >= 2**31:
+    if integers.size and np.abs(integers).max() >= 2**31:
         raise InputError(f"{name}: {block} holds an integer of more than 31 bits; it is damaged")
-    return whole, real
+    return integers, reals
 
 
 def _shown(line: bytes) -> str:
@@ -127,33 +107,44 @@ def _shown(line: bytes) -> str:
     return line.decode("latin-1")[: TOL.shown_line]
 
 
-def _numbers(table: NDArray[np.bytes_], width: int, kind: type, lines: list[bytes], block: str, name: str) -> NDArray:  # type: ignore[type-arg]
-    if not table.shape[1]:
-        return np.zeros((len(table), 0), dtype=kind)
-    words = np.ascontiguousarray(table).view(f"S{width}")
-    blank = (np.ascontiguousarray(table) == b" ").reshape(len(table), -1, width).all(axis=2)
-    words = np.where(blank, b"0", words)
-    try:
-        return words.astype(kind)
-    except (ValueError, OverflowError):
-        words = words.reshape(len(lines), -1)  # refused below, by the line at fault
-    for line, row in zip(lines, words, strict=True):
+def _integers(part: NDArray[np.uint8], rows: BlockText, block: str, name: str) -> Ints:
+    values = fixed_integers(part)
+    if values is None:
+        words = _words(part)
+        values = None if words is None else words.integers()
+    return _odd_numbers(part, np.int64, rows, block, name) if values is None else values.reshape(part.shape[:2])
+
+
+def _reals(part: NDArray[np.uint8], rows: BlockText, block: str, name: str) -> Floats:
+    words = _words(part)
+    values = None if words is None else words.reals(implied=False)
+    return _odd_numbers(part, np.float64, rows, block, name) if values is None else values.reshape(part.shape[:2])
+
+
+def _words(part: NDArray[np.uint8]) -> Words | None:
+    """Columns (n, count, width), which may touch each other, as words; None where a blank stands within one."""
+    count, columns, width = part.shape
+    if not part.size:
+        return None
+    text = np.full((count, columns, width + 1), ord(","), dtype=np.uint8)
+    text[:, :, :width] = part
+    text[-1, -1, -1] = ord("\n")
+    if (part == ord(",")).any():
+        return None
+    return words_of(text.tobytes())
+
+
+def _odd_numbers(part: NDArray[np.uint8], kind: type, rows: BlockText, block: str, name: str) -> NDArray:  # type: ignore[type-arg]
+    """Numbers that are written in another way than most, or are none."""
+    words = np.ascontiguousarray(part).view(f"S{part.shape[2]}")[:, :, 0]
+    words = np.where((part == ord(" ")).all(axis=2), b"0", words)
+    for row, line in enumerate(words):
         try:
-            row.astype(kind)
+            line.astype(kind)
         except (ValueError, OverflowError) as error:
-            raise InputError(f"{name}: a line of {block} is not as its format says: {_shown(line)!r}") from error
-    raise InputError(f"{name}: {block} cannot be read")
-
-
-def _chunks(lines: Lines, block: str, ends: tuple[bytes, ...]) -> Iterator[list[bytes]]:
-    """Lines up to one that starts with one of ``ends`` (blanks left out), which is taken too."""
-    chunk: list[bytes] = []
-    while not (line := lines.take(block)).lstrip().upper().startswith(ends):
-        chunk.append(line)
-        if len(chunk) == TOL.lines_at_once:
-            yield chunk
-            chunk = []
-    yield chunk
+            bad = _shown(rows[row])
+            raise InputError(f"{name}: a line of {block} is not as its format says: {bad!r}") from error
+    return words.astype(kind)
 
 
 def node_block(lines: Lines, fields: list[str]) -> tuple[Ints, Floats, Floats]:
@@ -165,7 +156,7 @@ def node_block(lines: Lines, fields: list[str]) -> tuple[Ints, Floats, Floats]:
     form = layout(lines.take("NBLOCK"), "NBLOCK", lines.name)
     if form.whole < 1 or form.real < 3:
         raise InputError(f"{lines.name}: NBLOCK has a format without label and x, y, z")
-    parts = [columns(c, form, "NBLOCK", lines.name) for c in _chunks(lines, "NBLOCK", (b"N,", b"-1", b"NBLOCK"))]
+    parts = [columns(rows, form, "NBLOCK", lines.name) for rows in lines.block("NBLOCK", (b"N,", b"-1", b"NBLOCK"))]
     label = np.concatenate([whole[:, 0] for whole, _ in parts])
     real = np.concatenate([values for _, values in parts])
     count = announced(fields, 4)
@@ -183,7 +174,7 @@ def element_block(lines: Lines, fields: list[str]) -> tuple[bool, Ints]:
     form = layout(lines.take("EBLOCK"), "EBLOCK", lines.name)
     if form.real:
         raise InputError(f"{lines.name}: EBLOCK has a format with reals; expected one such as (19i8)")
-    parts = [columns(c, form, "EBLOCK", lines.name)[0] for c in _chunks(lines, "EBLOCK", (b"-1",))]
+    parts = [columns(rows, form, "EBLOCK", lines.name)[0] for rows in lines.block("EBLOCK", (b"-1",))]
     key = fields[2].upper() if len(fields) > 2 else ""
     if key == "COMPACT":
         raise InputError(f"{lines.name} has an EBLOCK in the compact form; write it again (CDWRITE,DB,model,cdb)")
@@ -206,7 +197,7 @@ def component_block(lines: Lines, fields: list[str]) -> Ints:
     count = announced(fields, 3)
     if form.real or not form.whole:
         raise InputError(f"{lines.name}: {block} has a format with reals; expected one such as (8i10)")
-    rows = [lines.take(block) for _ in range(-(-count // form.whole))]
+    rows = lines.rows(block, -(-count // form.whole))
     given = columns(rows, form, block, lines.name)[0].ravel()
     given, rest = given[:count], given[count:]
     if rest.any() or (given == 0).any():
@@ -227,11 +218,11 @@ def real_constants(lines: Lines, fields: list[str]) -> dict[int, list[float]]:
         raise InputError(f"{lines.name}: RLBLOCK has formats other than (2i8,6g16.9) and (7g16.9)")
     result: dict[int, list[float]] = {}
     for _ in range(announced(fields, 1)):
-        head, values = columns([lines.take("RLBLOCK")], first, "RLBLOCK", lines.name)
+        head, values = columns(lines.rows("RLBLOCK", 1), first, "RLBLOCK", lines.name)
         number, count = (int(i) for i in head[0])
         row = values[0].tolist()
         while len(row) < count:
-            row.extend(columns([lines.take("RLBLOCK")], more, "RLBLOCK", lines.name)[1][0].tolist())
+            row.extend(columns(lines.rows("RLBLOCK", 1), more, "RLBLOCK", lines.name)[1][0].tolist())
         result[number] = row[:count]
     return result
 
@@ -240,8 +231,8 @@ def element_types(lines: Lines) -> list[list[int]]:
     """Rows (type, number of the element, key options from 1) of an ETBLOCK."""
     lines.take("ETBLOCK")
     rows = []
-    for chunk in _chunks(lines, "ETBLOCK", (b"-1",)):
-        for line in chunk:
+    for block in lines.block("ETBLOCK", (b"-1",)):
+        for line in block.text.splitlines():
             words = line.split()
             if len(words) < 2 or not all(word.lstrip(b"-").isdigit() and len(word) < 10 for word in words):
                 raise InputError(f"{lines.name}: a line of ETBLOCK is not a list of integers: {_shown(line)!r}")

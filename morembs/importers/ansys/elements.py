@@ -47,16 +47,7 @@ def from_solid_form(table: Ints, name: str) -> list[tuple[int, Rows]]:
     Raises:
         InputError: a count of nodes that cannot be, or a second line that is missing.
     """
-    heads, at = [], 0
-    count = table[:, 8].tolist()
-    while at < len(count):
-        if not 0 < count[at] <= 20:
-            raise InputError(f"{name}: EBLOCK gives the element {table[at, 10]} {count[at]} nodes; expected 1 to 20")
-        heads.append(at)
-        at += 1 + (count[at] > 8)
-    if at != len(count):
-        raise InputError(f"{name}: EBLOCK ends within the element {table[heads[-1], 10]}; it is cut off")
-    first = np.array(heads, dtype=np.int64)
+    first = _heads(table, name)
     head, count_of = table[first], table[first, 8]
     nodes = np.zeros((len(first), 20), dtype=np.int64)
     nodes[:, : min(8, table.shape[1] - 11)] = head[:, 11:19]
@@ -68,6 +59,24 @@ def from_solid_form(table: Ints, name: str) -> list[tuple[int, Rows]]:
         (int(kind), _picked(head[:, 1] == kind, head[:, 10], nodes, head[:, 0], head[:, 2], head[:, 4]))
         for kind in np.unique(head[:, 1])
     ]
+
+
+def _heads(table: Ints, name: str) -> Ints:
+    """The first line of each element: those of more than eight nodes have two."""
+    for step, least, most in ((1, 1, 8), (2, 9, 20)):
+        count = table[::step, 8]
+        if len(table) % step == 0 and ((count >= least) & (count <= most)).all():
+            return np.arange(0, len(table), step)
+    heads, at = [], 0
+    given = table[:, 8].tolist()
+    while at < len(given):
+        if not 0 < given[at] <= 20:
+            raise InputError(f"{name}: EBLOCK gives the element {table[at, 10]} {given[at]} nodes; expected 1 to 20")
+        heads.append(at)
+        at += 1 + (given[at] > 8)
+    if at != len(given):
+        raise InputError(f"{name}: EBLOCK ends within the element {table[heads[-1], 10]}; it is cut off")
+    return np.array(heads, dtype=np.int64)
 
 
 def from_plain_form(table: Ints, routine: int, name: str) -> Rows:

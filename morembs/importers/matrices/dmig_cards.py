@@ -10,7 +10,8 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.importers.matrices.text import integers
-from morembs.importers.nastran.cards import Cards, Table
+from morembs.importers.nastran.cards import Cards
+from morembs.importers.nastran.tables import Table
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,10 +10,11 @@ from morembs.base.errors import InputError
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problem, Problems
-from morembs.importers.nastran.cards import Table, integer, real, tables
+from morembs.importers.nastran.cards import integer, real, tables
 from morembs.importers.nastran.geometry import SOLIDS, Grids, Solids, Systems
 from morembs.importers.nastran.names import NOTED, OF_TEMPERATURE, READ, REASONS, SYSTEMS
 from morembs.importers.nastran.properties import Rows, padded
+from morembs.importers.nastran.tables import Table
 from morembs.importers.nastran.text import BulkText
 
 _PARAM = re.compile(r"^[ \t]*PARAM[ \t]*,[ \t]*(\w+)[ \t]*,[ \t]*([^\s,]+)", re.MULTILINE | re.IGNORECASE)
@@ -40,7 +41,7 @@ class Bulk:
         self.noted: dict[str, int] = {}
         refused: dict[str, list[Table]] = {}
         self.text = BulkText(path, outside=outside)
-        for table in tables(self.text):
+        for table in tables(self.text, {"GRID", *SOLIDS, *self.rows}):
             self._take(table, refused)
         self._refuse(refused)
         if len(self.rows["GRDSET"]) > 1:

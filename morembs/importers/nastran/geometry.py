@@ -13,7 +13,8 @@ from morembs.base.types import Floats, Ints
 from morembs.importers.decks.algebra import axes_at, frame_of, points_of
 from morembs.importers.decks.labels import Labels
 from morembs.importers.decks.tables import System
-from morembs.importers.nastran.cards import Table, integer, real
+from morembs.importers.nastran.cards import integer, real
+from morembs.importers.nastran.tables import Table
 from morembs.importers.tolerances import TOL
 
 # For each card: corner type and count, full type and its nodes in VTK order. Nastran lists the middles of

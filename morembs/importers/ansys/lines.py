@@ -1,0 +1,134 @@
+"""Lines of ANSYS archives: one by one, and many of a block at once."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morembs.base.errors import InputError
+from morembs.importers.decks.includes import open_text
+from morembs.importers.decks.numerals import Eight
+from morembs.importers.tolerances import TOL
+
+_BEFORE_NEWLINE = re.compile(rb"\r+\n")
+
+
+class Lines:
+    """Lines of an archive without their ends; ``number`` of the last from 1."""
+
+    def __init__(self, path: Path) -> None:
+        self.name, self.number = path.name, 0
+        self._pieces = self._read(path)
+        self._text, self._at = next(self._pieces, b""), 0
+
+    def _read(self, path: Path) -> Iterator[bytes]:
+        """Pieces of whole lines."""
+        if not path.is_file():
+            what = "is not a file" if path.exists() else "does not exist"
+            raise InputError(f"archive {str(path)!r} {what}; check the path")
+        rest = b""
+        try:
+            with open_text(path) as file:
+                while chunk := file.read(TOL.piece_bytes):
+                    text = rest + chunk
+                    cut = text.rfind(b"\n") + 1
+                    rest = text[cut:]
+                    if b"\0" in chunk or len(rest) > TOL.longest_line_bytes:
+                        raise InputError(f"{path.name} is not a text of lines; expected an archive (CDWRITE)")
+                    piece = text[:cut]
+                    if piece:
+                        yield _BEFORE_NEWLINE.sub(b"\n", piece) if b"\r" in piece else piece
+        except OSError as error:
+            raise InputError(f"archive {str(path)!r} cannot be read: {error.strerror}") from error
+        if rest.strip():
+            yield rest.rstrip(b"\r") + (b"\n" if rest.endswith(b"\r") or rest.strip().upper() == b"FINISH" else b"")
+
+    def __iter__(self) -> Iterator[bytes]:
+        while self._is_more():
+            yield self.take("")
+
+    def _is_more(self) -> bool:
+        if self._at == len(self._text):
+            self._text, self._at = next(self._pieces, b""), 0
+        return self._at < len(self._text)
+
+    def take(self, within: str) -> bytes:
+        """The next line; ``within`` is the block that the file must not end in."""
+        if not self._is_more():
+            raise InputError(f"{self.name} ends within {within}; it is cut off, write it again")
+        end = self._text.find(b"\n", self._at)
+        if end < 0:
+            raise InputError(
+                f"{self.name} ends within a line, so it may be cut off; write it again, or end the last line if the "
+                "file is complete"
+            )
+        line = self._text[self._at : end]
+        self._at, self.number = end + 1, self.number + 1
+        return line
+
+    def rows(self, within: str, count: int) -> BlockText:
+        """The next ``count`` lines."""
+        return BlockText(b"".join(self.take(within) + b"\n" for _ in range(count)))
+
+    def block(self, within: str, ends: tuple[bytes, ...]) -> Iterator[BlockText]:
+        """Lines up to one that starts with one of ``ends`` (blanks left out), which is taken too."""
+        last = None
+        while last is None:
+            if not self._is_more() or self._text.find(b"\n", self._at) < 0:
+                self.take(within)
+            stop = self._text.rfind(b"\n", self._at, self._at + TOL.block_bytes) + 1
+            rows = BlockText(self._text[self._at : stop])
+            last = rows.first(ends)
+            rows = rows if last is None else rows.before(last)
+            self._at, self.number = self._at + len(rows.text), self.number + len(rows)
+            if last is None and not self._is_more():
+                self.take(within)
+            yield rows
+        self.take(within)
+
+
+class BlockText:
+    """Lines (n,) of a ``text``, which begin at ``starts`` (n,) and have ``lengths`` (n,) characters."""
+
+    def __init__(self, text: bytes) -> None:
+        self.text = text
+        ends = np.flatnonzero(np.frombuffer(text, dtype=np.uint8) == ord("\n"))
+        self.starts = np.concatenate([[0], ends[:-1] + 1])[: len(ends)]
+        self.lengths = ends - self.starts
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    def __getitem__(self, row: int) -> bytes:
+        start = int(self.starts[row])
+        return self.text[start : start + int(self.lengths[row])]
+
+    def before(self, row: int) -> BlockText:
+        """The lines before a row."""
+        return BlockText(self.text[: int(self.starts[row])])
+
+    def first(self, ends: tuple[bytes, ...]) -> int | None:
+        """The first line that starts with one of ``ends``, blanks left out."""
+        begin = self.characters(16).view("<u8")
+        # A minus has the bit 8 and not 16; digits from 8 on have both.
+        minus = (begin << np.uint64(1)) & ~begin & np.uint64(Eight.OF_DIGITS)
+        told = (begin & np.uint64(Eight.OF_LETTERS)) | minus
+        blank = begin == np.uint64(Eight.BLANKS)
+        for row in np.flatnonzero((told[:, 0] | told[:, 1] != 0) | (blank[:, 0] & blank[:, 1])).tolist():
+            if self[row].lstrip().upper().startswith(ends):
+                return int(row)
+        return None
+
+    def characters(self, width: int) -> NDArray[np.uint8]:
+        """The first characters (n, ``width``) of each line, with blanks behind short ones."""
+        text = self.text + b" " * width
+        places = np.ndarray(len(text) - width + 1, f"V{width}", text, 0, (1,))
+        table: NDArray[np.uint8] = places[self.starts].view(np.uint8).reshape(-1, width)
+        short = np.minimum(self.lengths, width).astype(np.uint16)
+        if short.min(initial=width) < width:
+            table[np.arange(width, dtype=np.uint16) >= short[:, None]] = ord(" ")
+        return table
