@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from morembs.app.cli.messages import print_json, print_names, printing
 from morembs.app.cli.terminal import EPILOG, AsJson, messages, progress_line
@@ -19,8 +21,18 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 
-@app.command("import", epilog=EPILOG)
+class _Asked(TyperCommand):
+    """A command that keeps its command line in the context."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As of click."""
+        ctx.meta[_Asked.__name__] = list(args)
+        return super().parse_args(ctx, args)
+
+
+@app.command("import", cls=_Asked, epilog=EPILOG)
 def import_model(
+    context: typer.Context,
     files: Annotated[
         list[Path] | None, typer.Argument(metavar="[FILE]", help="The file of the model.", show_default=False)
     ] = None,
@@ -76,7 +88,9 @@ def import_model(
     from morembs.app.jobs.import_job import ImportJob, list_engines, list_formats, material_of, run_import
     from morembs.base.units import parse_units
     from morembs.importers.decks.options import density_of
+    from morembs.importers.decks.problems import DeckError
 
+    command = _command(context.meta[_Asked.__name__])
     with messages():
         if listed:
             engines = list_engines()
@@ -104,16 +118,25 @@ def import_model(
             split=split,
         )
         if dry_run:
-            _dry_run(job, check=check, strict=strict, as_json=as_json)
+            _dry_run(job, command, check=check, strict=strict, as_json=as_json)
             return
-        with progress_line() as progress:
-            done = run_import(job, check=check, strict=strict, progress=progress)
+        try:
+            with progress_line() as progress:
+                done = run_import(job, check=check, strict=strict, progress=progress)
+        except DeckError as error:
+            raise InputError("\n".join(error.asked(command).lines())) from None
         parts = [done, *done.others]
         with printing([str(part.path) for part in parts]):
             if as_json:
                 print_json([_document(part) for part in parts])
             else:
                 typer.echo("\n".join(line for part in parts for line in _lines(part)))
+
+
+def _command(arguments: list[str]) -> str:
+    """The command line quoted for a shell; a dry run that knows where to write goes on to be none."""
+    writes = any(argument == "-o" or argument.startswith("--out") for argument in arguments)
+    return shlex.join(["morembs", "import", *(word for word in arguments if not (writes and word == "--dry-run"))])
 
 
 def _model_file(out: Path | None) -> Path:
@@ -144,27 +167,27 @@ def _engine_options(boundary: str, preload: int, timeout: float, keep: Path | No
     return {name: value for name, (value, default) in given.items() if value != default}
 
 
-def _dry_run(job: ImportJob, *, check: bool, strict: bool, as_json: bool) -> None:
+def _dry_run(job: ImportJob, command: str, *, check: bool, strict: bool, as_json: bool) -> None:
     """What an import would say; nothing is written.
 
     Raises:
         typer.Exit: the model cannot be imported, with code 2.
     """
     from morembs.app.jobs.import_job import run_import
-    from morembs.importers.decks.problems import DeckError, answered_by
+    from morembs.importers.decks.problems import DeckError
 
     try:
         with progress_line() as progress:
             done = run_import(job, check=check, strict=strict, dry=True, progress=progress)
     except DeckError as error:
-        command = answered_by(error.source, error.problems, error.given)
+        answer = error.asked(command).answer
         with printing():
             if as_json:
                 print_json(
                     [
                         {
                             "importable": False,
-                            "command": command,
+                            "command": answer,
                             "problems": [
                                 {
                                     "what": p.what,
@@ -179,8 +202,8 @@ def _dry_run(job: ImportJob, *, check: bool, strict: bool, as_json: bool) -> Non
                     ]
                 )
             else:
-                lines = [f"problem: {problem.what}" for problem in error.problems]
-                lines += [f"all of it is answered by: {command}"] if command else []
+                lines = [f"problem: {problem.placed}".replace("; ", "\n    ") for problem in error.problems]
+                lines += [f"all of it is answered by: {answer}"] if answer else []
                 lines += [error.hint] if error.hint else []
                 typer.echo("\n".join([*lines, f"{error.source} cannot be imported: {len(error.problems)} problems"]))
         raise typer.Exit(2) from None

@@ -34,7 +34,7 @@ def refusal_of(card: Card) -> str:
     word = card.keyword
     named = next((card.options[key] for key in ("NAME", "ELSET", "NSET") if card.options.get(key)), "")
     why = WHY_REFUSED.get(word, "it is not known here, so stiffness or mass may depend on it")
-    plain = f"take it out of the deck, or leave it out with --skip {word!r}, if the model is right without it"
+    plain = f"leave it out with --skip {word!r} if the model is right without it"
     return f"{card}{f' ({named})' if named else ''} cannot be read: {why}; {CURES.get(word, plain)}"
 
 

@@ -79,7 +79,7 @@ def _others(deck: Contents) -> None:
     deck.problems.add(
         Problem(
             what=f"{deck.name} has elements that are not supported: {listed}; expected solids ({', '.join(KINDS)} and "
-            f"their variants), {', '.join(DISCRETE)}; take the others out of the deck, or leave them out with "
+            f"their variants), {', '.join(DISCRETE)}; leave the others out with "
             f"{'--contact skip' if gaps else '--skip ' + ','.join(unknown)} if the model is right without them"
             f"{'; --engine calculix may assemble them' if all(map(_OF_ENGINE.match, unknown)) else ''}",
             file=deck.name,
@@ -256,7 +256,7 @@ class DeckReader:
             self.scope.constraints.append((card, rows, None, []))
         else:
             own = "" if card.keyword == "CONTACT PAIR" or self.glues else " (in own assembly)"
-            cure = f"--contact skip leaves it out, --contact tie glues it{own}"
+            cure = f"--contact skip leaves it out; --contact tie glues it{own}"
             what = f"{card} cannot be read: contact is not linear; {cure}"
             deck.problems.add(
                 Problem(what=what, file=card.file, line=card.line, keyword=card.keyword, flags=("--contact skip",))

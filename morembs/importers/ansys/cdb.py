@@ -196,8 +196,8 @@ def _refusal(file: str, routine: int, rows: Rows) -> Problem:
     flag = "--contact skip" if routine in CONTACT else f"--skip {name if routine in NAMES else routine}"
     what = (
         f"{file} has {len(rows.ids)} elements {name} (first: {rows.ids[0]}), which are not supported; expected "
-        f"{', '.join(f'SOLID{n}' for n in sorted(SOLIDS))}, MASS21, COMBIN14, MPC184. Let ANSYS write K and M (.full) "
-        f"and import these, or leave them out with {flag} if the body is right without them"
+        f"{', '.join(f'SOLID{n}' for n in sorted(SOLIDS))}, MASS21, COMBIN14, MPC184; let ANSYS write K and M (.full) "
+        f"and import these; leave them out with {flag} if the body is right without them"
     )
     return Problem(what=what, file=file, keyword=name, flags=(flag,))
 

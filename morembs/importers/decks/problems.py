@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -30,17 +31,63 @@ class Problem:
     element_set: str = ""
 
     @property
+    def placed(self) -> str:
+        """The sentence with its file and line, where it does not say them itself."""
+        if not self.line or re.search(rf"line {self.line}\b", self.what):
+            return self.what
+        return f"{self.file}, line {self.line}: {self.what.removeprefix(f'{self.file}: ')}"
+
+    @property
     def kind(self) -> str:
         """What problems of one kind have in common: the sentence without names and numbers."""
         return f"{self.keyword}: {_OWN_NAMES.sub('#', self.what)}"
 
 
 class DeckError(InputError):
-    """A deck with ``problems``; the message lists them by kind, and ends with a ``hint`` at another way."""
+    """A deck with ``problems``, each once; the message lists them by kind, and ends with a ``hint`` at another way.
 
-    def __init__(self, source: str, problems: Sequence[Problem], given: Sequence[str] = (), *, hint: str = "") -> None:
-        self.source, self.problems, self.given, self.hint = source, tuple(problems), tuple(given), hint
-        super().__init__(_message(source, self.problems, self.given) + (f"; {hint}" if hint else ""))
+    ``command`` is the command line that asked for the deck, quoted for a shell, where there is one.
+    """
+
+    def __init__(
+        self, source: str, problems: Sequence[Problem], given: Sequence[str] = (), *, hint: str = "", command: str = ""
+    ) -> None:
+        self.source, self.problems, self.given = source, tuple(dict.fromkeys(problems)), tuple(given)
+        self.hint, self.command = hint, command
+        super().__init__("; ".join(self._listed()))
+
+    @property
+    def answer(self) -> str:
+        """The command line that answers all problems, empty where options do not answer some of them."""
+        if not self.problems or not all(problem.flags for problem in self.problems):
+            return ""
+        plain = " ".join(["morembs import", shlex.quote(self.source), *_joined(self.given)])
+        return " ".join([self.command or plain, *_joined(f for problem in self.problems for f in problem.flags)])
+
+    def asked(self, command: str) -> DeckError:
+        """The same of another command line."""
+        return DeckError(self.source, self.problems, self.given, hint=self.hint, command=command)
+
+    def lines(self) -> list[str]:
+        """The message in lines, each with one cure at most."""
+        return [line for part in self._listed() for line in part.replace("; ", "\n    ").split("\n")]
+
+    def _listed(self) -> list[str]:
+        """The problems by kind, the command that answers them, and the hint."""
+        kinds: dict[str, list[Problem]] = {}
+        for problem in self.problems:
+            kinds.setdefault(problem.kind, []).append(problem)
+        if len(self.problems) == 1:
+            listed = [self.problems[0].placed]
+        else:
+            listed = [
+                f"({i}) {_line(same)}" for i, same in enumerate(list(kinds.values())[: TOL.shown_problems], start=1)
+            ]
+            rest = len(kinds) - TOL.shown_problems
+            listed += [f"and {rest} more kinds"] * (rest > 0)
+            listed[0] = f"{self.source} has {len(self.problems)} problems: {listed[0]}"
+        answer = [f"all of it is answered by: {self.answer}"] if self.answer else []
+        return [*listed, *answer, *([self.hint] if self.hint else [])]
 
 
 class Problems:
@@ -102,45 +149,19 @@ class Problems:
             raise DeckError(self.source, self.entries, self.given)
 
 
-def _message(source: str, problems: Sequence[Problem], given: Sequence[str]) -> str:
-    kinds: dict[str, list[Problem]] = {}
-    for problem in problems:
-        kinds.setdefault(problem.kind, []).append(problem)
-    if len(problems) == 1:
-        text = problems[0].what
-    else:
-        lines = [f"({i}) {_line(same)}" for i, same in enumerate(list(kinds.values())[: TOL.shown_problems], start=1)]
-        rest = len(kinds) - TOL.shown_problems
-        lines += [f"and {rest} more kinds"] * (rest > 0)
-        text = f"{source} has {len(problems)} problems: {'; '.join(lines)}"
-    answer = answered_by(source, problems, given)
-    return f"{text}; all of it is answered by: {answer}" if answer else text
-
-
-def answered_by(source: str, problems: Sequence[Problem], given: Sequence[str] = ()) -> str:
-    """The command line that answers all problems, empty where options do not answer some of them."""
-    if not problems or not all(problem.flags for problem in problems):
-        return ""
-    return f"morembs import {source} {_flags([*given, *(flag for problem in problems for flag in problem.flags)])}"
-
-
 def _line(same: list[Problem]) -> str:
+    if len(same) == 1:
+        return same[0].placed
     where = [str(problem.line) for problem in same if problem.line]
     places = f" (lines {', '.join(where[:5])}{', ...' if len(where) > 5 else ''})" if len(where) > 1 else ""
-    return f"{len(same)} times{places}, first: {same[0].what}" if len(same) > 1 else same[0].what
+    return f"{len(same)} times{places}, first: {same[0].placed}"
 
 
-def _flags(flags: Iterable[str]) -> str:
-    """The options once each; those that take a list joined by commas."""
-    joined: dict[str, list[str]] = {}
+def _joined(flags: Iterable[str]) -> list[str]:
+    """The options once each, quoted for a shell; those that take a list joined by commas."""
+    values: dict[str, list[str]] = {}
     for flag in dict.fromkeys(flags):
         name, _, value = flag.partition(" ")
-        joined.setdefault(name, []).append(value)
-    parts = []
-    for name, values in joined.items():
-        if name == "--skip":
-            words = ",".join(values)
-            parts.append(f'--skip "{words}"' if " " in words else f"--skip {words}")
-        else:
-            parts += [f"{name} {value}".rstrip() for value in values]
-    return " ".join(parts)
+        values.setdefault(name, []).append(value)
+    given = [(name, [",".join(own)] if name == "--skip" else own) for name, own in values.items()]
+    return [f"{name} {shlex.quote(value)}" if value else name for name, own in given for value in own]

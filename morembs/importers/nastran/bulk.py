@@ -85,8 +85,8 @@ class Bulk:
             count, line = sum(map(len, card_tables)), min(int(table.lines.min()) for table in card_tables)
             reason = f": {REASONS[name]}" if name in REASONS else ""
             what = (
-                f"{card_tables[0].file}, line {line}: {count} {name} cannot be carried{reason}; take them out, or "
-                f"give --skip {name} if the model is right without them"
+                f"{card_tables[0].file}, line {line}: {count} {name} cannot be carried{reason}; "
+                f"--skip {name} leaves them out if the model is right without them"
             )
             self.problems.add(
                 Problem(what=what, file=card_tables[0].file, line=line, keyword=name, flags=(f"--skip {name}",))

@@ -115,8 +115,8 @@ def _refuse_others(deck: EngineDeck) -> None:
         why = "they carry heat or a fluid and no forces"
     deck.problems.add(
         Problem(
-            what=f"{deck.name} has elements that CalculiX does not make a body of: {listed}; {why}; take them out of "
-            f"the deck, or leave them out with --skip {','.join(wrong)} if the model is right without them",
+            what=f"{deck.name} has elements that CalculiX does not make a body of: {listed}; {why}; leave "
+            f"them out with --skip {','.join(wrong)} if the model is right without them",
             file=deck.name,
             keyword="ELEMENT",
             flags=tuple(f"--skip {code}" for code in wrong),
