@@ -210,7 +210,7 @@ RUN = {
     "README.md": {"python": 1},
     "contact.md": {"python": 4},
     "extending.md": {"toml": 1, "python": 2},
-    "formats.md": {"": 3, "toml": 2, "python": 1},
+    "formats.md": {"": 4, "toml": 2, "python": 1},
     "fmu.md": {"python": 2, "c": 1},
     "gmp.md": {"python": 1, "python divided": 1, "python chain": 1, "python body": 1, "python evaluator": 1},
     "job.md": {"toml": 5, "python": 2},

@@ -18,7 +18,7 @@ from morembs.fem import Mesh, Nodes
 from morembs.fem.handedness import right_handed
 from morembs.fem.material import Material
 from morembs.fem.middle_nodes import mesh_in_order
-from morembs.importers.abaqus.importer import import_abaqus, read_abaqus
+from morembs.importers.abaqus.importer import read_abaqus, read_abaqus_deck
 from morembs.importers.ansys.cdb import read_ansys
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.problems import DeckError
@@ -79,7 +79,7 @@ _OWN: dict[str, Importer] = {
     "op4": Importer(about="Nastran OP4, binary or text", endings=(".op4",), read=import_op4),
     "dmig": Importer(about="Nastran DMIG entries", endings=(".pch", ".dmig"), read=import_dmig),
     "abaqus": Importer(
-        about="Abaqus or CalculiX deck: mesh, materials, couplings, masses", endings=(".inp",), read=import_abaqus
+        about="Abaqus or CalculiX deck: mesh, materials, couplings, masses", endings=(".inp",), read=read_abaqus_deck
     ),
     "nastran": Importer(
         about="Nastran bulk data: mesh, materials, RBE2, RBE3, CONM2",

@@ -135,6 +135,10 @@ class ImporterTolerances:
     # Tags beyond these for each node.
     sparse_tags_per_node: int = 20
 
+    # --- Decks that are written
+    # Difference between the offsets of beams of one section, in widths of its profile: round-off of their axes.
+    same_offset: float = 1e-9
+
     # --- Sizes of pieces
     # Bytes of a deck that are read at once: their numbers stay in the cache of a core.
     piece_bytes: int = 1 << 19

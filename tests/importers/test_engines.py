@@ -16,8 +16,8 @@ from morembs.fem import FEModel, rigid_motion
 from morembs.fem.material import isotropic, orthotropic
 from morembs.importers import import_file
 from morembs.importers.abaqus.assembly import Assembly
-from morembs.importers.abaqus.surfaces import FACES
 from morembs.importers.decks.options import deck_options
+from morembs.importers.decks.writers.calculix_mesh import FACES
 from morembs.importers.engines.calculix.flat import Choices, flat_deck
 from morembs.importers.engines.calculix.read import read_for_engine
 from morembs.importers.model_file import read_model

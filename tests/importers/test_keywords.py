@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from morembs import InputError
-from morembs.importers.abaqus.importer import import_abaqus
+from morembs.importers.abaqus.importer import read_abaqus_deck
 from morembs.importers.abaqus.words import COMPARED, EFFECTS, LEFT_OUT, WORDS, of_kind
 from morembs.importers.matrices.calculix import CalculixMatrices
 from tests.support.calculix import needs_ccx, solids, stored_matrices
@@ -134,7 +134,7 @@ def deck_of(tmp_path):
     def read(lines: str):
         path = tmp_path / "deck.inp"
         path.write_text(BODY + lines)
-        return import_abaqus(path)
+        return read_abaqus_deck(path).imported()
 
     return read
 

@@ -14,7 +14,7 @@ from morembs.fem import rigid_motion
 from morembs.fem.elements import FACES, TYPES
 from morembs.fem.handedness import mirror_of
 from morembs.fem.interface.average import averaging
-from morembs.importers.abaqus.importer import import_abaqus
+from morembs.importers.abaqus.importer import read_abaqus_deck
 from morembs.importers.decks.problems import DeckError
 from morembs.importers.decks.projection import project
 from morembs.importers.dependent_dofs import interface_of_coupling
@@ -44,7 +44,7 @@ def read(tmp_path):
     def write(text, **options):
         path = tmp_path / "deck.inp"
         path.write_text(text)
-        return import_abaqus(path, **options)
+        return read_abaqus_deck(path, **options).imported()
 
     return write
 
@@ -528,7 +528,7 @@ def test_parts_that_nothing_joins_become_files_of_their_own(tmp_path):
     assert set(alone.nodes.sets) == {"ENDS"} and alone.nodes.ids[alone.nodes.sets["ENDS"]].tolist() == [1]
     assert set(pair.mesh.element_sets) == {"ALL", "SMALL", "MIDDLE"} and pair.mesh.blocks[0].ids.tolist() == [2, 3]
     (tmp_path / "alone.inp").write_text(THREE[: THREE.index("*NODE", 5)] + SECTION)
-    expected = model_of(import_abaqus(tmp_path / "alone.inp", dialect="calculix"))
+    expected = model_of(read_abaqus_deck(tmp_path / "alone.inp", dialect="calculix").imported())
     for ours, theirs in ((alone.K, expected.K), (alone.M, expected.M)):
         assert abs(ours - theirs).max() < 1e-14 * abs(theirs).max()
     K, M, R = reduced(pair)

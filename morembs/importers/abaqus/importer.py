@@ -16,9 +16,9 @@ from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.reader import read_deck
 from morembs.importers.abaqus.whole import deck_of, mesh_deck
 from morembs.importers.decks.formulations import DIALECTS
+from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import deck_options
 from morembs.importers.decks.problems import Problem
-from morembs.importers.imported import Imported
 
 
 def read_abaqus(path: Path, *, dialect: str = "auto", allow_includes_outside: bool = False) -> Mesh:
@@ -48,7 +48,7 @@ def read_abaqus(path: Path, *, dialect: str = "auto", allow_includes_outside: bo
     return whole.mesh()
 
 
-def import_abaqus(
+def read_abaqus_deck(
     path: str | Path,
     *,
     dialect: str = "auto",
@@ -56,12 +56,10 @@ def import_abaqus(
     contact: str = "refuse",
     skip: list[str] | str = "",
     allow_includes_outside: bool = False,
-) -> Imported:
-    """All of an input deck that a model can carry, in the deck's own units.
+) -> Deck:
+    """All of an input deck as tables by labels of the whole, in the deck's own units.
 
-    The rows of ``nodes`` are those of ``mesh.nodes``, and behind them nodes that belong to no element but are named
-    by a coupling, an equation, a spring or a point mass. Boundary conditions and steps are not applied (``notes`` say
-    so).
+    Boundary conditions and steps are not applied (``notes`` say so).
 
     Args:
         allow_includes_outside: includes may name files beyond the folder of the deck.
@@ -74,13 +72,11 @@ def import_abaqus(
     Peak memory: the numbers of the mesh about twice, besides a piece of the file of a few MB.
 
     Raises:
-        DeckError: all that keeps the deck from becoming a model: an ``InputError`` with ``problems``.
+        DeckError: it makes no sense; what else keeps it from becoming a model is among the ``problems`` of the deck.
         InputError: options that are not known.
     """
     options = deck_options(density, contact, skip)
-    return deck_of(
-        read_deck(Path(path), outside=allow_includes_outside, dialect=_known(dialect), options=options)
-    ).imported()
+    return deck_of(read_deck(Path(path), outside=allow_includes_outside, dialect=_known(dialect), options=options))
 
 
 def _known(dialect: str) -> str:

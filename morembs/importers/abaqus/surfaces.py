@@ -15,13 +15,7 @@ from morembs.importers.abaqus.deck import Rows
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
 from morembs.importers.decks.tables import Surface
-
-# Corners of the faces S1, S2, ...
-FACES = {
-    "t": ((0, 1, 2), (0, 1, 3), (1, 2, 3), (0, 2, 3)),
-    "h": ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 4, 5), (1, 2, 5, 6), (2, 3, 6, 7), (0, 3, 4, 7)),
-    "w": ((0, 1, 2), (3, 4, 5), (0, 1, 3, 4), (1, 2, 4, 5), (0, 2, 3, 5)),
-}
+from morembs.importers.decks.writers.calculix_mesh import FACES
 
 
 def faces_of(kind: str) -> list[tuple[str, Ints]]:

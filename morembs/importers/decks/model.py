@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from morembs.base.units import Units, parse_units
 from morembs.fem import FEModel, Mesh
@@ -44,3 +45,20 @@ class Deck(DeckTables):
         """
         given = parse_units(units) if isinstance(units, str) else units
         return model_of(self.imported(), given, mass_integration=mass_integration)
+
+    def write(self, path: str | Path, format: str) -> tuple[str, ...]:
+        """Write a flat deck of all that this one holds; sentences on what differs in it.
+
+        Labels, and names of sets as far as the format has names, are kept; numbers in "nastran" have 11 digits.
+
+        Args:
+            format: "calculix", "abaqus" or "nastran".
+
+        Raises:
+            InputError: an unknown format, or what it cannot say.
+            OutputError: the file cannot be written; an old one is kept.
+        """
+        # Not at the top: few decks are written.
+        from morembs.importers.decks.writers import write_deck
+
+        return write_deck(self, path, format)

@@ -21,9 +21,10 @@ from morembs.importers.abaqus.deck import Rows
 from morembs.importers.abaqus.equations import Axes, equations_of
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
-from morembs.importers.abaqus.surfaces import FACES, Surfaces
+from morembs.importers.abaqus.surfaces import Surfaces
+from morembs.importers.decks.writers.calculix_mesh import FACES, Line, face_keys, numeral, sixteen
 from morembs.importers.engines.calculix.read import EngineDeck
-from morembs.importers.engines.calculix.text import Line, element_lines, node_lines, numeral, sixteen
+from morembs.importers.engines.calculix.text import element_lines, node_lines
 
 # What the fields of data lines are: n a node or a set of such, e an element or set, s a surface, o an orientation,
 # m a material, . as it stands. The last letter holds for all fields behind it.
@@ -256,11 +257,11 @@ class FlatDeck:
         """Element and side of the faces of solids that a line names, of free ones where it names no side."""
         wanted = self.assembly.elements_of(placed, row[0])
         faces = [nodes for _, nodes in Surfaces(self.assembly).of_faces(placed, [row], card).faces if len(nodes)]
-        named = [_keys(nodes[:, : 3 if nodes.shape[1] in (3, 6) else 4]) for nodes in faces]
+        named = [face_keys(nodes[:, : 3 if nodes.shape[1] in (3, 6) else 4]) for nodes in faces]
         keys, numbers, sides, start = [np.concatenate([np.empty((0, 4), dtype=np.int64), *named])], [], [], 0
         for part in self.blocks:
             for side, corners in enumerate(FACES[part.type[0]]):
-                keys.append(_keys(part.nodes[:, corners]))
+                keys.append(face_keys(part.nodes[:, corners]))
                 numbers.append(start + np.arange(len(part.nodes)))
                 sides.append(np.full(len(part.nodes), side + 1))
             start += len(part.nodes)
@@ -301,10 +302,3 @@ def _spans(row: list[str], card: Card) -> Iterable[tuple[int, int]]:
     if not fields or not all(text.isdigit() and 0 < int(text) < 12 for text in fields):
         raise InputError(f"{card}: {', '.join(row)[:60]!r} was given; expected a node or set and dofs")
     return [(int(fields[0]), int(fields[-1]))]
-
-
-def _keys(corners: Ints) -> Ints:
-    """Corners (n, 3 or 4) of faces as rows (n, 4) that are the same for the same face."""
-    key = np.full((len(corners), 4), -1, dtype=np.int64)
-    key[:, : corners.shape[1]] = np.sort(corners, axis=1)
-    return key

@@ -20,9 +20,10 @@ from morembs.importers.abaqus.ties import is_sector
 from morembs.importers.abaqus.words import LEFT_OUT
 from morembs.importers.decks.options import MATERIAL, DeckOptions
 from morembs.importers.decks.problems import Problem
+from morembs.importers.decks.writers.calculix_mesh import numeral
+from morembs.importers.decks.writers.calculix_sections import elastic_lines
 from morembs.importers.engines.calculix.deck import CARDS, FlatDeck
 from morembs.importers.engines.calculix.read import EngineDeck
-from morembs.importers.engines.calculix.text import elastic_lines, numeral
 from morembs.importers.engines.calculix.ties import Flat, Ties
 from morembs.importers.imported import PointMass
 

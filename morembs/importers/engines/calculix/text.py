@@ -4,20 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from morembs.base.types import Floats, Ints
+from morembs.base.types import Ints
 from morembs.fem import ElementBlock
 from morembs.importers.abaqus.assembly import Assembly
-from morembs.importers.tolerances import TOL
-
-
-class Line:
-    """What CalculiX takes of a line (CalculiX CrunchiX User's Manual): characters of a number, entries of sets and
-    elements."""
-
-    NUMBER_CHARACTERS = 20
-    SET_ENTRIES = 16
-    ELEMENT_ENTRIES = 10
-
+from morembs.importers.decks.writers.calculix_mesh import Line, numeral
 
 # Types by shape and formulation, as ``formulations`` has them for CalculiX.
 _CODES = {
@@ -33,31 +23,6 @@ _CODES = {
 }
 # Elements on single nodes that CalculiX has; most masses and distributing couplings are added to its matrices.
 _DISCRETE = ("SPRING1", "SPRING2", "SPRINGA")
-
-
-def numeral(value: float) -> str:
-    """A number in the characters that CalculiX reads."""
-    text = repr(float(value))
-    return text if len(text) <= Line.NUMBER_CHARACTERS else f"{value:.12e}"
-
-
-def elastic_lines(C: Floats) -> list[str]:
-    """*ELASTIC of the stiffness C (6, 6) along the global axes; by two constants where these say it all."""
-    lam, mu = C[0, 1], C[3, 3]
-    plain = np.diag([2 * mu] * 3 + [mu] * 3)
-    plain[:3, :3] += lam
-    if np.abs(C - plain).max() <= TOL.isotropic_error * np.abs(C).max():
-        return ["*ELASTIC", f"{numeral(mu * (3 * lam + 2 * mu) / (lam + mu))}, {numeral(lam / (2 * (lam + mu)))}"]
-    # Columns of the upper triangle, shear in the order 12, 13, 23.
-    order = [0, 1, 2, 5, 4, 3]
-    constants = [numeral(C[order[i], order[j]]) for j in range(6) for i in range(j + 1)]
-    return ["*ELASTIC, TYPE=ANISO", *(", ".join(constants[i : i + 8]) for i in (0, 8, 16))]
-
-
-def sixteen(labels: Ints) -> list[str]:
-    """Data lines of a set."""
-    entries = list(map(str, labels.tolist()))
-    return [", ".join(entries[i : i + Line.SET_ENTRIES]) + "," for i in range(0, len(entries), Line.SET_ENTRIES)]
 
 
 def node_lines(assembly: Assembly) -> list[str]:

@@ -10,12 +10,13 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem import Mesh
-from morembs.importers.engines.mystran.cards import Field, card, system_card
+from morembs.importers.engines.mystran.cards import system_card
 from morembs.importers.engines.mystran.sections import Sections
 from morembs.importers.nastran.bulk import Bulk
 from morembs.importers.nastran.cards import integer, real
 from morembs.importers.nastran.geometry import SOLIDS, card_of
 from morembs.importers.nastran.properties import padded
+from morembs.importers.nastran.text_of_cards import Field, card
 from morembs.importers.tolerances import TOL
 
 # For each card: the kind of its properties and how many grids it has.

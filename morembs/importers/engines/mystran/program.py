@@ -27,10 +27,10 @@ from morembs.base.closing import Closing
 from morembs.base.errors import InputError
 from morembs.base.scratch import ScratchFolder
 from morembs.base.types import Floats, Ints
-from morembs.importers.engines.mystran.cards import card
 from morembs.importers.engines.mystran.elements import Elements
 from morembs.importers.engines.run import Program, Run, find_executable, run
 from morembs.importers.matrices.op4 import OP4Matrix, read_op4
+from morembs.importers.nastran.text_of_cards import card
 from morembs.storage.safefile import copy_into
 
 CURE = (

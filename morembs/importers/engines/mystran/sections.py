@@ -13,12 +13,13 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.fem.material import Material, isotropic
-from morembs.importers.engines.mystran.cards import Field, card, system_card
+from morembs.importers.engines.mystran.cards import system_card
 from morembs.importers.imported import Lacking
 from morembs.importers.nastran.bulk import Bulk
 from morembs.importers.nastran.cards import integer, real
 from morembs.importers.nastran.importer import is_full
 from morembs.importers.nastran.properties import padded
+from morembs.importers.nastran.text_of_cards import Field, card
 from morembs.importers.tolerances import TOL
 
 # What the properties of each kind of elements may be.

@@ -1,0 +1,170 @@
+"""Flat decks of CalculiX and Abaqus: one part with all that a ``Deck`` holds, with its names and labels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from morembs.base.errors import InputError
+from morembs.base.types import Floats, Ints
+from morembs.importers.decks.tables import DeckTables, Surface
+from morembs.importers.decks.writers.calculix_mesh import Line, numeral, numerals
+from morembs.importers.decks.writers.calculix_sections import SectionText, unit
+from morembs.importers.imported import DiscreteElement
+from morembs.importers.tolerances import TOL
+
+
+@dataclass(eq=False)
+class CalculixText(SectionText):
+    """The cards of a deck, in the order in which both programs take them.
+
+    Raises:
+        InputError: what the program cannot say.
+    """
+
+    def tie_lines(self) -> Iterator[str]:
+        """Surfaces that are glued."""
+        for tie in self.deck.ties:
+            slave, master = (self.surface(self.deck.surfaces[name], name) for name in (tie.slave, tie.master))
+            near = f", POSITION TOLERANCE={numeral(tie.tolerance)}" if tie.tolerance else ""
+            yield f"*TIE, NAME={self.name(tie.name)}{near}{'' if tie.moves else ', ADJUST=NO'}\n{slave}, {master}"
+
+    def equation_lines(self) -> Iterator[str]:
+        """Equations but those of ties."""
+        tied = {tie.name for tie in self.deck.ties}
+        for given in self.deck.equations:
+            if given.name in tied:
+                continue
+            for i in range(len(given)):
+                own = slice(given.offsets[i], given.offsets[i + 1])
+                if own.start == own.stop:
+                    raise InputError(
+                        f"{self.deck.name}: {given.name} holds a dof, which an equation of {self.program} cannot"
+                    )
+                labels = np.append(given.nodes[i], given.term_nodes[own])
+                dofs = np.append(given.components[i], given.term_components[own])
+                factors = np.append(-1.0, given.coefficients[own])
+                yield from self.equation(labels, dofs, factors)
+
+    def equation(self, labels: Ints, dofs: Ints, factors: Floats) -> list[str]:
+        """Lines of the sum of factors times dofs (from 0) of nodes that vanishes."""
+        texts = [
+            f"{node}, {dof + 1}, {numeral(factor)}"
+            for node, dof, factor in zip(self.node(labels).tolist(), dofs.tolist(), factors.tolist(), strict=True)
+        ]
+        rows = range(0, len(texts), Line.EQUATION_TERMS)
+        return ["*EQUATION", str(len(texts)), *(", ".join(texts[i : i + Line.EQUATION_TERMS]) for i in rows)]
+
+    def coupling_lines(self) -> Iterator[str]:
+        """Rigid elements as kinematic couplings, average elements as distributing ones."""
+        for rigid in self.deck.rigid:
+            nodes = Surface(nodes=np.unique(rigid.slaves), weights=np.ones(len(np.unique(rigid.slaves))))
+            dofs = (f"{c + 1}, {c + 1}" for c in rigid.components)
+            yield "\n".join([*self._coupling(rigid.name, rigid.master, nodes), "*KINEMATIC", *dofs])
+        for mean in self.deck.average:
+            dofs = (f"{c + 1}, {c + 1}" for c in mean.components)
+            nodes = Surface(nodes=mean.nodes, weights=mean.weights)
+            yield "\n".join([*self._coupling(mean.name, mean.reference, nodes), "*DISTRIBUTING", *dofs])
+
+    def _coupling(self, text: str, reference: int, nodes: Surface) -> list[str]:
+        surface, name = self.surface(nodes, f"{text}_S"), self.name(text)
+        node = self.node(np.array([reference]))[0]
+        return [f"*COUPLING, REF NODE={node}, SURFACE={surface}, CONSTRAINT NAME={name}"]
+
+    def mass_lines(self) -> Iterator[str]:
+        """Point masses, each with a set of its own."""
+        for mass in self.deck.masses:
+            if mass.offset.any():
+                raise InputError(
+                    f"{self.deck.name}: {mass.name} is away from its node, which {self.program} cannot say"
+                )
+            if mass.inertia.any() and self.dialect == "calculix":
+                raise InputError(f"{self.deck.name}: {mass.name} has rotary inertia, which CalculiX has not")
+            if mass.mass:
+                yield f"*MASS, ELSET={self._point('MASS', [mass.node])}\n{numeral(mass.mass)}"
+            if mass.inertia.any():
+                J = mass.inertia
+                row = numerals([J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[0, 2], J[1, 2]])
+                yield f"*ROTARY INERTIA, ELSET={self._point('ROTARYI', [mass.node])}\n{row}"
+
+    def _point(self, code: str, nodes: Iterable[int]) -> str:
+        """The set of a new element on single nodes."""
+        self.next_element += 1
+        name = self.name(f"P{self.next_element}")
+        labels = ", ".join(map(str, self.node(np.array(list(nodes))).tolist()))
+        self.more_elements.append(f"*ELEMENT, TYPE={code}, ELSET={name}\n{self.next_element}, {labels}")
+        return name
+
+    def spring_lines(self) -> Iterator[str]:
+        """Springs and dashpots on one dof, between two, and along a line."""
+        for element in self.deck.discrete:
+            word = {"K": "SPRING", "D": "DASHPOT"}.get(element.matrix, "")
+            found = self._spring(element) if word else None
+            if found is None:
+                raise InputError(
+                    f"{self.deck.name}: {element.name} is no spring or dashpot on one dof, between two or along a "
+                    f"line, which {self.program} has"
+                )
+            code, nodes, dofs, value = found
+            elset = self._point(f"{word}{code}", nodes)
+            yield "\n".join([f"*{word}, ELSET={elset}", ", ".join(map(str, dofs)), numeral(value)])
+
+    def _spring(self, element: DiscreteElement) -> tuple[str, list[int], list[int], float] | None:
+        """Ending of its code, nodes, dofs (from 1) and constant; None where it is no spring of the program."""
+        A, nodes, dofs = element.values, element.nodes.tolist(), (element.components + 1).tolist()
+        if len(nodes) == 1:
+            return "1", nodes, dofs, float(A[0, 0])
+        value = float(A[0, 0])
+        if len(nodes) == 2 and np.array_equal(A, value * np.array([[1.0, -1.0], [-1.0, 1.0]])) and nodes[0] != nodes[1]:
+            return "2", nodes, dofs, value
+        ends = list(dict.fromkeys(nodes))
+        if len(ends) != 2 or max(dofs) > 3:
+            return None
+        x = self.deck.xyz[self.nodes.rows(np.array(ends), "springs name")]
+        line = unit((x[1] - x[0])[None])[0]
+        a = np.array([line[c - 1] * (1.0 if node == ends[1] else -1.0) for node, c in zip(nodes, dofs, strict=True)])
+        value = float(np.trace(A) / (a @ a)) if a.any() else 0.0
+        if np.abs(A - value * np.outer(a, a)).max() > TOL.isotropic_error * abs(value):
+            return None
+        return "A", ends, [], value
+
+    def support_lines(self) -> Iterator[str]:
+        """Held directions: along the axes by *BOUNDARY, along others as equations."""
+        lines, supports = ["*BOUNDARY"], self.deck.supports
+        for label, direction in zip(supports.nodes.tolist(), supports.directions, strict=True):
+            held = np.flatnonzero(direction)
+            if len(held) == 1:
+                lines.append(f"{self.node(np.array([label]))[0]}, {held[0] + 1}")
+            else:
+                order = held[np.argsort(-np.abs(direction[held]), kind="stable")]
+                yield from self.equation(np.full(len(order), label), order, direction[order])
+        if len(lines) > 1:
+            yield "\n".join(lines)
+
+    def text(self) -> Iterator[str]:
+        """The whole deck."""
+        self.set_lines()
+        sections = [*self.section_lines()]
+        body = [
+            *self.mass_lines(),
+            *self.spring_lines(),
+            *self.equation_lines(),
+            *self.tie_lines(),
+            *self.coupling_lines(),
+        ]
+        supports = [*self.support_lines()]
+        yield f"*HEADING\n{self.deck.name}"
+        yield from self.mesh_lines()
+        yield from (*self.more_elements, *self.sets, *self.surfaces, *sections, *body, *supports)
+
+
+def calculix_lines(deck: DeckTables, dialect: str = "calculix") -> tuple[Iterator[str], list[str]]:
+    """Lines of a flat deck, and warnings of what differs in it.
+
+    Raises:
+        InputError: what the program cannot say.
+    """
+    text = CalculixText(deck, dialect)
+    return text.text(), text.warnings

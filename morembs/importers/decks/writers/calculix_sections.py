@@ -1,0 +1,179 @@
+"""Materials and sections of a deck in the words of CalculiX and Abaqus."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from morembs.base.errors import InputError
+from morembs.base.types import Floats, Ints
+from morembs.importers.decks.tables import Section
+from morembs.importers.decks.writers.calculix_mesh import Line, MeshText, numeral, numerals
+from morembs.importers.tolerances import TOL
+
+# Profiles of *BEAM SECTION that each program has here.
+_PROFILES = {"calculix": ("RECT", "CIRC", "PIPE", "BOX"), "abaqus": ("RECT", "CIRC", "PIPE", "BOX", "I", "L", "HEX")}
+
+
+def elastic_lines(C: Floats) -> list[str]:
+    """*ELASTIC of the stiffness C (6, 6); by Young's modulus and Poisson's ratio where these say it all."""
+    lam, mu = C[0, 1], C[3, 3]
+    plain = np.diag([2 * mu] * 3 + [mu] * 3)
+    plain[:3, :3] += lam
+    if np.abs(C - plain).max() <= TOL.isotropic_error * np.abs(C).max():
+        return ["*ELASTIC", numerals([mu * (3 * lam + 2 * mu) / (lam + mu), lam / (2 * (lam + mu))])]
+    # Columns of the upper triangle, shear in the order 12, 13, 23.
+    order = [0, 1, 2, 5, 4, 3]
+    constants = [C[order[i], order[j]] for j in range(6) for i in range(j + 1)]
+    rows = range(0, len(constants), Line.CONSTANTS)
+    return ["*ELASTIC, TYPE=ANISO", *(numerals(constants[i : i + Line.CONSTANTS]) for i in rows)]
+
+
+@dataclass(eq=False)
+class SectionText(MeshText):
+    """Materials, orientations and sections."""
+
+    def material(self, stiffness: Floats, density: float | None, text: str) -> tuple[str, list[str]]:
+        """Name of a material, and the lines that define it unless it has been defined."""
+        key = np.asarray(stiffness).tobytes(), density
+        if key in self._materials:
+            return self._materials[key], []
+        name = self._materials[key] = self.name(text or "M")
+        mass = [] if density is None else ["*DENSITY", numeral(density)]
+        return name, [f"*MATERIAL, NAME={name}", *elastic_lines(stiffness), *mass]
+
+    def section_lines(self) -> Iterator[str]:
+        """Materials, orientations and sections; of an element in several the last one holds."""
+        owner = np.full(len(self.elements), -1)
+        kinds = np.concatenate([np.empty(0, dtype=object), *(np.full(len(p.ids), p.kind, object) for p in self.parts)])
+        for number, section in enumerate(self.deck.sections):
+            rows = self.rows_of_set(section.set)
+            owner[rows[kinds[rows] == section.kind]] = number
+        for number, section in enumerate(self.deck.sections):
+            rows = np.flatnonzero(owner == number)
+            if len(rows):
+                yield from self._section(section, rows)
+
+    def _section(self, section: Section, rows: Ints) -> Iterator[str]:
+        if section.kind == "solid":
+            if section.stiffness is None:
+                self.warnings.append(f"the set {section.set} has no material: {section.lacks}")
+                return
+            name, lines = self.material(section.stiffness, section.density, section.material)
+            yield from lines
+            axes = ""
+            if self.dialect == "abaqus" and elastic_lines(section.stiffness)[0] != "*ELASTIC":
+                # Abaqus asks for axes where they matter.
+                axes, lines = self._axes(np.eye(3))
+                yield from lines
+            axes = f", ORIENTATION={axes}" if axes else ""
+            yield f"*SOLID SECTION, ELSET={self.element_set(rows)}, MATERIAL={name}{axes}"
+            return
+        options, data = [f"ELSET={self.element_set(rows)}"], list[str]()
+        if section.nonstructural:
+            raise InputError(f"{self._what(section)} has nonstructural mass, which {self.program} has not here")
+        if section.plies:
+            for ply in section.plies:
+                name, lines = self._material(section, ply.material)
+                yield from lines
+                axis, lines = self._orientation(section, ply.angle)
+                yield from lines
+                data.append(f"{numeral(ply.thickness)}, 3, {name}{f', {axis}' if axis else ''}")
+            options.append("COMPOSITE")
+        else:
+            name, lines = self._material(section, section.material)
+            yield from lines
+            options.append(f"MATERIAL={name}")
+            axis, lines = self._orientation(section, 0.0)
+            yield from lines
+            options += [f"ORIENTATION={axis}"] if axis else []
+        yield from self._structure(section, rows, options, data)
+
+    def _structure(self, section: Section, rows: Ints, options: list[str], data: list[str]) -> Iterator[str]:
+        """The card of a section of shells, membranes, beams or trusses."""
+        thickness = sum(ply.thickness for ply in section.plies) or section.thickness
+        if section.kind in ("shell", "membrane"):
+            if not thickness > 0:
+                raise InputError(f"{self._what(section)} has no thickness; expected one")
+            if section.offset:
+                options.append(f"OFFSET={numeral(-section.offset / thickness)}")
+            word, data = f"{section.kind.upper()} SECTION", data or [numeral(thickness)]
+        elif section.kind == "truss":
+            word, data = "SOLID SECTION", [numeral(section.dimensions[0])]
+        elif section.kind == "beam":
+            if section.profile not in _PROFILES[self.dialect] or section.direction is None:
+                known = ", ".join(_PROFILES[self.dialect])
+                raise InputError(
+                    f"{self._what(section)} has the profile {section.profile!r}; {self.program} has {known}"
+                )
+            word = "BEAM SECTION"
+            options += [f"SECTION={section.profile}", *self._offsets(section, rows)]
+            data = [numerals(section.dimensions), numerals(section.direction)]
+        else:
+            raise InputError(f"{self._what(section)} is for elements that {self.program} has not")
+        yield "\n".join([f"*{word}, {', '.join(options)}", *data])
+
+    def _what(self, section: Section) -> str:
+        return f"{self.deck.name}: {section.code or 'the section'} of the set {section.set}"
+
+    def _material(self, section: Section, name: str) -> tuple[str, list[str]]:
+        given = self.deck.materials.get(name)
+        if given is None or given.stiffness is None:
+            raise InputError(
+                f"{self._what(section)} names the material {name!r}, which has no linear stiffness in space"
+            )
+        return self.material(given.stiffness, given.density, name)
+
+    def _orientation(self, section: Section, angle: float) -> tuple[str, list[str]]:
+        """Name of the material axes of a section or ply ("": those of the program), and the lines that define it."""
+        axes = section.axes
+        if axes is None:
+            if angle:
+                raise InputError(f"{self._what(section)} has plies at angles to axes that each element has of its own")
+            return "", []
+        c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        return self._axes(np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ axes)
+
+    def _axes(self, axes: Floats) -> tuple[str, list[str]]:
+        """Name of an orientation along the rows of ``axes`` (3, 3), and the lines that define it unless it has been."""
+        key = "ORIENTATION", axes.tobytes()
+        if key in self._sets:
+            return self._sets[key], []
+        name = self._sets[key] = self.name("O")
+        return name, [f"*ORIENTATION, NAME={name}", numerals(axes[:2].ravel())]
+
+    def _offsets(self, section: Section, rows: Ints) -> list[str]:
+        """OFFSET1 and OFFSET2 of beams, in widths of the profile along its axes."""
+        vectors = np.concatenate(
+            [part.values.get("offset", np.zeros((len(part.ids), 2, 3))) for part in self.parts if part.kind == "beam"]
+        )
+        ends = np.concatenate(
+            [self.nodes.rows(part.nodes[:, :2], "elements name") for part in self.parts if part.kind == "beam"]
+        )
+        beams = np.concatenate([np.full(len(part.ids), part.kind == "beam") for part in self.parts])
+        own = (np.cumsum(beams) - 1)[rows]
+        if not vectors[own].any() or section.direction is None:
+            return []
+        along = unit(self.deck.xyz[ends[own, 1]] - self.deck.xyz[ends[own, 0]])
+        first = unit(section.direction - (along @ section.direction)[:, None] * along)
+        second = np.cross(along, first)
+        widths = (
+            (*section.dimensions, *section.dimensions)[:2]
+            if section.profile != "CIRC"
+            else (2 * section.dimensions[0],) * 2
+        )
+        parts = (
+            np.stack([np.einsum("kex,kx->ke", vectors[own], axis) for axis in (first, second)])
+            / np.array(widths)[:, None, None]
+        )
+        mean = parts.reshape(2, -1).mean(axis=1)
+        if np.abs(parts - mean[:, None, None]).max() > TOL.same_offset:
+            raise InputError(f"{self._what(section)} has offsets that differ by element, which {self.program} has not")
+        return [f"OFFSET{i}={numeral(value)}" for i, value in enumerate(mean.tolist(), start=1) if value]
+
+
+def unit(vectors: Floats) -> Floats:
+    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))

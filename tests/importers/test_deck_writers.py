@@ -1,0 +1,277 @@
+"""Decks that are written: read again they are the same model, and the programs have its frequencies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from morembs import InputError
+from morembs.fem import FEModel
+from morembs.fem.material import isotropic
+from morembs.importers import IMPORTERS, import_file
+from morembs.importers.decks.model import Deck
+from morembs.importers.decks.tables import ElasticMaterial, Elements, Section, Supports
+from morembs.importers.to_model import model_of
+from tests.importers.test_nastran_deck import FULL
+from tests.importers.test_unv import universal
+from tests.support.calculix import STEEL, elements_text, needs_ccx, nodes_text, on_plane, own_frequencies
+from tests.support.mesh_decks import ansys_archive, nastran_mesh
+from tests.support.meshes import box
+from tests.support.mystran import needs_mystran
+
+KINDS = {"C3D4": "tet4", "C3D10": "tet10", "C3D6": "wedge6", "C3D15": "wedge15", "C3D8": "hex8", "C3D20": "hex20"}
+SOLIDS = (*KINDS, "C3D8R", "C3D8I", "C3D20R")
+ENDINGS = {"abaqus": "inp", "nastran": "bdf", "ansys": "cdb", "unv": "unv"}
+MAT1 = "PSOLID,1,1\nMAT1,1,2.1+11,,.3,7850.\n"
+# Two blocks of two materials, of which one has axes, in instances that are turned and shifted; all that hangs on them.
+WHOLE = (
+    "*PART, NAME=P\n"
+    + nodes_text(box("hex8", (2, 1, 1), (1.0, 0.4, 0.3)).nodes.xyz)
+    + elements_text("C3D8", box("hex8", (2, 1, 1), (1.0, 0.4, 0.3)).blocks[0].nodes, "BODY")
+    + "*ORIENTATION, NAME=O\n.6, .8, 0., -.8, .6, 0.\n*SOLID SECTION, ELSET=BODY, MATERIAL=PLY, ORIENTATION=O\n"
+    "*SURFACE, NAME=LOW\nBODY\n*NSET, NSET=SIX\n1, 2, 3, 4, 5, 6\n*END PART\n"
+    "*ASSEMBLY, NAME=A\n*INSTANCE, NAME=I, PART=P\n*END INSTANCE\n*INSTANCE, NAME=J, PART=P\n0., 0., .3\n"
+    "0., 0., 0., 0., 0., 1., 30.\n*END INSTANCE\n*NODE\n900, 2., 0., 0.\n901, -1., 0., .1\n902, .3, .2, 2.\n"
+    "*ELEMENT, TYPE=MASS, ELSET=POINT\n990, 900\n*MASS, ELSET=POINT\n7.\n"
+    "*ELEMENT, TYPE=SPRINGA, ELSET=AXIAL\n991, 902, I.1\n*SPRING, ELSET=AXIAL\n\n3.1e6\n"
+    "*ELEMENT, TYPE=SPRING2, ELSET=PAIR\n992, 901, I.2\n*SPRING, ELSET=PAIR\n2, 2\n1.7e6\n"
+    "*ELEMENT, TYPE=SPRING1, ELSET=GROUND\n993, I.3\n*SPRING, ELSET=GROUND\n3\n\n2.e5\n"
+    "*ELEMENT, TYPE=DASHPOT2, ELSET=DAMPER\n994, 901, I.2\n*DASHPOT, ELSET=DAMPER\n1, 1\n40.\n"
+    "*NSET, NSET=TOP, INSTANCE=J\nSIX\n*SURFACE, NAME=TOP, TYPE=NODE\nTOP, 2.\n"
+    "*SURFACE, NAME=FOOT, TYPE=NODE\nI.SIX, 1.\n*COUPLING, REF NODE=900, SURFACE=FOOT, CONSTRAINT NAME=FOOT\n"
+    "*KINEMATIC\n1, 3\n"
+    "*COUPLING, REF NODE=902, SURFACE=TOP, CONSTRAINT NAME=HEAD\n*DISTRIBUTING\n"
+    "*EQUATION\n3\nJ.12, 1, 2., J.11, 1, -1., J.10, 2, .5\n*END ASSEMBLY\n"
+    "*MATERIAL, NAME=PLY\n*ELASTIC, TYPE=ENGINEERING CONSTANTS\n140.e9, 10.e9, 8.e9, .3, .25, .4, 5.e9, 4.e9\n3.5e9\n"
+    "*DENSITY\n1600.\n"
+)
+GLUED = (
+    "*NODE\n1,0,0,0\n2,1,0,0\n3,1,1,0\n4,0,1,0\n5,0,0,1\n6,1,0,1\n7,1,1,1\n8,0,1,1\n11,.1,.1,1.01\n12,.6,.1,1\n"
+    "13,.6,.6,1\n14,.1,.6,1\n15,.1,.1,2\n16,.6,.1,2\n17,.6,.6,2\n18,.1,.6,2\n"
+    "*ELEMENT,TYPE=C3D8,ELSET=A\n1,1,2,3,4,5,6,7,8\n*ELEMENT,TYPE=C3D8,ELSET=B\n2,11,12,13,14,15,16,17,18\n"
+    "*SURFACE,NAME=SA\nA,S2\n*SURFACE,NAME=SB\nB,S1\n*TIE,NAME=T,POSITION TOLERANCE=0.1\nSB,SA\n"
+    f"{STEEL}*SOLID SECTION,ELSET=A,MATERIAL=STEEL\n*SOLID SECTION,ELSET=B,MATERIAL=STEEL\n"
+)
+
+
+def deck_text(code: str) -> str:
+    mesh = box(KINDS[code.rstrip("RI")], (2, 1, 1), (1.0, 0.4, 0.3))
+    section = "*SOLID SECTION, ELSET=BODY, MATERIAL=STEEL\n"
+    return nodes_text(mesh.nodes.xyz) + elements_text(code, mesh.blocks[0].nodes, "BODY") + STEEL + section
+
+
+def read(path: Path, **options: object) -> Deck:
+    (format,) = (name for name, ending in ENDINGS.items() if path.name.endswith(ending))
+    deck = IMPORTERS[format].read(path, **options)
+    assert isinstance(deck, Deck)
+    return deck
+
+
+@pytest.fixture
+def again(tmp_path):
+    """Writes a text as a deck, reads it, writes that as another format and reads this: both decks, what was said."""
+
+    def written(text: str, source: str, format: str, **options: object) -> tuple[Deck, Deck, tuple[str, ...]]:
+        (tmp_path / f"first.{ENDINGS[source]}").write_text(text)
+        first = read(tmp_path / f"first.{ENDINGS[source]}", **options)
+        target = tmp_path / f"second.{'bdf' if format == 'nastran' else 'inp'}"
+        said = first.write(target, format)
+        return first, read(target, **({} if format == "nastran" else {"dialect": format})), said
+
+    return written
+
+
+def assert_same(first: FEModel, second: FEModel, tolerance: float) -> None:
+    """The same K, M, D and dependent dofs on the same nodes."""
+    assert np.array_equal(first.nodes.ids, second.nodes.ids)
+    assert np.array_equal(first.dofs.node, second.dofs.node)
+    assert np.array_equal(first.dofs.component, second.dofs.component)
+    for name in ("K", "M", "D"):
+        own, other = getattr(first, name), getattr(second, name)
+        assert (own is None) == (other is None), name
+        if own is not None:
+            assert abs(own - other).max() <= tolerance * abs(own).max(), name
+    assert (first.dependent is None) == (second.dependent is None)
+    if first.dependent is not None and second.dependent is not None:
+        assert abs(first.dependent.S - second.dependent.S).max() <= tolerance * abs(first.dependent.S).max()
+
+
+@pytest.mark.parametrize("dialect", ["abaqus", "calculix"])
+@pytest.mark.parametrize("code", SOLIDS)
+def test_solids_of_input_decks_come_back_with_their_sets(code, dialect, again):
+    text = deck_text(code) + "*NSET, NSET=END FACE\n1, 2, 3\n*ELSET, ELSET=ONE\n1\n"
+    first, second, said = again(text, "abaqus", dialect, dialect=dialect)
+    assert said == ()
+    assert_same(first.to_model(), second.to_model(), 1e-13)
+    assert set(second.element_sets) == {"BODY", "ONE"} and np.array_equal(second.node_sets["END_FACE"], [[1, 3]])
+    assert [section.set for section in second.sections] == ["BODY"]
+
+
+@pytest.mark.parametrize("dialect", ["abaqus", "calculix"])
+def test_parts_couplings_springs_and_materials_with_axes_come_back(dialect, again):
+    first, second, said = again(WHOLE, "abaqus", dialect, dialect=dialect)
+    assert said == () and len(first.rigid) == len(first.average) == 1 and len(first.discrete) == 4
+    assert_same(first.to_model(), second.to_model(), 1e-12)
+    assert [element.name for element in second.rigid + second.average] == ["FOOT", "HEAD"]
+
+
+@pytest.mark.parametrize("dialect", ["abaqus", "calculix"])
+def test_surfaces_are_glued_again(dialect, again):
+    first, second, _ = again(GLUED, "abaqus", dialect, dialect=dialect)
+    assert len(first.ties) == len(second.ties) == 1
+    assert_same(first.to_model(), second.to_model(), 1e-13)
+
+
+@pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8", "hex20", "wedge6", "wedge15"])
+@pytest.mark.parametrize("full", [False, True])
+def test_solids_of_bulk_data_come_back(kind, full, again):
+    property_ = "PSOLID,1,1,,TWO,,FULL\n" if full else "PSOLID,1,1\n"
+    mesh = box(kind, (2, 1, 1), (0.5, 0.25, 0.125))
+    text = (
+        "BEGIN BULK\n" + property_ + MAT1.split("\n", 1)[1] + nastran_mesh(mesh, "free") + "SET1,4,1,THRU,3\nENDDATA\n"
+    )
+    first, second, said = again(text, "nastran", "nastran")
+    assert said == ()
+    assert_same(first.to_model(), second.to_model(), 1e-13)
+    assert np.array_equal(second.node_sets["SET1_1"], [[1, 3]])
+
+
+def test_rigid_average_and_mass_cards_come_back(again):
+    text = FULL.replace("SPC = 1\n", "SPC = 1\nMPC = 1\n").replace("PARAM,WTMASS,.5\n", "")
+    text = text.replace("RBAR,3,500,600,123456,,,\n", "").replace(
+        "ENDDATA", "MPC,1,30,1,2.,40,1,-1.\n,,40,2,.5\nCELAS2,77,3.+4,20,2,80,2\nENDDATA", 1
+    )
+    first, second, _ = again(text, "nastran", "nastran")
+    assert first.rigid and first.average and first.masses and first.equations and first.discrete
+    assert_same(first.to_model(), second.to_model(), 1e-10)
+
+
+@pytest.mark.parametrize("format", ["calculix", "abaqus", "nastran"])
+@pytest.mark.parametrize("kind", ["tet10", "hex8", "hex20", "wedge6"])
+def test_archives_and_universal_files_become_decks_of_each_program(kind, format, again):
+    """K and M are the same where the format has the formulation, and else it is said what differs."""
+    mesh = box(kind, (2, 1, 1), (0.3, 0.2, 0.1))
+    materials = "MP,EX,1,2.1e11\nMP,NUXY,1,.3\nMP,DENS,1,7850.\nFINISH\n"
+    archive, text, said = again(ansys_archive(mesh).replace("FINISH\n", materials), "ansys", format)
+    own, other = (deck.elements[0].meaning for deck in (archive, text))
+    same = own.formulation == other.formulation, own.mass == other.mass
+    assert all(same) == (said == ()) and len(said) == len([line for line in said if "[formulation-differs]" in line])
+    for matrix, is_same in zip("KM", same, strict=True):
+        first, second = (getattr(deck.to_model(), matrix) for deck in (archive, text))
+        assert (abs(first - second).max() < 1e-10 * abs(first).max()) or not is_same
+    first, second, _ = again(universal(mesh), "unv", format)
+    assert np.array_equal(first.imported().mesh.blocks[0].nodes, second.imported().mesh.blocks[0].nodes)
+    assert np.allclose(second.xyz, first.xyz, rtol=1e-10)
+
+
+@needs_ccx
+@pytest.mark.parametrize("code", SOLIDS)
+def test_the_written_deck_has_the_frequencies_of_its_model_in_ccx(code, tmp_path):
+    path = tmp_path / "deck.inp"
+    path.write_text(deck_text(code))
+    read(path, dialect="calculix").write(tmp_path / "flat.inp", "calculix")
+    text = (tmp_path / "flat.inp").read_text()
+    held = "*BOUNDARY\n" + "".join(f"{node}, 1, 3\n" for node in on_plane(deck_text(code), 0, 0.0))
+    theirs = own_frequencies(text + held, tmp_path)
+    assert theirs == pytest.approx(own_frequencies(deck_text(code) + held, tmp_path), rel=1e-6)
+
+
+def frame() -> Deck:
+    """A plate of shells and two bars beside it, of steel, held at one edge and at one end."""
+    flat = box("hex8", (4, 3, 1), (1.0, 0.8, 1.0)).nodes
+    low = np.flatnonzero(flat.xyz[:, 2] == 0)
+    xyz = np.concatenate([flat.xyz[low], [[2.0, 0.0, 0.0], [2.0, 0.0, 0.4], [2.0, 0.0, 0.8]]])
+    corner = np.arange(20).reshape(5, 4)
+    quads = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1).reshape(-1, 4)
+    bars, first = np.array([[21, 22], [22, 23]]), np.array([1.0, 0.0, 0.0])
+    steel = isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)
+    return Deck(
+        name="frame",
+        program="Nastran",
+        ids=np.arange(1, 24),
+        xyz=xyz,
+        elements=(
+            Elements(code="CQUAD4", kind="shell", shape="quad4", ids=np.arange(1, 13), nodes=quads + 1),
+            Elements(code="CBAR", kind="beam", shape="line2", ids=np.arange(13, 15), nodes=bars),
+        ),
+        element_sets={"plate": np.array([[1, 12]]), "bars": np.array([[13, 14]])},
+        node_sets={"root": np.array([[5, 8]])},
+        materials={"steel": ElasticMaterial(name="steel", stiffness=steel.stiffness, density=7850.0)},
+        sections=(
+            Section(set="plate", kind="shell", material="steel", thickness=0.02),
+            Section(
+                set="bars", kind="beam", material="steel", profile="RECT", dimensions=(0.05, 0.03), direction=first
+            ),
+        ),
+        supports=Supports(nodes=np.repeat(np.arange(17, 22), 6), directions=np.tile(np.eye(6), (5, 1))),
+    )
+
+
+@needs_ccx
+def test_shells_and_beams_are_those_of_a_deck_by_hand_in_ccx(tmp_path):
+    deck = frame()
+    deck.write(tmp_path / "flat.inp", "calculix")
+    quads, bars = (deck.elements[i].nodes for i in (0, 1))
+    text = nodes_text(deck.xyz) + elements_text("S4", quads - 1, "P") + elements_text("B31", bars - 1, "B", label=13)
+    text += f"{STEEL}*SHELL SECTION, ELSET=P, MATERIAL=STEEL\n.02\n"
+    text += "*BEAM SECTION, ELSET=B, MATERIAL=STEEL, SECTION=RECT\n.05, .03\n1., 0., 0.\n"
+    text += "*BOUNDARY\n" + "".join(f"{node}, 1, 6\n" for node in range(17, 22))
+    theirs = own_frequencies((tmp_path / "flat.inp").read_text(), tmp_path)
+    assert theirs == pytest.approx(own_frequencies(text, tmp_path), rel=1e-9)
+    assert 0 < theirs[0] < theirs[-1]
+
+
+@needs_mystran
+def test_shells_and_bars_that_are_written_bend_as_they_should_in_mystran(tmp_path):
+    """A cantilever of bars whose profile stands along its first axis (Timoshenko 1921), and the mass of all."""
+    deck = frame()
+    deck.write(tmp_path / "deck.bdf", "nastran")
+    model = model_of(import_file(tmp_path / "deck.bdf", engine="mystran", options={"boundary": "keep"}))
+    along = (model.dofs.component == 0).astype(float)
+    assert along @ model.M @ along == pytest.approx(7850 * (0.02 * 0.8 + 0.05 * 0.03 * 0.8), rel=1e-9)
+    S = model.dependent.S.toarray()[:, model.dependent.owner < 0]
+    tip = np.flatnonzero((model.nodes.ids[model.dofs.node] == 23) & (model.dofs.component == 0))
+    compliance = S[tip] @ np.linalg.pinv(S.T @ model.K.toarray() @ S, hermitian=True) @ S[tip].T
+    E, G, A = 2.1e11, 2.1e11 / 2.6, 0.05 * 0.03
+    bent, sheared = 0.8**3 / (3 * E * 0.03 * 0.05**3 / 12), 0.8 / (5 / 6 * G * A)
+    assert compliance[0, 0] == pytest.approx(bent + sheared, rel=1e-9)
+
+
+@needs_mystran
+@pytest.mark.parametrize("kind", ["tet10", "hex8", "hex20"])
+def test_bulk_data_that_are_written_have_the_matrices_of_mystran(kind, tmp_path):
+    mesh = box(kind, (2, 1, 1), (0.5, 0.25, 0.125))
+    (tmp_path / "first.bdf").write_text("BEGIN BULK\n" + MAT1 + nastran_mesh(mesh, "large") + "ENDDATA\n")
+    read(tmp_path / "first.bdf").write(tmp_path / "second.bdf", "nastran")
+    first, second = (model_of(import_file(tmp_path / f"{name}.bdf", engine="mystran")) for name in ("first", "second"))
+    assert_same(first, second, 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "source", "format", "message"),
+    [
+        (
+            deck_text("C3D8"),
+            "abaqus",
+            "ansys",
+            "the format 'ansys' of a deck was given; known: abaqus, calculix, nastran",
+        ),
+        (WHOLE, "abaqus", "nastran", "AXIAL:2991 is no spring, damper or mass on one dof or between two"),
+        (FULL, "nastran", "calculix", "CONM2_9 is away from its node, which CalculiX cannot say"),
+        (
+            FULL.replace(".1     0.2     0.3", ".0     0.0     0.0"),
+            "nastran",
+            "calculix",
+            "CONM2_9 has rotary inertia, which CalculiX has not",
+        ),
+    ],
+)
+def test_what_a_format_cannot_say_is_refused_and_the_old_file_stays(text, source, format, message, tmp_path):
+    (tmp_path / f"first.{ENDINGS[source]}").write_text(text)
+    target = tmp_path / "second.inp"
+    target.write_text("old")
+    with pytest.raises(InputError, match=message):
+        read(tmp_path / f"first.{ENDINGS[source]}").write(target, format)
+    assert target.read_text() == "old"
