@@ -29,8 +29,9 @@ from scipy.optimize import minimize_scalar
 
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats
-from morembs.certificate.certify import Certificate, certify
+from morembs.certificate.certify import certify
 from morembs.certificate.limits import body_response
+from morembs.certificate.record import Certificate
 from morembs.fem import DofMap, FEModel, Nodes
 from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem

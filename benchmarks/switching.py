@@ -23,7 +23,7 @@ from morembs.fem.material import isotropic
 from morembs.linalg.sparse.select import select_solver
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
-from morembs.reducers.switching_tables import StaticModeTables
+from morembs.responses.static_mode_tables import StaticModeTables
 
 Spec = dict[str, Any]
 LINE, SURFACE = "line, band 24", "surface, all pairs"

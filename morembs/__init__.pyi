@@ -15,8 +15,9 @@ from .body.floating.stiffening_terms import geometric_stiffening
 from .body.recovery.recover import expand, recover
 from .body.recovery.trajectory import Trajectory, read_trajectory
 from .body.stress_shapes import stress_recovery
-from .certificate.certify import Certificate, certify
-from .certificate.limits import ErrorLimits, error_limits
+from .certificate.certify import certify
+from .certificate.limits import error_limits
+from .certificate.record import Certificate, ErrorLimits
 from .certificate.response import full_response, reduced_response, to_xarray
 from .dynamics.assembly import Couple, Substructure, Unreduced, assemble_bodies
 from .exporters import export_body

@@ -26,7 +26,7 @@ from morembs.dynamics.multibody import (
     System,
     local_response,
 )
-from morembs.reducers.switching_tables import StaticModeTables
+from morembs.responses.static_mode_tables import StaticModeTables
 
 MODES, ELEMENTS, STEPS = 4, 32, 1600
 FACTORS = {0.1: 1.096, 0.25: 1.258, 0.5: 1.705, 0.617: 1.732, 0.75: 1.702}

@@ -20,28 +20,35 @@ from morembs.app.jobs.schema import JobTables
 from morembs.base.arguments import hints_of
 from morembs.base.key_tables import expected, holds_several, inner_table
 from morembs.base.options import in_toml
-from morembs.body import tables
 from morembs.body.body import BODY
+from morembs.body.floating.parametric import FrameTerms
+from morembs.body.floating.stiffening import STIFFENING
+from morembs.body.parametric_parts import ParametricParts
 from morembs.body.recovery_shapes import RECOVERY
-from morembs.body.stored import INTERFACE
+from morembs.body.stored import FILE, INTERFACE
+from morembs.certificate.record import CERTIFICATE
 from morembs.dynamics.gmp.stored import MEMBER
 from morembs.importers.native import MODEL
+from morembs.parametric.bound import ParametricBound
+from morembs.parametric.proof import BoxCells
 from morembs.reducers import REDUCERS, Reducer
-from morembs.storage.table import KINDS, Row, Table
+from morembs.responses.static_mode_tables import StaticModeTables
+from morembs.storage.kinds import KINDS
+from morembs.storage.table import Row, Table, table_of
 
 ROOT = Path(__file__).resolve().parents[1]
 # Name of a table on a page -> paths of its groups as they are shown, and their tables.
 SHOWN = {
-    "body file": [("/", tables.FILE), ("/interfaces/NAME/", INTERFACE), ("/bodies/NAME/", BODY)],
-    "certificate": [("", tables.CERTIFICATE)],
-    "stiffening": [("", tables.STIFFENING)],
+    "body file": [("/", FILE), ("/interfaces/NAME/", INTERFACE), ("/bodies/NAME/", BODY)],
+    "certificate": [("", CERTIFICATE)],
+    "stiffening": [("", STIFFENING)],
     "recovery": [("", RECOVERY)],
-    "switching": [("", tables.SWITCHING)],
+    "switching": [("", table_of(StaticModeTables))],
     "parametric": [
-        ("", tables.PARAMETRIC),
-        ("frame/", tables.FRAME_TERMS),
-        ("bound/", tables.BOUND),
-        ("bound/cells/", tables.CELLS),
+        ("", table_of(ParametricParts)),
+        ("frame/", table_of(FrameTerms)),
+        ("bound/", table_of(ParametricBound)),
+        ("bound/cells/", table_of(BoxCells)),
     ],
     "member": [("", MEMBER)],
     "model file": [("", MODEL)],
@@ -51,6 +58,9 @@ SHOWN = {
 def lines(at: str, table: Table) -> Iterator[str]:
     """Rows of a table in Markdown; a group with a sentence of its own has its table elsewhere."""
     for row in table:
+        if row.inline and isinstance(row.kind, Table):
+            yield from lines(at, row.kind)
+            continue
         path = at + row.name.replace("*", "NAME").replace("#", "i")
         if not isinstance(row.kind, Table):
             yield f"| `{path}` | {shape(row)} | {stored(row)} | {units(row)} | {meaning(row)} |"
@@ -77,7 +87,8 @@ def units(row: Row) -> str:
 
 def meaning(row: Row) -> str:
     """What it is, and when it is there."""
-    return "; ".join(words for words in (row.doc or row.about, row.when) if words)
+    since = f"since {row.since}" if row.since else ""
+    return "; ".join(words for words in (row.doc or row.about, row.when, since) if words)
 
 
 def keys() -> Iterator[str]:

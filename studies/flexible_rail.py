@@ -41,7 +41,7 @@ from morembs.fem.material import isotropic
 from morembs.fem.stress_operator import StressOperator, stress_operator
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
-from morembs.reducers.switching_tables import StaticModeTables
+from morembs.responses.static_mode_tables import StaticModeTables
 
 LENGTH, WIDTH, HEIGHT = 5.0, 0.06, 0.12  # m
 CELLS, QUICK_CELLS = (500, 4, 7), (100, 2, 3)

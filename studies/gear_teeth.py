@@ -26,7 +26,7 @@ from morembs.dynamics.multibody.contact.lemke import lemke
 from morembs.fem.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import ReducedModel, StaticModesSwitching
-from morembs.reducers.switching_tables import StaticModeTables
+from morembs.responses.static_mode_tables import StaticModeTables
 
 MODES = 20
 FORCE = 4000.0  # N along the line of action, 200 N/mm

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import morembs
-from morembs.base.former_names import ROOMS, WHOLE, place_now
+from morembs.base.former_names import MODULES, ROOMS, WHOLE, place_now
 from morembs.reducers import Basis
 
 # What ``from morembs import *`` gave in 0.1.0.
@@ -27,7 +27,7 @@ select_solver stress_recovery write_body
 """
 
 
-@pytest.mark.parametrize("room", [*ROOMS, *WHOLE])
+@pytest.mark.parametrize("room", [*ROOMS, *WHOLE, *MODULES])
 def test_a_former_room_warns_and_gives_the_new_one(room: str, monkeypatch: pytest.MonkeyPatch) -> None:
     old = f"morembs.{room}"
     monkeypatch.delitem(sys.modules, old, raising=False)
@@ -35,8 +35,8 @@ def test_a_former_room_warns_and_gives_the_new_one(room: str, monkeypatch: pytes
         module = importlib.import_module(old)
     assert module is importlib.import_module(place_now(old)) and module.__name__ == place_now(old) != old
     # Nothing that exists bears an old name: the warning would never be seen.
-    home = Path(morembs.__file__).parent
-    assert not (home / room).exists() and not (home / f"{room}.py").exists()
+    home, place = Path(morembs.__file__).parent, room.replace(".", "/")
+    assert not (home / place).exists() and not (home / f"{place}.py").exists()
 
 
 def test_modules_and_classes_of_a_former_room_are_those_of_the_new_one() -> None:

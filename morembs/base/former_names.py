@@ -30,12 +30,16 @@ ROOMS = {
     "interface": "fem",
 }
 WHOLE = {"model": "fem"}
+# A module alone.
+MODULES = {"reducers.switching_tables": "responses.static_mode_tables"}
 
 
 def place_now(name: str) -> str:
-    """Dotted name of today of the module that was called ``name``; "" where no room of that name has moved."""
+    """Dotted name of today of the module that was called ``name``; "" where it, or its room, has not moved."""
     package, _, inner = name.partition(".")
     room, _, rest = inner.partition(".")
+    if package == "morembs" and inner in MODULES:
+        return f"{package}.{MODULES[inner]}"
     new = WHOLE.get(room) or (f"{ROOMS[room]}.{room}" if room in ROOMS else "")
     return ".".join(part for part in (package, new, rest) if part) if package == "morembs" and new else ""
 

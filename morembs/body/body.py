@@ -12,21 +12,21 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.summary import error_words, hertz, kinds_words, summarised
 from morembs.base.types import Floats, Ints
-from morembs.body import tables
 from morembs.body.floating.frame import FloatingFrame
 from morembs.body.floating.ranking import RankedTerm
 from morembs.body.floating.spin import ReducedSpin
+from morembs.body.parametric_parts import ParametricParts
 from morembs.body.recovery_shapes import RECOVERY, Recovery, recovery_parts
 from morembs.body.tolerances import TOL
 from morembs.body.view import Viewed, refuse_no_modes
+from morembs.certificate.record import CERTIFICATE
 from morembs.fem.fe_model import STRUCTURAL
-from morembs.storage.table import Later, Row, Table, dataset, table_of
+from morembs.responses.static_mode_tables import StaticModeTables
+from morembs.storage.table import Later, Row, Table, dataset, listed, table_of
 
 if TYPE_CHECKING:
-    from morembs.body.parametric_parts import ParametricParts
     from morembs.body.vtkhdf_series import Grid, View
     from morembs.reducers.base import ReducedModel
-    from morembs.reducers.switching_tables import StaticModeTables
 
 # Why a body has no value for a field that is read later.
 MISSING = {
@@ -123,11 +123,14 @@ class Body(Viewed):
         "n",
         "ratio of critical damping of each mode, rigid ones zero; structural damping is not in it",
         default=None,
-        when="absent in two-sided bodies, and in files before 0.2",
+        since="0.2",
+        when="absent in two-sided bodies",
     )
-    mode_kind: tuple[str, ...] = dataset("code", "n", "kind of each coordinate, code of /mode_kinds", write=_codes)
+    mode_kind: tuple[str, ...] = dataset(
+        "code", "n", "kind of each coordinate, code of /mode_kinds", write=_codes, most="kinds-1"
+    )
     rigid_count: int = dataset(
-        "whole", "", "number of rigid-body motions", doc="number of rigid-body motions the coordinates span"
+        "whole", "", "number of rigid-body motions", doc="number of rigid-body motions the coordinates span", most="n"
     )
     recipe: Mapping[str, Any] = dataset(
         "json", "", "options of the reduction, as JSON", doc="options of the reduction, as JSON with sorted keys"
@@ -141,21 +144,22 @@ class Body(Viewed):
         write=lambda body: None if body.reduced.symmetric else body.output_matrix,
     )
     certificate: Any = dataset(
-        tables.CERTIFICATE,
-        default=None,
-        read=False,
-        doc="how wrong the body is, if that was asked for: see below",
-        when="if",
+        CERTIFICATE, default=None, read=False, doc="how wrong the body is, if that was asked for: see below", when="if"
     )
     floating: FloatingFrame | None = dataset(
-        tables.FRAME, name="floating_frame", default=None, when="free bodies with symmetric matrices"
+        table_of(FloatingFrame), name="floating_frame", default=None, when="free bodies with symmetric matrices"
     )
     ranking: tuple[RankedTerm, ...] = dataset(
-        tables.RANKING, default=(), when="where the job has an envelope", write=lambda body: body.ranking or None
+        listed(table_of(RankedTerm)),
+        default=(),
+        when="where the job has an envelope",
+        write=lambda body: body.ranking or None,
     )
-    spin: ReducedSpin | None = dataset(tables.SPIN, default=None, when="where the job has [spin]", write=_spin)
+    spin: ReducedSpin | None = dataset(
+        table_of(ReducedSpin), default=None, when="where the job has [spin]", write=_spin
+    )
     switching: Later[StaticModeTables] = dataset(
-        tables.SWITCHING,
+        table_of(StaticModeTables),
         default=None,
         later=True,
         doc="static modes of candidate loads, if the method was `static-modes-switching`: see "
@@ -163,7 +167,7 @@ class Body(Viewed):
         when="if",
     )
     parameters: Later[ParametricParts] = dataset(
-        tables.PARAMETRIC,
+        table_of(ParametricParts),
         name="parametric",
         default=None,
         later=True,

@@ -24,11 +24,11 @@ from morembs.fem.selection import select_nodes
 from morembs.fem.stress_operator import StressOperator, stress_operator
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
-from morembs.reducers.switching_tables import StaticModeTables
+from morembs.responses.static_mode_tables import StaticModeTables
 
 if TYPE_CHECKING:
     from morembs.body.parametric_parts import ParametricParts
-    from morembs.certificate.certify import Certificate
+    from morembs.certificate.record import Certificate
     from morembs.parametric.model import ParametricModel
 
 

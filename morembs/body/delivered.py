@@ -14,8 +14,7 @@ from morembs.body.body import Body
 from morembs.body.curve_check import Curve
 from morembs.body.diagnostics.findings import MOTIONS
 from morembs.body.floating.frame import FloatingFrame
-from morembs.body.stored import StoredBodies
-from morembs.body.tables import FormatVersion
+from morembs.body.stored import FormatVersion, StoredBodies
 from morembs.fem import rigid_motion
 from morembs.fem.fe_model import STRUCTURAL, WITHOUT_MASS, Component
 

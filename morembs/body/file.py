@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 from morembs.body.body import Body
 from morembs.body.delivery_check import refuse_unsound, stored_findings
-from morembs.body.stored import BodyFile, StoredBodies
+from morembs.body.stored import FORMAT, BodyFile, FormatVersion, StoredBodies
 from morembs.body.stored_check import check_file
-from morembs.body.tables import FORMAT, FormatVersion
 from morembs.body.write import check_names, write_body
 from morembs.storage.checksums import Checksums
 

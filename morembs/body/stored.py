@@ -17,18 +17,32 @@ from morembs.base.former_names import renamed
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
 from morembs.body.body import BODY, Body
-from morembs.body.tables import FILE, FORMAT, FormatVersion
+from morembs.fem.fe_model import Component
 from morembs.fem.interface import Interface
 from morembs.storage.checksums import GROUP, Checksums
 from morembs.storage.hdf5 import reading_format
+from morembs.storage.kinds import refuse_not_finite
 from morembs.storage.lemma import read_lemmas
-from morembs.storage.table import Later, Row, Table, read_rows, table_of
-from morembs.storage.table_check import refuse_not_finite
+from morembs.storage.table import Later, Row, Table, dataset, derived, read_rows, table_of
 
 if TYPE_CHECKING:
     from morembs.body.vtkhdf_series import Grid
 
 T = TypeVar("T")
+FORMAT = "morembs-body"
+
+
+class FormatVersion:
+    """Versions of the format ``morembs-body``."""
+
+    # Transposed input matrices are output matrices, and all matrices are symmetric.
+    PLAIN = 1
+    # Output matrices of their own.
+    TWO_BASES = 2
+    # Gyroscopic and circulatory matrices.
+    SKEW_PARTS = 3
+    # The latest that is read.
+    LATEST = SKEW_PARTS
 
 
 class ByName(dict[str, T], Generic[T]):
@@ -57,20 +71,86 @@ class StoredBodies:
     are sentences about the model and the bodies.
     """
 
-    format_version: int
-    mass: float
-    center_of_mass: Floats
-    inertia: Floats
-    node_ids: Ints
-    coordinates: Floats
+    @derived("text", doc=f"`{FORMAT}`")
+    def format(self) -> str:
+        """What kind of file it is."""
+        return FORMAT
+
+    format_version: int = dataset("whole", doc="1, 2 or 3, see above")
+
+    @derived("text", doc="`SI`", known=("SI",))
+    def unit_system(self) -> str:
+        """The units of all numbers."""
+        return "SI"
+
+    @derived(
+        "text",
+        "bodies",
+        "groups of /bodies in their order",
+        doc="groups of `/bodies`, in the order they were written",
+        read=True,
+    )
+    def body_names(self) -> list[str]:
+        """Names of the bodies."""
+        return list(self.bodies)
+
+    @derived(
+        "text",
+        "interfaces",
+        "groups of /interfaces in their order",
+        doc="groups of `/interfaces`, in the order of the inputs",
+        read=True,
+    )
+    def interface_names(self) -> list[str]:
+        """Names of the interfaces."""
+        return list(self.interfaces)
+
+    @derived("text", "kinds", "names of the codes in mode_kind, from 0", read=True)
+    def mode_kinds(self) -> tuple[str, ...]:
+        """Names of all kinds of coordinates."""
+        # Not at the top: files are shown without what reduces.
+        from morembs.reducers.base import MODE_KINDS
+
+        return MODE_KINDS
+
+    recipe: Mapping[str, Any] = dataset("json", "", "what was asked for, as JSON")
+    warnings: tuple[str, ...] = dataset(
+        "text",
+        "any",
+        "what to know before the bodies are used, a sentence each",
+        name="check/warnings",
+        default=(),
+        since="0.2",
+    )
+    mass: float = dataset("real", units="kg", name="mass_properties/mass", doc="mass", positive=True)
+    center_of_mass: Floats = dataset(
+        "real", "3", units="m", name="mass_properties/center_of_mass", doc="in the coordinates of the model"
+    )
+    inertia: Floats = dataset(
+        "real", "3 3", "about the centre of mass, axes of the model", "kg m2", name="mass_properties/inertia"
+    )
+    node_ids: Ints = dataset("whole", "N", "labels of the nodes in the source", name="nodes/ids")
+    coordinates: Floats = dataset("real", "N 3", units="m", name="nodes/coordinates", doc="of the nodes")
+    input_interface: Ints = dataset(
+        "whole",
+        "m",
+        "per column of input_matrix: place in /interface_names from 0",
+        name="inputs/interface_index",
+        most="interfaces-1",
+    )
+    input_component: Ints = dataset(
+        "whole",
+        "m",
+        "degree of freedom: 0..2 along x, y, z; 3..5 about them; 6 generalised",
+        name="inputs/component",
+        most=str(Component.SCALAR),
+    )
+    input_node_id: Ints = dataset(
+        "whole", "m", "label of the node of a direct interface, -1 for a frame", name="inputs/node_id"
+    )
     interfaces: dict[str, Interface]
-    input_interface: Ints
-    input_component: Ints
-    input_node_id: Ints
     bodies: dict[str, Body]
-    recipe: dict[str, Any]
     provenance: dict[str, Any]
-    warnings: tuple[str, ...] = ()
 
     def _facts(self) -> dict[str, object]:
         orders = ", ".join(f"{name} (order {len(body.stiffness_matrix)})" for name, body in self.bodies.items())
@@ -81,6 +161,9 @@ class StoredBodies:
             "interfaces": list(self.interfaces),
             "warnings": len(self.warnings) or None,
         }
+
+
+FILE = table_of(StoredBodies, build=dict)
 
 
 def choose_body(bodies: StoredBodies, name: str | None, place: Path | str = "the file") -> Body:
@@ -148,11 +231,7 @@ class BodyFile:
     def _group(self, name: str, table: Table) -> Any:
         with self.opened() as file:
             Checksums(self.path, file).verify(lambda item: item.startswith(f"{name}/"))
-            value = read_rows(file[name], table, f"the {name.rpartition('/')[2]} data lack")
-        for part, values in vars(value).items():
-            if isinstance(values, np.ndarray) and values.dtype.kind == "f":
-                refuse_not_finite(self.path, f"{name}/{part}", values)
-        return value
+            return read_rows(file[name], table, f"the {name.rpartition('/')[2]} data lack")
 
     def modes(self, body: str, count: int) -> Floats:
         """Shapes (k, n, 3) of the first elastic modes of a body that the file keeps."""

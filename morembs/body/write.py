@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,10 +14,9 @@ from morembs.base import progress
 from morembs.base.errors import InputError
 from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
-from morembs.body import tables, vtkhdf
+from morembs.body import vtkhdf
 from morembs.body.body import BODY, UNSYMMETRIC, Body
-from morembs.body.stored import INTERFACE
-from morembs.body.tables import FORMAT, FormatVersion
+from morembs.body.stored import FILE, INTERFACE, FormatVersion, StoredBodies
 from morembs.storage.checksums import GROUP
 from morembs.storage.safefile import one_file
 from morembs.storage.tolerances import TOL as STORAGE
@@ -24,7 +24,6 @@ from morembs.version import VERSION
 
 if TYPE_CHECKING:
     from morembs.body.part import Part
-    from morembs.body.stored import StoredBodies
     from morembs.body.vtkhdf_series import Grid
     from morembs.storage.writer import Writer
 
@@ -72,9 +71,6 @@ def write_body(
     >>> write_body("bar.h5", [body]).name
     'bar.h5'
     """
-    # Not at the top: what reads does without.
-    from morembs.storage.writer import writing
-
     if not isinstance(bodies, Sequence):
         raise InputError(f"{type(bodies).__name__} was given; expected a list of bodies, such as [body]")
     if not bodies:
@@ -86,30 +82,44 @@ def write_body(
     check_names([interface.name for interface in part.interfaces], "interface")
     if recipe is None:
         recipe = {"source": part.source, "bodies": {body.name: body.recipe for body in bodies}}
-    target = Path(path)
+    content = _content(part, bodies, recipe, tuple(dict.fromkeys((*part.warnings, *warnings))))
+    return _write(Path(path), content, part.cells, provenance or {}, block_bytes)
+
+
+def _write(
+    target: Path,
+    content: StoredBodies,
+    cells: Sequence[vtkhdf.Cells],
+    provenance: Mapping[str, object],
+    block_bytes: int,
+) -> Path:
+    """All of a body file, with ``provenance`` in addition to time and version."""
+    # Not at the top: what reads does without.
+    from morembs.storage.writer import writing
+
     progress.stage(f"writing {target.name}")
     # Checksums of /provenance apart, as nothing outside depends on it.
     with writing(target, apart=["provenance"]) as out:
-        sentences = list(dict.fromkeys((*part.warnings, *warnings)))
-        out.rows("", tables.FILE, _shared(part, bodies, recipe) | {"warnings": sentences})
+        out.rows("", FILE, content)
         out.file.create_group("interfaces")
-        for interface in part.interfaces:
-            out.rows(f"interfaces/{interface.name}/", INTERFACE, interface, node_ids=part.node_ids[interface.nodes])
+        for name, interface in content.interfaces.items():
+            out.rows(f"interfaces/{name}/", INTERFACE, interface)
         out.doing("the mesh for ParaView")
-        vtkhdf.write_grid(out.file.create_group("VTKHDF"), out.file["nodes/coordinates"], part.cells)
+        vtkhdf.write_grid(out.file.create_group("VTKHDF"), out.file["nodes/coordinates"], cells)
         out.check()
-        for body in bodies:
+        for body in content.bodies.values():
             _write_one(out, body, block_bytes)
         stamp = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "morembs_version": VERSION}
-        given = {f"{key}_" if key == GROUP else key: value for key, value in (provenance or {}).items()}
+        given = {f"{key}_" if key == GROUP else key: value for key, value in provenance.items()}
         out.tree("provenance", {**stamp, **given})
     return target
 
 
-def _shared(part: Part, bodies: Sequence[Body], recipe: Mapping[str, object]) -> dict[str, object]:
-    """Values of everything that the bodies share, by the fields of ``tables.FILE``."""
+def _content(
+    part: Part, bodies: Sequence[Body], recipe: Mapping[str, object], warnings: tuple[str, ...]
+) -> StoredBodies:
+    """What the file of some bodies of a part holds."""
     from morembs.body.part import input_columns
-    from morembs.reducers.base import MODE_KINDS
 
     index, component, node = input_columns(part.interfaces, part.columns, part.node_ids)
     # Readers of version 1 take the transposed input matrix for the motions, those of version 2 where that is right also
@@ -122,26 +132,26 @@ def _shared(part: Part, bodies: Sequence[Body], recipe: Mapping[str, object]) ->
         else FormatVersion.TWO_BASES
         for body in bodies
     )
-    return {
-        "format": FORMAT,
-        "format_version": version,
-        "unit_system": "SI",
-        "body_names": [body.name for body in bodies],
-        "mode_kinds": MODE_KINDS,
-        "recipe": recipe,
-        "interface_names": [interface.name for interface in part.interfaces],
-        "mass": part.mass,
-        "center_of_mass": part.center_of_mass,
-        "inertia": part.inertia,
-        "node_ids": part.nodes.ids,
-        "coordinates": part.nodes.xyz,
-        "input_interface": index,
-        "input_component": component,
-        "input_node_id": node,
-    }
+    labelled = (replace(interface, node_ids=part.node_ids[interface.nodes]) for interface in part.interfaces)
+    return StoredBodies(
+        format_version=version,
+        recipe=recipe,
+        warnings=warnings,
+        mass=part.mass,
+        center_of_mass=part.center_of_mass,
+        inertia=part.inertia,
+        node_ids=part.nodes.ids,
+        coordinates=part.nodes.xyz,
+        input_interface=index,
+        input_component=component,
+        input_node_id=node,
+        interfaces={interface.name: interface for interface in labelled},
+        bodies={body.name: body for body in bodies},
+        provenance={},
+    )
 
 
-def _write_one(out: Writer, body: Body, block_bytes: int = STORAGE.block_bytes) -> None:
+def _write_one(out: Writer, body: Body, block_bytes: int) -> None:
     """One body, its basis block by block, and its shapes for ParaView."""
     from morembs.storage.writer import Columns
 
@@ -177,33 +187,9 @@ def write_stored(path: str | Path, bodies: StoredBodies, body: Body, source: Pat
         raise InputError(f"{target} would overwrite the body file itself; give another name")
     # Not at the top: what reads does without.
     from morembs.body.vtkhdf_series import read_grid
-    from morembs.storage.writer import writing
 
-    with writing(target, apart=["provenance"]) as out:
-        out.rows("", tables.FILE, _shared_again(bodies, body))
-        out.file.create_group("interfaces")
-        for name, interface in bodies.interfaces.items():
-            out.rows(f"interfaces/{name}/", INTERFACE, interface)
-        out.doing("the mesh for ParaView")
-        vtkhdf.write_grid(out.file.create_group("VTKHDF"), out.file["nodes/coordinates"], _cells(read_grid(source)))
-        _write_one(out, body)
-        stamp = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "morembs_version": VERSION}
-        out.tree("provenance", {**stamp, "source": source.name})
-    return target
-
-
-def _shared_again(bodies: StoredBodies, body: Body) -> Mapping[str, Any]:
-    """Values of everything but the body, by the fields of ``tables.FILE``."""
-    from morembs.reducers.base import MODE_KINDS
-
-    return vars(bodies) | {
-        "format": FORMAT,
-        "format_version": 1,
-        "unit_system": "SI",
-        "body_names": [body.name],
-        "mode_kinds": MODE_KINDS,
-        "interface_names": list(bodies.interfaces),
-    }
+    content = replace(bodies, format_version=FormatVersion.PLAIN, bodies={body.name: body})
+    return _write(target, content, _cells(read_grid(source)), {"source": source.name}, STORAGE.block_bytes)
 
 
 def _cells(grid: Grid) -> list[vtkhdf.Cells]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +14,12 @@ from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.former_names import with_progress_argument
 from morembs.base.limits import DampingFloor
-from morembs.base.optional import optional
-from morembs.base.summary import error_words, summarised
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
-from morembs.certificate.limits import ErrorLimits, body_response, error_limits, sampled
+from morembs.certificate.limits import body_response, error_limits, sampled
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.proof import proof_of
+from morembs.certificate.record import Certificate, ErrorLimits
 from morembs.certificate.response import reduced_response
 from morembs.certificate.tolerances import TOL
 from morembs.problem import Problem
@@ -31,104 +29,9 @@ from morembs.responses.certified import CertifiedReference, certified_reference
 from morembs.responses.direct import direct_response, elastic_statics
 from morembs.responses.layout import BlockIndex
 from morembs.responses.loads import static_response
-from morembs.responses.measures import Limit, Measure, Sharpness
+from morembs.responses.measures import Measure, Sharpness
 from morembs.responses.tolerances import TOL as RESPONSES
-from morembs.storage.lemma import Lemma, kind_of
-
-OLD_KINDS = {"proven": "bound", "estimate": "estimate", "sampled": "none"}
-
-
-@summarised
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Certificate(ErrorLimits):
-    """Errors of the elastic transfer matrix H over ``band_hz``, forces and moments scaled by the radius of gyration.
-
-    ``limits`` hold at every frequency of the band where ``kind`` is "proven"; it is "estimate" where they rest on an
-    estimate, "sampled" where there are none. ``measure`` is the one that counts; ``damping_floor`` the ratio of
-    critical damping that is assumed in the full model and the body beside their own, for transfer errors only.
-
-    Curves at ``frequencies_hz`` (nf,): ``full`` and ``reduced`` (nf,) Frobenius norms of H in m/N, ``error`` (nf,) the
-    norm of the difference over that of the full model, ``bound`` (nf,) that and the ``reference_error`` (nf,), which
-    is how far the full response is not known, round-off in K included.
-    ``block_error`` (ni, ni) largest relative error of each block there, ``held_error`` (ni, nf) the relative error of
-    what is left when interface i is held still, from the whole transfer matrix with its rigid-body part; not a number
-    below ``TOL.least_held`` of the upper frequency. ``static_error`` that at 0 Hz.
-
-    ``mode_frequencies_hz`` (k,) of the full model, which lie within ``mode_enclosure_hz`` (k, 2), as far as that meets
-    the band, whose lower end may lie above modes too;
-    ``mode_deviation`` (k,) relative deviation of the reduced ones, ``mode_mac`` (k,) mass-weighted modal assurance
-    criterion, ``residue_deviation`` (k,) of the residues, not a number for modes that no load excites, both of the
-    whole cluster where modes are close. No mode is missing below ``verified_below_hz``. ``proof`` is the chain of
-    lemmas that the limits rest on: ``kind`` is "proven" where all of them are; there is none without limits.
-
-    >>> [certificate] = certify(problem, [reduced], [0.0, 3000.0])
-    >>> certificate.limit.lower <= certificate.limit.upper
-    True
-    >>> certificate
-    Certificate: error at most ...
-    """
-
-    band_hz: tuple[float, float]
-    measure: str
-    damping_floor: float
-    kind: str
-    frequencies_hz: Floats
-    full: Floats
-    reduced: Floats
-    error: Floats
-    bound: Floats
-    block_error: Floats
-    held_error: Floats
-    static_error: float
-    mode_frequencies_hz: Floats
-    mode_enclosure_hz: Floats
-    mode_deviation: Floats
-    mode_mac: Floats
-    residue_deviation: Floats
-    verified_below_hz: float
-    reference_error: Floats
-    proof: tuple[Lemma, ...] = ()
-
-    @property
-    def absolute_error(self) -> float:
-        """Largest error of H at the sampled frequencies, relative to the largest norm of H there."""
-        return float((self.error * self.full).max() / self.full.max())
-
-    @property
-    def bound_kind(self) -> str:
-        """``kind`` by its old names: "bound", "estimate" or "none"."""
-        return OLD_KINDS[self.kind]
-
-    @property
-    def limit(self) -> Limit:
-        """The limit of ``measure``."""
-        return self.limits[self.measure]
-
-    @property
-    def words(self) -> str:
-        """The largest error, in words."""
-        return error_words(self.measure, self.limit.upper, self.error, self.band_hz, self.kind)
-
-    def to_xarray(self) -> Any:
-        """The curves as an ``xarray.Dataset`` over ``frequency_hz``: full, reduced, error, bound, reference_error.
-
-        Raises:
-            InputError: xarray is not installed.
-        """
-        xarray = optional("xarray", "to_xarray")
-        names = ("full", "reduced", "error", "bound", "reference_error")
-        return xarray.Dataset(
-            {name: ("frequency_hz", getattr(self, name)) for name in names}, {"frequency_hz": self.frequencies_hz}
-        )
-
-    def _facts(self) -> dict[str, object]:
-        return {
-            "error": self.words,
-            "static error": f"{self.static_error:.1e}",
-            "modes in the band": len(self.mode_frequencies_hz),
-            "damping floor": self.damping_floor or None,
-            "notes": "; ".join(self.notes),
-        }
+from morembs.storage.lemma import kind_of
 
 
 @with_progress_argument

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.base.summary import summarised, upwards
+from morembs.base.summary import upwards
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
+from morembs.certificate.record import ErrorLimits
 from morembs.certificate.tolerances import TOL
 from morembs.reducers.base import ReducedModel
 from morembs.responses.cells import BandCells
@@ -28,28 +28,6 @@ CURES = (
     "give more damping, or a larger damping_floor, or stiff parts a smaller stiffness",
     "give more damping, or another basis with fewer coordinates",
 )
-
-
-@summarised
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ErrorLimits:
-    """``limits`` of the error by measure, on every frequency of the band. ``block_limit`` (ni, ni) upper limits of each
-    block (motion of interface i, load on interface j) by its own envelope; ``cells_hz`` (nc, 2) cover the band, and
-    ``cell_limit`` (nc, 3) are the upper limits on them, in the order of ``limits``. ``notes`` say what hinders.
-
-    >>> error_limits(certified_reference(problem, [0.0, 3000.0]), reduced)
-    ErrorLimits: errors at most envelope ..., peak ..., pointwise ...
-    """
-
-    limits: dict[str, Limit]
-    block_limit: Floats
-    cells_hz: Floats
-    cell_limit: Floats
-    notes: tuple[str, ...] = field(default_factory=tuple)
-
-    def _facts(self) -> dict[str, object]:
-        upper = ", ".join(f"{name} {upwards(limit.upper)}" for name, limit in self.limits.items())
-        return {"errors at most": upper, "notes": "; ".join(self.notes)}
 
 
 def body_response(reference: CertifiedReference, reduced: ReducedModel, layout: BlockIndex) -> Response:

@@ -6,8 +6,8 @@ import numpy as np
 
 from morembs.base.summary import upwards
 from morembs.base.units import eigenvalue_in_hz
-from morembs.certificate.limits import ErrorLimits
 from morembs.certificate.poles import enclosures
+from morembs.certificate.record import ErrorLimits
 from morembs.responses.certified import CertifiedReference
 from morembs.storage.lemma import ESTIMATE, PROVEN, Lemma
 

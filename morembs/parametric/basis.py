@@ -20,8 +20,8 @@ from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.linalg.columns import symmetric
 from morembs.linalg.lanczos import BlockLanczos
-from morembs.parametric.bound import ParametricBound, ratio, ritz_pairs
-from morembs.parametric.bound_at import BoundAt
+from morembs.parametric.bound import ParametricBound, ratio
+from morembs.parametric.bound_at import BoundAt, ritz_pairs
 from morembs.parametric.cells import Proofs
 from morembs.parametric.model import ParametricModel
 from morembs.parametric.samples import frequencies, narrower, training_points

@@ -54,18 +54,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.linalg as sl
 
 from morembs.base.types import Floats
-from morembs.linalg.columns import symmetric
-from morembs.parametric.bound_at import BoundAt
 from morembs.parametric.law import LINEAR, SQUARE, Law
 from morembs.parametric.proof import BoxCells, proof_of
 from morembs.parametric.tolerances import TOL
-from morembs.problem.damping import Damping
 from morembs.storage.lemma import Lemma
+from morembs.storage.table import dataset, table_of
+
+if TYPE_CHECKING:
+    from morembs.parametric.bound_at import BoundAt
+    from morembs.problem.damping import Damping
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,24 +85,32 @@ class ParametricBound:
 
     law_K: Law
     law_M: Law
-    anchor: Floats
-    soft: Floats
-    cells: BoxCells
-    residual_B: Floats
-    residual_K: Floats
-    residual_M: Floats
-    residual_F: Floats
-    rest_B: Floats
-    rest_K: Floats
-    rest_M: Floats
-    rest_F: Floats
-    motion_F: Floats
-    sigma: float
-    highest: float
-    eps: float = 0.0
-    rounding_K: Floats | None = None
-    rounding_M: Floats | None = None
-    rigid: Floats | None = None
+    anchor: Floats = dataset("real", "P", "values whose supported stiffness measures loads")
+    soft: Floats = dataset("real", "P", "values of the softest and heaviest body")
+    cells: BoxCells = dataset(table_of(BoxCells), doc="parts of the box, and what holds on each")
+    residual_B: Floats = dataset("later", "q m", "coordinates of the loads in the dual norm")
+    residual_K: Floats = dataset("later", "Q q n", "coordinates of the terms of the stiffness times the basis")
+    residual_M: Floats = dataset("later", "J q n", "coordinates of the terms of the mass times the basis")
+    residual_F: Floats = dataset("later", "q k", "coordinates of the mass times the deflated motions")
+    rest_B: Floats = dataset("later", "m", "norms of what the coordinates leave out")
+    rest_K: Floats = dataset("later", "Q n", "the same of the terms of the stiffness")
+    rest_M: Floats = dataset("later", "J n", "the same of the terms of the mass")
+    rest_F: Floats = dataset("later", "k", "the same of the deflated motions")
+    motion_F: Floats = dataset("later", "n k", "the deflated motions in reduced coordinates")
+    sigma: float = dataset("real", "", "weight of the deflated motions", "1/s2")
+    highest: float = dataset("real", "", "upper end of the band", "rad/s")
+    eps: float = dataset("real", "", "relative error of the stiffness of a morph, in every quadratic form", default=0.0)
+    rounding_K: Floats | None = dataset(
+        "later", "Q n n", "limits of round-off in quadratic forms of the terms of K", default=None, since="0.2"
+    )
+    rounding_M: Floats | None = dataset("later", "J n n", "the same of the terms of M", default=None, since="0.2")
+    rigid: Floats | None = dataset(
+        "later",
+        "n 6 f",
+        "rigid motions, constant and per morph",
+        default=None,
+        when="where springs alone hold a body with a morph, and are not in the norm of loads",
+    )
 
     def in_basis(self, T: Floats) -> ParametricBound:
         """The bound for the basis V ``T`` (n, k), whose span may be smaller."""
@@ -121,6 +131,8 @@ class ParametricBound:
     def compressed(self, cut: float = TOL.compression_loss) -> ParametricBound:
         """The same with fewer coordinates: directions along which every column has less than about ``cut`` of its own
         energy are left out, and count by norms."""
+        import scipy.linalg as sl
+
         energy = np.linalg.norm(np.tensordot(self.law_K(self.anchor), self.residual_K, 1), axis=0)
         energy = np.maximum(energy, energy[energy > TOL.rigid_energy * energy.max(initial=0.0)].min(initial=np.inf))
         size = np.linalg.norm(self.residual_B, axis=0)
@@ -149,6 +161,9 @@ class ParametricBound:
     def at(self, p: Floats, *, K: Floats, M: Floats, B: Floats, rigid: Floats, damping: Damping) -> BoundAt:
         """What the bound needs at ``p`` (P,): ``K``, ``M`` (n, n) and scaled ``B`` (n, m) of the reduced model there,
         its ``rigid`` motions (n, r) and ``damping``."""
+        # Not at the top: files are shown without what evaluates them.
+        from morembs.parametric.bound_at import BoundAt, ritz_pairs
+
         theta_K, theta_M = self.law_K(p), self.law_M(p)
         shape = self.residual_K.shape[1:]
         KV, MV = ((theta @ flat).reshape(shape) for theta, flat in zip((theta_K, theta_M), self._flat, strict=True))
@@ -227,6 +242,8 @@ class ParametricBound:
         """R' M (6, n) and R' W (6, k) of orthonormal motions R that springs alone hold at ``p``."""
         if self.rigid is None:
             return None
+        import scipy.linalg as sl
+
         morphs = np.array([len(points) > 0 for points in self.law_K.points])
         R = self.rigid @ np.concatenate([[1.0], p[morphs]])
         L = sl.cholesky(R.T @ M @ R, lower=True)
@@ -237,6 +254,8 @@ class ParametricBound:
     ) -> float:
         """d at the anchor: what the rigid motions ``Z`` and the Ritz vectors ``Y`` of V_L miss of W, free of the
         rigid ``loads``."""
+        import scipy.linalg as sl
+
         rigid = Z.T @ self.motion_F
         left, few = self.residual_F - MZ @ rigid, MY.shape[1]
         X, free = np.zeros((few, left.shape[1])), np.eye(few)
@@ -249,20 +268,6 @@ class ParametricBound:
             X = X + free @ sl.lstsq(MY @ free, left - MY @ X, lapack_driver="gelsy")[0]
         off = self.rest_F + (eM @ np.abs(Z)) @ np.abs(rigid) + (eM @ np.abs(Y)) @ np.abs(X)
         return float(np.linalg.norm(left - MY @ X, 2) ** 2 + (off**2).sum())
-
-
-def ritz_pairs(K: Floats, M: Floats, rigid: Floats) -> tuple[Floats, Floats, Floats]:
-    """M-orthonormal rigid motions Z (n, r) in span(``rigid``), and elastic Ritz values (e,) and vectors (n, e), M-
-    orthogonal to them: rigid motion is never what an eigensolver leaves of it."""
-    r = rigid.shape[1]
-    if not r:
-        values, Y = sl.eigh(K, M)
-        return rigid, values, Y
-    G = rigid.T @ M @ rigid
-    Z = sl.solve_triangular(sl.cholesky(symmetric(G), lower=True), rigid.T, lower=True).T
-    Q = sl.qr(M @ Z)[0][:, r:]
-    values, Y = sl.eigh(Q.T @ K @ Q, Q.T @ M @ Q)
-    return Z, values, np.asarray(Q @ Y)
 
 
 def ratio(law: Law, p: Floats, reference: Floats) -> Floats:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg as sl
 
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
+from morembs.linalg.columns import symmetric
 from morembs.problem.damping import Damping
 from morembs.responses.residual_bound import numerator, slope
 from morembs.storage.lemma import PROVEN, Lemma, kind_of
@@ -146,3 +148,17 @@ def _largest(weight: Floats, gram: Floats, off: Floats) -> Floats:
         return np.zeros(len(weight))
     root = np.sqrt(weight)
     return np.asarray(np.linalg.eigvalsh(root[:, :, None] * gram * root[:, None, :])[:, -1] + weight @ off)
+
+
+def ritz_pairs(K: Floats, M: Floats, rigid: Floats) -> tuple[Floats, Floats, Floats]:
+    """M-orthonormal rigid motions Z (n, r) in span(``rigid``), and elastic Ritz values (e,) and vectors (n, e), M-
+    orthogonal to them: rigid motion is never what an eigensolver leaves of it."""
+    r = rigid.shape[1]
+    if not r:
+        values, Y = sl.eigh(K, M)
+        return rigid, values, Y
+    G = rigid.T @ M @ rigid
+    Z = sl.solve_triangular(sl.cholesky(symmetric(G), lower=True), rigid.T, lower=True).T
+    Q = sl.qr(M @ Z)[0][:, r:]
+    values, Y = sl.eigh(Q.T @ K @ Q, Q.T @ M @ Q)
+    return Z, values, np.asarray(Q @ Y)

@@ -7,25 +7,29 @@ those of the coefficients. NumPy and SciPy only.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
-from morembs.linalg.columns import symmetric, without_rigid_motion
-from morembs.linalg.eigen import accurate_eigh
+from morembs.parametric.bound import ParametricBound
 from morembs.parametric.law import Law
 from morembs.parametric.parameter import DAMPING, Box
-from morembs.parametric.terms import AffineProblem
 from morembs.parametric.tolerances import TOL
-from morembs.problem.damping import Damping
-from morembs.storage.lemma import Lemma
+from morembs.storage.lemma import Lemma, proof_json
+from morembs.storage.table import dataset, derived, table_of
+
+if TYPE_CHECKING:
+    from morembs.parametric.terms import AffineProblem
+    from morembs.problem.damping import Damping
+
+# Fields of the damping of a body that a file keeps.
+_KEPT_DAMPING = ("alpha", "beta", "modal", "modal_table", "structural")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,18 +42,44 @@ class ParametricModel:
     a damping ratio of ``floor`` beside the damping.
     """
 
-    box: Box
-    law_K: Law
-    law_M: Law
-    K: Floats
-    M: Floats
+    box: Box = dataset(table_of(Box), inline=True)
+    law_K: Law = dataset(
+        "whole",
+        "Q P",
+        "factors of the coefficient of each term of K: 0: 1; 1: p; 2: p^2; 3 + k: Lagrange polynomial of point k of p",
+        name="law/K",
+        write=lambda model: model.law_K.factors,
+    )
+    law_M: Law = dataset(
+        "whole", "J P", "the same of each term of M", name="law/M", write=lambda model: model.law_M.factors
+    )
+    K: Floats = dataset("later", "Q n n", "terms of the stiffness")
+    M: Floats = dataset("later", "J n n", "terms of the mass")
     B: Floats
-    rigid: Floats
-    damping: Damping
-    scale: Floats
-    bound: Any = None
-    box_bound: float = np.inf
-    floor: float = 0.0
+    rigid: Floats = dataset("real", "n any f", "unit translations and rotations, constant and per morph")
+    damping: Damping = dataset(
+        "json",
+        "",
+        "damping at nominal values, as JSON",
+        doc="damping at nominal values as JSON: `alpha`, `beta`, `modal`, `modal_table`, `structural`",
+        write=lambda model: {key: asdict(model.damping)[key] for key in _KEPT_DAMPING},
+    )
+    scale: Floats = dataset("real", "m", "turns rotations into lengths", "m")
+    bound: Any = dataset(
+        table_of(ParametricBound, build=dict),
+        default=None,
+        doc="what the bound of the error needs",
+        when="where there is one",
+    )
+    box_bound: float = dataset(
+        "any",
+        "",
+        "largest relative bound over the band at all sampled values",
+        default=np.inf,
+        doc="largest bound over the band at all sampled values, relative to the envelope of the response: a maximum "
+        "over samples",
+    )
+    floor: float = dataset("real", "", "damping ratio that box_bound gives to models without damping", default=0.0)
 
     @property
     def order(self) -> int:
@@ -61,7 +91,27 @@ class ParametricModel:
         """Upper end of the band that the basis was made for, infinite where that is not known."""
         return np.inf if self.bound is None else float(in_hz(self.bound.highest))
 
-    @property
+    @derived("real", "any", "points of a parameter with Lagrange polynomials in K", name="law/points_K/*", read=True)
+    def points_K(self) -> dict[str, Floats]:
+        """Points of ``law_K`` by the names of parameters that have some."""
+        return self._points(self.law_K)
+
+    @derived("real", "any", "the same in M", name="law/points_M/*", read=True)
+    def points_M(self) -> dict[str, Floats]:
+        """Points of ``law_M``."""
+        return self._points(self.law_M)
+
+    def _points(self, law: Law) -> dict[str, Floats]:
+        return {name: at for name, at in zip(self.box.names, law.points, strict=True) if len(at)}
+
+    @derived(
+        "json",
+        "",
+        "lemmas that the bound rests on at all values",
+        since="0.2",
+        when="where there is a bound",
+        write=lambda model: proof_json(model.proof),
+    )
     def proof(self) -> tuple[Lemma, ...]:
         """The lemmas that the bounds rest on at all of the box, with its nominal damping; none where it has none."""
         return () if self.bound is None else self.bound.proof(self.damping)
@@ -80,6 +130,12 @@ class ParametricModel:
         Raises:
             InputError: a value outside the box.
         """
+        # Not at the top: files are shown without what evaluates them.
+        import scipy.linalg as sl
+
+        from morembs.linalg.columns import symmetric, without_rigid_motion
+        from morembs.linalg.eigen import accurate_eigh
+
         p = self.box.checked(p)
         K, M = self.matrices(p)
         rigid = self.rigid_at(p)
@@ -116,6 +172,37 @@ class ParametricModel:
         """dK/dp and dM/dp (P, n, n) at ``p`` (P,)."""
         dK, dM = self.law_K.derivative(p), self.law_M.derivative(p)
         return np.tensordot(dK.T, self.K, axes=1), np.tensordot(dM.T, self.M, axes=1)
+
+
+def _stored_model(
+    box: Box,
+    law_K: Any,
+    law_M: Any,
+    points_K: Mapping[str, Floats],
+    points_M: Mapping[str, Floats],
+    damping: dict[str, Any],
+    bound: dict[str, Any] | None = None,
+    **own: Any,
+) -> ParametricModel:
+    """A model of what a file has of it; its loads are those of the body."""
+    from morembs.problem.damping import Damping
+
+    first, second = (
+        Law(factors=factors, points=tuple(points.get(name, np.zeros(0)) for name in box.names))
+        for factors, points in ((law_K, points_K), (law_M, points_M))
+    )
+    return ParametricModel(
+        box=box,
+        law_K=first,
+        law_M=second,
+        damping=Damping(**damping),
+        bound=None if bound is None else ParametricBound(law_K=first, law_M=second, **bound),
+        B=np.zeros((0, 0)),
+        **own,
+    )
+
+
+MODEL = table_of(ParametricModel, build=_stored_model)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -296,6 +383,8 @@ def parametric_model(problem: AffineProblem, V: Floats, bound: Any = None, **mor
 
 def _rigid(problem: AffineProblem, V: Floats) -> Floats:
     """Coordinates (n, r, 1 + morphs) in ``V`` of the rigid motions."""
+    import scipy.linalg as sl
+
     if not problem.rigid.shape[1]:
         return np.zeros((V.shape[1], 0, 1 + len(problem.morphs)))
     R = problem.rigid_terms.reshape(len(V), -1)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats
-from morembs.problem.damping import Damping
+from morembs.storage.table import dataset, derived
+
+if TYPE_CHECKING:
+    from morembs.problem.damping import Damping
 
 # What may vary, and the unit of its values in SI.
 PROPERTIES = {"young": "Pa", "density": "kg/m3", "morph": "", "spring": "", "preload": "", "alpha": "1/s", "beta": "s"}
@@ -99,11 +102,16 @@ class Parameter:
 class Box:
     """Named ranges of P parameters: ``kinds`` of ``PROPERTIES``, ``low``, ``high`` and ``nominal`` (P,)."""
 
-    names: tuple[str, ...]
-    kinds: tuple[str, ...]
-    low: Floats
-    high: Floats
-    nominal: Floats
+    names: tuple[str, ...] = dataset("text", "P", "names of the parameters")
+    kinds: tuple[str, ...] = dataset(
+        "text",
+        "P",
+        "what each changes",
+        doc="what each changes: `young`, `density`, `morph`, `spring`, `preload`, `alpha` or `beta`",
+    )
+    low: Floats = dataset("real", "P", "least values")
+    high: Floats = dataset("real", "P", "largest values")
+    nominal: Floats = dataset("real", "P", "values of /bodies/NAME itself")
 
     @classmethod
     def of(cls, parameters: Sequence[Parameter]) -> Box:
@@ -122,7 +130,7 @@ class Box:
         )
         return cls(names=names, kinds=tuple(each.kind for each in parameters), low=low, high=high, nominal=nominal)
 
-    @property
+    @derived("text", "P", "units of the values", doc="SI units of the values")
     def units(self) -> tuple[str, ...]:
         """Units of the values."""
         return tuple(PROPERTIES[kind] for kind in self.kinds)

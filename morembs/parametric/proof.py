@@ -6,6 +6,7 @@ docs/methods.md has a section with the proof of each lemma.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,11 @@ from numpy.typing import NDArray
 from morembs.base.summary import upwards
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
-from morembs.problem.damping import Damping
 from morembs.storage.lemma import ESTIMATE, PROVEN, Lemma
+from morembs.storage.table import dataset
+
+if TYPE_CHECKING:
+    from morembs.problem.damping import Damping
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -23,11 +27,11 @@ class BoxCells:
     at the moduli of p_a, and ``least`` (c,), Lam^ for the softest and heaviest values, in (rad/s)2. ``proven`` (c,) by
     counts of eigenvalues, else estimated."""
 
-    low: Floats
-    high: Floats
-    alpha: Floats
-    least: Floats
-    proven: NDArray[np.bool_]
+    low: Floats = dataset("real", "c P", "least values of the cell")
+    high: Floats = dataset("real", "c P", "largest values of the cell")
+    alpha: Floats = dataset("any", "c", "part of the stiffness at the anchor that is left at least")
+    least: Floats = dataset("any", "c", "eigenvalue below which only deflated motions are", "1/s2")
+    proven: NDArray[np.bool_] = dataset("flag", "c", "1 where counts of eigenvalues prove both")
 
     def at(self, p: Floats) -> tuple[float, float, bool]:
         """alpha, Lam^ and whether they are proven at ``p`` (P,): of the best cell that holds it."""

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from morembs.fem.stress_operator import StressOperator
     from morembs.linalg.space import Space
     from morembs.parametric.model import ParametricModel
-    from morembs.reducers.switching_tables import StaticModeTables
+    from morembs.responses.static_mode_tables import StaticModeTables
 
 
 # What a reduced coordinate is; the body file stores the index in this table.

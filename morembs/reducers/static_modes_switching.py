@@ -1,7 +1,7 @@
 """Static modes switching (Heirman, Tamarozzi and Desmet 2011): a constant basis, and static modes for many loads.
 
 The reduced model is that of the constant basis, which any other reducer makes. The static modes of the candidates,
-psi_i = (G - V K_r^-1 V') b_i, go to tables (``switching_tables``). G is the flexibility of the free body (mean axes),
+psi_i = (G - V K_r^-1 V') b_i, go to tables (``static_mode_tables``). G is the flexibility of the free body (mean axes),
 or of the body held at its interfaces where the basis has constraint modes. psi_i is K-orthogonal to V. It is
 M-orthogonal to V where eigenmodes span V; else V' M psi_i is stored and its size noted.
 """
@@ -32,8 +32,8 @@ from morembs.reducers.gramian import Gramian
 from morembs.reducers.krylov import Krylov
 from morembs.reducers.modal import Modal
 from morembs.reducers.problem_summary import ProblemSummary
-from morembs.reducers.switching_tables import KINDS, StaticModeTables
 from morembs.reducers.tolerances import TOL
+from morembs.responses.static_mode_tables import KINDS, StaticModeTables
 
 _BASES: tuple[type[Reducer], ...] = (Modal, CraigBampton, FreeInterface, Krylov, Gramian)
 BASES = {reducer.method: reducer for reducer in _BASES}

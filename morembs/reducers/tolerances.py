@@ -150,11 +150,6 @@ class ReducerTolerances:
     # Columns that are solved for at a time.
     columns_at_once: int = 128
 
-    # Eigenvalue of the scaled stiffness of an active set, over the largest, that is zero.
-    rank: float = 1e-10
-    # Intervals, and windows for each, that are kept for reuse.
-    kept_intervals: int = 64
-
     # Tolerance of a Gramian, at least: the square, 1e-20, is what singular values below have in it.
     finest_tolerance: float = 1e-10
 

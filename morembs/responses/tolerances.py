@@ -55,6 +55,11 @@ class ResponseTolerances:
     # Relative distance of equal frequencies: an eigensolver mixes modes by its error, 1e-8, over their distance.
     equal_modes: float = 1e-6
 
+    # Eigenvalue of the scaled stiffness of an active set of static modes, over the largest, that is zero.
+    active_set_rank: float = 1e-10
+    # Intervals of a path of loads, and windows for each, that are kept for reuse.
+    kept_intervals: int = 64
+
     # Columns of a reference model: dense problems of that size take seconds.
     max_order: int = 2000
     # Blocks of the second-order Krylov space before its first look: two moments of displacement and velocity.

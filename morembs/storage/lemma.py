@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from morembs.base.errors import InputError
@@ -30,6 +30,11 @@ class Lemma:
 def kind_of(proof: Iterable[Lemma]) -> str:
     """What follows from all lemmas of a chain: "proven" exactly where all of them are."""
     return PROVEN if all(lemma.kind == PROVEN for lemma in proof) else ESTIMATE
+
+
+def proof_json(proof: Sequence[Lemma]) -> dict[str, Any] | None:
+    """The lemmas of a chain as a file keeps them, None where there are none."""
+    return {"lemmas": [asdict(lemma) for lemma in proof]} if proof else None
 
 
 def read_lemmas(stored: Mapping[str, Any]) -> tuple[Lemma, ...]:

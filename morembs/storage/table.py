@@ -1,16 +1,15 @@
-"""Tables of the datasets in a group: what its writer stores, its reader takes, its check expects and its page tells.
+"""Tables of datasets in a group: what its writer stores, its reader takes, its check expects and its page tells.
 
-A field of a dataclass that is a ``dataset`` is declared there alone; ``table_of`` gives the table of the class.
-``Writer.rows`` writes by a table, ``read_rows`` reads by it, ``TableCheck`` compares a file with it, and
-``scripts/schema.py`` writes the tables of the documentation.
+A dataset is declared once, at the field of a dataclass (``dataset``) or at a property that follows from fields
+(``derived``); ``table_of`` gives the table of the class. ``Writer.rows`` writes by a table, ``read_rows`` reads by it,
+``TableCheck`` compares a file with it, and ``scripts/schema.py`` writes the tables of the documentation.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, MISSING, dataclass, field, fields, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import count, takewhile
 from typing import Any, Generic, TypeVar
 
@@ -18,73 +17,9 @@ import h5py
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.storage.storable import json_text, storable, text
+from morembs.storage.kinds import KINDS, refuse_not_finite
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Kind:
-    """What a dataset holds: its type in files, its name in messages, the kinds of NumPy's types that are read, how a
-    value becomes an array, and how one that was read becomes a value."""
-
-    stored: str
-    words: str
-    dtypes: str
-    encode: Callable[[Any], Any]
-    decode: Callable[[Any], Any]
-
-
-def _floats(value: Any) -> Any:
-    return np.asarray(value, dtype=np.float64)
-
-
-def _integers(value: Any) -> Any:
-    return np.asarray(value, dtype=np.int64)
-
-
-def _value(value: Any) -> Any:
-    """An array, or one number of Python."""
-    return value if np.ndim(value) else value.item()
-
-
-def _lines(value: Any) -> Any:
-    """A text, or a tuple of them."""
-    return tuple(line.decode() for line in value.tolist()) if np.ndim(value) else value.decode()
-
-
-def _words(value: Any) -> Any:
-    """As ``_lines``, of programs that fill up with blanks, and of files whose names are no UTF-8."""
-    lines = [bytes(line).decode("utf-8", "surrogateescape").rstrip(" ") for line in np.atleast_1d(value)]
-    return tuple(lines) if np.ndim(value) else lines[0]
-
-
-def _text(value: Any) -> Any:
-    return text(*value) if isinstance(value, list | tuple) else storable(value)
-
-
-def _sentences(value: Any) -> tuple[str, ...]:
-    sentences = value.decode().strip()
-    return (sentences,) if sentences else ()
-
-
-KINDS = {
-    # Finite numbers; any, also infinite ones and NaN; those that are looked at when they are read.
-    "real": Kind("f8", "real numbers", "iuf", _floats, lambda value: _value(_floats(value))),
-    "any": Kind("f8", "real numbers", "iuf", _floats, _value),
-    "later": Kind("f8", "real numbers", "f", _floats, _value),
-    "whole": Kind("i8", "integers", "iu", _integers, lambda value: _value(_integers(value))),
-    # A few of them, as a tuple; those that keep their width.
-    "few": Kind("i8", "integers", "iu", _integers, lambda value: tuple(value.tolist())),
-    "index": Kind("i4 or i8", "integers", "iu", np.asarray, _value),
-    "code": Kind("u1", "integers", "iu", lambda value: np.asarray(value, dtype=np.uint8), _value),
-    "flag": Kind("u1", "integers", "iu", lambda value: value.astype(np.uint8), lambda value: value.astype(bool)),
-    "text": Kind("text", "text", "SO", _text, _lines),
-    "words": Kind("text", "text", "SO", _text, _words),
-    "json": Kind("text", "text", "SO", lambda value: storable(json_text(value)), json.loads),
-    # Sentences in one line of text.
-    "notes": Kind("text", "text", "SO", lambda value: storable("; ".join(value) or " "), _sentences),
-}
 
 
 @dataclass(frozen=True)
@@ -99,12 +34,19 @@ class Row:
             with a number before it that many times it; ``any`` is any size.
         about: what it is, the attribute ``description``; ``units`` the attribute of that name.
         doc: what the documentation says instead of ``about``.
+        since: version that wrote it first: files of earlier ones lack it.
         when: may be absent: in the words of the documentation, when.
+        most: whole numbers from 0 to this: a number or a size, ``6`` or ``n``, or places on it, ``n-1``.
+        known: texts, or names of a group's members, that are expected: these, or those that gave a size.
+        positive: a number above zero.
+        counts: the whole number is itself a size, this letter.
         field: where the value is found, and is put when it was read; by default the last part of ``name``.
         write: gives the value of the object that has the fields; by default that of ``field``.
         read: whether a reader takes it; what follows from other datasets is there for other programs.
         later: whether a reader takes it from the file at each use only.
         columns: each column lies in one piece, in single or double precision.
+        inline: the rows of its table stand in the same group as itself.
+        beside: of several objects in a sequence (``listed``): one dataset for all of them.
     """
 
     name: str
@@ -113,13 +55,27 @@ class Row:
     about: str = ""
     units: str = ""
     _: KW_ONLY
+    # Rows come in the order in which they were declared.
+    order: int = field(default_factory=count().__next__, compare=False)
     doc: str = ""
+    since: str = ""
     when: str = ""
+    most: str = ""
+    known: str | Sequence[str] = ()
+    positive: bool = False
+    counts: str = ""
     field: str = ""
     write: Callable[[Any], Any] | None = None
     read: bool = True
     later: bool = False
     columns: bool = False
+    inline: bool = False
+    beside: bool = False
+
+    @property
+    def optional(self) -> bool:
+        """Whether files without it are read."""
+        return bool(self.when or self.since)
 
     @property
     def many(self) -> bool:
@@ -143,6 +99,10 @@ class Row:
         value = whole[self.key] if isinstance(whole, Mapping) else getattr(whole, self.key)
         return (value() if value else None) if isinstance(value, Later) else value
 
+    def within(self, group: Any) -> bool:
+        """Whether any row of an ``inline`` table is in an open ``group``."""
+        return isinstance(self.kind, Table) and any(row.place in group for row in self.kind)
+
     def items(self, group: Any) -> dict[str, Any]:
         """Those in an open ``group``, of several, by what follows ``place`` in their paths."""
         if self.name.endswith("#"):
@@ -159,23 +119,37 @@ class Row:
         yield from ((f"{self.place}{name}", part) for name, part in value) if self.many else [(self.place, value)]
 
     def value(self, item: Any) -> Any:
-        """What an open dataset or group holds."""
+        """What an open dataset or group holds.
+
+        Raises:
+            InputError: numbers that are not finite, of a row whose numbers were not looked at before.
+        """
         if isinstance(self.kind, Table):
             return read_rows(item, self.kind)
-        return KINDS[self.kind].decode(_columns(item) if self.columns else item[()])
+        kind = KINDS[self.kind]
+        value = kind.decode(_columns(item) if self.columns else kind.read(item))
+        if self.kind == "later":
+            refuse_not_finite(item.file.filename, item.name.lstrip("/"), np.asarray(value))
+        return value
 
 
 @dataclass(frozen=True)
 class Table:
     """The rows of a group. What is stored there is ``build`` of the fields that were read, and ``parts`` of it are an
-    object or a mapping with the fields that are written."""
+    object or a mapping with the fields that are written; ``attributes`` are texts of the group."""
 
     rows: tuple[Row, ...]
     build: Callable[..., Any] = dict
-    parts: Callable[[Any], object] = lambda value: value
+    parts: Callable[[Any], Any] = lambda value: value
+    attributes: Mapping[str, str] = field(default_factory=dict)
 
     def __iter__(self) -> Iterator[Row]:
         return iter(self.rows)
+
+    def flat(self, whole: Any) -> dict[str, Any]:
+        """Values of an object by the paths of its datasets, ``None`` for those that it lacks."""
+        source = self.parts(whole)
+        return {name: value for row in self for name, value in row.parts(row.of(source))}
 
 
 def dataset(
@@ -187,14 +161,87 @@ def dataset(
     return field(**made, metadata={"row": Row(name, kind, *row, **more)})
 
 
-def table_of(kind: Any, **made: Callable[..., Any]) -> Table:
-    """The table of a dataclass: its fields that are datasets. ``made`` are ``build`` and ``parts`` of the table."""
+class Derived(cached_property[T]):
+    """A property that is a dataset of a file."""
+
+    row: Row
+
+
+def derived(
+    kind: str | Table, *row: str, name: str = "", read: bool = False, **more: Any
+) -> Callable[[Callable[[Any], T]], Derived[T]]:
+    """Decorates a method without arguments: a property that is kept, and a dataset that follows from the fields.
+
+    Readers leave it to other programs unless it is ``read``; the other arguments are those of ``Row``.
+    """
+
+    def decorate(function: Callable[[Any], T]) -> Derived[T]:
+        made = Derived(function)
+        made.row = Row(name or function.__name__, kind, *row, field=function.__name__, read=read, **more)
+        return made
+
+    return decorate
+
+
+def table_of(kind: Any, **made: Any) -> Table:
+    """The table of a dataclass: its fields and properties that are datasets. ``made`` are fields of ``Table``."""
     rows = [
         replace(row, name=row.name or each.name, field=each.name)
         for each in fields(kind)
         if (row := each.metadata.get("row")) is not None
     ]
-    return Table(tuple(rows), **({"build": kind} | made))
+    rows += [each.row for base in kind.__mro__ for each in vars(base).values() if isinstance(each, Derived)]
+    return Table(tuple(sorted(rows, key=lambda row: row.order)), **({"build": kind} | made))
+
+
+def listed(own: Table, name: str = "") -> Table:
+    """Several objects, each of the table ``own``: one dataset for all of them of each row ``beside``, the other rows in
+    groups NAME_0, NAME_1, ...; without a ``name`` all rows are beside."""
+    beside = [row for row in own if row.beside or not name]
+    inner = Table(tuple(row for row in own if row not in beside), parts=own.parts)
+
+    def parts(several: Sequence[Any]) -> dict[str, Any]:
+        columns = {row.key: [row.of(own.parts(each)) for each in several] for row in beside}
+        return columns | {name: several}
+
+    def build(**columns: Any) -> tuple[Any, ...]:
+        groups = columns.pop(name) if name else ()
+        rows = zip(*(_entries(column) for column in columns.values()), strict=True)
+        given = [dict(zip(columns, row, strict=True)) for row in rows] if columns else [{} for _ in groups]
+        if name:
+            given = [one | group for one, group in zip(given, groups, strict=True)]
+        return tuple(own.build(**values) for values in given)
+
+    return Table((*beside, *([Row(f"{name}_#", inner, field=name)] if name else [])), build, parts)
+
+
+def variants(kinds: Mapping[str, type], about: Row, *more: Row) -> Table:
+    """Objects of several dataclasses, told apart by their names in the dataset ``about``; datasets of one name mean the
+    same in all. Of ``more`` rows a mapping that is written has the values."""
+    tables = {name: table_of(kind) for name, kind in kinds.items()}
+    rows = {row.name: replace(row, field=row.name, write=None) for table in tables.values() for row in table}
+    for name, row in rows.items():
+        owners = [kind for kind, table in tables.items() if name in [own.name for own in table]]
+        if len(owners) < len(tables):
+            rows[name] = replace(row, when=row.when or f"of `{'`, `'.join(owners)}`")
+
+    def parts(whole: Any) -> Mapping[str, Any]:
+        if isinstance(whole, Mapping):
+            return whole
+        name = next(name for name, kind in kinds.items() if isinstance(whole, kind))
+        return dict.fromkeys(rows) | {row.name: row.of(whole) for row in tables[name]} | {about.key: name}
+
+    def build(**values: Any) -> Any:
+        name = values.pop(about.key)
+        if name not in kinds:
+            raise InputError(f"the {about.key} {name!r} was given; expected {' or '.join(kinds)}")
+        return kinds[name](**{row.key: values[row.name] for row in tables[name] if row.name in values})
+
+    return Table((about, *rows.values(), *more), build, parts)
+
+
+def _entries(column: Any) -> Any:
+    return column.tolist() if isinstance(column, np.ndarray) and column.ndim == 1 else column
 
 
 @dataclass(frozen=True)
@@ -237,16 +284,20 @@ def read_rows(
     """
     values, missing = dict[str, Any](), []
     for row in table:
-        item = None if row.many else group.get(row.place)
+        item = None if row.many or row.inline else group.get(row.place)
         if row.many:
             several = {name: row.value(inner) for name, inner in row.items(group).items()}
-            values[row.key] = several if row.name.endswith("*") else tuple(several.values())
+            if row.read:
+                values[row.key] = several if row.name.endswith("*") else tuple(several.values())
+        elif row.inline:
+            if not row.optional or row.within(group):
+                values[row.key] = row.value(group)
         elif isinstance(item, h5py.Group if isinstance(row.kind, Table) else h5py.Dataset):
             if row.later and later is not None:
                 values[row.key] = later(row)
             elif row.read and not row.later:
                 values[row.key] = row.value(item)
-        elif not row.when:
+        elif not row.optional:
             missing.append(row.place)
     if missing:
         raise InputError(f"{lacking} {', '.join(missing)}; write the file again")

@@ -1,4 +1,4 @@
-"""Does a file hold what its tables say? Kinds and shapes of datasets, before anything is made of them."""
+"""Does a file hold what its tables say? Kinds, shapes and limits of datasets, before anything is made of them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
-from morembs.storage.table import KINDS, Row, Table
+from morembs.storage.kinds import KINDS, refuse_not_finite
+from morembs.storage.table import Row, Table
 
 # Letter of a table -> its size, and the dataset that gave it.
 Sizes = dict[str, tuple[int, str]]
@@ -34,23 +34,33 @@ class TableCheck:
         Raises:
             InputError: a dataset is missing, or is not what it should be; its name is in the message.
         """
-        missing = []
-        for row in table:
-            place = at + row.place
-            item = None if row.many else self.file.get(place)
-            if row.many:
-                for name, inner in row.items(self.file[at] if at else self.file).items():
-                    self._row(place + name, inner, row, sizes)
-            elif isinstance(row.kind, Table) or isinstance(item, h5py.Dataset):
-                if item is not None or not row.when:
-                    self._row(place, item, row, sizes)
-            elif not row.when:
-                missing.append(place)
-            elif item is not None:
-                raise self.refuse(place, "is a group", "a dataset")
+        missing: list[str] = []
+        self._kinds(at, table, sizes, missing)
         if missing:
             names = ", ".join(f"/{place}" for place in missing)
             raise InputError(f"{self.path} is an incomplete {self.what}; missing: {names}; {self.cure}")
+        # Sizes that limit others may be given by any row.
+        for row in table:
+            self._limits(at, row, sizes)
+
+    def _kinds(self, at: str, table: Table, sizes: Sizes, missing: list[str]) -> None:
+        group = self.file.get(at, {}) if at else self.file
+        for row in table:
+            place = at + row.place
+            item = None if row.many or row.inline else self.file.get(place)
+            if row.many:
+                for name, inner in row.items(group).items():
+                    self._row(place + name, inner, row, sizes)
+            elif row.inline and isinstance(row.kind, Table):
+                if not row.optional or row.within(group):
+                    self.table(at, row.kind, sizes)
+            elif isinstance(row.kind, Table) or isinstance(item, h5py.Dataset):
+                if item is not None or not row.optional:
+                    self._row(place, item, row, sizes)
+            elif not row.optional:
+                missing.append(place)
+            elif item is not None:
+                raise self.refuse(place, "is a group", "a dataset")
 
     def _row(self, name: str, item: Any, row: Row, sizes: Sizes) -> None:
         """One group, or one dataset: its kind, its shape, and what it holds."""
@@ -70,6 +80,8 @@ class TableCheck:
             refuse_not_finite(self.path, name, item[()])
         if row.kind in ("text", "json", "notes"):
             self._text(name, item, "JSON" if row.kind == "json" else "text")
+        if row.counts:
+            sizes[row.counts] = int(item[()]), name
 
     def _shape(self, name: str, item: Any, wanted: Sequence[str], sizes: Sizes) -> None:
         bad, words, givers = len(item.shape) != len(wanted), [], []
@@ -96,23 +108,42 @@ class TableCheck:
         except (AttributeError, ValueError) as error:
             raise self.refuse(name, f"cannot be read ({error})", expected) from error
 
+    def _limits(self, at: str, row: Row, sizes: Sizes) -> None:
+        """What a row that is there may hold."""
+        name = (at + row.place).rstrip("/")
+        if row.inline or not (row.known or row.most or row.positive) or name not in self.file:
+            return
+        item = self.file[name]
+        if row.positive and not float(item[()]) > 0:
+            raise self.refuse(name, f"is {float(item[()]):g}", "more than zero")
+        if row.most:
+            self.at_most(name, *self._most(row.most, sizes))
+        if row.known:
+            known, where = self._known(row.known, sizes)
+            for text in list(item) if row.many else KINDS["text"].decode(np.atleast_1d(item[()])):
+                if text not in known:
+                    raise self.refuse(name, f"has {text!r}", f"one of {', '.join(known) or 'none'}{where}")
 
-def refuse_not_finite(path: Path | str, name: str, values: NDArray[Any]) -> None:
-    """Refuse numbers of the dataset ``name`` that are NaN or infinite.
+    def at_most(self, name: str, most: int, why: str = "", where: Any = slice(None), least: int = 0) -> None:
+        """Whole numbers from ``least`` to ``most``, those that ``where`` picks.
 
-    Raises:
-        InputError: there are some; the place of the first one is in the message.
-    """
-    if values.ndim == 2:
-        # A mask of a whole matrix would take much memory.
-        bad = next((j for j in range(values.shape[1]) if not np.isfinite(values[:, j]).all()), None)
-        if bad is not None:
-            refuse_not_finite(path, f"{name}[:, {bad}]", values[:, bad])
-        return
-    finite = np.isfinite(values)
-    if not finite.all():
-        at = tuple(int(i) for i in np.unravel_index(int(np.argmin(finite)), values.shape)) if values.ndim else ()
-        where = f" at {list(at)}" if at else ""
-        raise InputError(
-            f"{path}: /{name} holds {values[at]}{where}; expected finite numbers; the file is damaged, write it again"
-        )
+        Raises:
+            InputError: another one is among them.
+        """
+        values = np.ravel(self.file[name][()])[where]
+        bad = [value for value in (values.min(initial=least), values.max(initial=least)) if not least <= value <= most]
+        if bad and len(values):
+            raise self.refuse(name, f"holds {bad[0]}", f"{least} to {most}{why}")
+
+    def _most(self, most: str, sizes: Sizes) -> tuple[int, str]:
+        """The largest number, and why."""
+        letter, _, places = most.partition("-")
+        size, giver = (int(letter), "") if letter.isdecimal() else sizes[letter]
+        return (size - 1, f", places in /{giver}") if places else (size, "")
+
+    def _known(self, known: str | Sequence[str], sizes: Sizes) -> tuple[Sequence[str], str]:
+        """Texts that are expected, and where they stand."""
+        if not isinstance(known, str):
+            return known, ""
+        giver = sizes[known][1]
+        return KINDS["text"].decode(self.file[giver][()]), f", of /{giver}"

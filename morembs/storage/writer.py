@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.storage.checksums import seal
+from morembs.storage.kinds import KINDS
 from morembs.storage.safefile import SafeFile, replacing
 from morembs.storage.storable import plain, storable
-from morembs.storage.table import KINDS, Table
+from morembs.storage.table import Table
 from morembs.storage.tolerances import TOL
 
 
@@ -100,7 +101,10 @@ class Writer:
         source = table.parts(whole)
         for row in table:
             value = given[row.key] if row.key in given else row.of(source)
-            if row.when and value is None:
+            if value is None and row.optional:
+                continue
+            if row.inline and isinstance(row.kind, Table):
+                self.rows(at, row.kind, value)
                 continue
             for name, part in row.parts(value):
                 if isinstance(row.kind, Table):
@@ -109,6 +113,8 @@ class Writer:
                     self.columns(at + name, part, row.about, row.units)
                 else:
                     self.put(at + name, KINDS[row.kind].encode(part), row.about, row.units)
+        for name, words in table.attributes.items():
+            self.file[at or "/"].attrs[name] = np.bytes_(words)
 
     def tree(self, name: str, value: object) -> None:
         """Store nested mappings as groups; None is left out, rows of equal keys become columns."""

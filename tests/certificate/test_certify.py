@@ -14,7 +14,8 @@ import scipy.sparse as sp
 
 from morembs.base.errors import InputError, SolverError
 from morembs.base.units import parse_units
-from morembs.certificate.certify import Certificate, certify
+from morembs.certificate.certify import certify
+from morembs.certificate.record import Certificate
 from morembs.fem import DofMap, FEModel
 from morembs.fem.interface import make_interface
 from morembs.importers import read_mesh

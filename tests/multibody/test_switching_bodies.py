@@ -20,7 +20,7 @@ from morembs.fem.interface import make_interface
 from morembs.fem.stress_operator import stress_operator
 from morembs.problem import Problem
 from morembs.reducers import StaticModesSwitching
-from morembs.reducers.switching_tables import StaticModeTables
+from morembs.responses.static_mode_tables import StaticModeTables
 from tests.support.meshes import box, steel, where
 from tests.support.sliding import reduced_beam
 

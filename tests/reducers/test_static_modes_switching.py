@@ -7,15 +7,14 @@ import scipy.sparse as sp
 
 from morembs.base.budget import Budget
 from morembs.base.errors import InputError
-from morembs.body.tables import SWITCHING
 from morembs.fem import DofMap, FEModel, Nodes
 from morembs.fem.interface import make_interface
 from morembs.fem.stress_operator import stress_operator
 from morembs.problem import Problem
 from morembs.reducers import REDUCERS, StaticModesSwitching
 from morembs.reducers import candidates as candidate_module
-from morembs.reducers.switching_tables import active_set
-from morembs.storage.table import read_rows
+from morembs.responses.static_mode_tables import StaticModeTables, active_set
+from morembs.storage.table import read_rows, table_of
 from morembs.storage.writer import Writer
 from tests.support.meshes import box, steel, where
 from tests.support.sliding import hermite_beam
@@ -225,15 +224,15 @@ def test_round_trip_through_a_file(tmp_path):
         )
         tables = reducer.switching(problem, reducer.reduce(problem))
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        Writer(file).rows("switching/", SWITCHING, tables)
-        back = read_rows(file["switching"], SWITCHING, "the switching data lack")
+        Writer(file).rows("switching/", table_of(StaticModeTables), tables)
+        back = read_rows(file["switching"], table_of(StaticModeTables), "the switching data lack")
         for name, value in vars(tables).items():
             if isinstance(value, np.ndarray):
                 assert np.array_equal(getattr(back, name), value), name
         assert back.kind == tables.kind and dict(back.notes) == dict(tables.notes)
         del file["switching/stiffness"]
         with pytest.raises(InputError, match="lack stiffness"):
-            read_rows(file["switching"], SWITCHING, "the switching data lack")
+            read_rows(file["switching"], table_of(StaticModeTables), "the switching data lack")
 
 
 def test_bad_input_is_named():

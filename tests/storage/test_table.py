@@ -1,5 +1,9 @@
 """Tables of datasets: what is written by one is read back by it, and what a file lacks or holds else is named."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
@@ -7,7 +11,7 @@ import numpy as np
 import pytest
 
 from morembs.base.errors import InputError
-from morembs.storage.table import Row, Table, read_rows
+from morembs.storage.table import Row, Table, dataset, derived, listed, read_rows, table_of, variants
 from morembs.storage.table_check import TableCheck
 from morembs.storage.writer import Columns, Writer, writing
 
@@ -83,3 +87,118 @@ def test_matrices_without_columns_and_in_blocks(tmp_path: Path) -> None:
         Writer(file).columns("two", Columns((2, 3), np.float32, (np.full((2, k), k) for k in (1, 2))))
         assert file["none"].shape == (3, 0)
         assert file["two"][()].tolist() == [[1, 2, 2], [1, 2, 2]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Place:
+    """Stands in the group of what it belongs to."""
+
+    x: np.ndarray = dataset("real", "N", "along the line", "m", name="line/x")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spring:
+    name: str = dataset("text", "springs", name="names", beside=True)
+    ends: np.ndarray = dataset("whole", "2", most="N-1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weight:
+    node: int = dataset("whole", most="N-1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Load:
+    node: int = dataset("whole", most="N-1")
+    force: float = dataset("real", units="N")
+
+
+ACTING = variants({"weight": Weight, "load": Load}, Row("kind", "text"))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Chain:
+    """Everything that a declaration can say."""
+
+    place: Place = dataset(table_of(Place), inline=True)
+    springs: tuple[Spring, ...] = dataset(listed(table_of(Spring), "spring"))
+    acting: tuple[Weight | Load, ...] = dataset(listed(ACTING, "acting"))
+    solver: str = dataset("text", known=("direct", "iterative"), default="direct", since="0.2")
+    mass: float = dataset("real", positive=True)
+    first: int = dataset("whole", counts="f", most="N")
+    loads: Mapping[str, float] = dataset("real", name="loads/*", known="springs", default_factory=dict)
+
+    @derived("text", "springs")
+    def names(self) -> list[str]:
+        return [spring.name for spring in self.springs]
+
+    @derived("real", "", "distance of the ends", "m")
+    def length(self) -> float:
+        return float(np.ptp(self.place.x))
+
+
+CHAIN = table_of(Chain, attributes={"format": "chain"})
+
+
+@pytest.fixture
+def chain() -> Chain:
+    springs = tuple(Spring(name=name, ends=np.array([i, i + 1])) for i, name in enumerate(("near", "far")))
+    acting = (Load(node=2, force=3.0), Weight(node=1))
+    place = Place(x=np.array([0.0, 1.0, 3.0]))
+    return Chain(place=place, springs=springs, acting=acting, mass=2.0, first=2, loads={"far": 1.5})
+
+
+@pytest.fixture
+def chain_file(tmp_path: Path, chain: Chain) -> Path:
+    with writing(tmp_path / "chain.h5") as out:
+        out.rows("", CHAIN, chain)
+    return tmp_path / "chain.h5"
+
+
+def test_classes_are_read_back_from_their_declarations(chain_file: Path, chain: Chain) -> None:
+    with h5py.File(chain_file) as file:
+        TableCheck(chain_file, file, "file").table("", CHAIN, {})
+        again = read_rows(file, CHAIN)
+        assert file["length"][()] == 3.0 and file["length"].attrs["units"] == b"m" and file.attrs["format"] == b"chain"
+        assert file["springs/names"][()].tolist() == [b"near", b"far"] and "name" not in file["springs/spring_0"]
+        assert "force" not in file["acting/acting_1"]
+    np.testing.assert_equal(again.place.x, chain.place.x)
+    assert again.acting == chain.acting and again.loads == chain.loads and again.solver == "direct"
+    assert [(spring.name, spring.ends.tolist()) for spring in again.springs] == [("near", [0, 1]), ("far", [1, 2])]
+
+
+def test_files_before_a_dataset_are_read(chain_file: Path) -> None:
+    with h5py.File(chain_file, "a") as file:
+        del file["solver"]
+        TableCheck(chain_file, file, "file").table("", CHAIN, {})
+        assert read_rows(file, CHAIN).solver == "direct"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("solver", np.bytes_("magic"), "/solver has 'magic'; expected one of direct, iterative; the file is damaged"),
+        ("mass", 0.0, "/mass is 0; expected more than zero"),
+        ("first", 4, "/first holds 4; expected 0 to 3"),
+        ("springs/spring_1/ends", [1, 3], "/springs/spring_1/ends holds 3; expected 0 to 2, places in /line/x"),
+        ("acting/acting_1/node", -1, "/acting/acting_1/node holds -1; expected 0 to 2, places in /line/x"),
+        ("loads/middle", 1.0, "/loads has 'middle'; expected one of near, far, of /names"),
+        ("line/x", None, "missing: /line/x"),
+    ],
+)
+def test_limits_are_those_of_the_declaration(chain_file: Path, name: str, value: object, words: str) -> None:
+    with h5py.File(chain_file, "a") as file:
+        if name in file:
+            del file[name]
+        if value is not None:
+            file[name] = value
+        with pytest.raises(InputError, match=words):
+            TableCheck(chain_file, file, "file").table("", CHAIN, {})
+
+
+def test_an_unknown_variant_is_refused(chain_file: Path) -> None:
+    with h5py.File(chain_file, "a") as file:
+        del file["acting/acting_0/kind"]
+        file["acting/acting_0/kind"] = np.bytes_("moment")
+        with pytest.raises(InputError, match="the kind 'moment' was given; expected weight or load"):
+            read_rows(file, CHAIN)

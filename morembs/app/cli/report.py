@@ -33,11 +33,11 @@ from morembs.app.jobs.stages.forecast import JobForecast
 from morembs.base.progress import duration_words
 from morembs.base.types import Floats
 from morembs.body import Body
-from morembs.body.tables import certificate_values
+from morembs.certificate.record import CERTIFICATE
 from morembs.storage.checksums import whole_sum
 
 if TYPE_CHECKING:
-    from morembs.certificate.certify import Certificate
+    from morembs.certificate.record import Certificate
 
 # Rows of a forecast that their keys do not explain.
 LABELS = {
@@ -165,7 +165,7 @@ def _print_certificates(console: Console, bodies: Sequence[Body]) -> None:
     known = []
     for body in bodies:
         if body.certificate is not None:
-            values = dict(certificate_values(body.certificate))
+            values = CERTIFICATE.flat(body.certificate)
             choice = [str(body.recipe["choice"])] if "choice" in body.recipe else []
             known.append(Certified(name=body.name, order=body.reduced.order, values=values, notes=choice))
     print_certificates(console, known, [interface.name for interface in bodies[0].part.interfaces])

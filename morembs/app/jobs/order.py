@@ -12,7 +12,7 @@ from morembs.app.jobs.files import inputs_of, results_of
 from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.model import mesh_of
 from morembs.base.errors import InputError, MorembsError
-from morembs.body.tables import FORMAT
+from morembs.body.stored import FORMAT
 from morembs.storage.contents import Place, own_files, place_of
 from morembs.storage.hdf5 import holds_format
 

@@ -14,7 +14,7 @@ from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
 
 if TYPE_CHECKING:
-    from morembs.certificate.certify import Certificate
+    from morembs.certificate.record import Certificate
 
 # What is drawn: label, attribute, marker.
 ERRORS = (("largest", "error", "o"), ("static", "static_error", "s"), ("an interface held, median", "held_error", "^"))

@@ -9,7 +9,7 @@ is chosen, and changed, after the reduction, and the stiffness is the same in al
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,10 +18,11 @@ from morembs.base.errors import InputError, nearest
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.body.floating.integrals import ShapeIntegrals, shape_integrals
-from morembs.body.floating.stiffening import Stiffening
+from morembs.body.floating.stiffening import STIFFENING, Stiffening
 from morembs.body.floating.tolerances import TOL
 from morembs.fem import frozen_numbers, rigid_motion, skew
 from morembs.fem.fe_model import has_places
+from morembs.storage.table import dataset, table_of
 
 if TYPE_CHECKING:
     from morembs.problem import Problem
@@ -37,8 +38,8 @@ class InterfaceMarker:
     """The frame of an interface: ``point`` (3,) undeformed, from the origin of the body frame; ``motion`` (6, n)
     displacement and small rotation for each elastic coordinate."""
 
-    point: Floats
-    motion: Floats
+    point: Floats = dataset("real", "3", "undeformed, from the origin", "m")
+    motion: Floats = dataset("real", "6 ne", "displacement and small rotation per coordinate")
 
     def __post_init__(self) -> None:
         for name in ("point", "motion"):
@@ -59,17 +60,40 @@ class FloatingFrame:
     FloatingFrame: kind tangent; interfaces LEFT; elastic coordinates 12; mass 7.85; markers LEFT, RIGHT
     """
 
-    kind: str
-    interfaces: tuple[str, ...] = ()
-    origin: Floats
-    elastic: Floats
-    rigid: Floats
-    integrals: ShapeIntegrals
-    Ke: Floats
-    De: Floats
-    markers: Mapping[str, InterfaceMarker]
-    stiffening: Stiffening | None = None
-    notes: tuple[str, ...] = field(default_factory=tuple)
+    kind: str = dataset(
+        "text",
+        "",
+        "conditions that the frame follows",
+        doc="`mean-axes`, `center-of-mass`, `tangent` or `chord`: how the body frame follows the body",
+        known=tuple(FRAMES),
+    )
+    interfaces: tuple[str, ...] = dataset(
+        "text",
+        "any",
+        "that it follows",
+        default=(),
+        doc="interfaces that it follows",
+        when="where it follows any",
+        known="interfaces",
+        write=lambda frame: frame.interfaces or None,
+    )
+    origin: Floats = dataset(
+        "real",
+        "3",
+        "of the frame, in coordinates of the model",
+        "m",
+        doc="of the frame, in coordinates of the model; its axes are those of the model",
+    )
+    elastic: Floats = dataset("real", "n ne", "reduced coordinates of the elastic ones")
+    rigid: Floats = dataset("real", "n 6", "reduced coordinates of unit translations and rotations about the origin")
+    Ke: Floats = dataset("real", "ne ne", "stiffness of the elastic coordinates")
+    De: Floats = dataset("real", "ne ne", "damping of the elastic coordinates")
+    integrals: ShapeIntegrals = dataset(table_of(ShapeIntegrals))
+    markers: Mapping[str, InterfaceMarker] = dataset(table_of(InterfaceMarker), name="markers/*", known="interfaces")
+    notes: tuple[str, ...] = dataset("notes", default_factory=tuple, doc="what is not exact")
+    stiffening: Stiffening | None = dataset(
+        STIFFENING, default=None, doc="geometric stiffening, if that was asked for: see below", when="if"
+    )
 
     def __post_init__(self) -> None:
         for name in ("origin", "elastic", "rigid", "Ke", "De"):

@@ -20,6 +20,7 @@ from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.body.floating.tolerances import TOL
 from morembs.fem import FEModel, frozen_numbers, rigid_motion, skew
+from morembs.storage.table import dataset, derived
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 PERMUTATION = np.array([[[(a - b) * (b - c) * (c - a) / 2 for c in range(3)] for b in range(3)] for a in range(3)])
 # Pairs of axes in the order xx, yy, zz, xy, yz, zx.
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
+_FOLLOWS = "follows from those above"
 
 
 @summarised
@@ -41,15 +43,15 @@ class ShapeIntegrals:
     ``x_phi`` (3, 3, n) [a, b, l] int x_a phi_b,l; ``phi_phi`` (3, 3, n, n) [a, b, k, l] int phi_a,k phi_b,l.
     """
 
-    mass: float
-    first: Floats
-    inertia: Floats
-    second: Floats
-    Ct: Floats
-    Cr: Floats
-    Me: Floats
-    x_phi: Floats
-    phi_phi: Floats
+    mass: float = dataset("real", "", units="kg", doc="mass", positive=True)
+    first: Floats = dataset("real", "3", "int x dm; x from the origin, phi the shapes", "kg m")
+    inertia: Floats = dataset("real", "3 3", "about the origin", "kg m2")
+    second: Floats = dataset("real", "3 3", "int x x' dm", "kg m2")
+    Ct: Floats = dataset("real", "ne 3", "int phi dm")
+    Cr: Floats = dataset("real", "ne 3", "int x cross phi dm")
+    Me: Floats = dataset("real", "ne ne", "int phi . phi dm")
+    x_phi: Floats = dataset("real", "3 3 ne", "[a, b, l]: int x_a phi_b,l dm")
+    phi_phi: Floats = dataset("real", "3 3 ne ne", "[a, b, k, l]: int phi_a,k phi_b,l dm")
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -72,44 +74,44 @@ class ShapeIntegrals:
         arm = skew(self.first)
         return np.block([[self.mass * np.eye(3), -arm], [arm, self.inertia]])
 
-    @cached_property
+    @derived("later", "ne 3 3", "int x~ phi~ dm", when=_FOLLOWS)
     def C4(self) -> Floats:
         """(n, 3, 3): int x~ phi_l~."""
         trace = np.einsum("aal->l", self.x_phi)
         return np.asarray(self.x_phi.transpose(2, 1, 0) - trace[:, None, None] * np.eye(3))
 
-    @cached_property
+    @derived("later", "ne ne 3 3", "int phi_k~ phi_l~ dm", when=_FOLLOWS)
     def C6(self) -> Floats:
         """(n, n, 3, 3): int phi_k~ phi_l~."""
         trace = np.einsum("aakl->kl", self.phi_phi)
         return np.asarray(self.phi_phi.transpose(2, 3, 1, 0) - trace[:, :, None, None] * np.eye(3))
 
-    @cached_property
+    @derived("later", "ne ne 3", "[l, k, a]: Cr per coordinate k", when=_FOLLOWS)
     def Cr1(self) -> Floats:
         """(n, n, 3) [l, k, a]: what q_k adds to row l of Cr."""
         return np.asarray(np.einsum("abc,bckl->lka", PERMUTATION, self.phi_phi))
 
-    @property
+    @derived("later", "ne 3 3", "inertia per coordinate", when=_FOLLOWS)
     def J1(self) -> Floats:
         """(n, 3, 3): what q_l adds to the inertia."""
         return np.asarray(-(self.C4 + self.C4.transpose(0, 2, 1)))
 
-    @property
+    @derived("later", "ne 3 3", "gyroscopic moments", doc="gyroscopic moments, -2 C4", when=_FOLLOWS)
     def Gr(self) -> Floats:
         """(n, 3, 3): gyroscopic moments Gr_l q'_l w."""
         return np.asarray(-2 * self.C4)
 
-    @property
+    @derived("later", "ne ne 3", "gyroscopic forces", when=_FOLLOWS)
     def Ge(self) -> Floats:
         """(n, n, 3): gyroscopic forces sum_k q'_k Ge_k w, Ge_k (n, 3)."""
         return np.asarray(2 * self.Cr1.transpose(1, 0, 2))
 
-    @cached_property
+    @derived("later", "ne 6", "centrifugal forces, w_a w_b in the order xx, yy, zz, xy, yz, zx", when=_FOLLOWS)
     def Oe(self) -> Floats:
         """(n, 6): centrifugal forces on w_a w_b in the order xx, yy, zz, xy, yz, zx."""
         return _by_pairs(self.C4)
 
-    @cached_property
+    @derived("later", "ne 6 ne", "[i, ab, l]: Oe per coordinate l", when=_FOLLOWS)
     def Oe1(self) -> Floats:
         """(n, 6, n) [i, ab, l]: what q_l adds to row i of Oe."""
         return np.asarray(_by_pairs(self.C6).transpose(0, 2, 1))

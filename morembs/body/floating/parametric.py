@@ -18,6 +18,7 @@ from morembs.body.floating.frame import FloatingFrame, InterfaceMarker, frame_ab
 from morembs.body.floating.integrals import PERMUTATION, ShapeIntegrals
 from morembs.body.floating.tolerances import TOL
 from morembs.fem import skew
+from morembs.storage.table import dataset
 
 if TYPE_CHECKING:
     from morembs.parametric.model import ModelAt
@@ -33,15 +34,19 @@ class FrameTerms:
     motions (6, n) of the interfaces and ``points`` (1 + morphs, 3) their places, by name.
     """
 
-    pole: Floats
-    mass: Floats
-    first: Floats
-    second: Floats
-    Ct: Floats
-    x_phi: Floats
-    phi_phi: Floats
-    markers: Mapping[str, Floats]
-    points: Mapping[str, Floats]
+    pole: Floats = dataset("real", "3", "about which the integrals are", "m")
+    mass: Floats = dataset("real", "J", "of each term")
+    first: Floats = dataset("real", "J f 3", "int x dm, x0 and the displacement of each morph")
+    second: Floats = dataset("real", "J f 3 f 3", "int x x' dm of each two of them")
+    Ct: Floats = dataset("real", "J n 3", "int phi dm, phi the columns of the basis")
+    x_phi: Floats = dataset("later", "J f 3 3 n", "[j, i, a, b, l]: int x_a phi_b,l dm")
+    phi_phi: Floats = dataset("later", "J 3 3 n n", "[j, a, b, k, l]: int phi_a,k phi_b,l dm")
+    markers: Mapping[str, Floats] = dataset(
+        "real", "6 n", "displacement and small rotation of the interface per coordinate", name="markers/*"
+    )
+    points: Mapping[str, Floats] = dataset(
+        "real", "f 3", "place of the interface, and its displacement by each morph", "m", name="points/*"
+    )
 
     def point(self, name: str, at: ModelAt) -> Floats:
         """Place (3,) of an interface in the model."""

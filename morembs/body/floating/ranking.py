@@ -15,6 +15,7 @@ from morembs.base.types import Floats
 from morembs.body.floating.frame import FloatingFrame
 from morembs.body.floating.integrals import ShapeIntegrals
 from morembs.body.floating.stiffening import Envelope
+from morembs.storage.table import dataset
 
 EQUATIONS = ("force", "moment", "elastic")
 
@@ -23,9 +24,20 @@ EQUATIONS = ("force", "moment", "elastic")
 class RankedTerm:
     """``share`` (0 to 1) of a term in the sum of all magnitudes of its ``equation``, where it is largest."""
 
-    name: str
-    equation: str
-    share: float
+    name: str = dataset("text", "terms", "inertia terms, those that matter most first", name="terms")
+    equation: str = dataset(
+        "text",
+        "terms",
+        "where the term is largest",
+        name="equations",
+        doc="`force`, `moment` or `elastic`: where the term is largest",
+    )
+    share: float = dataset(
+        "any",
+        "terms",
+        "in all magnitudes of that equation",
+        doc="of the term in the magnitudes of that equation, an upper estimate",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ from morembs.base.arguments import refuse_out_of_range
 from morembs.base.errors import InputError
 from morembs.base.types import Complexes, Floats
 from morembs.body.floating.tolerances import TOL
+from morembs.storage.table import dataset
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -21,14 +22,35 @@ class ReducedSpin:
     ``elongation`` (Nc,) is the static displacement in m per (rad/s)^2, in coupled dofs; in a file of its nodes (3 N,).
     """
 
-    C: Floats
-    S: Floats
-    Kg: Floats
-    held: Floats
-    elongation: Floats
-    axis: Floats
-    point: Floats
-    speeds: Floats
+    C: Floats = dataset(
+        "real",
+        "n n",
+        "Coriolis matrix per rad/s: add 2 W C to damping_matrix; skew",
+        doc="Coriolis matrix per rad/s, skew: 2 W C is added to `damping_matrix` at the speed W",
+    )
+    S: Floats = dataset(
+        "real",
+        "n n",
+        "spin softening per (rad/s)2: take W2 S from stiffness_matrix",
+        doc="spin softening: W² S is taken from `stiffness_matrix`",
+    )
+    Kg: Floats = dataset(
+        "real",
+        "n n",
+        "stiffness of the centrifugal stress per (rad/s)2: add W2 Kg to stiffness_matrix",
+        doc="stiffness of the centrifugal stress: W² Kg is added to `stiffness_matrix`",
+    )
+    held: Floats = dataset("real", "h n", "motions of the interfaces that are at rest in the frame that turns")
+    elongation: Floats = dataset("real", "3N", "static displacement of the nodes per (rad/s)2", "m s2")
+    axis: Floats = dataset("real", "3", "unit axis", doc="unit axis of the spin")
+    point: Floats = dataset("real", "3", "a point of the axis", "m")
+    speeds: Floats = dataset(
+        "real",
+        "speeds",
+        "with modes compared to those of the full model",
+        "rad/s",
+        doc="speeds at which modes were compared with those of the full model; the recipe has the deviations",
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,7 +13,8 @@ one unit of its load causes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -24,8 +25,10 @@ from morembs.base.tolerances import TOL as BASE
 from morembs.base.types import Floats
 from morembs.body.floating.integrals import PAIRS
 from morembs.fem import frozen
+from morembs.storage.table import dataset, derived, table_of
 
 AXES = "xyz"
+_TERMS = "where there are any"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,19 +89,52 @@ class Stiffening:
     The terms belong to the conditions of their frame: another frame needs its own.
     """
 
-    acceleration: Floats
-    angular_acceleration: Floats
-    rotation: Floats
-    wrench: Mapping[str, Floats]
-    share: Mapping[str, float] = field(default_factory=dict)
-    load: Mapping[str, float] = field(default_factory=dict)
-    dropped: tuple[str, ...] = ()
-    least_share: float = 0.0
+    acceleration: Floats = dataset("real", "3 ne ne", "geometric stiffness per acceleration of the frame", "s2/m")
+    angular_acceleration: Floats = dataset("real", "3 ne ne", "the same per angular acceleration", "s2")
+    rotation: Floats = dataset("real", "6 ne ne", "per w_a w_b in the order xx, yy, zz, xy, yz, zx", "s2")
+    wrench: Mapping[str, Floats] = dataset(
+        "real",
+        "6 ne ne",
+        "per force (3) and moment (3) of the interface, axes of the body",
+        name="wrench/*",
+        known="interfaces",
+    )
+    share: Mapping[str, float] = dataset(
+        "any",
+        "loads",
+        "of each term beside Ke, at its load",
+        default_factory=dict,
+        when=_TERMS,
+        write=lambda own: list(own.share.values()) or None,
+    )
+    load: Mapping[str, float] = dataset(
+        "any",
+        "loads",
+        "of each term: its largest value in use, or one",
+        default_factory=dict,
+        when=_TERMS,
+        write=lambda own: [own.load.get(name, 1.0) for name in own.share] or None,
+    )
+    dropped: tuple[str, ...] = dataset(
+        "text",
+        "any",
+        "terms that were left out",
+        default=(),
+        doc="terms that were left out, which are zero",
+        when=_TERMS,
+        write=lambda own: own.dropped or None,
+    )
+    least_share: float = dataset("real", "", "terms below this part of Ke were left out", default=0.0)
 
     def __post_init__(self) -> None:
         for name in ("acceleration", "angular_acceleration", "rotation"):
             object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=float)))
         object.__setattr__(self, "wrench", {name: frozen(np.asarray(G)) for name, G in self.wrench.items()})
+
+    @derived("text", "loads", "names of the terms", when=_TERMS, read=True)
+    def terms(self) -> list[str] | None:
+        """Names of the loads whose share is known."""
+        return list(self.share) or None
 
     def matrix(
         self,
@@ -139,3 +175,11 @@ class Stiffening:
             angular_acceleration=self.angular_acceleration - np.tensordot(turned, self.acceleration, 1),
             rotation=self.rotation - np.tensordot(np.array(pairs), self.acceleration, 1),
         )
+
+
+def _stiffening(terms: Sequence[str] = (), share: Sequence[float] = (), load: Sequence[float] = (), **own: Any) -> Any:
+    shares, loads = (dict(zip(terms, np.asarray(column).tolist(), strict=True)) for column in (share, load))
+    return Stiffening(share=shares, load=loads, **own)
+
+
+STIFFENING = table_of(Stiffening, build=_stiffening)

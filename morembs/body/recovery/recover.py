@@ -23,7 +23,6 @@ from morembs.body.stored_check import check_grid
 from morembs.body.vtkhdf_series import read_grid, stored_recovery, write_series
 from morembs.storage.contents import keeping_ledger
 from morembs.storage.safefile import check_writable
-from morembs.storage.table_check import refuse_not_finite
 
 SERIES = (".vtkhdf", ".hdf")
 
@@ -143,9 +142,6 @@ def _recovery_of(path: Path, body: Body, stress: bool) -> Recovery | None:
             )
         return None
     group = f"bodies/{body.name}/recovery"
-    for name in ("stress", "correction", "displacement", "jump", "jump_correction"):
-        if getattr(recovery, name) is not None:
-            refuse_not_finite(path, f"{group}/{name}", getattr(recovery, name))
     if recovery.jump is not None and (recovery.jump_point is None or recovery.jump_element is None):
         raise InputError(f"{path} is incomplete; missing: /{group}/jump_point or jump_element; write it again")
     if (point := recovery.jump_point) is not None:

@@ -17,7 +17,7 @@ from morembs.reducers.cost import response_seconds
 from morembs.reducers.problem_summary import ShiftedFactorisations
 
 if TYPE_CHECKING:
-    from morembs.certificate.certify import Certificate
+    from morembs.certificate.record import Certificate
 
 CERTIFICATES: Result[Sequence[Certificate]] = Result("certificates")
 

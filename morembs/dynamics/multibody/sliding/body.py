@@ -24,7 +24,7 @@ from morembs.dynamics.multibody.linear_body import LinearBody
 from morembs.dynamics.multibody.sliding.path import PathState
 from morembs.dynamics.multibody.tolerances import TOL
 from morembs.fem import frozen
-from morembs.reducers.switching_tables import INTERPOLATIONS, ActiveSet, StaticModeTables, active_set
+from morembs.responses.static_mode_tables import INTERPOLATIONS, ActiveSet, StaticModeTables, active_set
 
 VARIANTS = ("quasi-static", "dynamic")
 

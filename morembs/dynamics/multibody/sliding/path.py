@@ -11,7 +11,7 @@ from morembs.base.types import Floats, Ints
 from morembs.dynamics.multibody.component import MarkerState
 from morembs.dynamics.multibody.rotations import cross, hat
 from morembs.dynamics.multibody.tolerances import TOL
-from morembs.reducers.switching_tables import Curve, StaticModeTables
+from morembs.responses.static_mode_tables import Curve, StaticModeTables
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)

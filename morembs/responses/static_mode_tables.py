@@ -9,7 +9,7 @@ candidates, so that no static mode itself is needed online.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -19,10 +19,12 @@ from morembs.base.errors import InputError
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints, Reals
 from morembs.fem import frozen
-from morembs.reducers.tolerances import TOL
+from morembs.responses.tolerances import TOL
+from morembs.storage.table import dataset
 
 KINDS = ("path", "surface")
 INTERPOLATIONS = ("catmull-rom", "linear")
+_STRESS = "where stress is wanted"
 
 
 @summarised
@@ -40,22 +42,40 @@ class StaticModeTables:
     load of the b candidates from ``stress_first[p]`` on, where asked for; components xx, yy, zz, xy, yz, zx.
     """
 
-    kind: str
-    node_ids: Ints
-    xyz: Floats
-    node: Ints
-    direction: Floats
-    turns: NDArray[np.bool_]
-    modes: Floats
-    stiffness: Floats
-    mass: Floats
-    coupling: Floats
-    weight: Floats
-    static_weight: Floats
-    stress: Reals | None = None
-    static_stress: Reals | None = None
-    stress_first: Ints | None = None
-    notes: Mapping[str, object] = field(default_factory=dict)
+    kind: str = dataset("text", "", "path: loads slide from node to node; surface: any of them may be loaded")
+    node_ids: Ints = dataset("whole", "nc", "labels of the candidate nodes, in the order of the path")
+    xyz: Floats = dataset("later", "nc 3", "positions of these nodes in the model", "m")
+    node: Ints = dataset("whole", "c", "per candidate: place of its node in node_ids, ascending", most="nc-1")
+    direction: Floats = dataset("later", "c 3", "per candidate: unit vector of the load")
+    modes: Floats = dataset("later", "c n", "row i: displacement along candidate i per unit of each coordinate")
+    stiffness: Floats = dataset(
+        "later", "w c", "band of R = Psi' K Psi: entry [k, j] of candidates j - k and j; displacements per load", "m/N"
+    )
+    mass: Floats = dataset("later", "w c", "band of Q = Psi' M Psi, as stiffness", "kg m2/N2")
+    coupling: Floats = dataset("later", "n c", "V' M Psi; zero where eigenmodes span the basis")
+    weight: Floats = dataset("later", "n 3", "load on the coordinates under unit gravity along x, y, z")
+    static_weight: Floats = dataset("later", "c 3", "the same on the static modes")
+    turns: NDArray[np.bool_] = dataset("flag", "c", "per candidate: 1 for a moment and rotation, 0 for a force")
+    stress: Reals | None = dataset(
+        "later",
+        "nc 6 n",
+        "[p, c, l]: stress c (xx, yy, zz, xy, yz, zx) at node p per unit of coordinate l",
+        "Pa",
+        default=None,
+        when=_STRESS,
+    )
+    static_stress: Reals | None = dataset(
+        "later",
+        "nc 6 b",
+        "[p, c, k]: the same per unit load of candidate stress_first[p] + k",
+        "Pa/N",
+        default=None,
+        when=_STRESS,
+    )
+    stress_first: Ints | None = dataset(
+        "whole", "nc", "first candidate in static_stress, per node", default=None, when=_STRESS
+    )
+    notes: Mapping[str, object] = dataset("json", "", "what was found on the way, as JSON", default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -305,7 +325,7 @@ def active_set(tables: StaticModeTables, candidates: Ints) -> ActiveSet:
     # Forces are measured against forces and moments against moments, so that units do not matter.
     turns = tables.turns[candidates]
     largest = [float(np.max(tables.stiffness[0, tables.turns == kind], initial=0.0)) for kind in (False, True)]
-    alive = size > np.sqrt(TOL.rank * np.where(turns, largest[1], largest[0]))
+    alive = size > np.sqrt(TOL.active_set_rank * np.where(turns, largest[1], largest[0]))
     if not alive.any():
         named = ", ".join(str(int(k)) for k in np.unique(tables.node_ids[tables.node[candidates]]))
         raise InputError(
@@ -314,10 +334,10 @@ def active_set(tables: StaticModeTables, candidates: Ints) -> ActiveSet:
         )
     D = np.where(alive, 1.0 / np.where(alive, size, 1.0), 0.0)
     values, U = np.linalg.eigh(D[:, None] * R * D)
-    good = values > TOL.rank * values[-1]
+    good = values > TOL.active_set_rank * values[-1]
     # Unit strain energy, then modes of the mass: what has none would be infinitely fast.
     X = D[:, None] * U[:, good] / np.sqrt(values[good])
     inverse, W = np.linalg.eigh(X.T @ Q @ X)
-    heavy = inverse > TOL.rank * inverse[-1]
+    heavy = inverse > TOL.active_set_rank * inverse[-1]
     omega = 1.0 / np.sqrt(inverse[heavy])
     return ActiveSet(candidates, np.asarray((X @ W[:, heavy]) * omega), omega)

@@ -1,0 +1,240 @@
+"""How wrong a body is, as a body file keeps it. NumPy only: files are shown without what certifies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from morembs.base.optional import optional
+from morembs.base.summary import error_words, summarised, upwards
+from morembs.base.types import Floats
+from morembs.storage.lemma import Lemma, proof_json
+from morembs.storage.table import dataset, derived, table_of
+
+if TYPE_CHECKING:
+    from morembs.responses.measures import Limit
+
+OLD_KINDS = {"proven": "bound", "estimate": "estimate", "sampled": "none"}
+_MAYBE = "may be absent"
+
+
+class CertificateFormat:
+    """Versions of the group ``certificate`` of ``morembs-body``; those without a version have errors at samples."""
+
+    # Limits hold at every frequency of a band.
+    LIMITS = 2
+
+
+@summarised
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ErrorLimits:
+    """``limits`` of the error by measure, on every frequency of the band. ``block_limit`` (ni, ni) upper limits of each
+    block (motion of interface i, load on interface j) by its own envelope; ``cells_hz`` (nc, 2) cover the band, and
+    ``cell_limit`` (nc, 3) are the upper limits on them, in the order of ``limits``. ``notes`` say what hinders.
+
+    >>> error_limits(certified_reference(problem, [0.0, 3000.0]), reduced)
+    ErrorLimits: errors at most envelope ..., peak ..., pointwise ...
+    """
+
+    limits: dict[str, Limit] = dataset(
+        "any",
+        "3",
+        "largest error over the band: at least, at most, where the former is, Hz",
+        name="limits/*",
+        doc="`envelope`, `peak`, `pointwise`: largest error over the band: a value that is reached, one that is not "
+        "exceeded (infinite where there is none), and the frequency of the former in Hz",
+        write=lambda own: {name: (limit.lower, limit.upper, limit.at_hz) for name, limit in own.limits.items()},
+    )
+    block_limit: Floats = dataset(
+        "any",
+        "ni ni",
+        "upper limit of motion of interface i to load on interface j",
+        doc="upper limits of the motions of interface i under loads at interface j, each by its own envelope",
+        since="0.2",
+    )
+    cells_hz: Floats = dataset("real", "nc 2", "cells that cover the band without gaps", "Hz", since="0.2")
+    cell_limit: Floats = dataset("any", "nc 3", "upper limits on the cells: envelope, peak, pointwise", since="0.2")
+    notes: tuple[str, ...] = dataset("notes", default_factory=tuple, doc="what there is to say about them", when=_MAYBE)
+
+    def _facts(self) -> dict[str, object]:
+        upper = ", ".join(f"{name} {upwards(limit.upper)}" for name, limit in self.limits.items())
+        return {"errors at most": upper, "notes": "; ".join(self.notes)}
+
+
+@summarised
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Certificate(ErrorLimits):
+    """Errors of the elastic transfer matrix H over ``band_hz``, forces and moments scaled by the radius of gyration.
+
+    ``limits`` hold at every frequency of the band where ``kind`` is "proven"; it is "estimate" where they rest on an
+    estimate, "sampled" where there are none. ``measure`` is the one that counts; ``damping_floor`` the ratio of
+    critical damping that is assumed in the full model and the body beside their own, for transfer errors only.
+
+    Curves at ``frequencies_hz`` (nf,): ``full`` and ``reduced`` (nf,) Frobenius norms of H in m/N, ``error`` (nf,) the
+    norm of the difference over that of the full model, ``bound`` (nf,) that and the ``reference_error`` (nf,), which
+    is how far the full response is not known, round-off in K included.
+    ``block_error`` (ni, ni) largest relative error of each block there, ``held_error`` (ni, nf) the relative error of
+    what is left when interface i is held still, from the whole transfer matrix with its rigid-body part; not a number
+    below ``TOL.least_held`` of the upper frequency. ``static_error`` that at 0 Hz.
+
+    ``mode_frequencies_hz`` (k,) of the full model, which lie within ``mode_enclosure_hz`` (k, 2), as far as that meets
+    the band, whose lower end may lie above modes too;
+    ``mode_deviation`` (k,) relative deviation of the reduced ones, ``mode_mac`` (k,) mass-weighted modal assurance
+    criterion, ``residue_deviation`` (k,) of the residues, not a number for modes that no load excites, both of the
+    whole cluster where modes are close. No mode is missing below ``verified_below_hz``. ``proof`` is the chain of
+    lemmas that the limits rest on: ``kind`` is "proven" where all of them are; there is none without limits.
+
+    >>> [certificate] = certify(problem, [reduced], [0.0, 3000.0])
+    >>> certificate.limit.lower <= certificate.limit.upper
+    True
+    >>> certificate
+    Certificate: error at most ...
+    """
+
+    band_hz: tuple[float, float] = dataset("real", "2", "the limits hold from here to there", "Hz", since="0.2")
+    measure: str = dataset(
+        "text", "", "the limit that counts", doc="the limit that counts: `envelope`, `peak` or `pointwise`", since="0.2"
+    )
+    damping_floor: float = dataset(
+        "real", "", "ratio of critical damping assumed in the full model and the body", since="0.2"
+    )
+    kind: str
+    frequencies_hz: Floats = dataset("any", "nf", "of the curves", "Hz")
+    full: Floats = dataset("any", "nf", "size of the transfer matrix of the full model", "m/N", when=_MAYBE)
+    reduced: Floats = dataset("any", "nf", "size of that of the body", "m/N", when=_MAYBE)
+    error: Floats = dataset("any", "nf", "size of the difference, relative to the full model")
+    bound: Floats = dataset(
+        "any",
+        "nf",
+        "upper limit of the error, or an estimate: see bound_kind",
+        doc="`error` and `uncertainty`; infinite where there is none",
+    )
+    block_error: Floats = dataset(
+        "any",
+        "ni ni",
+        "largest error of motion of interface i to load on interface j",
+        doc="largest error at the samples of the motions of interface i under loads at interface j",
+        when=_MAYBE,
+    )
+    held_error: Floats = dataset(
+        "any",
+        "ni nf",
+        "error of what is left when interface i is held still",
+        doc="error of what is left when interface i is held still; not a number at low frequencies",
+        when=_MAYBE,
+    )
+    static_error: float = dataset("any", "", "error at 0 Hz", when=_MAYBE)
+    mode_frequencies_hz: Floats = dataset(
+        "any",
+        "nm",
+        "of the full model in the band",
+        "Hz",
+        doc="free-free modes of the full model whose enclosure meets the band; files of earlier versions have those "
+        "below the band too",
+        when=_MAYBE,
+    )
+    mode_enclosure_hz: Floats = dataset(
+        "any", "nm 2", "between these a frequency of the full model lies", "Hz", since="0.2"
+    )
+    mode_deviation: Floats = dataset(
+        "any",
+        "nm",
+        "relative deviation of the body's frequencies",
+        doc="relative deviation of the body's frequencies; no number for a mode without a partner",
+        when=_MAYBE,
+    )
+    mode_mac: Floats = dataset(
+        "any",
+        "nm",
+        "mass-weighted modal assurance criterion",
+        doc="mass-weighted MAC, of the whole cluster where modes are close; near 0 for a mode that the body lacks",
+        when=_MAYBE,
+    )
+    residue_deviation: Floats = dataset(
+        "any",
+        "nm",
+        "relative deviation of the body's residues",
+        doc="relative deviation of the residues of each mode, or of its cluster; not a number for modes that no load "
+        "excites",
+        since="0.2",
+    )
+    verified_below_hz: float = dataset(
+        "any",
+        "",
+        "no mode below is missing",
+        "Hz",
+        doc="no mode below is missing: by a Sturm count, or as LAPACK found all modes of a small model, see `proof`",
+        when=_MAYBE,
+    )
+    reference_error: Floats = dataset("any", "nf", "as uncertainty", when=_MAYBE)
+    proof: tuple[Lemma, ...] = dataset(
+        "json",
+        "",
+        "lemmas that the limits rest on",
+        default=(),
+        doc="JSON, `lemmas` is a list of those that the limits rest on: `name` (a section of methods.md), "
+        "`statement`, `numbers` by name, `kind` (`proven` or `estimate`)",
+        since="0.2",
+        when="absent without limits",
+        write=lambda own: proof_json(own.proof),
+    )
+
+    @derived("whole", "", "2: limits on every frequency of the band", name="version", since="0.2")
+    def format_version(self) -> int:
+        """What the datasets of a file mean."""
+        return CertificateFormat.LIMITS
+
+    @derived(
+        "any",
+        "nf",
+        "how far the full response is not known, relative to its size",
+        doc="limit of what is not known of the full response, relative to `full`, round-off included",
+        since="0.2",
+    )
+    def uncertainty(self) -> Floats:
+        """``reference_error`` by its name in files."""
+        return self.reference_error
+
+    @derived("any", "", "largest difference over the largest size, at the samples", when=_MAYBE)
+    def absolute_error(self) -> float:
+        """Largest error of H at the sampled frequencies, relative to the largest norm of H there."""
+        return float((self.error * self.full).max() / self.full.max())
+
+    @derived("text", doc="`bound` (proven in exact arithmetic), `estimate` or `none`")
+    def bound_kind(self) -> str:
+        """``kind`` by its old names: "bound", "estimate" or "none"."""
+        return OLD_KINDS[self.kind]
+
+    @property
+    def limit(self) -> Limit:
+        """The limit of ``measure``."""
+        return self.limits[self.measure]
+
+    @property
+    def words(self) -> str:
+        """The largest error, in words."""
+        return error_words(self.measure, self.limit.upper, self.error, self.band_hz, self.kind)
+
+    def to_xarray(self) -> Any:
+        """The curves as an ``xarray.Dataset`` over ``frequency_hz``: full, reduced, error, bound, reference_error.
+
+        Raises:
+            InputError: xarray is not installed.
+        """
+        xarray = optional("xarray", "to_xarray")
+        names = ("full", "reduced", "error", "bound", "reference_error")
+        return xarray.Dataset(
+            {name: ("frequency_hz", getattr(self, name)) for name in names}, {"frequency_hz": self.frequencies_hz}
+        )
+
+    def _facts(self) -> dict[str, object]:
+        return {
+            "error": self.words,
+            "static error": f"{self.static_error:.1e}",
+            "modes in the band": len(self.mode_frequencies_hz),
+            "damping floor": self.damping_floor or None,
+            "notes": "; ".join(self.notes),
+        }
+
+
+CERTIFICATE = table_of(Certificate)
