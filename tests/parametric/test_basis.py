@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg as sl
 
 from morembs.base.errors import InputError
-from morembs.parametric.bound import ritz_pairs
+from morembs.parametric.bound_at import ritz_pairs
 from morembs.parametric.cells import Proofs
 from morembs.parametric.parameter import Parameter
 from morembs.parametric.space import GlobalSpace

@@ -7,7 +7,8 @@ import scipy.sparse as sp
 
 from morembs.linalg.space import Space
 from morembs.linalg.sparse.select import select_solver
-from morembs.parametric.bound import ParametricBound, ritz_pairs
+from morembs.parametric.bound import ParametricBound
+from morembs.parametric.bound_at import ritz_pairs
 from morembs.parametric.cells import is_positive
 from morembs.parametric.coordinates import LoadCoordinates
 from morembs.parametric.law import LINEAR, ONE, Law

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -16,6 +15,7 @@ from morembs.app.cli.terminal import EPILOG, AsJson, messages, progress_line
 from morembs.base import stopping
 from morembs.base.errors import InputError
 from morembs.base.options import pairs
+from morembs.base.scratch import ScratchFolder
 
 if TYPE_CHECKING:
     from morembs.body.recovery.recover import Recovered
@@ -185,8 +185,9 @@ def _evaluated(file: Path, body: str | None, at: str | None) -> Iterator[Path]:
     # Not at the top: few bodies have parameters.
     from morembs.app.cli.families import parametric_of
 
-    with TemporaryDirectory(prefix="morembs-") as folder:
-        yield parametric_of(file, body).at(**values_of(at)).write(Path(folder) / file.name)
+    # An empty folder without an owner is cleared by any other run that begins meanwhile.
+    with closing(ScratchFolder(None)) as folder:
+        yield parametric_of(file, body).at(**values_of(at)).write(folder.path / file.name)
 
 
 def _print_recovered(done: Recovered, as_json: bool) -> None:
