@@ -13,9 +13,16 @@ from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem.arrays import frozen
+from morembs.storage.table import Row, dataset, listed, variants
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
+
+# What rigid and average elements have in common in a model file.
+_NAME = "words", "couplings", "of coupling_0, coupling_1, ..."
+_REFERENCE = "whole", "", "row of /nodes: the master, or the node of the mean motion"
+_NODES = "whole", "followers", "rows of /nodes that follow, or whose mean is taken"
+_COMPONENTS = "few", "any", "0..5: those of the nodes that follow, or of the reference"
 
 
 @checked
@@ -26,10 +33,10 @@ class RigidElement:
     ``master`` a row of the nodes, ``slaves`` (k,) rows, ``components`` those of the slaves that follow (0..5).
     """
 
-    name: str
-    master: int
-    slaves: Ints
-    components: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
+    name: str = dataset(*_NAME, name="names", beside=True)
+    master: int = dataset(*_REFERENCE, name="reference", most="N-1")
+    slaves: Ints = dataset(*_NODES, name="nodes", most="N-1")
+    components: tuple[int, ...] = dataset(*_COMPONENTS, default=(0, 1, 2, 3, 4, 5), most="5")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "slaves", frozen(np.asarray(self.slaves, dtype=np.int64)))
@@ -41,11 +48,11 @@ class AverageElement:
     """A ``reference`` node that follows the mean motion of ``nodes`` (k,) with ``weights`` (k,) (RBE3, distributing
     coupling); ``components`` are those of the reference that follow."""
 
-    name: str
-    reference: int
-    nodes: Ints
-    weights: Floats
-    components: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
+    name: str = dataset(*_NAME, name="names", beside=True)
+    reference: int = dataset(*_REFERENCE, most="N-1")
+    nodes: Ints = dataset(*_NODES, most="N-1")
+    weights: Floats = dataset("real", "followers", when="of average ones", doc="of the nodes")
+    components: tuple[int, ...] = dataset(*_COMPONENTS, default=(0, 1, 2, 3, 4, 5), most="5")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "nodes", frozen(np.asarray(self.nodes, dtype=np.int64)))
@@ -65,13 +72,15 @@ class Equations:
         InputError: arrays that do not fit each other, coefficients that are not finite, or two equations for one dof.
     """
 
-    name: str
-    nodes: Ints
-    components: Ints
-    offsets: Ints
-    term_nodes: Ints
-    term_components: Ints
-    coefficients: Floats
+    name: str = dataset(
+        "words", "origins", "of equations_0, equations_1, ...: what they came from", name="names", beside=True
+    )
+    nodes: Ints = dataset("whole", "equations", "rows of /nodes: the dofs that depend on others", most="N-1")
+    components: Ints = dataset("whole", "equations", "of these dofs, as in dofs/component", most="6")
+    offsets: Ints = dataset("whole", "any", "terms of equation i are `offsets[i]:offsets[i+1]`; without any it is held")
+    term_nodes: Ints = dataset("whole", "terms", "rows of /nodes", most="N-1")
+    term_components: Ints = dataset("whole", "terms", "as in dofs/component", most="6")
+    coefficients: Floats = dataset("real", "terms", units="1, m or 1/m", doc="of the terms")
 
     def __post_init__(self) -> None:
         for name in ("nodes", "components", "offsets", "term_nodes", "term_components"):
@@ -93,6 +102,13 @@ class Equations:
         return np.repeat(np.arange(len(self), dtype=np.int64), np.diff(self.offsets))
 
 
+# As a model file holds them, which also says where each reference is.
+COUPLING = variants(
+    {"rigid": RigidElement, "average": AverageElement},
+    Row("kind", "words", doc="`rigid` or `average`"),
+    Row("point", "real", "3", units="m", doc="where the reference is", read=False),
+)
+COUPLINGS = listed(COUPLING, "coupling")
 Term = tuple[int, int, float]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -16,10 +16,12 @@ from morembs.base.errors import InputError
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
 from morembs.fem.arrays import frozen
-from morembs.fem.constraints import AverageElement, DependentDofs, Equations, RigidElement
+from morembs.fem.constraints import COUPLING, COUPLINGS, AverageElement, DependentDofs, Equations, RigidElement
 from morembs.fem.material import Material
 from morembs.fem.named_columns import NamedColumns
+from morembs.fem.stored import matrix_table, sets_table
 from morembs.fem.tolerances import TOL
+from morembs.storage.table import dataset, derived, listed, table_of
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -53,9 +55,9 @@ class Nodes:
     array([0, 1, 2, 3])
     """
 
-    ids: Ints
-    xyz: Floats
-    sets: Mapping[str, Ints] = field(default_factory=dict)
+    ids: Ints = dataset("whole", "N", "labels of the nodes in the source", name="nodes/ids")
+    xyz: Floats = dataset("real", "N 3", units="m", name="nodes/coordinates", doc="of the nodes")
+    sets: Mapping[str, Ints] = dataset(sets_table("N-1"), name="node_sets", default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ids", frozen(np.asarray(self.ids, dtype=np.int64)))
@@ -85,11 +87,21 @@ class ElementBlock:
     (4, 8)
     """
 
-    type: str
-    nodes: Ints
-    ids: Ints
-    formulation: str = "full"
-    mass: str = "exact"
+    type: str = dataset("words", "blocks", "of block_0, block_1, ...", name="types", beside=True)
+    nodes: Ints = dataset("whole", "elements corners", "rows of /nodes, from 0, in VTK order", most="solid-1")
+    ids: Ints = dataset("whole", "elements", "labels of the elements in the source")
+    formulation: str = dataset(
+        "words",
+        doc="of the strain, one of full, b-bar, mean-strain, incompatible, reduced, irons",
+        when="`full` without it",
+        default="full",
+    )
+    mass: str = dataset(
+        "words",
+        doc="rule of the mass, one of exact, reduced, row-sum, irons, stroud",
+        when="`exact` without it",
+        default="exact",
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "nodes", frozen(np.ascontiguousarray(self.nodes, dtype=np.int64)))
@@ -112,14 +124,63 @@ class Mesh:
     """
 
     nodes: Nodes
-    blocks: tuple[ElementBlock, ...]
-    element_sets: Mapping[str, tuple[Ints, ...]] = field(default_factory=dict)
-    source: str = ""
+
+    @derived(
+        "whole",
+        "",
+        "the first nodes are those of the elements",
+        name="elements/node_count",
+        read=True,
+        counts="solid",
+        most="N",
+    )
+    def node_count(self) -> int:
+        """Number of its nodes."""
+        return len(self.nodes)
+
+    blocks: tuple[ElementBlock, ...] = dataset(listed(table_of(ElementBlock), "block"), name="elements")
+    element_sets: Mapping[str, tuple[Ints, ...]] = dataset(
+        sets_table(),
+        default_factory=dict,
+        doc="as `node_sets`; elements are counted through all blocks",
+        write=lambda mesh: mesh.rows_of_sets,
+    )
+    source: str = dataset("words", name="elements/source", default="", doc="of the mesh")
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "element_sets", MappingProxyType(dict(self.element_sets)))
         refuse_far(self.nodes, self.source or "the mesh")
+
+    @property
+    def starts(self) -> Ints:
+        """(blocks + 1,) number of the first element of each block, and that of all elements."""
+        return np.cumsum([0, *(len(block.ids) for block in self.blocks)], dtype=np.int64)
+
+    @property
+    def rows_of_sets(self) -> dict[str, Ints]:
+        """Elements of each set, counted through all blocks."""
+        first = self.starts[:-1]
+        return {
+            name: np.concatenate([np.asarray(rows) + at for at, rows in zip(first, parts, strict=True)]).astype(
+                np.int64
+            )
+            for name, parts in self.element_sets.items()
+        }
+
+    def with_rows_of_sets(self, sets: Mapping[str, Ints]) -> Mesh:
+        """The mesh with these sets, each of elements counted through all blocks.
+
+        Raises:
+            InputError: elements that are not there.
+        """
+        found = {}
+        for name, rows in sets.items():
+            if len(rows) and not (rows.min() >= 0 and rows.max() < self.element_count):
+                raise InputError(f"element set {name!r} names rows that do not exist")
+            which = np.searchsorted(self.starts, rows, side="right") - 1
+            found[name] = tuple(rows[which == b] - self.starts[b] for b in range(len(self.blocks)))
+        return replace(self, element_sets=found)
 
     @property
     def element_count(self) -> int:
@@ -155,8 +216,16 @@ class DofMap:
            [ 9, 10, 11]])
     """
 
-    node: Ints
-    component: Ints
+    node: Ints = dataset(
+        "whole", "dofs", "row of /nodes, from 0, of each row of the matrices", name="dofs/node", most="N-1"
+    )
+    component: Ints = dataset(
+        "whole",
+        "dofs",
+        "0..2 displacements along x, y, z; 3..5 rotations about them; 6 scalars",
+        name="dofs/component",
+        most="6",
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "node", frozen(np.asarray(self.node, dtype=np.int64)))
@@ -218,6 +287,12 @@ class DofMap:
         return table[rows]
 
 
+def _placed(model: FEModel) -> list[dict[str, Any]] | None:
+    """Its couplings, with the place of each reference, as a file has them."""
+    parts = [COUPLING.parts(element) for element in model.couplings.values()]
+    return [{**part, "point": model.nodes.xyz[part["reference"]]} for part in parts] or None
+
+
 @checked
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -250,25 +325,51 @@ class FEModel:
     6
     """
 
-    K: sp.csr_array
-    M: sp.csr_array
-    D: sp.csr_array | None = None
-    G: sp.csr_array | None = None
-    N: sp.csr_array | None = None
-    nodes: Nodes
-    dofs: DofMap
-    mesh: Mesh | None = None
-    materials: tuple[Material, ...] = ()
-    source: str = ""
+    source: str = dataset("words", name="source/name", default="", doc="of the model")
+    notes: tuple[str, ...] = dataset("words", "any", name="source/notes", default=(), doc="what was said at the import")
+    warnings: tuple[str, ...] = dataset(
+        "words", "any", "in what the model differs from its source", name="source/warnings", default=(), since="0.2"
+    )
+    K: sp.csr_array = dataset(matrix_table("N/m"), name="matrices/K", when="if")
+    M: sp.csr_array = dataset(
+        matrix_table("kg"), name="matrices/M", when="if", doc="as K, kg; each of them may be absent"
+    )
+    D: sp.csr_array | None = dataset(
+        matrix_table("N s/m"), name="matrices/D", when="if", doc="as K, N s/m", default=None
+    )
+    G: sp.csr_array | None = dataset(
+        matrix_table("N s/m"), name="matrices/G", when="if", doc="as K, N s/m; skew-symmetric", default=None
+    )
+    N: sp.csr_array | None = dataset(
+        matrix_table("N/m"), name="matrices/N", when="if", doc="as K; skew-symmetric", default=None
+    )
+    nodes: Nodes = dataset(table_of(Nodes), inline=True)
+    dofs: DofMap = dataset(table_of(DofMap), inline=True)
+    mesh: Mesh | None = dataset(table_of(Mesh, build=dict), default=None, inline=True, when="if")
+    materials: tuple[Material, ...] = dataset(
+        listed(table_of(Material)), default=(), when="if", write=lambda model: model.materials or None
+    )
     rigid: tuple[RigidElement, ...] = ()
     average: tuple[AverageElement, ...] = ()
-    equations: tuple[Equations, ...] = ()
+
+    @derived(COUPLINGS, when="if", read=True, write=_placed)
+    def couplings(self) -> dict[str, RigidElement | AverageElement]:
+        """The rigid and average elements by name; each of them can serve as an interface."""
+        elements: list[RigidElement | AverageElement] = [*self.rigid, *self.average]
+        return {element.name: element for element in elements}
+
+    equations: tuple[Equations, ...] = dataset(
+        listed(table_of(Equations), "equations"), default=(), when="if", write=lambda model: model.equations or None
+    )
     dependent: DependentDofs | None = None
-    inputs: NamedColumns | None = None
-    outputs: NamedColumns | None = None
+    inputs: NamedColumns | None = dataset(table_of(NamedColumns, build=dict), default=None, when="if")
+    outputs: NamedColumns | None = dataset(
+        table_of(NamedColumns, build=dict),
+        default=None,
+        when="if",
+        doc="as `inputs`, which are columns of B; rows of C",
+    )
     strained: float = 0.0
-    notes: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.dofs)
@@ -309,12 +410,6 @@ class FEModel:
     def size(self) -> int:
         """Number of degrees of freedom N."""
         return len(self.dofs)
-
-    @property
-    def couplings(self) -> dict[str, RigidElement | AverageElement]:
-        """The rigid and average elements by name; each of them can serve as an interface."""
-        elements: list[RigidElement | AverageElement] = [*self.rigid, *self.average]
-        return {element.name: element for element in elements}
 
     def _facts(self) -> dict[str, object]:
         return {

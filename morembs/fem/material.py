@@ -12,6 +12,7 @@ from morembs.base.limits import PoissonRatio, Positive
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.fem.tolerances import TOL
+from morembs.storage.table import dataset
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (2, 0), (0, 1))
 
@@ -26,9 +27,9 @@ class Material:
     Material: set all; stiffness 6×6 numbers; density 7850
     """
 
-    set: str
-    stiffness: Floats
-    density: float
+    set: str = dataset("words", "materials", name="sets", doc="sets of elements")
+    stiffness: Floats = dataset("real", "materials 6 6", "Voigt order xx, yy, zz, yz, zx, xy, engineering shears", "Pa")
+    density: float = dataset("real", "materials", units="kg/m3", doc="density")
 
     def __post_init__(self) -> None:
         check_value(f"material of set {self.set!r}: density in kg/m3", self.density, Positive)

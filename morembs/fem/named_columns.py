@@ -11,7 +11,9 @@ import numpy as np
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.summary import summarised
+from morembs.base.types import Floats, Ints
 from morembs.fem.arrays import frozen
+from morembs.storage.table import dataset, derived
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -33,7 +35,7 @@ class NamedColumns:
     NamedColumns: names left, right; dofs 2
     """
 
-    names: tuple[str, ...]
+    names: tuple[str, ...] = dataset("words", "columns", "of the columns")
     matrix: sp.csc_array
 
     def __post_init__(self) -> None:
@@ -55,6 +57,23 @@ class NamedColumns:
             setattr(matrix, part, frozen(getattr(matrix, part)))
         object.__setattr__(self, "matrix", matrix)
         object.__setattr__(self, "names", checked_names(self.names, matrix.shape[1]))
+
+    @derived("whole", "any", "column j holds `data[offsets[j]:offsets[j+1]]`", read=True)
+    def offsets(self) -> Ints:
+        """(m + 1,) where the entries of each column begin."""
+        return np.asarray(self.matrix.indptr)
+
+    @derived("whole", "entries", "rows of the matrices, from 0, of the entries", read=True, most="dofs-1")
+    def rows(self) -> Ints:
+        """(k,) rows of the entries."""
+        return np.asarray(self.matrix.indices)
+
+    @derived(
+        "real", "entries", units="1 or m", doc="entries: of displacements without unit, of rotations lengths", read=True
+    )
+    def data(self) -> Floats:
+        """(k,) entries."""
+        return np.asarray(self.matrix.data)
 
     def _facts(self) -> dict[str, object]:
         return {"names": ", ".join(self.names), "dofs": self.matrix.shape[0]}

@@ -9,16 +9,11 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from morembs.base import progress
 from morembs.base.errors import InputError
 from morembs.base.former_names import with_budget_argument, with_progress_argument
-from morembs.base.types import Ints
-from morembs.fem import FEModel, Mesh
-from morembs.fem.constraints import RigidElement
-from morembs.fem.fe_model import MATRICES
-from morembs.importers.native import FORMAT, MODEL, Version, import_native
+from morembs.fem import FEModel
+from morembs.importers.native import FORMAT, MODEL, ModelFile, import_native
 from morembs.importers.to_model import model_of
 from morembs.importers.tolerances import TOL
 from morembs.storage.hdf5 import holds_format
@@ -48,50 +43,17 @@ def write_model(
     """
     target = Path(path)
     progress.stage(f"writing {target.name}")
-    sums = [sha256(file) for file in files]
+    content = ModelFile(
+        model=model,
+        files=tuple(file.name for file in files),
+        sha256=tuple(map(sha256, files)),
+        importer=importer or "none",
+        units=units or "m-kg-s",
+        findings=tuple(findings),
+    )
     with writing(target) as out:
-        out.rows(
-            "",
-            MODEL,
-            {
-                "format": FORMAT,
-                "format_version": _version(model),
-                "unit_system": "SI",
-                "source": {
-                    "name": model.source,
-                    "files": [file.name for file in files],
-                    "sha256": sums,
-                    "format": importer or "none",
-                    "units": units or "m-kg-s",
-                    "notes": model.notes,
-                    "warnings": model.warnings,
-                    "findings": list(findings),
-                },
-                **{name: getattr(model, name) for name in MATRICES},
-                "ids": model.nodes.ids,
-                "xyz": model.nodes.xyz,
-                "node_sets": model.nodes.sets,
-                "node": model.dofs.node,
-                "component": model.dofs.component,
-                "elements": model.mesh and _elements(model.mesh),
-                "element_sets": model.mesh and _element_sets(model.mesh),
-                "materials": model.materials or None,
-                "couplings": _couplings(model) if model.couplings else None,
-                "equations": _equations(model) if model.equations else None,
-                "inputs": model.inputs,
-                "outputs": model.outputs,
-            },
-        )
-        for matrix in out.file.get("matrices", {}).values():
-            matrix.attrs["format"] = np.bytes_("csr")
+        out.rows("", MODEL, content)
     return target
-
-
-def _version(model: FEModel) -> int:
-    """The lowest version of the format that holds the model."""
-    if model.G is not None or model.N is not None:
-        return Version.WITHOUT_SYMMETRY
-    return Version.WITH_EQUATIONS if model.equations else Version.PLAIN
 
 
 @with_budget_argument
@@ -127,42 +89,3 @@ def sha256(path: Path) -> str:
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); check the path") from error
     return total.hexdigest()
-
-
-def _elements(mesh: Mesh) -> dict[str, object]:
-    """Elements in VTK order."""
-    types = [block.type for block in mesh.blocks]
-    return {"types": types, "node_count": len(mesh.nodes), "source": mesh.source, "blocks": mesh.blocks}
-
-
-def _element_sets(mesh: Mesh) -> dict[str, Ints]:
-    """Elements of each set, counted through all blocks."""
-    starts = np.concatenate([[0], np.cumsum([len(block.ids) for block in mesh.blocks])])
-    return {
-        name: np.concatenate([np.asarray(rows) + starts[b] for b, rows in enumerate(parts)]).astype(np.int64)
-        for name, parts in mesh.element_sets.items()
-    }
-
-
-def _couplings(model: FEModel) -> dict[str, object]:
-    couplings: list[dict[str, object]] = []
-    for element in model.couplings.values():
-        if isinstance(element, RigidElement):
-            kind, reference, nodes = "rigid", element.master, element.slaves
-        else:
-            kind, reference, nodes = "average", element.reference, element.nodes
-        couplings.append(
-            {
-                "kind": kind,
-                "reference": reference,
-                "nodes": nodes,
-                "components": element.components,
-                "point": model.nodes.xyz[reference],
-                "weights": getattr(element, "weights", None),
-            }
-        )
-    return {"names": [element.name for element in model.couplings.values()], "couplings": couplings}
-
-
-def _equations(model: FEModel) -> dict[str, object]:
-    return {"names": [given.name for given in model.equations], "equations": model.equations}

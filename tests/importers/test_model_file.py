@@ -16,13 +16,15 @@ from morembs import CraigBampton, InputError, Problem, elastic_body, isotropic, 
 from morembs.base.units import parse_units
 from morembs.body.diagnostics.warnings import examined
 from morembs.certificate.response import full_response
-from morembs.fem import DofMap, FEModel, Mesh, Nodes, skew
+from morembs.fem import DofMap, ElementBlock, FEModel, Mesh, Nodes, skew
 from morembs.fem.constraints import AverageElement, RigidElement
+from morembs.fem.formulations import FORMULATIONS, MASSES
 from morembs.fem.mass import mass_properties
 from morembs.importers.dependent_dofs import interface_of_coupling
 from morembs.importers.imported import Imported, PointMass
 from morembs.importers.model_file import read_model, write_model
 from morembs.importers.to_model import model_of
+from morembs.storage.table import table_of
 from tests.support.meshes import STEEL, box, steel, where
 
 # Along x alone, bending in one plane would not touch the other.
@@ -123,6 +125,12 @@ def test_complex_and_unsymmetric_matrices_are_kept_but_not_reduced(tmp_path):
         examined(replace(again, K=sp.csr_array(K.real)))
 
 
+def test_the_page_names_all_formulations_and_rules_of_the_mass():
+    rows = {row.name: row.doc for row in table_of(ElementBlock)}
+    assert rows["formulation"].endswith(f"one of {', '.join(FORMULATIONS)}")
+    assert rows["mass"].endswith(f"one of {', '.join(MASSES)}")
+
+
 def test_a_user_reads_it_with_h5py_alone(tmp_path):
     model = full_model()
     with h5py.File(write_model(tmp_path / "a.model.h5", model), "r") as file:
@@ -154,10 +162,10 @@ def damage(path: Path, name: str, change) -> None:
         ("dofs/component", lambda v: v + 7, "expected 0 to 6"),
         ("dofs/node", lambda v: v * 0, "two rows belong"),
         ("dofs/node", lambda v: v[:-1], r"expected \(71\) by /dofs/node"),
-        ("node_sets/rows", lambda v: v + 1000, "names rows that do not exist"),
-        ("elements/block_0/nodes", lambda v: v - 5, "names rows that do not exist"),
+        ("node_sets/rows", lambda v: v + 1000, "expected 0 to 21, places in /nodes/ids"),
+        ("elements/block_0/nodes", lambda v: v - 5, "holds -5; expected 0 to 19, places in /elements/node_count"),
         ("element_sets/rows", lambda v: v + 99, "names rows that do not exist"),
-        ("couplings/coupling_0/nodes", lambda v: v + 99, "names rows that do not exist"),
+        ("couplings/coupling_0/nodes", lambda v: v + 99, "expected 0 to 21, places in /nodes/ids"),
         ("format_version", lambda v: np.int64(9), "install a newer one"),
         ("format", lambda v: np.bytes_("another-kind"), "not a model file"),
     ],
