@@ -25,13 +25,14 @@ from morembs.fem import FEModel
 from morembs.importers.engines.calculix.program import find_ccx
 from morembs.importers.engines.mystran.program import mystran_path
 from morembs.importers.matrices.calculix import read_calculix_matrices
+from morembs.importers.matrices.op4 import read_op4
 
 # Of steel in mm, t and s, where materials have none; eigenvalues that are computed and, behind rigid
 # motions, compared; seconds of a run.
 DENSITY, MODES, COMPARED, SECONDS = 7.8e-9, 40, 10, 60
-# Digits that ccx writes of a stiffness; parts of the largest eigenvalue that one of a rigid motion has here, and as
-# MYSTRAN prints it; part of the largest reciprocal below which one is that of an infinite eigenvalue.
-DIGITS, RIGID, PRINTED, TOLD = 1e-14, 1e-10, 1e-9, 1e-12
+# Digits that ccx writes of a stiffness; part of the largest eigenvalue that one of a rigid motion has; part of the
+# largest reciprocal below which one is that of an infinite eigenvalue.
+DIGITS, RIGID, TOLD = 1e-14, 1e-10, 1e-12
 # Rows up to which eigenvalues are those of whole matrices.
 _DENSE = 400
 
@@ -46,6 +47,13 @@ _NASTRAN_STRUCTURE = {
     *("CQUAD4", "CQUAD8", "CQUADR", "CQUAD", "CTRIA3", "CTRIA6", "CTRIAR", "CSHEAR", "CPYRAM"),
     *("CBAR", "CBEAM", "CBEAM3", "CBEND", "CROD", "CTUBE", "CONROD"),
 }
+# Cards that make a structure; what holds or loads it is left out.
+_NASTRAN_MODEL = re.compile(
+    r"GRID|GRDSET|SPOINT|CORD[12][RCS]|C(HEXA|PENTA|TETRA|QUAD4|TRIA3|SHEAR|BAR|BEAM|ROD|TUBE|ONROD|BUSH|ELAS[1-4])|"
+    r"BAROR|BEAMOR|P(SOLID|SHELL|SHEAR|COMP|COMPG|BAR|BARL|BEAM|BEAML|ROD|TUBE|ELAS|BUSH)|MAT[1289]|RBE[23]|RBAR|"
+    r"CONM[12]|CMASS[1-4]|PMASS|MPC|MPCADD",
+    re.IGNORECASE,
+)
 _ANSYS_SOLID = {"45", "73", "92", "95", "185", "186", "187", "285"}
 _PACKED, _ENDINGS = ".gz", {".inp": "abaqus", ".bdf": "nastran", ".nas": "nastran", ".fem": "nastran", ".cdb": "ansys"}
 _CONTACT = {
@@ -193,28 +201,34 @@ def of_ccx(path: Path) -> Spectrum:
 
 
 def of_mystran(path: Path) -> Spectrum:
-    """Eigenvalues that MYSTRAN prints for Nastran bulk data as they stand.
+    """Eigenvalues of the matrices that MYSTRAN makes of the free structure of Nastran bulk data as they stand.
 
     Raises:
-        InputError: it prints none.
+        InputError: it makes none.
     """
     text = path.read_text(encoding="latin-1")
     begin = re.search(r"(?im)^\s*BEGIN\s+BULK.*$", text)
     bulk = text[begin.end() + 1 :] if begin else text
-    kept = [
-        line for line in bulk.splitlines() if not re.match(r"(?i)(ENDDATA|EIGR|SPC|PARAM\s*,?\s*(POST|AUTOSPC))", line)
-    ]
-    head = f"ID A,B\nSOL 103\nCEND\nMETHOD = 7654321\nBEGIN BULK\nEIGRL,7654321,,,{MODES}\nPARAM,AUTOSPC,Y\n"
+    kept, is_kept = [], False
+    for line in bulk.splitlines():
+        name = re.match(r"[A-Za-z][A-Za-z0-9]*", line)
+        is_kept = is_kept if name is None else _NASTRAN_MODEL.fullmatch(name[0]) is not None
+        kept += [line] if is_kept or line.startswith("$") else []
+    # The matrices that it has left behind multi-point constraints and grids that nothing turns: of a free body with
+    # rotations without mass its own eigenvalues are not those of these.
+    head = "ID A,B\nSOL 103\nOUTPUT4 KLL,MLL,,,//0/21 $\nCEND\nMETHOD = 7654321\nBEGIN BULK\nEIGRL,7654321,,,1\n"
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "own.bdf").write_text(head + "\n".join([*kept, "ENDDATA"]) + "\n", "latin-1")
-        said = _run([mystran_path(), "own.bdf"], folder)
-        result = Path(folder) / "own.F06"
-        pages = result.read_text(errors="replace").split("E I G E N V A L U E S") if result.is_file() else []
-        rows = [line.split() for line in (pages[1] if len(pages) > 1 else "").splitlines()]
-        values = [float(row[2]) for row in rows if len(row) == 7 and row[0].isdigit() and row[1].isdigit()]
-        if not values:
-            raise InputError(f"MYSTRAN prints no eigenvalues: {said}")
-        return Spectrum(values=np.sort(values), error=PRINTED * max(values))
+        bulk = "\n".join([*kept, "PARAM,AUTOSPC,Y", "ENDDATA"])
+        (Path(folder) / "own.bdf").write_text(f"{head}{bulk}\n", "latin-1")
+        _run([mystran_path(), "own.bdf"], folder)
+        output, log = (Path(folder) / f"own.{end}" for end in ("OU1", "ERR"))
+        if output.is_file() and output.stat().st_size:
+            read = read_op4(output, ("KLL", "MLL"))
+            K, M = (sp.csr_array(read[name].matrix) for name in ("KLL", "MLL"))
+            return spectrum(K, M)
+        said = log.read_text(errors="replace").splitlines() if log.is_file() else []
+        errors = [line.strip() for line in said if "*ERROR" in line]
+        raise InputError(f"MYSTRAN makes no matrices: {(errors or ['it says nothing'])[0][:120]}")
 
 
 def _run(command: list[Path | str], folder: str) -> str:

@@ -53,7 +53,7 @@ WAYS: dict[str, tuple[str | None, tuple[str, ...]]] = {
     "mystran": ("mystran", ("nastran",)),
     "auto": ("auto", ("abaqus", "nastran", "ansys")),
 }
-_FLAG = re.compile(r"--(density|contact|skip|material|format)((?: \"[^\"]+\")|(?: [^\s;\"]+))?")
+_FLAG = re.compile(r"--(density|contact|skip|material|format)(?: \"[^\"]+\"| '[^']+'| [^\s;\"']+)?")
 # Elements with stiffness: a model without them is another one, so that skipping them is no cure.
 _CARRIES = re.compile(
     r"^(C3D|S\d|STRI|SC\d|B3\d|M3D|T3D|CHEXA|CPENTA|CTETRA|CQUAD|CTRIA|CBAR|CBEAM|CROD|CONROD|CTUBE|CSHEAR)"
@@ -74,15 +74,16 @@ class Cures:
     def learn(self, error: MorembsError) -> bool:
         """Take up what a message names; whether that is anything new."""
         before = repr(self)
-        text = str(error)
         if isinstance(error, DeckError) and all(problem.flags for problem in error.problems):
-            text = " ; ".join(flag for problem in error.problems for flag in problem.flags)
-        named = _FLAG.findall(text)
+            flags = [flag for problem in error.problems for flag in problem.flags]
+        else:
+            flags = [found[0] for found in _FLAG.finditer(str(error))]
+        named = [(name, value.strip("'\"")) for name, _, value in (flag[2:].partition(" ") for flag in flags)]
         # A message that names both leaves the choice; a density leaves the deck its own stiffness.
         other = "material" if not self.density and any(name == "density" for name, _ in named) else ""
         for name, value in named:
             if name != other:
-                self._take(name, value.strip().strip('"'))
+                self._take(name, value)
         return repr(self) != before
 
     def _take(self, name: str, value: str) -> None:
