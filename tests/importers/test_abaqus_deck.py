@@ -65,6 +65,18 @@ def test_inner_nodes_of_hex27_are_taken_from_where_they_are(deck):
     assert np.array_equal(imported.mesh.blocks[0].nodes, mesh.blocks[0].nodes)
 
 
+@pytest.mark.parametrize("kind", ["tet4", "hex8", "wedge6"])
+def test_what_all_lines_have_beyond_the_last_node_is_passed_over(kind, deck):
+    """As in CalculiX; where a line has another number than others, nothing is."""
+    mesh = box(kind, (2, 2, 1), (0.3, 0.2, 0.1))
+    text = abaqus_mesh(mesh, per_line=30)
+    head, lines = text.split("*ELEMENT")[0], text.split("*ELEMENT")[1].splitlines()
+    more = "\n".join([lines[0], *(f"{line}, 1, 2," for line in lines[1:])])
+    assert np.array_equal(deck(f"{head}*ELEMENT{more}\n").mesh.blocks[0].nodes, mesh.blocks[0].nodes)
+    with pytest.raises(InputError, match="does not have"):
+        deck(f"{head}*ELEMENT{more[:-4]}\n")
+
+
 @pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8", "hex20", "wedge6", "wedge15"])
 def test_meshio_reads_the_same_deck_alike(kind, tmp_path, monkeypatch):
     # meshio reads these elements, and does not know that they are solids.

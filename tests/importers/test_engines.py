@@ -185,6 +185,16 @@ def test_kinds_of_decks_have_free_rigid_motion_and_their_mass(tmp_path, deck, kg
 
 
 @needs_ccx
+@pytest.mark.parametrize("section", ["PIPE\n.1,.02", "BOX\n.1,.2,.01,.01,.01,.01"])
+def test_hollow_beams_are_of_the_type_that_has_their_profile(section, tmp_path):
+    """ccx stops at B32 with these profiles, which B32R has; its pipe has eight corners in the middle of its wall."""
+    read = imported(tmp_path, BEAM.format("").replace("RECT\n.1,.2", section))
+    area = np.pi * (0.1**2 - 0.08**2) if "PIPE" in section else 0.1 * 0.2 - 0.08 * 0.18
+    assert mass(read)[0, 0] == pytest.approx(7850 * 2 * area, rel=0.03)
+    assert "2 elements B32 are assembled as B32R [hybrid-as-plain]" in read.warnings
+
+
+@needs_ccx
 def test_instances_are_placed_and_matrices_are_those_of_own_assembly(tmp_path):
     text = solids("C3D20", (2, 1, 1), (2.0, 1.0, 1.0))
     mesh, rest = text.split("*MATERIAL")

@@ -9,7 +9,7 @@ from itertools import groupby
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.base.types import Ints
+from morembs.base.types import Bools, Ints
 from morembs.importers.abaqus.data import element_numbers, fields, label, members
 from morembs.importers.abaqus.deck import DISCRETE, NODES, SOLIDS, Members
 from morembs.importers.abaqus.keywords import Card
@@ -62,7 +62,7 @@ def solid_records(card: Card, pieces: Iterator[bytes], code: str) -> Iterator[In
     for piece in pieces:
         if not piece:
             continue
-        values, first = element_numbers(piece, card)
+        values, first = _without_more(*element_numbers(piece, card), width)
         values, first = np.concatenate([rest, values]), np.concatenate([rest_first, first])
         whole = len(values) // width * width
         rows = values[:whole].reshape(-1, width)
@@ -80,6 +80,16 @@ def solid_records(card: Card, pieces: Iterator[bytes], code: str) -> Iterator[In
             f"{card}, TYPE={code}: the block does not hold a multiple of {width} numbers (label and {width - 1} nodes "
             f"for each element): {len(rest)} are left over; the file may be cut off"
         )
+
+
+def _without_more(values: Ints, first: Bools, width: int) -> tuple[Ints, Bools]:
+    """Numbers (k,) of lines, and which begin a line, without those beyond the last node where all lines have equally
+    many: CalculiX passes over them."""
+    starts = np.flatnonzero(first)
+    count = len(values) // max(len(starts), 1)
+    if count <= width or not np.array_equal(starts, np.arange(0, len(values), count)) or len(values) % count:
+        return values, first
+    return values.reshape(-1, count)[:, :width].ravel(), first.reshape(-1, count)[:, :width].ravel()
 
 
 def other_records(card: Card, pieces: Iterator[bytes], code: str) -> Iterator[tuple[int, list[str]]]:

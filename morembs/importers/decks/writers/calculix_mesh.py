@@ -177,7 +177,7 @@ class MeshText:
             rows = rows[:, list(_ORDER.get(part.shape, range(rows.shape[1])))]
             table = np.column_stack([self.numbers[at : at + len(rows)], self.named[rows]])
             at += len(rows)
-            yield from _entries(table)
+            yield from entry_lines(table)
 
     def code(self, part: Elements) -> str:
         """The type of elements in the program.
@@ -280,7 +280,7 @@ def sixteen(labels: Ints) -> list[str]:
     return [", ".join(entries[i : i + Line.SET_ENTRIES]) + "," for i in range(0, len(entries), Line.SET_ENTRIES)]
 
 
-def _entries(table: Ints) -> Iterator[str]:
+def entry_lines(table: Ints) -> Iterator[str]:
     """Data lines of elements: labels with their nodes."""
     most = Line.ELEMENT_ENTRIES
     for row in table.tolist():

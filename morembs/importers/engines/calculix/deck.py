@@ -86,9 +86,9 @@ _NONE = np.empty(0, dtype=np.int64)
 class FlatDeck:
     """Text for CalculiX: node ``row`` of the assembly has the label row + 1, element ``number`` that plus 1.
 
-    ``masses`` are the numbers of point masses that are in it, ``held`` (n, 3) the displacements that *BOUNDARY holds,
-    ``followers`` rows of nodes that follow others, ``equated`` what equations name, as
-    ``problems_of_references`` has it.
+    ``masses`` are the numbers of point masses that are in it, ``reduced`` (elements,) says which are of their type with
+    R, ``held`` (n, 3) the displacements that *BOUNDARY holds, ``followers`` rows of nodes that follow others,
+    ``equated`` what equations name, as ``problems_of_references`` has it.
     """
 
     assembly: Assembly
@@ -109,6 +109,7 @@ class FlatDeck:
         mesh = right_handed(Mesh(nodes=nodes, blocks=tuple(self.assembly.blocks)))
         self.blocks, self.reversed = mesh.blocks, mesh.warnings
         self.held = np.zeros((len(self.assembly.ids), 3), dtype=bool)
+        self.reduced = np.zeros(len(self.labels), dtype=bool)
         left = [np.full(len(ids), not nodes.shape[1]) for _, ids, nodes in self.assembly.others]
         self.left = np.concatenate([np.zeros(len(self.labels) - sum(map(len, left)), dtype=bool), *left])
 
@@ -128,7 +129,7 @@ class FlatDeck:
             [
                 *node_lines(self.assembly),
                 nodes,
-                *element_lines(self.assembly, self.blocks, self.masses),
+                *element_lines(self.assembly, self.blocks, self.masses, self.reduced),
                 *self.defined,
                 *self.surfaces,
                 *body,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from morembs.base.errors import InputError, nearest
+from morembs.base.types import Ints
 from morembs.fem.material import Material
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.constraints import Constraints, refuse_sector
@@ -40,6 +41,7 @@ _PLAIN = set(CARDS) - {
     "DISTRIBUTING COUPLING",
 }
 _SECTIONS = ("SOLID SECTION", "SHELL SECTION", "BEAM SECTION", "BEAM GENERAL SECTION", "MEMBRANE SECTION")
+_REDUCED_PROFILES = ("PIPE", "BOX")
 _IN_STEPS = ("STATIC", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE")
 
 
@@ -197,6 +199,8 @@ class _Writer:
         if not len(numbers):
             return
         self._has_section[numbers] = True
+        if card.options.get("SECTION", "").upper() in _REDUCED_PROFILES:
+            self._reduce(numbers)
         scope, rest = self.assembly.split(placed, elset)
         is_set = rest.upper() in scope.sets("element")
         name = self.assembly.final_name("element", placed, elset) if is_set else elset
@@ -206,6 +210,16 @@ class _Writer:
             card = Card(card.keyword, {**card.options, "MATERIAL": _key(given)}, card.file, card.line)
         self._set_of.setdefault(own.upper(), name)
         self._plain(placed, card, rows)
+
+    def _reduce(self, numbers: Ints) -> None:
+        """Take beams B32 for B32R, which alone have the profile in CalculiX (CrunchiX User's Manual, *BEAM SECTION)."""
+        start = self.assembly.solids + len(self.assembly.discrete)
+        for code, ids, _ in self.assembly.others:
+            own = numbers[(numbers >= start) & (numbers < start + len(ids))] if code == "B32" else []
+            start += len(ids)
+            if len(own):
+                self.flat.deck.reduced[own] = True
+                self.deck.replaced[code, "B32R"] = self.deck.replaced.get((code, "B32R"), 0) + len(own)
 
     def sections(self) -> None:
         """Sections of solids that the deck gives none, of the materials that were given for their sets or for all."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from morembs.base.types import Ints
+from morembs.base.types import Bools, Ints
 from morembs.fem import ElementBlock
 from morembs.importers.abaqus.assembly import Assembly
-from morembs.importers.decks.writers.calculix_mesh import Line, numeral
+from morembs.importers.decks.writers.calculix_mesh import entry_lines, numeral
 
 # Types by shape and formulation, as ``formulations`` has them for CalculiX.
 _CODES = {
@@ -31,31 +31,27 @@ def node_lines(assembly: Assembly) -> list[str]:
     return ["*NODE", *(f"{i}, {', '.join(map(numeral, x))}" for i, x in rows)]
 
 
-def element_lines(assembly: Assembly, blocks: tuple[ElementBlock, ...], masses: set[int]) -> list[str]:
-    """All elements in the order of their numbers, of point masses some."""
-    lines, number, most = [], 1, Line.ELEMENT_ENTRIES
+def element_lines(assembly: Assembly, blocks: tuple[ElementBlock, ...], masses: set[int], reduced: Bools) -> list[str]:
+    """All elements with their numbers from 1, of point masses some; ``reduced`` (elements,) ones by the type with R."""
+    lines = list[str]()
 
-    def block(code: str, nodes: Ints) -> None:
-        nonlocal number
-        lines.append(f"*ELEMENT, TYPE={code}")
-        for row in (nodes + 1).tolist():
-            entries = [str(number), *map(str, row)]
-            lines.extend(
-                ", ".join(entries[i : i + most]) + ("," if i + most < len(entries) else "")
-                for i in range(0, len(entries), most)
-            )
-            number += 1
+    def block(code: str, numbers: Ints, nodes: Ints) -> None:
+        if len(nodes):
+            lines.extend([f"*ELEMENT, TYPE={code}", *entry_lines(np.column_stack([numbers + 1, nodes + 1]))])
 
+    number = 0
     for part in blocks:
-        block(_CODES[part.type, part.formulation], part.nodes)
+        block(_CODES[part.type, part.formulation], number + np.arange(len(part.nodes)), part.nodes)
+        number += len(part.nodes)
     for element in assembly.discrete:
         if element.code in _DISCRETE or element.number in masses:
-            number = element.number + 1
-            block(element.code, np.array([element.nodes]))
-    number = 1 + assembly.solids + len(assembly.discrete)
+            block(element.code, np.array([element.number]), np.array([element.nodes]))
+    number = assembly.solids + len(assembly.discrete)
     for code, _, nodes in assembly.others:
+        numbers = number + np.arange(len(nodes))
+        number += len(nodes)
         if nodes.shape[1]:
-            block(code, nodes)
-        else:
-            number += len(nodes)
+            is_reduced = reduced[numbers]
+            block(code, numbers[~is_reduced], nodes[~is_reduced])
+            block(f"{code}R", numbers[is_reduced], nodes[is_reduced])
     return lines
