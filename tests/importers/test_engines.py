@@ -23,8 +23,19 @@ from morembs.importers.engines.calculix.read import read_for_engine
 from morembs.importers.model_file import read_model
 from morembs.importers.to_model import model_of
 from morembs.problem import Problem
+from tests.importers.test_unv import universal
 from tests.support import calculix
-from tests.support.calculix import STEEL, eigenvalues, needs_ccx, on_plane, own_frequencies, program, solids
+from tests.support.calculix import (
+    STEEL,
+    eigenvalues,
+    independent,
+    needs_ccx,
+    on_plane,
+    own_frequencies,
+    program,
+    solids,
+)
+from tests.support.mesh_decks import ansys_archive, nastran_mesh
 from tests.support.meshes import box
 
 PLATE = (
@@ -385,6 +396,65 @@ def test_sections_of_elements_that_are_left_out_are_left_out(tmp_path):
     assert "\n1, 3," not in text.split("*ELEMENT")[-1]
 
 
+OF_NASTRAN = (
+    "BEGIN BULK\nPSOLID,1,1\nMAT1,1,2.1+11,,.3,7850.\n{}GRID,900,,1.5,.2,.1\nGRID,901,,-1.,.2,.1\n"
+    "RBE2,70,900,123456,{},{},{},{}\nRBE3,71,,901,123456,1.,123,{},{}\n,{},{}\nCONM2,72,900,,12.,.1,,.2\n,1.,,2.,,,3.\n"
+    "CELAS2,73,4.+5,901,1,900,1\nENDDATA\n"
+)
+
+
+@needs_ccx
+@pytest.mark.parametrize("kind", ["tet10", "hex20", "hex8"])
+def test_bulk_data_with_all_that_hangs_on_them_are_assembled_by_ccx(kind, tmp_path):
+    """K, M of the same formulation as own assembly has them; masses, springs and averages of the own reader."""
+    mesh = box(kind, (2, 1, 1), (1.0, 0.4, 0.2))
+    ends = [mesh.nodes.ids[np.isclose(mesh.nodes.xyz[:, 0], x)][:4].tolist() for x in (1.0, 0.0)]
+    (tmp_path / "deck.bdf").write_text(OF_NASTRAN.format(nastran_mesh(mesh, "free"), *ends[0], *ends[1]))
+    theirs, own = (model_of(import_file(tmp_path / "deck.bdf", engine=engine)) for engine in ("calculix", None))
+    R = of_rigid_motion(theirs)
+    assert np.abs(theirs.K @ R).max() < 1e-11 * np.abs(theirs.K.data).max()
+    assert mass(theirs) == pytest.approx((7850 * 0.08 + 12.0) * np.eye(3), rel=1e-9, abs=1e-6)
+    assert {element.name for element in theirs.average} == {"RBE3_71"}
+    if kind != "hex8":
+        (K, M), (K_own, M_own) = (independent(model) for model in (theirs, own))
+        assert np.array_equal(theirs.nodes.ids, own.nodes.ids)
+        assert abs(K - K_own).max() < 1e-10 * abs(K_own).max()
+        # The mass of C3D10 is integrated at four points.
+        assert (abs(M - M_own).max() < 1e-10 * abs(M_own).max()) == (kind == "hex20")
+
+
+@needs_ccx
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"boundary": "keep", "preload": 1}, "--preload 1 was given for deck.bdf, whose steps are not read"),
+        ({"boundary": "keep"}, "--boundary keep was given for deck.bdf, whose supports are not read"),
+    ],
+)
+def test_supports_and_steps_that_are_not_read_are_refused(options, message, tmp_path):
+    mesh = nastran_mesh(box("hex8", (1, 1, 1), (1.0, 1.0, 1.0)), "free")
+    (tmp_path / "deck.bdf").write_text(f"BEGIN BULK\nPSOLID,1,1\nMAT1,1,1.,,.3,1.\n{mesh}ENDDATA\n")
+    with pytest.raises(InputError, match=message):
+        import_file(tmp_path / "deck.bdf", engine="calculix", options=options)
+
+
+@needs_ccx
+def test_archives_and_universal_files_are_given_materials_for_ccx(tmp_path):
+    mesh = box("hex20", (2, 1, 1), (1.0, 0.4, 0.2))
+    (tmp_path / "deck.cdb").write_text(ansys_archive(mesh))
+    (tmp_path / "deck.unv").write_text(universal(mesh))
+    steel = isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)
+    for name in ("deck.cdb", "deck.unv"):
+        theirs, own = (
+            model_of(import_file(tmp_path / name, engine=engine, materials=(steel,))) for engine in ("calculix", None)
+        )
+        assert np.array_equal(theirs.nodes.ids, own.nodes.ids)
+        assert abs(theirs.K - own.K).max() < 1e-12 * abs(own.K).max()
+        assert mass(theirs) == pytest.approx(7850 * 0.08 * np.eye(3), rel=1e-9, abs=1e-6)
+        with pytest.raises(InputError, match="--material young"):
+            import_file(tmp_path / name, engine="calculix")
+
+
 @needs_ccx
 def test_a_deck_of_a_stranger_becomes_a_body_on_the_command_line(tmp_path):
     text = TIED.replace("*DENSITY\n7850.\n", "*PLASTIC\n1e8,0.\n").replace("C3D8", "C3D8H")
@@ -482,7 +552,7 @@ def test_hard_limits_of_a_queue_are_kept(tmp_path):
         (["--engine", "calculix", "--boundary", "hold"], 'expected "drop" or "keep"'),
         (["--engine", "calculix", "--dialect", "ansys"], 'expected "auto", "abaqus" or "calculix"'),
         (["--boundary", "keep"], "--boundary was given without --engine"),
-        (["--engine", "calculix", "--format", "nastran"], "reads decks of Abaqus or CalculiX"),
+        (["--engine", "calculix", "--format", "npz"], "reads decks of Abaqus or CalculiX"),
     ],
 )
 def test_options_of_engines_that_cannot_be_are_refused(tmp_path, line, message):

@@ -17,6 +17,7 @@ from morembs.base.options import Text, known, read_options
 from morembs.base.plugins import Registry
 from morembs.fem.material import Material
 from morembs.importers.engines.calculix.importer import import_with_calculix, readable_by_calculix
+from morembs.importers.engines.calculix.other_decks import FORMATS
 from morembs.importers.engines.calculix.program import find_ccx
 from morembs.importers.engines.mystran.importer import import_with_mystran, readable_by_mystran
 from morembs.importers.engines.mystran.program import find_mystran
@@ -26,9 +27,14 @@ from morembs.importers.imported import Imported
 # What lets own assembly or one of the engines take a deck, whichever does.
 AUTO = "auto"
 # What of the parameters is no option.
-_NO_OPTIONS = ("executable", "materials")
+_NO_OPTIONS = ("executable", "materials", "format")
 # What people call decks by their formats.
-_KINDS = {"abaqus": "Abaqus or CalculiX", "nastran": "Nastran bulk data", "ansys": "an archive of ANSYS"}
+_KINDS = {
+    "abaqus": "Abaqus or CalculiX",
+    "nastran": "Nastran bulk data",
+    "ansys": "an archive of ANSYS",
+    "unv": "a universal file",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,9 +59,9 @@ class Engine:
 
 _OWN: dict[str, Engine] = {
     "calculix": Engine(
-        about="CalculiX (ccx) assembles decks of Abaqus and CalculiX",
-        formats=("abaqus",),
-        decks="decks of Abaqus or CalculiX",
+        about="CalculiX (ccx) assembles decks of Abaqus and CalculiX, and solids of other decks",
+        formats=("abaqus", *FORMATS),
+        decks="decks of Abaqus or CalculiX, and solids of Nastran, ANSYS and universal files",
         find=find_ccx,
         read=import_with_calculix,
         readable=readable_by_calculix,
@@ -95,7 +101,7 @@ def engines_for(path: Path, format: str, options: Mapping[str, Any]) -> list[str
         own = {key: value for key, value in options.items() if key in known(engine.readable)}
         if format in engine.formats:
             with suppress(InputError):
-                engine.readable(path, **own)
+                engine.readable(path, **own, **format_argument(engine.readable, format))
                 names.append(name)
     return names
 
@@ -124,4 +130,10 @@ def import_with_engine(
         hidden=_NO_OPTIONS,
         cure="; give --set {key}=VALUE",
     )
-    return engine.read(path, executable=executable, materials=tuple(materials), **values)
+    given_format = format_argument(engine.read, format)
+    return engine.read(path, executable=executable, materials=tuple(materials), **given_format, **values)
+
+
+def format_argument(function: Callable[..., object], format: str) -> dict[str, str]:
+    """The argument for the format of a deck, where a function of an engine takes several."""
+    return {"format": format} if "format" in known(function) else {}

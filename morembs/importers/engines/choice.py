@@ -10,7 +10,7 @@ from typing import Any
 from morembs.base.errors import InputError
 from morembs.base.options import known
 from morembs.importers.decks.problems import DeckError, Problem
-from morembs.importers.engines import ENGINES, Engine, import_with_engine
+from morembs.importers.engines import ENGINES, Engine, format_argument, import_with_engine
 from morembs.importers.imported import Imported
 
 # Options of programs that say nothing of the model: own assembly does without them.
@@ -35,7 +35,9 @@ def import_by_choice(
     Raises:
         InputError: nobody takes the deck: what keeps it from the one that needs least.
     """
-    engines = {name: engine for name, engine in ENGINES.items() if format in engine.formats}
+    # The program of the format comes first.
+    by_fit = sorted(ENGINES.items(), key=lambda item: item[1].formats[0] != format)
+    engines = {name: engine for name, engine in by_fit if format in engine.formats}
     plain = {key: value for key, value in options.items() if key not in _OF_RUNS}
     known_there = {key for engine in engines.values() for key in engine.options}
     if not set(plain) <= {*own_options, *known_there}:
@@ -55,7 +57,7 @@ def import_by_choice(
         try:
             executable = engine.find("")
         except InputError:
-            said += _would_read(path, engine, options)
+            said += _would_read(path, format, engine, options)
             continue
         try:
             imported = import_with_engine(path, format, f"{name}:{executable.path}", its_options, **given)
@@ -76,10 +78,11 @@ def _noted(imported: Imported, who: str) -> Imported:
     return replace(imported, notes=(f"Assembled by {who} (auto).", *imported.notes))
 
 
-def _would_read(path: Path, engine: Engine, options: Mapping[str, Any]) -> list[str]:
+def _would_read(path: Path, format: str, engine: Engine, options: Mapping[str, Any]) -> list[str]:
     """A word on a program that is not there and would read the deck."""
     try:
-        engine.readable(path, **{key: value for key, value in options.items() if key in known(engine.readable)})
+        own = {key: value for key, value in options.items() if key in known(engine.readable)}
+        engine.readable(path, **own, **format_argument(engine.readable, format))
     except InputError:
         return []
     return [f"{engine.program} would read this deck and was not found; install it"]

@@ -215,9 +215,9 @@ class _Writer:
         """Take beams B32 for B32R, which alone have the profile in CalculiX (CrunchiX User's Manual, *BEAM SECTION)."""
         start = self.assembly.solids + len(self.assembly.discrete)
         for code, ids, _ in self.assembly.others:
-            own = numbers[(numbers >= start) & (numbers < start + len(ids))] if code == "B32" else []
+            own = numbers[(numbers >= start) & (numbers < start + len(ids))]
             start += len(ids)
-            if len(own):
+            if code == "B32" and len(own):
                 self.flat.deck.reduced[own] = True
                 self.deck.replaced[code, "B32R"] = self.deck.replaced.get((code, "B32R"), 0) + len(own)
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
 from morembs.base.limits import Count, Positive, one_of
+from morembs.base.scratch import ScratchFolder
 from morembs.fem.material import Material
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.decks.formulations import DIALECTS
 from morembs.importers.decks.options import Boundary, DeckOptions, deck_options
 from morembs.importers.engines.calculix.flat import Choices, flat_deck
 from morembs.importers.engines.calculix.model import Exported
+from morembs.importers.engines.calculix.other_decks import FORMATS, read_other, with_others, write_other
 from morembs.importers.engines.calculix.program import Ccx, find_ccx
 from morembs.importers.engines.calculix.read import EngineDeck, read_for_engine
 from morembs.importers.engines.calculix.ties import Flat
@@ -35,8 +38,12 @@ def import_with_calculix(
     allow_includes_outside: bool = False,
     dialect: str = "auto",
     materials: tuple[Material, ...] = (),
+    format: str = "abaqus",
 ) -> Imported:
     """A deck as CalculiX assembles it, in the deck's own units.
+
+    One of another program becomes a flat deck first (``Deck.write``); its masses, springs and average elements are
+    added to the matrices.
 
     Args:
         executable: the path of ccx; "" looks for it.
@@ -50,6 +57,7 @@ def import_with_calculix(
         allow_includes_outside: includes may name files beyond the folder of the deck.
         dialect: the program that the deck was written for; a model of one of Abaqus says that CalculiX differs.
         materials: of element sets that have none, or "all" of these, in the units of the deck.
+        format: of the deck, "abaqus" or one of ``other_decks.FORMATS``.
 
     Peak memory: that of the matrices several times, and of ccx itself.
 
@@ -60,6 +68,28 @@ def import_with_calculix(
     program = find_ccx(executable)
     check_value("dialect", dialect, Annotated[str, one_of(*DIALECTS)])
     choices = _choices(deck_options(density, contact, skip), boundary, preload, timeout, materials)
+    if format in FORMATS:
+        if preload:
+            raise InputError(
+                f"--preload {preload} was given for {Path(path).name}, whose steps are not read; leave it out"
+            )
+        other = read_other(Path(path), format, choices.options, materials, outside=allow_includes_outside)
+        if boundary == "keep" and not len(other.supports.nodes):
+            raise InputError(
+                f"--boundary keep was given for {Path(path).name}, whose supports are not read; leave it out, and hold "
+                "the model by [[interface]] of a job"
+            )
+        with closing(ScratchFolder(None)) as scratch:
+            flat_path, said = write_other(other, scratch.path)
+            imported = import_with_calculix(
+                flat_path,
+                executable=str(program.path),
+                boundary=boundary,
+                timeout=timeout,
+                keep_files=keep_files,
+                dialect="calculix",
+            )
+        return with_others(imported, other, said)
     deck, assembly, flat = _flat(Path(path), choices, outside=allow_includes_outside)
     deck.dialects = deck.dialects if dialect == "auto" else {dialect}
     keep = Path(keep_files) if keep_files else None
@@ -77,6 +107,7 @@ def readable_by_calculix(
     skip: list[str] | str = "",
     allow_includes_outside: bool = False,
     materials: tuple[Material, ...] = (),
+    format: str = "abaqus",
 ) -> None:
     """Whether a deck can be written for CalculiX; it is not run.
 
@@ -84,6 +115,11 @@ def readable_by_calculix(
         InputError: it cannot.
     """
     choices = Choices(options=deck_options(density, contact, skip), materials=materials)
+    if format in FORMATS:
+        other = read_other(path, format, choices.options, materials, outside=allow_includes_outside)
+        with closing(ScratchFolder(None)) as scratch:
+            write_other(other, scratch.path)
+        return
     _flat(path, choices, outside=allow_includes_outside)
 
 
