@@ -32,6 +32,23 @@ WRONG = [
     (multibody.SphericalJoint, {"first": "a", "second": ENDS[1]}, "first = 'a' was given; expected Marker"),
     (multibody.DrivenAngle, {"first": ENDS[0], "second": ENDS[1], "motion": 3.0}, "expected Motion"),
     (multibody.Motion.smooth, {"change": "a", "duration": 1.0}, "change = 'a' was given"),
+    (
+        multibody.Motion.smooth,
+        {"change": 1.0, "duration": 0.0},
+        r"Motion\.smooth: duration = 0\.0 was given; expected a p",
+    ),
+    (
+        multibody.Sphere,
+        {"center": (0, 0, 0), "radius": -1.0, "name": "ball"},
+        r"Sphere 'ball': radius = -1\.0 was given",
+    ),
+    (
+        multibody.SpringDamper,
+        {"first": ENDS[0], "second": ENDS[1], "stiffness": -1.0},
+        "expected a number, zero or more",
+    ),
+    (morembs.Envelope, {"speed": -1.0}, "envelope: speed = -1.0 was given; expected zero or a positive number"),
+    (morembs.Rotation, {"axis": (0, 0, 0)}, r"spin: axis = .* expected a direction: 3 finite numbers"),
     (multibody.PowerLaw, {"stiffness": "a"}, "stiffness = 'a' was given"),
     (multibody.ContactTable, {"penetration": [1.0, 2.0], "forces": [1.0, 2.0], "area": [1.0]}, "expected 2 finite"),
     (multibody.simulate, {"system": None, "end": 1.0, "step": 0.1}, "system = None was given; expected System"),

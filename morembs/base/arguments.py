@@ -21,32 +21,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from morembs.base.errors import InputError, shown
-from morembs.base.limits import Domain, alternatives
-from morembs.base.tolerances import TOL
+from morembs.base.limits import Bounded, Domain, alternatives
 
 Target = TypeVar("Target", bound=Callable[..., Any])
 ARRAY_LIKE = frozenset(get_args(ArrayLike))
 
 
-def in_range(value: float) -> bool:
-    """Whether a number is finite, and not so large that the products it goes into are not."""
-    return abs(value) <= TOL.largest_value
-
-
 def refuse_out_of_range(what: str, values: Iterable[float]) -> None:
-    """Refuse numbers that are not ``in_range``.
+    """Refuse numbers that are not finite, or so large that the products they go into are not.
 
     Raises:
         InputError: there is one.
     """
     for value in values:
-        if not in_range(value):
-            raise InputError(f"{what} = {value} was given; expected a finite number, {TOL.largest_value:g} at most")
+        check_value(what, value, Bounded)
 
 
 def checked(target: Target) -> Target:
     """Decorator: a class or function that refuses arguments that are not as its hints say.
 
+    An argument ``name`` tells objects of one class apart in the message.
     Numbers must not be NaN, arrays must hold numbers; shapes are left to the one who is called. Hints that say nothing
     about values, such as those of sparse matrices, take anything.
 
@@ -62,10 +56,13 @@ def checked(target: Target) -> Target:
         # Python says in its own words what is missing.
         with contextlib.suppress(TypeError):
             given = signature.bind(*args, **kwargs).arguments
+        own = target.__qualname__.rpartition("<locals>.")[2]
+        if isinstance(given.get("name"), str):
+            own += f" {given['name']!r}"
         for name, value in given.items():
             # A default is right whatever its hint.
             if value is not signature.parameters[name].default:
-                check_value(f"{target.__name__}: {name}", value, hints.get(name, Any))
+                check_value(f"{own}: {name}", value, hints.get(name, Any))
         return call(*args, **kwargs)
 
     if isinstance(target, type):
@@ -74,8 +71,8 @@ def checked(target: Target) -> Target:
     return checking  # type: ignore[return-value]
 
 
-def check_options(options: Any) -> None:
-    """Refuse a dataclass ``options`` with a field that is not as its hint says.
+def check_options(options: Any, where: str = "") -> None:
+    """Refuse a dataclass ``options`` with a field that is not as its hint says; ``where`` begins the message.
 
     Raises:
         InputError: there is one.
@@ -84,7 +81,7 @@ def check_options(options: Any) -> None:
     for entry in fields(options):
         value = getattr(options, entry.name)
         if value is not entry.default:
-            check_value(entry.name, value, hints.get(entry.name, Any))
+            check_value(f"{where}{entry.name}", value, hints.get(entry.name, Any))
 
 
 def check_value(name: str, value: object, hint: Any) -> None:

@@ -63,6 +63,10 @@ def alternatives(values: Sequence[object]) -> str:
     return " or ".join([", ".join(quoted[:-1]), quoted[-1]] if quoted[1:] else quoted)
 
 
+def _is_direction(value: Sequence[float]) -> bool:
+    return len(value) == 3 and any(value)
+
+
 Finite = Annotated[float, number("a number")]
 Positive = Annotated[float, number("a positive number", gt=0)]
 NotNegative = Annotated[float, number("a number, zero or more", ge=0)]
@@ -74,6 +78,17 @@ DampingRatio = Annotated[
 ]
 DampingFloor = Annotated[float, number("a part of critical damping from 0 to below 1, such as 0.01", ge=0, lt=1)]
 PoissonRatio = Annotated[float, number("a number between -1 and 0.5 (exclusive; for rubber take 0.49)", gt=-1, lt=0.5)]
+Restitution = Annotated[float, number("a coefficient of restitution from 0 to 1", ge=0, le=1)]
+SpectralRadius = Annotated[float, number("a spectral radius from 0 (the most damping) to 1 (none)", ge=0, le=1)]
+# Numbers whose products are finite: loads and motions.
+_AT_MOST = f"{TOL.largest_value:g} at most"
+Bounded = Annotated[float, number(f"a finite number, {_AT_MOST}", ge=-TOL.largest_value, le=TOL.largest_value)]
+Magnitude = Annotated[float, number(f"zero or a positive number, {_AT_MOST}", ge=0, le=TOL.largest_value)]
+Vector = Annotated[Sequence[Bounded], length(f"3 finite numbers, {_AT_MOST}", 3)]
+Wrench = Annotated[Sequence[Bounded], length(f"6 finite numbers, {_AT_MOST}", 6)]
+Direction = Annotated[
+    Sequence[Bounded], Domain(f"a direction: 3 finite numbers, {_AT_MOST}, not all zero", _is_direction)
+]
 Hertz = Annotated[float, number(f"a frequency in Hz from 0 to {TOL.largest_hz:g}", ge=0, lt=TOL.largest_hz)]
 PositiveHertz = Annotated[
     float, number(f"a positive frequency in Hz below {TOL.largest_hz:g}", gt=0, lt=TOL.largest_hz)

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
+from morembs.base.limits import PositiveCount
 from morembs.base.summary import error_words, hertz, kinds_words, summarised
 from morembs.base.types import Floats, Ints
 from morembs.body.floating.frame import FloatingFrame
@@ -18,7 +20,7 @@ from morembs.body.floating.spin import ReducedSpin
 from morembs.body.parametric_parts import ParametricParts
 from morembs.body.recovery_shapes import RECOVERY, Recovery, recovery_parts
 from morembs.body.tolerances import TOL
-from morembs.body.view import Viewed, refuse_no_modes
+from morembs.body.view import Viewed
 from morembs.certificate.record import CERTIFICATE
 from morembs.fem.fe_model import STRUCTURAL
 from morembs.responses.static_mode_tables import StaticModeTables
@@ -295,7 +297,7 @@ class Body(Viewed):
         Raises:
             InputError: no positive count was asked for, or the file is gone or damaged.
         """
-        refuse_no_modes(count)
+        check_value("modes", count, PositiveCount)
         if self.part is None or self.model is None:
             return self._source.modes(self.name, count)
         first = self.rigid_count
@@ -312,7 +314,7 @@ class Body(Viewed):
         # Not at the top: most who read a file do not look at shapes.
         from morembs.body.vtkhdf_series import View
 
-        refuse_no_modes(modes)
+        check_value("modes", modes, PositiveCount)
         if self.part is not None and not self.part.cells:
             raise InputError(f'{self.name} keeps no nodes; keep nodes = "all", "skin" or "interfaces"')
         grid, node_ids, interfaces = (self._source if self.part is None else self.part).outline()

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
+from morembs.base.limits import one_of
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
 from morembs.body.vtkhdf import VTK_VERTEX, Cells
@@ -119,8 +122,7 @@ def make_part(problem: Problem, nodes: str = "all") -> Part:
 
 def _chosen(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tuple[Ints, tuple[Cells, ...]]:
     """Rows of the chosen nodes and the cells between them, renumbered."""
-    if nodes not in NODE_CHOICES:
-        raise InputError(f"nodes = {nodes!r} was given; expected one of {', '.join(NODE_CHOICES)}")
+    check_value("nodes", nodes, Annotated[str, one_of(*NODE_CHOICES)])
     touched = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(i.nodes for i in interfaces)]))
     if nodes == "interfaces" or model.mesh is None:
         if nodes == "skin":

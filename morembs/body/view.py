@@ -69,13 +69,3 @@ class Viewed(ABC):
             grid.point_data[f"mode {number}"] = shape
         grid.field_data["frequencies_hz"] = view.frequencies_hz
         return grid
-
-
-def refuse_no_modes(count: int) -> None:
-    """Refuse a count of modes that is none.
-
-    Raises:
-        InputError: as said.
-    """
-    if count < 1:
-        raise InputError(f"modes = {count} was given; expected a positive count of elastic modes")

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits
 from morembs.exporters.read_back import ReadBack
@@ -35,6 +36,7 @@ class Text:
     NUMBER = f"%{WIDTH}.{DECIMALS}E"
 
 
+@checked
 def write_op4(
     path: str | Path,
     matrices: Mapping[str, Any],
@@ -53,11 +55,6 @@ def write_op4(
         InputError: a name that Nastran cannot hold, or a matrix that the format cannot.
         OutputError: the file cannot be written.
     """
-    if sparse not in ("dense", "bigmat", "nonbigmat") or byteorder not in ("little", "big") or bits not in (32, 64):
-        raise InputError(
-            f"sparse = {sparse!r}, byteorder = {byteorder!r}, bits = {bits!r} was given; expected dense, bigmat or "
-            "nonbigmat, little or big, 32 or 64"
-        )
     layout = _Layout(order="<" if byteorder == "little" else ">", word=bits // 8, storage=sparse)
     checked = [_Source.of(name, matrix, sparse) for name, matrix in matrices.items()]
     names = [source.name for source in checked]

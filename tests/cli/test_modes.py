@@ -185,7 +185,7 @@ def test_real_modes_of_a_coupling_damper_say_what_they_leave_out(tmp_path):
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
-        (SPIN.replace("[0, 0, 1]", "[0, 0, 0]"), "axis = [0, 0, 0] was given; expected a direction"),
+        (SPIN.replace("[0, 0, 1]", "[0, 0, 0]"), "axis = [0.0, 0.0, 0.0] was given; expected a direction"),
         (SPIN + '\n[frame]\nkind = "mean-axes"', "[frame] was given beside [spin]"),
         (
             SPIN + '\n[state_space]\npath = "a.npz"\ninputs = ["root:force"]\noutputs = ["root:displacement"]',

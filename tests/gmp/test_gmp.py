@@ -361,7 +361,7 @@ def test_three_models_of_a_stiff_slider_crank_agree():
 def test_bad_input_is_named():
     with pytest.raises(InputError, match="'cubic' was given; expected \"linear\""):
         ReducedMember(rod(), modes=1, formulation="cubic")
-    with pytest.raises(InputError, match="-1 modes"):
+    with pytest.raises(InputError, match="ReducedMember: modes = -1"):
         ReducedMember(rod(), modes=-1)
     with pytest.raises(InputError, match=r"reach = 3\.5 was given; expected an angle in rad"):
         ReducedMember(rod(), modes=1, reach=3.5)

@@ -190,7 +190,7 @@ def test_bad_input_is_named():
         PlanarBeam(np.zeros((2, 2)), SLENDER)
     with pytest.raises(InputError, match="no length or does not follow"):
         PlanarBeam([[0, 0, 0], [0, 1, 0]], SLENDER)
-    with pytest.raises(InputError, match="-1 elements"):
+    with pytest.raises(InputError, match=r"PlanarBeam\.straight: elements = -1"):
         PlanarBeam.straight(1.0, -1, SLENDER)
     beam = PlanarBeam.straight(1.0, 2, SLENDER)
     with pytest.raises(InputError, match=r"expected \(9,\)"):

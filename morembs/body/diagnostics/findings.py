@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from morembs.base.arguments import check_options
 from morembs.base.errors import InputError
+from morembs.base.limits import one_of
 from morembs.base.summary import summarised
 from morembs.base.types import Ints
 from morembs.body.diagnostics.tolerances import TOL
@@ -25,14 +27,13 @@ class Finding:
     what to do about it (empty where nothing is to be done), ``where`` labels of nodes or dofs, the first 1000."""
 
     code: str
-    severity: str
+    severity: Annotated[str, one_of(*SEVERITIES)]
     sentence: str
     cure: str = ""
     where: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.severity not in SEVERITIES:
-            raise InputError(f"severity = {self.severity!r} was given; expected one of {', '.join(SEVERITIES)}")
+        check_options(self)
 
     def __str__(self) -> str:
         return f"{self.severity}: {self.sentence}" + (f"; {self.cure}" if self.cure else "")

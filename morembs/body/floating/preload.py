@@ -19,11 +19,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base import progress
-from morembs.base.arguments import in_range, refuse_out_of_range
+from morembs.base.arguments import check_options, check_value
 from morembs.base.budget import current_budget
 from morembs.base.errors import InputError, nearest
 from morembs.base.former_names import with_progress_argument
-from morembs.base.tolerances import TOL as BASE
+from morembs.base.limits import Bounded, Direction, Vector, Wrench
 from morembs.base.types import Floats, Ints
 from morembs.body.floating.buckling import critical_factor
 from morembs.body.floating.static_state import coupling_stiffness, static_state
@@ -51,28 +51,19 @@ class Preload:
     """
 
     wrench: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    speed: float = 0.0
-    axis: Sequence[float] | None = None
-    point: Sequence[float] = (0.0, 0.0, 0.0)
-    acceleration: Sequence[float] = (0.0, 0.0, 0.0)
+    speed: Bounded = 0.0
+    axis: Direction | None = None
+    point: Vector = (0.0, 0.0, 0.0)
+    acceleration: Vector = (0.0, 0.0, 0.0)
     held: tuple[str, ...] = ()
     follows: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, given, size in (
-            ("axis", (0, 0, 1) if self.axis is None else self.axis, 3),
-            ("point", self.point, 3),
-            ("acceleration", self.acceleration, 3),
-            *((f"wrench.{name}", f, 6) for name, f in self.wrench.items()),
-        ):
-            if len(given) != size or not all(map(in_range, given)):
-                expected = f"{size} finite numbers, {BASE.largest_value:g} at most"
-                raise InputError(f"{name} = {list(given)} was given; expected {expected}")
-        refuse_out_of_range("speed", [self.speed])
+        check_options(self)
+        for name, load in self.wrench.items():
+            check_value(f"wrench.{name}", load, Wrench)
         if (self.speed != 0) != (self.axis is not None):
             raise InputError("a rotation needs both speed and axis; give both, or leave both out")
-        if self.axis is not None and not any(self.axis):
-            raise InputError("axis = [0, 0, 0] was given; expected a direction")
         if any(self.acceleration) and not self.held:
             raise InputError(
                 "acceleration strains a free body only through what holds it; name the interfaces that do "

@@ -15,10 +15,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base import progress
-from morembs.base.arguments import in_range
+from morembs.base.arguments import check_options
 from morembs.base.errors import InputError, nearest
 from morembs.base.former_names import with_progress_argument
-from morembs.base.tolerances import TOL as BASE
+from morembs.base.limits import Direction, Vector
 from morembs.base.types import Floats
 from morembs.body.floating.static_state import coupling_stiffness, static_state
 from morembs.body.floating.stiffening_terms import why_no_stiffening
@@ -40,18 +40,13 @@ class Rotation:
     (0, 0, 2)
     """
 
-    axis: Sequence[float]
-    point: Sequence[float] = (0.0, 0.0, 0.0)
+    axis: Direction
+    point: Vector = (0.0, 0.0, 0.0)
     held: tuple[str, ...] = ()
     stress: bool = True
 
     def __post_init__(self) -> None:
-        for name, given in (("axis", self.axis), ("point", self.point)):
-            if len(given) != 3 or not all(map(in_range, given)):
-                expected = f"3 finite numbers, {BASE.largest_value:g} at most"
-                raise InputError(f"spin: {name} = {list(given)} was given; expected {expected}")
-        if not any(self.axis):
-            raise InputError("spin: axis = [0, 0, 0] was given; expected a direction")
+        check_options(self, "spin: ")
 
     def check(self, model: FEModel, names: Sequence[str]) -> None:
         """Refuse a ``model`` without the motions that spin needs, and held interfaces that are not among ``names``.

@@ -13,15 +13,15 @@ one unit of its load causes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from morembs.base.arguments import in_range
+from morembs.base.arguments import check_options
 from morembs.base.errors import InputError, nearest
+from morembs.base.limits import Magnitude
 from morembs.base.summary import summarised
-from morembs.base.tolerances import TOL as BASE
 from morembs.base.types import Floats
 from morembs.body.floating.integrals import PAIRS
 from morembs.fem import frozen
@@ -46,19 +46,15 @@ class Envelope:
     100.0
     """
 
-    acceleration: float | None = None
-    angular_acceleration: float | None = None
-    speed: float | None = None
-    force: float | None = None
-    moment: float | None = None
-    share: float = 0.01
+    acceleration: Magnitude | None = None
+    angular_acceleration: Magnitude | None = None
+    speed: Magnitude | None = None
+    force: Magnitude | None = None
+    moment: Magnitude | None = None
+    share: Magnitude = 0.01
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if value is not None and not (value >= 0 and in_range(value)):
-                expected = f"zero or a positive number, {BASE.largest_value:g} at most"
-                raise InputError(f"envelope: {entry.name} = {value} was given; expected {expected}")
+        check_options(self, "envelope: ")
 
     def limits(self, interfaces: Sequence[str]) -> dict[str, float | None]:
         """Largest value of every load of a body with these ``interfaces``, by name (rad2/s2 for rotations)."""

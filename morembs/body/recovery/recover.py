@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from morembs.base import progress
+from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
 from morembs.base.former_names import with_progress_argument
+from morembs.base.limits import number
 from morembs.body.body import Body
 from morembs.body.file import read_body
 from morembs.body.recovery.expansion import Expander, Expansion, expand, is_reduced, reduced_coordinates
@@ -117,14 +119,14 @@ def _steps(
 ) -> Iterator[Mapping[str, Any]]:
     """Fields of each step by their names; what is noted of all of them is known behind the last."""
     for block in blocks:
-        for number, time in enumerate(block.times):
-            step = {"displacement": block.displacement[number]}
-            far.look(block.displacement[number], float(time))
+        for row, time in enumerate(block.times):
+            step = {"displacement": block.displacement[row]}
+            far.look(block.displacement[row], float(time))
             if block.motion is not None:
-                step["motion"] = block.motion[number]
+                step["motion"] = block.motion[row]
             if shown is not None and block.stress is not None:
-                jump = None if block.jump is None else block.jump[number]
-                step |= shown.fields(block.stress[number], jump, float(time))
+                jump = None if block.jump is None else block.jump[row]
+                step |= shown.fields(block.stress[row], jump, float(time))
             yield step
 
 
@@ -164,10 +166,8 @@ def _recovery_of(path: Path, body: Body, stress: bool) -> Recovery | None:
 def _check_options(target: Path, scale: float, every: int) -> None:
     if target.suffix not in SERIES:
         raise InputError(f"{target} was given for the result; expected a name that ends with {' or '.join(SERIES)}")
-    if not np.isfinite(scale):
-        raise InputError(f"scale = {scale} was given; expected a number, 1 for true deformations")
-    if every < 1:
-        raise InputError(f"every = {every} was given; expected n = 1 or more, to take every n-th step")
+    check_value("scale", scale, Annotated[float, number("a number, 1 for true deformations")])
+    check_value("every", every, Annotated[int, number("n = 1 or more, to take every n-th step", ge=1)])
     check_writable(target)
 
 

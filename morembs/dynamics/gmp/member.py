@@ -14,6 +14,7 @@ import scipy.sparse as sp
 
 from morembs.base.arguments import checked
 from morembs.base.former_names import with_progress_argument
+from morembs.base.limits import Count
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.data import Formulation, Parameterised
 from morembs.dynamics.gmp.plan import AngleRange, Plan, Report
@@ -49,7 +50,7 @@ class ReducedMember:
         self,
         component: NonlinearComponent,
         *,
-        modes: int,
+        modes: Count,
         formulation: Formulation = "tangent",
         reach: float | AngleRange = TOL.default_reach,
         points_per_angle: int | None = None,

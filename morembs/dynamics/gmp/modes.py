@@ -11,6 +11,7 @@ import scipy.sparse.linalg as spl
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import Count
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.component import NonlinearComponent
@@ -28,7 +29,7 @@ class BendingModes:
 
 
 @checked
-def bending_modes(component: NonlinearComponent, count: int, stretch: Floats | None = None) -> BendingModes:
+def bending_modes(component: NonlinearComponent, count: Count, stretch: Floats | None = None) -> BendingModes:
     """The lowest ``count`` modes of bending; modes of stretching are left out.
 
     With ``stretch`` A (N,) they are those of K - K A A'K / A'KA, which that shape does not strain.
@@ -38,8 +39,6 @@ def bending_modes(component: NonlinearComponent, count: int, stretch: Floats | N
     """
     held = np.concatenate(tuple(component.frames.values()))
     free = np.setdiff1d(np.arange(component.size), held)
-    if not isinstance(count, (int, np.integer)) or count < 0:
-        raise InputError(f"{count!r} modes were given; expected a number of them, zero or more")
     full_K = component.tangent(component.reference)
     K, M = full_K[free][:, free], component.M[free][:, free]
     g = np.zeros(len(free))

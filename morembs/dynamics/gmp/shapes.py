@@ -19,10 +19,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
+from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.chebyshev import ChebyshevTable, points
@@ -67,8 +68,7 @@ def shapes(
         InputError: an unknown formulation, too many modes, a range that the equilibria do not cover.
         OutputError: the checkpoint cannot be written.
     """
-    if formulation not in get_args(Formulation):
-        raise InputError(f"formulation {formulation!r} was given; expected one of {', '.join(get_args(Formulation))}")
+    check_value("formulation", formulation, Formulation)
     if formulation == "membrane" and not isinstance(component, PlanarBeam):
         raise InputError(
             f"formulation 'membrane' was given for a {type(component).__name__}; it needs the axis of a PlanarBeam. "

@@ -19,6 +19,7 @@ from numpy.polynomial.chebyshev import chebvander
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.former_names import with_progress_argument
+from morembs.base.limits import Count
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.chebyshev import ChebyshevTable, points
 from morembs.dynamics.gmp.data import Parameterised
@@ -61,7 +62,7 @@ class _Sample:
 def solid_member(
     solid: NonlinearSolid,
     *,
-    modes: int,
+    modes: Count,
     reach: float | AngleRange = TOL.default_reach,
     points_per_angle: int | None = None,
     tolerance: float = TOL.table_error,

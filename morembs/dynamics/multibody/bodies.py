@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import Positive
 from morembs.base.types import Floats
 from morembs.body.floating.frame import FloatingFrame
 from morembs.body.floating.integrals import ShapeIntegrals
@@ -53,7 +54,7 @@ class RigidBody(FloatingBody):
 
     def __init__(
         self,
-        mass: float,
+        mass: Positive,
         inertia: ArrayLike,
         *,
         center_of_mass: ArrayLike = (0.0, 0.0, 0.0),
@@ -65,9 +66,7 @@ class RigidBody(FloatingBody):
         name: str = "body",
     ) -> None:
         label = f"body {name!r}"
-        mass = float(numbers(f"{label}: mass", mass, ()))
-        if mass <= 0:
-            raise InputError(f"{label}: mass = {mass:g} kg was given; expected a positive mass")
+        mass = float(mass)
         square = np.diag(inertia) if np.ndim(inertia) == 1 else inertia
         J = numbers(f"{label}: inertia", square, (3, 3))
         if np.abs(J - J.T).max() > TOL.inertia_asymmetry * np.abs(J).max() or np.linalg.eigvalsh(J)[0] <= 0:

@@ -5,7 +5,6 @@ g(x, 0) + B' multipliers = 0 and Phi(x) = 0, by Newton's method in the coordinat
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,6 +14,7 @@ import numpy as np
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import Finite, PositiveCount
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.equilibrium_search import EquilibriumSearch
@@ -26,7 +26,7 @@ from morembs.dynamics.multibody.segment import Segment
 from morembs.dynamics.multibody.sensitivity import at_rest
 from morembs.dynamics.multibody.steady_spin import SteadySpin
 from morembs.dynamics.multibody.system import Assembly, State, System
-from morembs.dynamics.multibody.tolerances import TOL
+from morembs.dynamics.multibody.tolerances import TOL, NewtonTolerance
 from morembs.dynamics.multibody.variation import StateSlopes, Variation, variations
 
 
@@ -86,9 +86,9 @@ def equilibrium(
     system: System,
     *,
     guess: Equilibrium | State | None = None,
-    tolerance: float = TOL.left_force,
-    load_steps: int = 1,
-    time: float = 0.0,
+    tolerance: NewtonTolerance = TOL.left_force,
+    load_steps: PositiveCount = 1,
+    time: Finite = 0.0,
     spin: SteadySpin | None = None,
     sensitivities: Sequence[str] | bool = False,
 ) -> Equilibrium:
@@ -119,13 +119,6 @@ def equilibrium(
     >>> still.stable, float(still.result.reaction(joint)[0, 2].round(6))
     (True, 19.62)
     """
-    if not (
-        0 < tolerance < TOL.max_newton_error and isinstance(load_steps, int) and load_steps >= 1 and math.isfinite(time)
-    ):
-        raise InputError(
-            f"tolerance = {tolerance:g}, load_steps = {load_steps} and time = {time:g} were given; expected a "
-            "tolerance between 0 and 0.01, an integer of at least one, and a time in s"
-        )
     if spin is not None and sensitivities:
         raise InputError("sensitivities were given beside a spin; they are those of systems at rest, leave one out")
     assembly = Assembly(system)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import NotNegative
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.component import Marker, MarkerState, direction, vector
 from morembs.dynamics.multibody.joints import bend_turn, frame_about, turn_angle
@@ -108,12 +109,6 @@ class PointLoad(Force):
         return float(self.wrenches(t, places, twists)[0] @ twists[0])
 
 
-def _not_negative(what: str, **values: float) -> None:
-    for key, value in values.items():
-        if not (np.isfinite(value) and value >= 0):
-            raise InputError(f"{what}: {key} = {value} was given; expected a number that is not negative")
-
-
 @checked
 @dataclass(frozen=True, eq=False)
 class SpringDamper(Force):
@@ -129,20 +124,18 @@ class SpringDamper(Force):
     first: Marker
     second: Marker
     _: KW_ONLY
-    stiffness: float
-    damping: float = 0.0
-    length: float | None = None
+    stiffness: NotNegative
+    damping: NotNegative = 0.0
+    length: NotNegative | None = None
     name: str = "spring"
     markers: tuple[Marker, ...] = field(init=False)
     rest: float = field(init=False)
 
     def __post_init__(self) -> None:
         what = f"spring {self.name!r}"
-        _not_negative(what, stiffness=self.stiffness, damping=self.damping)
         a, b = (m.place(m.component.start()[0]).position for m in (self.first, self.second))
         distance = float(np.linalg.norm(b - a))
         rest = distance if self.length is None else self.length
-        _not_negative(what, length=rest)
         if rest > 0 and distance == 0:
             raise InputError(f"{what}: its markers coincide at the start; expected a line between them, or length=0")
         object.__setattr__(self, "rest", rest)
@@ -197,8 +190,8 @@ class TorsionSpring(Force):
     second: Marker
     _: KW_ONLY
     axis: ArrayLike
-    stiffness: float
-    damping: float = 0.0
+    stiffness: NotNegative
+    damping: NotNegative = 0.0
     angle: float = 0.0
     name: str = "torsion spring"
     markers: tuple[Marker, ...] = field(init=False)
@@ -206,7 +199,6 @@ class TorsionSpring(Force):
 
     def __post_init__(self) -> None:
         what = f"spring {self.name!r}"
-        _not_negative(what, stiffness=self.stiffness, damping=self.damping)
         a, b = (m.place(m.component.start()[0]) for m in (self.first, self.second))
         on_a = frame_about(direction(f"axis of {what}", self.axis))
         object.__setattr__(self, "_frames", (on_a, b.axes.T @ a.axes @ on_a))

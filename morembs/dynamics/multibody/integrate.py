@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sl
 
-from morembs.base.errors import InputError, SolverError
+from morembs.base.arguments import check_options
+from morembs.base.errors import SolverError
+from morembs.base.limits import SpectralRadius
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.reactions import LU, Iterate, Reactions, saddle
 from morembs.dynamics.multibody.system import Assembly, State
@@ -25,11 +27,10 @@ from morembs.dynamics.multibody.tolerances import TOL
 class Scheme:
     """Parameters of generalised-alpha from ``rho`` (0 to 1), the spectral radius at infinite frequency."""
 
-    rho: float
+    rho: SpectralRadius
 
     def __post_init__(self) -> None:
-        if not 0 <= self.rho <= 1:
-            raise InputError(f"rho = {self.rho} was given; expected 0 (strong damping) to 1 (none)")
+        check_options(self)
 
     @property
     def alpha_m(self) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from morembs.base.arguments import checked
-from morembs.base.errors import InputError
+from morembs.base.limits import Positive
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.component import Marker, MarkerState, direction
 from morembs.dynamics.multibody.rotations import cross, hat
@@ -40,7 +40,7 @@ class Motion:
 
     @classmethod
     @checked
-    def smooth(cls, change: float, duration: float, begin: float = 0.0, start: float = 0.0) -> Motion:
+    def smooth(cls, change: float, duration: Positive, begin: float = 0.0, start: float = 0.0) -> Motion:
         """From ``start`` by ``change`` within ``duration`` along a polynomial of degree five, at rest outside.
 
         Its acceleration has a kink at both ends, where forces of joints err to first order in the step for some steps.
@@ -48,8 +48,6 @@ class Motion:
         Raises:
             InputError: a duration that is not positive.
         """
-        if not duration > 0:
-            raise InputError(f"duration = {duration} s of a motion was given; expected a positive time")
 
         def along(order: int, t: float) -> float:
             s = min(max((t - begin) / duration, 0.0), 1.0)

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from morembs.base.arguments import checked
+from morembs.base.arguments import check_value, checked
 from morembs.base.errors import InputError, SolverError
+from morembs.base.limits import Finite
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.equilibrium import Equilibrium
 from morembs.dynamics.multibody.integrate import Scheme, Stepper
@@ -20,7 +21,7 @@ from morembs.dynamics.multibody.result import Result
 from morembs.dynamics.multibody.segment import Segment
 from morembs.dynamics.multibody.sensitivity import DirectDifferentiation
 from morembs.dynamics.multibody.system import Assembly, State, System
-from morembs.dynamics.multibody.tolerances import TOL
+from morembs.dynamics.multibody.tolerances import TOL, NewtonTolerance
 from morembs.dynamics.multibody.variation import variations
 
 Repeat = Callable[[float], State]
@@ -160,15 +161,13 @@ def simulate(
 
 
 def _check_times(begin: float, end: float, step: float, tolerance: float) -> None:
-    for name, value in (("begin", begin), ("end", end), ("step", step), ("tolerance", tolerance)):
-        if not math.isfinite(value):
-            raise InputError(f"{name} = {value} was given; expected a finite number")
+    for name, value in (("begin", begin), ("end", end), ("step", step)):
+        check_value(name, value, Finite)
+    check_value("tolerance", tolerance, NewtonTolerance)
     if not end > begin:
         raise InputError(f"end = {end:g} s was given with begin = {begin:g} s; expected an end after the beginning")
     if not 0 < step <= end - begin:
         raise InputError(f"step = {step:g} s was given; expected a positive step up to the span of {end - begin:g} s")
-    if not 0 < tolerance < TOL.max_newton_error:
-        raise InputError(f"tolerance = {tolerance:g} was given; expected a number between 0 and 0.01, such as 1e-9")
 
 
 def _checked_deflection(value: float | None) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import Finite
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.component import direction, vector
 from morembs.dynamics.multibody.floating_body import FloatingBody
@@ -33,13 +34,11 @@ class SteadySpin:
     """
 
     axis: Sequence[float]
-    speed: float
+    speed: Finite
     point: Sequence[float] = (0.0, 0.0, 0.0)
     vector: Floats = field(init=False)
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.speed):
-            raise InputError(f"steady spin: speed = {self.speed} was given; expected a number in rad/s")
         object.__setattr__(self, "vector", self.speed * direction("axis of the steady spin", self.axis))
         object.__setattr__(self, "point", vector("point of the steady spin", self.point, 3))
 

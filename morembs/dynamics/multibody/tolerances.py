@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from morembs.base.limits import number
 
 
 @dataclass(frozen=True)
@@ -148,3 +151,7 @@ class MultibodyTolerances:
 
 
 TOL = MultibodyTolerances()
+
+NewtonTolerance = Annotated[
+    float, number(f"a number between 0 and {TOL.max_newton_error:g}, such as 1e-9", gt=0, lt=TOL.max_newton_error)
+]

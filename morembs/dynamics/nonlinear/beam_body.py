@@ -11,7 +11,6 @@ system.add(FixedJoint(ground.marker_at(), rope.marker("start")))
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -22,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError, nearest
+from morembs.base.limits import NotNegative
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.component import Component, Marker, MarkerState, checked_rotation, vector
 from morembs.dynamics.multibody.divided import END, START
@@ -56,12 +56,10 @@ class BeamBody(Component):
         rotation: ArrayLike | None = None,
         velocity: ArrayLike = (0.0, 0.0, 0.0),
         angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        damping: float = 0.0,
+        damping: NotNegative = 0.0,
         name: str = "beam",
     ) -> None:
         label, n = f"body {name!r}", len(beam.nodes)
-        if not (math.isfinite(damping) and damping >= 0):
-            raise InputError(f"{label}: damping = {damping} s was given; expected zero or more")
         if min(beam.section.rotary) <= 0:
             raise InputError(
                 f"{label}: rotary = {beam.section.rotary} was given for its section; expected three positive inertias, "

@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from morembs.base.arguments import checked
 from morembs.base.closing import Closing
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.base.limits import Positive, PositiveCount
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.tolerances import TOL
 from morembs.linalg.sparse.select import select_solver
@@ -111,8 +112,8 @@ def follow_equilibrium(
     load: Load | None = None,
     motion: Floats | None = None,
     x: Floats | None = None,
-    steps: int = 10,
-    tolerance: float = TOL.newton_step,
+    steps: PositiveCount = 10,
+    tolerance: Positive = TOL.newton_step,
     stable: bool = True,
     solver: LinearSolver | None = None,
 ) -> EquilibriumPath:
@@ -132,8 +133,6 @@ def follow_equilibrium(
         BudgetError: the memory of the solver is too small.
     """
     start, held, shift, force = _checked(component, held, load, motion, x)
-    if steps < 1 or not tolerance > 0:
-        raise InputError(f"steps = {steps}, tolerance = {tolerance} were given; expected positive numbers")
     free = np.setdiff1d(np.arange(component.size), held)
     with Tangents(free, solver) as tangents:
         newton = Newton(component, tangents, held, force, tolerance, stable)

@@ -11,12 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from morembs.base.arguments import checked
+from morembs.base.arguments import check_value, checked
 from morembs.base.errors import InputError
+from morembs.base.limits import NotNegative, Positive, one_of
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.chain import Chain
 from morembs.dynamics.nonlinear.member import Member
@@ -60,10 +62,8 @@ class Mechanism:
     it, and small vibrations of f Hz have the ratio pi f ``damping``.
     """
 
-    def __init__(self, *, gravity: ArrayLike = (0.0, 0.0), damping: float = 0.0) -> None:
+    def __init__(self, *, gravity: ArrayLike = (0.0, 0.0), damping: NotNegative = 0.0) -> None:
         self.gravity, self.damping = _pair("gravity", gravity), float(damping)
-        if not (math.isfinite(damping) and damping >= 0):
-            raise InputError(f"damping = {damping} s was given; expected zero or more")
         self.members: list[Member] = []
         self.numbers: list[Ints] = []
         self.masses: list[tuple[Point, float]] = []
@@ -102,8 +102,7 @@ class Mechanism:
                 raise InputError(f"the motion of a point starts at {first.tolist()} m; expected zero")
             _at_rest("point", "m/s", motion)
             fixed = "xy"
-        if fixed not in ("", "x", "y", "xy"):
-            raise InputError(f"fixed = {fixed!r} was given; expected '', 'x', 'y' or 'xy'")
+        check_value("fixed", fixed, Annotated[str, one_of("", "x", "y", "xy")])
         numbers = np.array([self._number(float(where[k]), "xy"[k] in fixed) for k in range(2)])
         return Point(where, numbers, motion)
 
@@ -196,8 +195,7 @@ class Mechanism:
 
     def mass(self, point: Point, mass: float) -> None:
         """A point mass in kg."""
-        if not (math.isfinite(mass) and mass > 0):
-            raise InputError(f"a point mass of {mass} kg was given; expected a positive number")
+        check_value("mass of a point in kg", mass, Positive)
         self.masses.append((point, mass))
 
     def torque(self, angle: Angle | int, value: Callable[[float], float]) -> None:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,6 +21,7 @@ from scipy.linalg.lapack import dgetrs as getrs
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError, SolverError
+from morembs.base.limits import SpectralRadius, one_of
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.integrate import Scheme
 from morembs.dynamics.nonlinear.mechanism import Mechanism
@@ -192,9 +193,9 @@ def simulate(
     *,
     end: float,
     step: float,
-    rho: float = TOL.default_rho,
+    rho: SpectralRadius = TOL.default_rho,
     tolerance: float = TOL.node_change,
-    outside: str = "stop",
+    outside: Annotated[str, one_of("stop", "continue")] = "stop",
     dense_entries: int = TOL.dense_entries,
 ) -> MechanismMotion:
     """Motion from rest to ``end`` (s) in steps of ``step`` (s).
@@ -220,8 +221,6 @@ def simulate(
         )
     if not (0 < step <= end and np.isfinite(end)):
         raise InputError(f"step = {step} s and end = {end} s were given; expected 0 < step <= end")
-    if outside not in ("stop", "continue"):
-        raise InputError(f"outside = {outside!r} was given; expected 'stop' or 'continue'")
     return _Integration(_Run(mechanism, outside, dense_entries), scheme, step, tolerance).run(round(end / step))
 
 

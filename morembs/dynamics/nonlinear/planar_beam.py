@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
-from morembs.base.limits import NotNegative, Positive
+from morembs.base.limits import NotNegative, Positive, PositiveCount
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.tolerances import TOL
 
@@ -102,10 +102,10 @@ class PlanarBeam:
 
     @classmethod
     @checked
-    def straight(cls, length: float, elements: int, section: Section, *, corrected: bool = True) -> PlanarBeam:
+    def straight(
+        cls, length: Positive, elements: PositiveCount, section: Section, *, corrected: bool = True
+    ) -> PlanarBeam:
         """A straight beam along x from the origin, ``length`` in m."""
-        if not (math.isfinite(length) and length > 0) or elements < 1:
-            raise InputError(f"length {length} m, {elements} elements were given; expected positive numbers")
         nodes = np.zeros((elements + 1, 3))
         nodes[:, 0] = np.linspace(0, length, elements + 1)
         return cls(nodes, section, corrected=corrected)

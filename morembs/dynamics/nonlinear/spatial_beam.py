@@ -12,7 +12,6 @@ without load. Forces on p and the tangent are derivatives of the energy by p its
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
-from morembs.base.limits import NotNegative, Positive
+from morembs.base.limits import NotNegative, PoissonRatio, Positive, PositiveCount
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.helix import Helix
 from morembs.dynamics.nonlinear.rotation_vectors import curvature, shortened, tangents
@@ -51,14 +50,16 @@ class SpatialSection:
     @classmethod
     @checked
     def rectangle(
-        cls, width: float, height: float, *, E: float, nu: float, density: float, shear: float = 5 / 6
+        cls,
+        width: Positive,
+        height: Positive,
+        *,
+        E: Positive,
+        nu: PoissonRatio,
+        density: Positive,
+        shear: Positive = 5 / 6,
     ) -> SpatialSection:
         """Solid rectangle, ``width`` along axis 2 and ``height`` along axis 3 in m; torsion after Saint-Venant."""
-        for name, value in (("width", width), ("height", height), ("E", E), ("density", density), ("shear", shear)):
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"rectangle: {name} = {value} was given; expected a positive number")
-        if not -1 < nu < 0.5:
-            raise InputError(f"rectangle: nu = {nu} was given; expected a number between -1 and 0.5")
         A, I2, I3, G = width * height, width * height**3 / 12, height * width**3 / 12, E / (2 * (1 + nu))
         long, short = max(width, height), min(width, height)
         odd = np.arange(1, 40, 2)
@@ -138,10 +139,10 @@ class SpatialBeam:
 
     @classmethod
     @checked
-    def straight(cls, length: float, elements: int, section: SpatialSection, *, corrected: bool = True) -> SpatialBeam:
+    def straight(
+        cls, length: Positive, elements: PositiveCount, section: SpatialSection, *, corrected: bool = True
+    ) -> SpatialBeam:
         """A straight beam along x from the origin, its axes 2 and 3 along y and z; ``length`` in m."""
-        if not (math.isfinite(length) and length > 0) or elements < 1:
-            raise InputError(f"length {length} m, {elements} elements were given; expected positive numbers")
         nodes = np.zeros((elements + 1, 3))
         nodes[:, 0] = np.linspace(0, length, elements + 1)
         return cls(nodes, np.tile(np.eye(3), (elements + 1, 1, 1)), section, corrected=corrected)
@@ -149,11 +150,15 @@ class SpatialBeam:
     @classmethod
     @checked
     def arc(
-        cls, radius: float, angle: float, elements: int, section: SpatialSection, *, corrected: bool = True
+        cls,
+        radius: Positive,
+        angle: Positive,
+        elements: PositiveCount,
+        section: SpatialSection,
+        *,
+        corrected: bool = True,
     ) -> SpatialBeam:
         """A circular arc in the plane of x and y that leaves the origin along x and bends to y; ``angle`` in rad."""
-        if not (math.isfinite(radius) and radius > 0 and math.isfinite(angle) and angle > 0) or elements < 1:
-            raise InputError(f"radius {radius}, angle {angle}, {elements} elements were given; expected positive ones")
         t = np.linspace(0, angle, elements + 1)
         nodes = radius * np.column_stack((np.sin(t), 1 - np.cos(t), 0 * t))
         frames = Rotation.from_rotvec(np.column_stack((0 * t, 0 * t, t))).as_matrix()

@@ -9,11 +9,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
+from morembs.base.arguments import check_options
 from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.base.limits import one_of
 from morembs.base.scratch import ScratchFolder, free_bytes
 from morembs.base.types import Values
 from morembs.linalg.sparse.mumps_codes import (
@@ -260,7 +262,7 @@ class MumpsSolver(SessionSolver):
     ``discard`` throws the factor away while it is computed: only the inertia is known then.
     """
 
-    precision: str = "double"
+    precision: Annotated[str, one_of(*PRECISIONS)] = "double"
     low_rank: float = 0.0
     out_of_core: bool | None = None
     discard: bool = False
@@ -269,8 +271,7 @@ class MumpsSolver(SessionSolver):
     library: ClassVar[Callable[[str], Library | str]]
 
     def __post_init__(self) -> None:
-        if self.precision not in PRECISIONS:
-            raise InputError(f"precision = {self.precision!r} was given; expected one of {', '.join(PRECISIONS)}")
+        check_options(self)
 
     @classmethod
     def unavailable(cls) -> str:

@@ -15,7 +15,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from morembs.base.errors import InputError, OutputError, SolverError
+from morembs.base.errors import OutputError, SolverError
+from morembs.base.limits import PositiveCount
 from morembs.linalg.sparse.mumps import MumpsSession, MumpsSolver
 from morembs.linalg.sparse.mumps_codes import ARITHMETIC, Info, Job
 from morembs.linalg.sparse.mumps_library import Library, parse_header, rank_files
@@ -154,12 +155,7 @@ class RankedMumps(MumpsSolver):
     name: ClassVar[str] = "mumps-ranks"
     session: ClassVar[type[Session]] = _RankedSession
     library: ClassVar[Callable[[str], Library | str]] = staticmethod(_library)
-    ranks: int = 2
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.ranks < 1:
-            raise InputError(f"ranks = {self.ranks} was given; expected 1 or more")
+    ranks: PositiveCount = 2
 
     def _found(self, dtype: str) -> Library | str:
         if reason := why_not():

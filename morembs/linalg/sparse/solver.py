@@ -10,12 +10,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, Self, final
+from typing import Annotated, Any, ClassVar, Self, final
 
 import scipy.sparse as sp
 
+from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
 from morembs.base.former_names import with_old_names
+from morembs.base.limits import one_of
 from morembs.base.types import Floats
 from morembs.linalg.sparse.cost import FactorStats, Forecast
 from morembs.linalg.sparse.factorization import (
@@ -38,6 +40,9 @@ __all__ = [
     "Forecast",
     "LinearSolver",
 ]
+
+
+Structure = Annotated[str, one_of(*STRUCTURES)]
 
 
 @with_old_names(knowing="with_near_null_space")
@@ -121,8 +126,7 @@ class LinearSolver(ABC):
             InputError: not square, not symmetric, not finite, or a structure this solver cannot take.
             SolverError: it cannot be kept within the budget; the message says what would be needed.
         """
-        if structure not in STRUCTURES:
-            raise InputError(f"structure = {structure!r} was given; expected one of {', '.join(STRUCTURES)}")
+        check_value("structure", structure, Structure)
         if structure not in self.structures:
             raise InputError(
                 f"solver = {self.name!r} takes {' or '.join(self.structures)} matrices; {what} is {structure}"
@@ -147,8 +151,7 @@ class LinearSolver(ABC):
             SingularMatrixError: singular to working accuracy.
             SolverError: the backend failed or its solution is inaccurate.
         """
-        if structure not in STRUCTURES:
-            raise InputError(f"structure = {structure!r} was given; expected one of {', '.join(STRUCTURES)}")
+        check_value("structure", structure, Structure)
         lower = as_stored(A, structure, what)
         analysis = self.analyse(lower, structure, what)
         try:

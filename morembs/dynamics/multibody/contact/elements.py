@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError, nearest
-from morembs.base.limits import Positive
+from morembs.base.limits import Positive, Restitution
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.component import Marker, MarkerState, direction
 from morembs.dynamics.multibody.forces import Force
@@ -69,7 +69,7 @@ class PowerLaw:
 
 
 @checked
-def damping_factor(law: str, restitution: float) -> float:
+def damping_factor(law: str, restitution: Restitution) -> float:
     """chi v0 of F = f(d) (1 + chi d'): what the rate of penetration weighs, over the speed of the approach.
 
     ``hunt-crossley`` (Hunt and Crossley 1975) and ``lankarani-nikravesh`` (Lankarani and Nikravesh 1990) hold for
@@ -80,8 +80,6 @@ def damping_factor(law: str, restitution: float) -> float:
     """
     if law not in _FACTORS:
         raise InputError(f"law {law!r} of a contact is not known; {nearest(law, list(_FACTORS))}")
-    if not 0 <= restitution <= 1:
-        raise InputError(f"restitution = {restitution} of a contact was given; expected 0 to 1")
     if law == "flores" and restitution == 0:
         raise InputError(
             "restitution = 0 was given with the law 'flores', whose damping grows without bound there; expected a "

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import NotNegative, Restitution
 from morembs.base.types import Bools, Floats
 from morembs.dynamics.multibody.component import Component, Marker, MarkerState, direction, numbers
 from morembs.dynamics.multibody.contact.surfaces import NodalSurface, Surface
@@ -62,8 +63,8 @@ class Contact:
         *,
         on: Marker,
         vertices: Sequence[Marker] = (),
-        friction: float = 0.0,
-        restitution: float = 0.0,
+        friction: NotNegative = 0.0,
+        restitution: Restitution = 0.0,
         axis: ArrayLike = (1.0, 0.0, 0.0),
         compliance: ArrayLike | Compliant | None = None,
         name: str = "contact",
@@ -83,10 +84,6 @@ class Contact:
             raise InputError(f"{what}: its points are on several bodies; make a contact for each body")
         if self.points[0].component is self.on.component:
             raise InputError(f"{what}: points and surface are on one body; expected two bodies, or one and ground")
-        if not (np.isfinite(self.friction) and self.friction >= 0):
-            raise InputError(f"{what}: friction = {self.friction} was given; expected a number that is not negative")
-        if not 0 <= self.restitution <= 1:
-            raise InputError(f"{what}: restitution = {self.restitution} was given; expected 0 to 1")
         if self.vertices:
             known = len(self.surface.points) if isinstance(self.surface, NodalSurface) else 0
             if known != len(self.vertices):

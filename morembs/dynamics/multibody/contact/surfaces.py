@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import Positive
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.multibody.component import direction, vector
 from morembs.dynamics.multibody.contact.curves import checked_points, descend, overhauser
@@ -90,15 +91,13 @@ class Sphere(Surface):
     """
 
     center: ArrayLike
-    radius: float
+    radius: Positive
     _: KW_ONLY
     hollow: bool = False
     name: str = "sphere"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "center", vector(f"center of {self.name!r}", self.center))
-        if not (np.isfinite(self.radius) and self.radius > 0):
-            raise InputError(f"radius = {self.radius} m of {self.name!r} was given; expected a positive length")
 
     def nearest(self, point: Floats) -> ClosestPoint:
         center = np.asarray(self.center, dtype=float)

@@ -23,6 +23,7 @@ from scipy.optimize import nnls
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError, SolverError
+from morembs.base.limits import Positive
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.multibody.component import direction, vector
 from morembs.dynamics.multibody.contact.surfaces import Sphere
@@ -48,17 +49,15 @@ class Cylinder:
 
     center: ArrayLike
     axis: ArrayLike
-    radius: float
+    radius: Positive
     _: KW_ONLY
-    crown: float = np.inf
+    # Infinite by default: a straight profile.
+    crown: Positive = np.inf
     name: str = "cylinder"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "center", vector(f"center of {self.name!r}", self.center))
         object.__setattr__(self, "axis", direction(f"axis of {self.name!r}", self.axis))
-        for key, value in (("radius", self.radius), ("crown", self.crown)):
-            if not value > 0:
-                raise InputError(f"{key} = {value} m of {self.name!r} was given; expected a positive length")
 
 
 @checked

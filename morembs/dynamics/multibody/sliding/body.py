@@ -12,11 +12,13 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import PositiveCount, number, one_of
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.multibody.bodies import FlexibleBody
 from morembs.dynamics.multibody.component import Component, FixedMarker, Marker, MarkerState
@@ -64,21 +66,14 @@ class SwitchingBody(Component):
         switching: StaticModeTables,
         *,
         at: Sequence[float] | float = (0.0,),
-        variant: str = "quasi-static",
-        look_ahead: int = 1,
-        damping_ratio: float = TOL.default_damping_ratio,
-        interpolation: str = "catmull-rom",
+        variant: Annotated[str, one_of(*VARIANTS)] = "quasi-static",
+        look_ahead: PositiveCount = 1,
+        damping_ratio: Annotated[
+            float, number("a number from 0, such as 0.1", ge=0, lt=10)
+        ] = TOL.default_damping_ratio,
+        interpolation: Annotated[str, one_of(*INTERPOLATIONS)] = "catmull-rom",
     ) -> None:
         label = f"body {inner.name!r}"
-        for what, given, known in (("variant", variant, VARIANTS), ("interpolation", interpolation, INTERPOLATIONS)):
-            if given not in known:
-                raise InputError(f"{label}: {what} = {given!r} was given; expected one of {', '.join(known)}")
-        if look_ahead < 1:
-            raise InputError(f"{label}: look_ahead = {look_ahead} was given; expected 1 node or more")
-        if not 0 <= damping_ratio < 10:
-            raise InputError(
-                f"{label}: damping_ratio = {damping_ratio} was given; expected a number from 0, such as 0.1"
-            )
         self.name, self.inner, self.switching = inner.name, inner, switching
         self.variant, self.look_ahead, self.interpolation = variant, look_ahead, interpolation
         self.damping_ratio = damping_ratio

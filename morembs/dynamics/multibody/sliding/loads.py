@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
@@ -12,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
+from morembs.base.limits import NotNegative
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.component import Marker, MarkerState, direction
 from morembs.dynamics.multibody.forces import Force, Load, _load
@@ -163,15 +163,13 @@ class PathSupport(Force, Slider):
     second: Marker
     _: KW_ONLY
     up: ArrayLike = (0.0, 0.0, 1.0)
-    compliance: float = 0.0
+    compliance: NotNegative = 0.0
     name: str = "support"
     e: Floats = field(init=False)
     markers: tuple[Marker, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "e", _checked_up(f"support {self.name!r}", self.first, self.up, self.second))
-        if not (math.isfinite(self.compliance) and self.compliance >= 0):
-            raise InputError(f"support {self.name!r}: compliance = {self.compliance} was given; expected m/N from 0 on")
         if self.first.component.variant != "quasi-static":
             raise InputError(f"support {self.name!r}: the dynamic variant moves its path already; take a PointOnPath")
         object.__setattr__(self, "path", self.first)
