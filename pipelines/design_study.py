@@ -21,10 +21,11 @@ from scipy.optimize import OptimizeResult, minimize
 from scipy.stats import qmc
 
 import morembs
-from morembs.app.jobs.job import Job, load_job
+from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
 from morembs.app.jobs.stages.model import materials_of
 from morembs.app.jobs.stages.parameters import varied_of
+from morembs.app.jobs.tables import Job
 from morembs.body.parametric import ParametricBody
 from morembs.parametric.update import Measured
 

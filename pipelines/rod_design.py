@@ -17,9 +17,9 @@ from scipy.linalg import qr
 from scipy.optimize import linprog
 
 import morembs
-from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.model import materials_of
 from morembs.app.jobs.stages.parameters import varied_of
+from morembs.app.jobs.tables import Job
 from morembs.body.floating.parametric import frame_terms
 from morembs.dynamics import multibody as mb
 from morembs.fem.stress_operator import stress_operator, von_mises, von_mises_slope

@@ -16,7 +16,7 @@ from itertools import groupby
 from pathlib import Path
 
 from morembs.app.cli.tolerance_table import tolerances
-from morembs.app.jobs.schema import JobTables
+from morembs.app.jobs.job import job_tables
 from morembs.base.arguments import hints_of
 from morembs.base.key_tables import expected, holds_several, inner_table
 from morembs.base.options import in_toml
@@ -122,7 +122,7 @@ def default(field: Field[object]) -> str:
 
 def job_keys() -> Iterator[str]:
     """A row for each key of a job that is the same for all methods."""
-    for table, hint in hints_of(JobTables).items():
+    for table, hint in hints_of(job_tables()).items():
         kind = inner_table(hint)
         if kind is None:
             raise TypeError(f"{table} of a job holds no table")

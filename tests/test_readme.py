@@ -11,7 +11,7 @@ import pytest
 import typer
 
 from morembs.app.cli.commands import app
-from morembs.app.jobs.schema import JobTables
+from morembs.app.jobs.job import job_tables
 from morembs.base.key_tables import read_table
 from morembs.body.file import read_body
 from morembs.importers.model_file import read_model, write_model
@@ -193,7 +193,7 @@ def test_fragments_of_jobs_are_taken(page):
         whole = {**WHOLE, "material": []} if "model" in given or "substructure" in given else WHOLE
         if "substructure" in given:
             whole = {key: table for key, table in whole.items() if key != "model"}
-        tables = read_table(JobTables, {**whole, **given})
+        tables = read_table(job_tables(), {**whole, **given})
         for table in tables.reduce:
             assert REDUCERS[table.method](**table.options())
 

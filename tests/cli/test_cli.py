@@ -23,10 +23,10 @@ from typer.testing import CliRunner
 import morembs
 from morembs.app.cli import commands as cli
 from morembs.app.cli import screen, terminal
-from morembs.app.cli.certificates import Certified
-from morembs.app.cli.report import beside
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
+from morembs.app.report.certificates import Certified
+from morembs.app.report.frequencies import beside
 from morembs.body.drawing import viewed_axes
 from morembs.body.file import read_body
 from morembs.importers import read_mesh

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 import morembs.app.cli
 from morembs.app.cli import commands
-from morembs.app.cli.tables import plain_table, titled
 from morembs.app.jobs.job import load_job
+from morembs.app.report.text import plain_table, titled
 from tests.support import decks
 
 RUNNER = CliRunner()

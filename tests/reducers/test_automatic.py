@@ -11,9 +11,12 @@ from typer.testing import CliRunner
 
 from benchmarks import certificates as campaign
 from morembs.app.cli import app
-from morembs.app.cli.report import print_result, result_json
+from morembs.app.cli.messages import without_nan
+from morembs.app.jobs.document import sections_of
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
+from morembs.app.jobs.stages.response import RESPONSE
+from morembs.app.report.text import print_document
 from morembs.base.errors import InputError, MorembsError, SolverError
 from morembs.body.file import read_body
 from morembs.certificate.certify import certify
@@ -300,13 +303,14 @@ def test_certificates_of_a_job_are_stored_and_told(small_meshes, tmp_path, dampi
         assert np.array_equal(kept["cells_hz"], auto.cells_hz)
         assert np.array_equal(auto.cells_hz[1:, 0], auto.cells_hz[:-1, 1])
         # What is drawn: the pointwise error below its limit; the tolerance is one of the envelope, and not drawn.
-        shown = result.response
+        shown = result[RESPONSE]
         assert not shown.tolerance and shown.bound["auto"][1].max() == auto.cell_limit[:, 2].max()
         assert shown.error["auto"].max() <= shown.bound["auto"][1].max()
-    document = strict(json.dumps(result_json(result), allow_nan=False))
+    told = result.document()
+    document = strict(json.dumps(without_nan(told), allow_nan=False))
     assert document["bodies"]["auto"]["certificate"]["error"] == pytest.approx(auto.error.tolist())
     console = Console(record=True, width=200)
-    print_result(console, result)
+    print_document(console, told, sections_of(told))
     text = console.export_text()
     assert ("certificate: holds at every frequency from" in text) == ("false" not in certify)
     assert "elastic coordinates, the smallest found that keeps 0.001" in text

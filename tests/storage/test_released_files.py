@@ -15,7 +15,8 @@ import pytest
 from rich.console import Console
 
 from morembs import read_body
-from morembs.app.cli.certificates import Certified, print_certificates
+from morembs.app.report.certificates import Certified, certificate_sections
+from morembs.app.report.text import print_sections
 from morembs.base.errors import InputError
 from morembs.body.recovery_shapes import read_recovery
 from morembs.dynamics.gmp.stored import read_members, write_members
@@ -62,7 +63,8 @@ def test_certificates_of_the_first_version(unpacked: Path, capsys: pytest.Captur
         values = body.certificate
         assert values is not None and "version" not in values and "limits" not in values
         assert values["bound_kind"] == "bound" and (values["error"] <= values["bound"]).all()
-        print_certificates(Console(width=200), [Certified(name=body.name, order=8, values=values)], [])
+        known = Certified(name=body.name, order=8, values=values)
+        print_sections(Console(width=200), certificate_sections([known], []))
         assert (
             f"{body.name}: certificate at samples: error at most {values['error'].max():.1e}, bound "
             f"{values['bound'].max():.1e} at 2 frequencies from 10 to 2,000 Hz"

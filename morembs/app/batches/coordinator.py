@@ -21,6 +21,7 @@ from morembs.app.batches.plan import Part, unchanged
 from morembs.app.batches.records import Listener, Record
 from morembs.app.batches.tolerances import TOL
 from morembs.app.batches.workers import Finished, Heard, Task, Worker, Workers
+from morembs.app.jobs.solver import SolverTable
 from morembs.base import stopping
 from morembs.base.errors import ExitCode, MorembsError, OverwriteError
 from morembs.storage.attempts import take
@@ -233,7 +234,7 @@ class Coordinator:
                 f"{most.seconds / 3600:.2g} h: give [solver] threads, or a longer walltime",
             )
             return
-        threads = self._workers.threads(part.loaded.tables.solver.threads, self._count)
+        threads = self._workers.threads(SolverTable.of(part.loaded).threads, self._count)
         needs = Worker(
             bytes=min(TOL.forecast_margin * forecast, most.bytes),
             cores=min(threads, most.cores),
@@ -310,7 +311,8 @@ def _documents(end: Finished, count: int) -> Sequence[Mapping[str, Any]]:
 
 def _kept(document: Mapping[str, Any]) -> dict[str, Any]:
     """What is remembered of a finished job: the curves of certificates are in the body file."""
-    kept = {key: value for key, value in document.items() if key not in ("inputs", "bodies", "output", "picture")}
+    files = ("inputs", "bodies", "output", "picture", "written")
+    kept = {key: value for key, value in document.items() if key not in files}
     kept["bodies"] = {
         name: {**body, "certificate": _limits(body["certificate"])} for name, body in document["bodies"].items()
     }

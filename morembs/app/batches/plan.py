@@ -15,8 +15,9 @@ from pathlib import Path
 
 from morembs.app.batches.manifest import Ended, Manifest
 from morembs.app.jobs.files import results_of
-from morembs.app.jobs.job import Job, load_job
+from morembs.app.jobs.job import load_job
 from morembs.app.jobs.order import order_of
+from morembs.app.jobs.tables import Job
 from morembs.base.errors import InputError, MorembsError
 from morembs.body.file import FormatVersion
 from morembs.version import VERSION

@@ -18,7 +18,7 @@ from typer.core import TyperGroup
 from morembs.app.cli.batch import app as batches
 from morembs.app.cli.bodies import app as bodies
 from morembs.app.cli.evaluate import app as evaluation
-from morembs.app.cli.messages import console, echo, print_json, printing, warn, without_nan
+from morembs.app.cli.messages import console, echo, print_json, printing, warn
 from morembs.app.cli.models import app as models
 from morembs.app.cli.modes import app as modes
 from morembs.app.cli.terminal import (
@@ -41,8 +41,8 @@ from morembs.storage.contents import keeping_ledger
 from morembs.version import VERSION
 
 if TYPE_CHECKING:
-    from morembs.app.jobs.job import Job
     from morembs.app.jobs.order import Order
+    from morembs.app.jobs.tables import Job
 
 
 class _Verbs(TyperGroup):
@@ -75,9 +75,10 @@ def reduce(
     attempt: Annotated[str, typer.Option(hidden=True, help="Token of an attempt.")] = "",
 ) -> None:
     """Reduce the models of job files and write their bodies."""
-    from morembs.app.cli.report import print_result, result_json
+    from morembs.app.jobs.document import sections_of
     from morembs.app.jobs.job import load_job
     from morembs.app.jobs.run import run_job
+    from morembs.app.report.text import print_document
 
     if attached:
         leave_with_input()
@@ -90,8 +91,8 @@ def reduce(
             shown.append(sentence)
             warn(sentence)
 
-        result = run_job(job, progress, tell)
-        return result_json(result), lambda: print_result(console(), result, shown)
+        document = run_job(job, progress, tell).document()
+        return document, lambda: print_document(console(), document, sections_of(document), shown)
 
     each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()), report)
 
@@ -112,6 +113,7 @@ def compare(
     from morembs.app.jobs.order import PICTURES
     from morembs.app.jobs.pareto import contenders, draw_contenders
     from morembs.app.jobs.run import run_job
+    from morembs.app.jobs.stages.certificate import certified_band
     from morembs.storage.safefile import check_writable, one_file
 
     def work(path: Path, progress: Progress) -> Done:
@@ -124,7 +126,7 @@ def compare(
         loaded = load_job(path, changes or ())
         if picture is not None and any(one_file(picture, path) for path in results_of(loaded).values()):
             raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
-        if loaded.tables.certify is None and not any(reducer.certified_band for reducer in loaded.reducers.values()):
+        if certified_band(loaded) is None:
             raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
         result = run_job(loaded, progress, warn)
         compared = contenders(result)
@@ -135,7 +137,7 @@ def compare(
             "output": str(loaded.output),
             "seconds": {stage.name: stage.seconds for stage in result.stages},
             "job_peak_memory_bytes": result.peak_memory_bytes,
-            "contenders": [{key: without_nan(value) for key, value in asdict(each).items()} for each in compared],
+            "contenders": [asdict(each) for each in compared],
         }
         written = [loaded.output, *(file for file in (loaded.picture, picture) if file is not None)]
         return document, lambda: print_contenders(console(), str(path), compared, written)
@@ -159,7 +161,7 @@ def check(
         with keeping_ledger() as ledger:
             forecast = check_job(load_job(path, changes or ()), progress)
         document = {"job": str(path), **forecast.as_json(), "inputs": ledger.names()}
-        return document, lambda: print_forecast(console(), str(path), forecast)
+        return document, lambda: print_forecast(console(), document)
 
     each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()))
 
@@ -196,11 +198,11 @@ def init(
 @app.command(epilog=EPILOG)
 def schema() -> None:
     """Print the JSON schema of job files, by which editors complete and check keys."""
-    from morembs.app.jobs.schema import JobTables
+    from morembs.app.jobs.job import job_tables
     from morembs.base.key_tables import json_schema
 
     with messages(), printing():
-        echo(json.dumps(json_schema(JobTables), indent=2))
+        echo(json.dumps(json_schema(job_tables()), indent=2))
 
 
 def _order(jobs: Sequence[Path], changes: Sequence[str]) -> Order:

@@ -15,8 +15,8 @@ import typer
 from morembs.app.cli.bodies import BodyFile, BodyName, values_of
 from morembs.app.cli.families import parametric_of, read_values
 from morembs.app.cli.messages import print_json, printing, warn
-from morembs.app.cli.style import STYLE
 from morembs.app.cli.terminal import EPILOG, AsJson, messages
+from morembs.app.report.style import STYLE
 from morembs.base.errors import InputError
 from morembs.storage.safefile import check_writable
 

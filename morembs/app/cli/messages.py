@@ -95,7 +95,7 @@ def printing(written: Sequence[str] = ()) -> Iterator[None]:
 def console() -> Console:
     """Standard output; a pipe or a file has no width that tables must fit."""
     from morembs.app.cli.screen import Screen
-    from morembs.app.cli.style import STYLE
+    from morembs.app.report.style import STYLE
 
     return Screen() if sys.stdout.isatty() else Screen(width=STYLE.pipe_width)
 
@@ -119,6 +119,6 @@ def without_nan(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {name: without_nan(inner) for name, inner in value.items()}
     value = value.tolist() if hasattr(value, "tolist") else value
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return [without_nan(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

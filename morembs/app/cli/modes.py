@@ -37,11 +37,12 @@ def modes(
     """Show the modes of the full model of a job: frequency, damping ratio, whirl, residual."""
     from morembs.app.jobs.job import load_job
     from morembs.app.jobs.modes import job_modes, write_csv
+    from morembs.app.jobs.tables import ModesTable
 
     with messages():
         _check_ending(out, ".csv")
         loaded = load_job(job, changes or ())
-        wanted = loaded.tables.modes
+        wanted = ModesTable.of(loaded)
         number = wanted.count if count is None else count
         if number < 1:
             raise InputError(f"--count {number} was given; expected 1 or more")
@@ -115,9 +116,10 @@ def _body(file: Path, name: str | None, changes: Sequence[str], progress: Progre
     if file.suffix == ".toml":
         from morembs.app.jobs.job import load_job
         from morembs.app.jobs.run import run_job
+        from morembs.app.jobs.stages.spin import SpinTable
 
         job = load_job(file, changes)
-        if job.tables.spin is None:
+        if SpinTable.of(job) is None:
             raise InputError(f"{file} has no table [spin]; add one with speed = [LOWEST, .., HIGHEST] and axis")
         bodies = {body.name: body for body in run_job(job, progress, warn).bodies}
     else:
@@ -151,7 +153,7 @@ def _documents(rows: Sequence[ModeRow]) -> list[dict[str, Any]]:
 
 
 def _print(rows: Sequence[ModeRow]) -> None:
-    from morembs.app.cli.tables import plain_table, titled
+    from morembs.app.report.text import plain_table, titled
 
     spins = any(row.whirl for row in rows)
     of_speed: dict[float, list[ModeRow]] = {}

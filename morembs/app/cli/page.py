@@ -13,9 +13,9 @@ from urllib.parse import quote
 
 import numpy as np
 
-from morembs.app.cli.certificates import KINDS, MEASURES
-from morembs.app.cli.style import STYLE
-from morembs.app.cli.tables import bytes_words
+from morembs.app.report.certificates import KINDS, MEASURES
+from morembs.app.report.style import STYLE
+from morembs.app.report.words import bytes_words
 from morembs.base.errors import InputError, MorembsError
 from morembs.base.progress import duration_words
 from morembs.base.summary import upwards

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from morembs.app.cli.messages import console, printing, without_nan
-from morembs.app.cli.style import STYLE
+from morembs.app.report.style import STYLE
 from morembs.base.errors import InputError
 from morembs.body.delivery_check import refuse_unsound, stored_findings
 from morembs.body.diagnostics.findings import Diagnosis
@@ -165,8 +165,9 @@ def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: M
     """What a body file holds, and warnings of what ``diagnoses`` say is wrong with each body."""
     from rich.markup import escape
 
-    from morembs.app.cli.certificates import Certified, print_certificates
-    from morembs.app.cli.tables import frame_words, mass_table, ranking_words, titled, words
+    from morembs.app.report.certificates import Certified, certificate_sections
+    from morembs.app.report.text import print_sections
+    from morembs.app.report.words import coordinate_words, frame_words, mass_section, ranking_words
 
     values = stored_json(path, stored, diagnoses)
     console.print(
@@ -179,14 +180,18 @@ def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: M
     for name, interface in values["interfaces"].items():
         console.print(f"  interface {name}: {interface['coupling']}, {interface['nodes']:,} nodes", highlight=False)
     for name, body in stored.bodies.items():
-        console.print(f"  {name}: {words(body.mode_kind)}", highlight=False)
+        console.print(f"  {name}: {coordinate_words(body.mode_kind)}", highlight=False)
         elastic = body.frequencies_hz[body.rigid_count :][: STYLE.reported_frequencies]
         listed = ", ".join(f"{f:,.1f}" for f in elastic) or "none"
         console.print(f"    elastic Hz: {listed}", highlight=False, soft_wrap=True)
         if body.floating is not None:
             console.print(f"    {frame_words(body.floating)}", highlight=False, soft_wrap=True)
         if body.ranking:
-            console.print(f"    inertia terms: {ranking_words(body.ranking)}", highlight=False, soft_wrap=True)
+            console.print(
+                f"    inertia terms: {ranking_words(values['bodies'][name]['ranking'])}",
+                highlight=False,
+                soft_wrap=True,
+            )
         if body.has_recovery:
             console.print("    stress recovery", highlight=False)
         if body.has_switching:
@@ -200,7 +205,6 @@ def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: M
         for name, body in stored.bodies.items()
         if body.certificate is not None
     ]
-    print_certificates(console, known, list(stored.interfaces))
-    titled(console, "mass properties", mass_table(stored.mass, stored.center_of_mass, stored.inertia))
+    print_sections(console, [*certificate_sections(known, list(stored.interfaces)), mass_section(values)])
     for warning in stored.warnings:
         console.print(f"warning: {escape(warning)}", highlight=False, soft_wrap=True)

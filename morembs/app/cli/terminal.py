@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from morembs.app.cli.messages import Failure, failure, print_json, printing, tell
+from morembs.app.cli.messages import Failure, failure, print_json, printing, tell, without_nan
 from morembs.app.cli.tolerances import TOL
 from morembs.base import stopping
 from morembs.base.errors import InputError
@@ -216,7 +216,7 @@ def each_job(
             _write_report(report, documents)
     if as_json:
         with messages(failed), printing([name for document in documents for name in _written(document)]):
-            print_json(documents)
+            print_json([without_nan(document) for document in documents])
     if failed:
         raise typer.Exit(min(fault.code for fault in failed))
 
@@ -257,4 +257,4 @@ def _write_report(report: Path, documents: Sequence[Mapping[str, Any]]) -> None:
 
 def _written(document: Mapping[str, Any]) -> list[str]:
     """The files of a finished job."""
-    return [document[key] for key in ("output", "picture") if document.get(key)]
+    return document.get("written") or [document[key] for key in ("output",) if key in document]

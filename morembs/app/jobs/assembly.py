@@ -10,13 +10,17 @@ from numpy.typing import NDArray
 
 from morembs.app.jobs.equations import equations_of_motion
 from morembs.app.jobs.files import inputs_of, results_of
-from morembs.app.jobs.job import Job, load_job
-from morembs.app.jobs.schema import SubstructureTable
+from morembs.app.jobs.job import load_job
 from morembs.app.jobs.solver import solver_of
 from morembs.app.jobs.stages.certificate import certified_band
 from morembs.app.jobs.stages.couple import damping_of, interfaces_of
 from morembs.app.jobs.stages.model import materials_of, mesh_of, model_of_file
+from morembs.app.jobs.stages.parameters import ParameterTable
+from morembs.app.jobs.stages.parts import CoupleTable, SubstructureTable
+from morembs.app.jobs.stages.preload import PreloadTable
 from morembs.app.jobs.stages.reduction import reducers_of
+from morembs.app.jobs.stages.spin import SpinTable
+from morembs.app.jobs.tables import Job, ModelTable
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.body.file import StoredBodies, read_body
@@ -27,7 +31,7 @@ from morembs.problem import Problem
 from morembs.storage.safefile import one_file
 
 # Tables that make another model of the part than its mesh or file holds.
-NOT_PLAIN = ("substructure", "parameter", "preload", "spin")
+NOT_PLAIN = (SubstructureTable, ParameterTable, PreloadTable, SpinTable)
 
 
 def assembly_of(job: Job) -> AssembledModel:
@@ -41,7 +45,7 @@ def assembly_of(job: Job) -> AssembledModel:
     force = units.stress * units.length**2
     linear, turning = [force / units.length] * 3, [force * units.length] * 3
     scale = np.array(linear + turning)
-    tables = job.tables.substructure
+    tables = SubstructureTable.of(job)
     files = {table.body: read_body(job.resolve(table.body)) for table in tables}
     makers = {table.job: _Maker(job, table.job) for table in tables if table.job is not None}
     if makers and certified_band(job) is None:
@@ -68,7 +72,7 @@ def assembly_of(job: Job) -> AssembledModel:
             stiffness=None if table.stiffness is None else (scale * table.stiffness).tolist(),
             damping=None if table.damping is None else (units.time * scale * table.damping).tolist(),
         )
-        for table in job.tables.couple
+        for table in CoupleTable.of(job)
     ]
     model = assemble_bodies(parts, couples, name=job.path.stem)
     if model.free_motions:
@@ -87,7 +91,7 @@ class _Maker:
         self.where = f"[[substructure]] job = {path!r}"
         try:
             self.job = load_job(job.resolve(path))
-            given = [name for name in NOT_PLAIN if getattr(self.job.tables, name)]
+            given = [kind.key() for kind in NOT_PLAIN if kind.of(self.job)]
             if given:
                 raise InputError(
                     f"it has a table {given[0]!r}; certificates against unreduced parts take a mesh or a model file as "
@@ -106,11 +110,11 @@ class _Maker:
 
     def _problem(self, job: Job) -> Problem:
         own = self.job
-        if own.tables.model.file is not None:
+        given = ModelTable.of(own)
+        if given.file is not None:
             model = equations_of_motion(own, model_of_file(own))
         else:
-            rule = own.tables.model.mass_integration
-            model = assemble(mesh_of(own), materials_of(own), mass_integration=rule)
+            model = assemble(mesh_of(own), materials_of(own), mass_integration=given.mass_integration)
         # That of the part: another one may turn modes of one frequency.
         solver = solver_of(own).with_memory(solver_of(job).memory)
         return Problem(model, interfaces_of(own, model), damping=damping_of(own), solver=solver)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,8 @@ from scipy.sparse.csgraph import connected_components
 
 from morembs.app.jobs.equations import equations_of_motion
 from morembs.app.jobs.files import prepare_output
-from morembs.app.jobs.job import Job
-from morembs.app.jobs.run import count_elements
-from morembs.app.jobs.solver import budget_of, solver_of
-from morembs.app.jobs.stages.couple import damping_of, interfaces_of
+from morembs.app.jobs.solver import SolverTable, budget_of, solver_of
+from morembs.app.jobs.stages.couple import count_elements, damping_of, interfaces_of
 from morembs.app.jobs.stages.forecast import (
     Cost,
     JobForecast,
@@ -26,6 +25,7 @@ from morembs.app.jobs.stages.forecast import (
 from morembs.app.jobs.stages.model import ReadModel, materials_of, mesh_of
 from morembs.app.jobs.stages.preflight import model_warnings, preflight, shifted_of
 from morembs.app.jobs.stages.stage import asked, computes_modes
+from morembs.app.jobs.tables import Job, ModelTable
 from morembs.app.jobs.tolerances import TOL
 from morembs.base import progress
 from morembs.base.memory import available_bytes, resident_bytes
@@ -59,23 +59,69 @@ def check_job(job: Job, progress: Progress | None = None) -> JobForecast:
         return _check(job)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Outline:
+    """A model before anything is factorised: ``K`` its stiffness, or the pattern of it, ``T`` its coupling."""
+
+    facts: ProblemSummary
+    K: sp.csr_array
+    T: sp.csr_array
+    rigid_modes: int
+    stiffness_nonzeros: int
+    mass_nonzeros: int
+    matrices_bytes: int
+    warnings: tuple[str, ...]
+
+
 def _check(job: Job) -> JobForecast:
     start = resident_bytes()
     prepare_output(job)
-    solver, materials = solver_of(job), materials_of(job)
-    damping_of(job)
+    solver = solver_of(job)
+    for stage in asked(job):
+        stage.prepare(job)
     progress.stage("read")
-    if job.tables.model.mesh is None:
-        return _check_file(job, solver, start)
-    mesh = mesh_of(job)
+    with limit_threads(SolverTable.of(job).threads), budget_of(job, solver):
+        outline = (_of_file if ModelTable.of(job).mesh is None else _of_mesh)(job, solver, start)
+        progress.stage("analyse")
+        facts, model = outline.facts, outline.facts.model
+        cost = forecast_cost(
+            outline.K,
+            outline.T,
+            max(stage.columns(job, facts) for stage in asked(job)),
+            solver,
+            start,
+            computes_modes(job),
+            list(shifted_of(job, facts).values()),
+            SolverTable.of(job).workers,
+        )
+        times = [stage.seconds(job, facts, cost.plan.factor_entries) for stage in asked(job)]
+    x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()
+    return JobForecast(
+        **cost.told(),
+        nodes=len(model.nodes),
+        elements=count_elements(model.mesh),
+        dofs=model.size,
+        coupled_dofs=outline.T.shape[1],
+        rigid_modes=outline.rigid_modes,
+        stiffness_nonzeros=outline.stiffness_nonzeros,
+        mass_nonzeros=outline.mass_nonzeros,
+        matrices_bytes=outline.matrices_bytes,
+        extent=(x, y, z),
+        interface_nodes={interface.name: len(interface.nodes) for interface in facts.interfaces},
+        reduction_seconds={name: seconds for known in times for name, seconds in known.items()},
+        warnings=(*outline.warnings, *_warnings(cost, solver.scratch)),
+    )
+
+
+def _of_mesh(job: Job, solver: LinearSolver, start: int) -> _Outline:
+    """The outline of a mesh, which is not assembled."""
+    mesh, materials = mesh_of(job), materials_of(job)
     progress.stage("check elements")
-    modes = computes_modes(job)
-    require_room_of_mesh(job, mesh, materials, solver, start, modes)
+    require_room_of_mesh(job, mesh, materials, solver, start, computes_modes(job))
     graph = check_mesh(mesh, materials)
     for stage in asked(job):
         stage.check_mesh(job, mesh)
     progress.stage("check interfaces")
-    size = 3 * len(mesh.nodes)
     model = outlined(job, mesh, materials)
     warnings = model_warnings(job, model)
     interfaces = interfaces_of(job, model)
@@ -91,89 +137,46 @@ def _check(job: Job) -> JobForecast:
             "in a node or an edge only; a reduction is refused unless each is held; merge coincident nodes, or reduce "
             "the parts one by one",
         )
-    progress.stage("analyse")
-    with limit_threads(job.tables.solver.threads), budget_of(job, solver):
-        cost = _cost(job, facts, stiffness_pattern(graph), abs(coupling.T), solver, start)
-        told, seconds = cost.told(), _reduction_seconds(job, facts, cost)
-    x, y, z = np.ptp(mesh.nodes.xyz, axis=0).tolist()
-    return JobForecast(
-        **told,
-        nodes=len(mesh.nodes),
-        elements=count_elements(mesh),
-        dofs=size,
-        coupled_dofs=coupling.T.shape[1],
+    return _Outline(
+        facts=facts,
+        K=stiffness_pattern(graph),
+        T=abs(coupling.T),
         rigid_modes=rigid,
+        # Blocks of 3 x 3 entries of K; M couples equal components alone.
         stiffness_nonzeros=9 * graph.nnz,
         mass_nonzeros=3 * graph.nnz,
         matrices_bytes=12 * 12 * graph.nnz,
-        extent=(x, y, z),
-        interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
-        reduction_seconds=seconds,
-        warnings=(*warnings, *_warnings(cost, solver.scratch)),
+        warnings=warnings,
     )
 
 
-def _check_file(job: Job, solver: LinearSolver, start: int) -> JobForecast:
-    """Forecast for a model file, whose matrices are there."""
-    with limit_threads(job.tables.solver.threads), budget_of(job, solver):
-        reader = next(stage for stage in asked(job) if isinstance(stage, ReadModel))
-        model, modes = reader.matrices(job), computes_modes(job)
-        require_room(job, start, model.size, modes, lambda: least_memory(job, model, solver, start, modes))
-        progress.stage("examine")
-        model = equations_of_motion(job, model)
-        warnings = model_warnings(job, model)
-        interfaces = interfaces_of(job, model)
-        with Problem(model, interfaces, solver=solver, damping=damping_of(job)) as problem:
-            facts, coupling = ProblemSummary.of(problem), problem.coupling
-            # Nothing is factorised here.
-            rigid = 0 if need_factor(model, problem.K) else problem.rigid.shape[1]
-            warnings += without_mass_perhaps(problem)
-        warnings += preflight(job, facts, rigid)
-        progress.stage("analyse")
-        # Coordinates that are rigid motions have no stiffness; what holds them while it is factorised has an entry.
-        held = sp.diags_array((model.K.diagonal() == 0).astype(float))
-        cost = _cost(
-            job, facts, sp.csr_array(model.K + held) if held.data.any() else model.K, coupling.T, solver, start
-        )
-        told, seconds = cost.told(), _reduction_seconds(job, facts, cost)
+def _of_file(job: Job, solver: LinearSolver, start: int) -> _Outline:
+    """The outline of a model file, whose matrices are there."""
+    reader = next(stage for stage in asked(job) if isinstance(stage, ReadModel))
+    model, modes = reader.matrices(job), computes_modes(job)
+    require_room(job, start, model.size, modes, lambda: least_memory(job, model, solver, start, modes))
+    progress.stage("examine")
+    model = equations_of_motion(job, model)
+    warnings = model_warnings(job, model)
+    with Problem(model, interfaces_of(job, model), solver=solver, damping=damping_of(job)) as problem:
+        facts, T = ProblemSummary.of(problem), problem.coupling.T
+        # Nothing is factorised here.
+        rigid = 0 if need_factor(model, problem.K) else problem.rigid.shape[1]
+        warnings += without_mass_perhaps(problem)
+    warnings += preflight(job, facts, rigid)
+    # Coordinates that are rigid motions have no stiffness; what holds them while it is factorised has an entry.
+    held = sp.diags_array((model.K.diagonal() == 0).astype(float))
     matrices = [A for name in MATRICES if (A := getattr(model, name)) is not None]
-    x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()
-    return JobForecast(
-        **told,
-        nodes=len(model.nodes),
-        elements=count_elements(model.mesh),
-        dofs=model.size,
-        coupled_dofs=coupling.T.shape[1],
+    return _Outline(
+        facts=facts,
+        K=sp.csr_array(model.K + held) if held.data.any() else model.K,
+        T=T,
         rigid_modes=rigid,
         stiffness_nonzeros=model.K.nnz,
         mass_nonzeros=model.M.nnz,
         matrices_bytes=sum(A.data.nbytes + A.indices.nbytes for A in matrices),
-        extent=(x, y, z),
-        interface_nodes={interface.name: len(interface.nodes) for interface in interfaces},
-        reduction_seconds=seconds,
-        warnings=(*warnings, *_warnings(cost, solver.scratch)),
+        warnings=warnings,
     )
-
-
-def _cost(job: Job, facts: ProblemSummary, K: sp.csr_array, T: sp.csr_array, solver: LinearSolver, start: int) -> Cost:
-    """Cost of the factors of ``job``, for the stiffness of its model, or its pattern, and the coupling."""
-    columns = facts.coupling.B.shape[1] + max(reducer.mode_count for reducer in job.reducers.values())
-    return forecast_cost(
-        K,
-        T,
-        max(columns, job.tables.check.full_modes),
-        solver,
-        start,
-        computes_modes(job),
-        list(shifted_of(job, facts).values()),
-        job.tables.solver.workers,
-    )
-
-
-def _reduction_seconds(job: Job, facts: ProblemSummary, cost: Cost) -> dict[str, float]:
-    """Name -> time of each reduction, as far as it can be told."""
-    times = {name: reducer.seconds(facts, cost.plan.factor_entries) for name, reducer in job.reducers.items()}
-    return {name: seconds for name, seconds in times.items() if seconds is not None}
 
 
 def _warnings(cost: Cost, scratch: Path | None) -> tuple[str, ...]:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morembs.app.jobs.job import Job
+from morembs.app.jobs.tables import Job, ModelTable, RepeatedTable
 from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
+from morembs.base.key_tables import described
+from morembs.base.limits import Finite, number, text
 from morembs.fem import FEModel
 from morembs.fem.fe_model import split_unsymmetric
 from morembs.fem.selection import select_nodes
@@ -19,9 +22,20 @@ from morembs.importers.to_model import rows_of_labels
 from morembs.problem import Problem
 
 
+@dataclass(frozen=True, kw_only=True)
+class FlowTable(RepeatedTable):
+    """``[[flow]]``: fluid that flows through a tube of beam elements, in the declared units."""
+
+    path: Annotated[str, text('nodes in the order of the flow: "ids:4,7,2", "set:TUBE" or the path of a .csv')]
+    mass_flow: Finite = described("a number (mass/time)")
+    density: Annotated[float, number("a number above zero", gt=0)]
+    area: Annotated[float, number("the area of the bore", gt=0)]
+    outlet: Literal["held", "free"] = described('"held" or "free": the last node is a nozzle', "held")
+
+
 def equations_of_motion(job: Job, model: FEModel) -> FEModel:
     """The ``model`` of the file with what the job makes of its skew parts, and with the fluid that flows through it."""
-    model = _without_skew_parts(model, job.tables.model.unsymmetric)
+    model = _without_skew_parts(model, ModelTable.of(job).unsymmetric)
     flows = flows_of(job, model)
     still = model
     for path, flow in flows:
@@ -73,21 +87,21 @@ def flows_of(job: Job, model: FEModel) -> list[tuple[NDArray[np.int64], Flow]]:
                 outlet=table.outlet,
             ),
         )
-        for table in job.tables.flow
+        for table in FlowTable.of(job)
     ]
 
 
-def _path_of(job: Job, model: FEModel, text: str) -> NDArray[np.int64]:
-    labels = text.removeprefix("ids:").split(",")
-    if text.endswith(".csv"):
+def _path_of(job: Job, model: FEModel, path: str) -> NDArray[np.int64]:
+    labels = path.removeprefix("ids:").split(",")
+    if path.endswith(".csv"):
         try:
-            labels = job.resolve(text).read_text(encoding="utf-8-sig").replace(",", " ").split()
+            labels = job.resolve(path).read_text(encoding="utf-8-sig").replace(",", " ").split()
         except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"[[flow]]: path = {text!r} cannot be read; expected a text of labels of nodes") from error
-    elif not text.startswith("ids:"):
-        return select_nodes(model, text, length=job.units.length)
+            raise InputError(f"[[flow]]: path = {path!r} cannot be read; expected a text of labels of nodes") from error
+    elif not path.startswith("ids:"):
+        return select_nodes(model, path, length=job.units.length)
     try:
         numbers = np.array([int(label) for label in labels], dtype=np.int64)
     except (ValueError, OverflowError) as error:
-        raise InputError(f"[[flow]]: path = {text!r} holds something else than labels of nodes ({error})") from error
-    return rows_of_labels(model.nodes, numbers, f"[[flow]] path = {text!r}")
+        raise InputError(f"[[flow]]: path = {path!r} holds something else than labels of nodes ({error})") from error
+    return rows_of_labels(model.nodes, numbers, f"[[flow]] path = {path!r}")

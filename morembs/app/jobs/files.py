@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.stage import asked
+from morembs.app.jobs.tables import Job
 from morembs.base.errors import InputError
 from morembs.storage.contents import promise
 from morembs.storage.safefile import check_writable, one_file

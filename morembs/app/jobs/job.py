@@ -4,75 +4,41 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import make_dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from morembs.app.jobs.schema import JobTables, ReduceTable
+from morembs.app.jobs.solver import SolverTable
+from morembs.app.jobs.stages.reduction import make_reducers
+from morembs.app.jobs.stages.stage import STAGES, in_order
+from morembs.app.jobs.tables import Job, JobTable, JobTables, ModesTable
 from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
 from morembs.base.key_tables import read_table
-from morembs.base.options import Text, pairs, read_options, readings
-from morembs.base.units import Units, parse_units
-from morembs.reducers import REDUCERS
-from morembs.reducers.base import Reducer
-from morembs.storage.attempts import attempt_at
+from morembs.base.options import Text, pairs, readings
 
 BYTES = {"": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}
 BYTES |= {"b": 1, "kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Job:
-    """A checked job: its tables, its text, and the reducers by name. Paths are relative to its folder.
+def job_tables() -> type[JobTables]:
+    """All tables that a job file may have: those that its stages read, as they run, and those of other commands."""
+    kinds = [kind for stage in in_order(list(STAGES.values())) for kind in stage.tables]
+    return _together(tuple(dict.fromkeys([*kinds, ModesTable])))
 
-    ``changes`` are the keys that were given another value, KEY=VALUE; the text is that of the file. ``attempt`` is the
-    token of an attempt at the results, which then lie beside the files that they are for.
-    """
 
-    path: Path
-    text: str
-    tables: JobTables
-    reducers: Mapping[str, Reducer]
-    memory: int | None = None
-    changes: tuple[str, ...] = ()
-    attempt: str = ""
+@cache
+def _together(kinds: tuple[type[JobTable], ...]) -> type[JobTables]:
+    def refuse_conflicts(tables: JobTables) -> None:
+        for stage in STAGES.values():
+            stage.refuse_conflicts(tables)
 
-    def resolve(self, path: str) -> Path:
-        """A path of the job file, seen from the working directory.
-
-        Raises:
-            InputError: no file can have this path.
-        """
-        try:
-            whole = self.path.parent / Path(path).expanduser()
-            whole.exists()
-        except (RuntimeError, ValueError, OSError) as error:
-            raise InputError(f"the path {path[:100]!r} cannot be used ({error}); give another") from error
-        return whole
-
-    def result(self, path: str) -> Path:
-        """The place of a file that the job writes, which the attempt writes beside it."""
-        whole = self.resolve(path)
-        return attempt_at(whole, self.attempt) if self.attempt else whole
-
-    @property
-    def units(self) -> Units:
-        """The declared units."""
-        given = self.tables.model.units
-        return parse_units(given if isinstance(given, str) else given.values())
-
-    @property
-    def output(self) -> Path:
-        """The body file."""
-        return self.result(self.tables.output.path)
-
-    @property
-    def picture(self) -> Path | None:
-        """The picture, if one is wanted."""
-        return None if self.tables.output.picture is None else self.result(self.tables.output.picture)
+    entries = [(kind.key(), *kind.entry()) for kind in kinds]
+    members = {"refuse_conflicts": refuse_conflicts, "__doc__": JobTables.__doc__, "__module__": __name__}
+    made = make_dataclass("JobTables", entries, bases=(JobTables,), namespace=members, frozen=True, kw_only=True)
+    return cast(type[JobTables], made)
 
 
 def load_job(path: str | Path, changes: Sequence[str] = ()) -> Job:
@@ -103,10 +69,11 @@ def load_job(path: str | Path, changes: Sequence[str] = ()) -> Job:
     wrong = next((word for word in _words_in(data) if "\0" in word), None)
     if wrong is not None:
         raise InputError(f"{wrong[:100]!r} in {str(path)!r} has a NUL character, as no name has; give another text")
-    tables = read_table(JobTables, data)
-    memory = None if tables.solver.memory is None else parse_memory(tables.solver.memory)
+    tables = read_table(job_tables(), data)
+    given = SolverTable.of(tables).memory
+    memory = None if given is None else parse_memory(given)
     return Job(
-        path=path, text=text, tables=tables, reducers=_reducers(tables.reduce), memory=memory, changes=tuple(changes)
+        path=path, text=text, tables=tables, reducers=make_reducers(tables), memory=memory, changes=tuple(changes)
     )
 
 
@@ -148,26 +115,3 @@ def parse_memory(text: str, table: str = "[solver]") -> int:
     if not 1 <= size < TOL.max_memory_bytes:
         raise InputError(f'{table}: memory = {text!r} was given; expected a text such as "4 GiB" or "500 MB"')
     return int(size)
-
-
-def _reducers(tables: list[ReduceTable]) -> dict[str, Reducer]:
-    """Name -> reducer with its options."""
-    names = [table.name or table.method for table in tables]
-    repeated = [name for name, count in Counter(names).items() if count > 1]
-    if repeated:
-        raise InputError(f"two [[reduce]] tables are named {repeated[0]!r}; give each its own name = ...")
-    return {name: _reducer(name, table) for name, table in zip(names, tables, strict=True)}
-
-
-def _reducer(name: str, table: ReduceTable) -> Reducer:
-    where = f"[[reduce]] {name!r}: "
-    if table.method not in REDUCERS:
-        raise InputError(f"{where}method = {table.method!r} was given; {REDUCERS.advice(table.method)}")
-    kind = REDUCERS[table.method]
-    options = read_options(
-        kind, table.options(), f"method {table.method!r}", where=where, word="key", besides=("name", "method")
-    )
-    try:
-        return kind(**options)
-    except InputError as error:
-        raise InputError(f"{where}{error}") from error

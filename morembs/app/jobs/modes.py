@@ -14,15 +14,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from morembs.app.jobs.job import Job
 from morembs.app.jobs.picture import BODY_COLORS, save
-from morembs.app.jobs.solver import budget_of, solver_of
+from morembs.app.jobs.solver import SolverTable, budget_of, solver_of
 from morembs.app.jobs.stages.couple import damping_of, interfaces_of
 from morembs.app.jobs.stages.model import materials_of
-from morembs.app.jobs.stages.preload import preload_of
-from morembs.app.jobs.stages.spin import rotation_of
+from morembs.app.jobs.stages.preload import PreloadTable, preload_of
+from morembs.app.jobs.stages.spin import SpinTable, rotation_of
 from morembs.app.jobs.stages.stage import MODEL, Work, asked, computes_modes, run_stages
 from morembs.app.jobs.style import STYLE
+from morembs.app.jobs.tables import Job, ModesTable
 from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
 from morembs.base.memory import PeakMemory, resident_bytes
@@ -72,14 +72,19 @@ def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress | None
     """
     start, solver = resident_bytes(), solver_of(job)
     materials_of(job)  # faults of materials are told before the mesh is read
-    with listening(progress), limit_threads(job.tables.solver.threads), budget_of(job, solver), PeakMemory() as memory:
+    with (
+        listening(progress),
+        limit_threads(SolverTable.of(job).threads),
+        budget_of(job, solver),
+        PeakMemory() as memory,
+    ):
         work = Work(job=job, solver=solver, start=start, watch=Stopwatch(memory), counts_modes=computes_modes(job))
         run_stages(work, asked(job), until=MODEL)
         model = work[MODEL]
         interfaces, damping = interfaces_of(job, model), damping_of(job)
         problem = Problem(model, interfaces, solver=solver, damping=damping)
-        rotation = rotation_of(job) if job.tables.spin is not None else None
-        if job.tables.preload is not None:
+        rotation = rotation_of(job) if SpinTable.of(job) is not None else None
+        if PreloadTable.of(job) is not None:
             with problem:
                 model = preloaded(problem, preload_of(job)).model
             problem = Problem(model, interfaces, solver=solver, damping=damping)
@@ -87,9 +92,9 @@ def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress | None
             if not complex_:
                 return _real(problem, count)
             if rotation is None:
-                modes = still_modes(problem, job.tables.modes.held, count)
+                modes = still_modes(problem, ModesTable.of(job).held, count)
                 return ModeTable(rows=tuple(_rows(0.0, modes, None)), complete={0.0: _complete(modes)})
-            if job.tables.modes.held:
+            if ModesTable.of(job).held:
                 raise InputError("[modes] held was given beside [spin], which has its own; leave it out")
             spin = spinning(problem, rotation[0])
             full = modes_over_speed(problem, spin, rotation[1], count)

@@ -9,8 +9,9 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 from morembs.app.jobs.files import inputs_of, results_of
-from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.model import mesh_of
+from morembs.app.jobs.stages.parts import SubstructureTable
+from morembs.app.jobs.tables import Job, ModelTable
 from morembs.base.errors import InputError, MorembsError
 from morembs.body.stored import FORMAT
 from morembs.storage.contents import Place, own_files, place_of
@@ -68,7 +69,7 @@ def read_ahead(jobs: Sequence[Job]) -> None:
         known = all(path in drawn or holds_format(path, FORMAT) for path in results)
     for job in () if known or len(jobs) < 2 else jobs:
         with suppress(MorembsError):
-            if job.tables.model.mesh is not None:
+            if ModelTable.of(job).mesh is not None:
                 mesh_of(job)
 
 
@@ -83,7 +84,7 @@ def _why_no_files(job: Job) -> str:
 
 def _bodies(job: Job) -> set[Place]:
     """The body files that an assembly is made of."""
-    return {place_of(job.resolve(table.body)) for table in job.tables.substructure}
+    return {place_of(job.resolve(table.body)) for table in SubstructureTable.of(job)}
 
 
 def _clashes(jobs: Mapping[int, Job], bodies: Mapping[Place, int]) -> dict[int, str]:

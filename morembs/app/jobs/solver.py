@@ -2,19 +2,41 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
+from typing import Annotated
 
-from morembs.app.jobs.job import Job
+from morembs.app.jobs.tables import Job, SingleTable
 from morembs.base.budget import Budget
 from morembs.base.errors import InputError
+from morembs.base.key_tables import described
+from morembs.base.limits import number, text
 from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.select import SOLVERS, select_solver
 from morembs.linalg.sparse.solver import LinearSolver
 
 
+@dataclass(frozen=True, kw_only=True)
+class SolverTable(SingleTable):
+    """``[solver]``: which sparse solver, and what it may use."""
+
+    name: str = described('"auto" or a name that "morembs solvers" lists', "auto")
+    memory: str | None = described('a text such as "4 GiB" or "500 MB"', None)
+    threads: Annotated[int, number("a count of threads from 1 to 4096", ge=1, le=4096)] | None = None
+    scratch: Annotated[str, text("the path of a folder for temporary files")] | None = None
+    out_of_core: bool = described("true to keep the factor and all arrays on disk, or false", False)
+    ranks: Annotated[int, number("a count of MPI processes from 1 to 65536", ge=1, le=65536)] | None = None
+    workers: Annotated[int, number("a count of processes from 1 to 1024", ge=1, le=1024)] = 1
+
+    def refuse_conflicts(self) -> None:
+        if self.ranks is not None and self.name not in ("auto", "mumps-ranks"):
+            raise InputError(f'ranks was given beside name = "{self.name}"; only "mumps-ranks" takes ranks')
+        if self.ranks is not None and self.workers > 1:
+            raise InputError("ranks and workers were both given; choose one")
+
+
 def solver_of(job: Job) -> LinearSolver:
     """The solver with its budget and scratch folder."""
-    given = job.tables.solver
+    given = SolverTable.of(job)
     scratch = None if given.scratch is None else job.resolve(given.scratch)
     if scratch is not None and not scratch.is_dir():
         raise InputError(f"[solver]: scratch = {given.scratch!r} is not a folder; make it, or leave the key out")
@@ -32,4 +54,4 @@ def solver_of(job: Job) -> LinearSolver:
 
 def budget_of(job: Job, solver: LinearSolver) -> Budget:
     """The memory for the arrays of the job; none stays there where all is to be out of core."""
-    return Budget(solver.memory, solver.scratch, in_memory=0 if job.tables.solver.out_of_core else None)
+    return Budget(solver.memory, solver.scratch, in_memory=0 if SolverTable.of(job).out_of_core else None)

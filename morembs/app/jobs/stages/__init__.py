@@ -1,4 +1,4 @@
-"""The stages of a job, one file each: a new one is one line here."""
+"""The stages of a job, one file each: a new one is one line here, where the document of a result shall tell of it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,12 @@ from morembs.app.jobs.stages.unreduced import UnreducedParts
 from morembs.app.jobs.stages.write import WriteBody
 
 STAGES |= {
+    "shapes": DrawnShapes(),
+    "body file": WriteBody(),
+    "factor": FactorCost(),
+    "bodies": Parts(),
     "mesh": ReadMesh(),
     "model file": ReadModel(),
-    "bodies": Parts(),
     "assembly": Assemble(),
     "parameters": Parameters(),
     "interfaces": Couple(),
@@ -31,14 +34,11 @@ STAGES |= {
     "unreduced parts": UnreducedParts(),
     "spin": SpinMatrices(),
     "reductions": Reduction(),
+    "body": Deliver(),
     "certificates": Certify(),
     "response": Response(),
     "spin modes": SpinModes(),
     "full modes": FullModes(),
-    "factor": FactorCost(),
-    "body": Deliver(),
-    "shapes": DrawnShapes(),
-    "body file": WriteBody(),
     "picture": Picture(),
     "state space": StateSpace(),
     "steps": ParameterSteps(),

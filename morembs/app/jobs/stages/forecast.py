@@ -13,8 +13,8 @@ from typing import Any
 
 import scipy.sparse as sp
 
-from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.couple import interfaces_of
+from morembs.app.jobs.tables import Job, ModelTable
 from morembs.app.jobs.tolerances import TOL
 from morembs.base.budget import current_budget, memory_that_leaves
 from morembs.base.errors import BudgetError, enough_megabytes
@@ -282,7 +282,7 @@ def outlined(job: Job, mesh: Mesh, materials: Sequence[Material]) -> FEModel:
         mesh=mesh,
         materials=tuple(materials),
         source=mesh.source,
-        warnings=(*mesh.warnings, *mass_warnings(mesh, job.tables.model.mass_integration)),
+        warnings=(*mesh.warnings, *mass_warnings(mesh, ModelTable.of(job).mass_integration)),
     )
 
 

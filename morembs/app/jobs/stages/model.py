@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from morembs.app.jobs.equations import equations_of_motion
-from morembs.app.jobs.job import Job
-from morembs.app.jobs.schema import MaterialTable
+from morembs.app.jobs.equations import FlowTable, equations_of_motion
 from morembs.app.jobs.stages.forecast import least_memory, require_room, require_room_of_mesh
 from morembs.app.jobs.stages.stage import MODEL, JobStage, Result, Work
+from morembs.app.jobs.tables import Job, JobTable, JobTables, ModelTable, RepeatedTable, Three
 from morembs.base.errors import InputError
+from morembs.base.key_tables import described
+from morembs.base.limits import Finite, length
 from morembs.base.units import Units
 from morembs.fem import FEModel, Mesh
 from morembs.fem.assembly import assemble
@@ -25,21 +27,57 @@ from morembs.importers.to_model import model_of
 MESH: Result[Mesh] = Result("mesh")
 
 
+@dataclass(frozen=True, kw_only=True)
+class MaterialTable(RepeatedTable):
+    """``[[material]]``: elastic constants and density of an element set, isotropic or orthotropic."""
+
+    expected: ClassVar[str] = "at least one table [[material]]"
+    set: str = described('the name of an element set, or "all"', "all")
+    young: Finite | Three = described("one number, or [E1, E2, E3] for an orthotropic material")
+    poisson: Finite | Three = described("one number, or [nu12, nu13, nu23] for an orthotropic material")
+    density: Finite
+    shear: Three | None = described("[G12, G13, G23]", None)
+    axes: Annotated[list[Three], length("three rows", 3)] | None = described(
+        "three rows, the material directions 1, 2, 3 in the frame of the mesh", None
+    )
+
+    def refuse_conflicts(self) -> None:
+        lists = [isinstance(self.young, list), isinstance(self.poisson, list), self.shear is not None]
+        if any(lists) and not all(lists):
+            raise InputError(
+                "an orthotropic material needs young = [E1, E2, E3], poisson = [nu12, nu13, nu23] and "
+                "shear = [G12, G13, G23]; an isotropic one needs one young, one poisson and no shear"
+            )
+        if self.axes is not None and not all(lists):
+            raise InputError("axes was given for an isotropic material; leave it out")
+
+
 class ReadMesh(JobStage):
     """The mesh of the job, in SI units."""
 
-    tables = ("model", "material")
+    tables = (ModelTable, MaterialTable)
     gives = (MESH,)
+    step = "read"
+
+    def refuse_conflicts(self, tables: JobTables) -> None:
+        model, materials = ModelTable.of(tables), MaterialTable.of(tables)
+        if model.mesh is not None and not materials:
+            raise InputError("material is missing; expected at least one table [[material]]")
+        if model.mesh is None and model.engine is None and materials:
+            what = "a model file" if model.file is not None else "bodies"
+            raise InputError(f"[[material]] was given for {what}, whose matrices are ready; leave it out")
 
     def is_asked(self, job: Job) -> bool:
-        return job.tables.model.mesh is not None
+        return ModelTable.of(job).mesh is not None
+
+    def prepare(self, job: Job) -> None:
+        materials_of(job)
 
     def reads(self, job: Job) -> Mapping[str, Path]:
-        return {} if job.tables.model.mesh is None else {"the mesh": job.resolve(job.tables.model.mesh)}
+        return {"the mesh": job.resolve(ModelTable.of(job).mesh or "")}
 
     def run(self, work: Work) -> None:
-        with work.watch.stage("read"):
-            mesh = mesh_of(work.job)
+        mesh = mesh_of(work.job)
         require_room_of_mesh(work.job, mesh, materials_of(work.job), work.solver, work.start, work.counts_modes)
         work.give(MESH, mesh)
 
@@ -47,34 +85,40 @@ class ReadMesh(JobStage):
 class Assemble(JobStage):
     """The model of a mesh without parameters."""
 
-    tables = ("model", "material")
+    tables = (ModelTable, MaterialTable)
     needs = (MESH,)
     gives = (MODEL,)
+    step = "assemble"
 
     def is_asked(self, job: Job) -> bool:
-        return job.tables.model.mesh is not None and not job.tables.parameter
+        return ModelTable.of(job).mesh is not None and not job.table("parameter")
 
     def run(self, work: Work) -> None:
-        rule = work.job.tables.model.mass_integration
-        with work.watch.stage("assemble"):
-            model = assemble(work[MESH], materials_of(work.job), mass_integration=rule)
-        work.give(MODEL, model)
+        rule = ModelTable.of(work.job).mass_integration
+        work.give(MODEL, assemble(work[MESH], materials_of(work.job), mass_integration=rule))
 
 
 class ReadModel(JobStage):
     """The model of a model file or of a deck that an engine assembles, with what the job makes of its equations."""
 
-    tables: ClassVar[tuple[str, ...]] = ("model", "material", "flow")
+    tables: ClassVar[tuple[type[JobTable], ...]] = (ModelTable, MaterialTable, FlowTable)
     gives = (MODEL,)
+    step = "read"
+
+    def refuse_conflicts(self, tables: JobTables) -> None:
+        if FlowTable.of(tables) and ModelTable.of(tables).file is None:
+            raise InputError("[[flow]] was given without a model file; a mesh of solids has no tubes of beam elements")
 
     def is_asked(self, job: Job) -> bool:
-        return job.tables.model.file is not None
+        return ModelTable.of(job).file is not None
+
+    def prepare(self, job: Job) -> None:
+        materials_of(job)
 
     def reads(self, job: Job) -> Mapping[str, Path]:
-        given = job.tables
-        files = {} if given.model.file is None else {"the model file": job.resolve(given.model.file)}
-        tables = [flow.path for flow in given.flow if flow.path.endswith(".csv")]
-        return files | {f"the path of [[flow]] {path}": job.resolve(path) for path in tables}
+        tables = [flow.path for flow in FlowTable.of(job) if flow.path.endswith(".csv")]
+        files = {f"the path of [[flow]] {path}": job.resolve(path) for path in tables}
+        return {"the model file": job.resolve(ModelTable.of(job).file or "")} | files
 
     def matrices(self, job: Job) -> FEModel:
         """The model as it stands in its file."""
@@ -82,8 +126,7 @@ class ReadModel(JobStage):
 
     def run(self, work: Work) -> None:
         job = work.job
-        with work.watch.stage("read"):
-            model = self.matrices(job)
+        model = self.matrices(job)
         require_room(
             job,
             work.start,
@@ -100,21 +143,21 @@ def model_of_file(job: Job) -> FEModel:
     Raises:
         InputError: no model file, or a deck that the engine does not take.
     """
-    given = job.tables.model
+    given = ModelTable.of(job)
     path = job.resolve(given.file or "")
     if given.engine is None:
         return read_model(path)
     options: dict[str, Any] = {} if given.dialect == "auto" else {"dialect": given.dialect}
     if given.allow_includes_outside:
         options["allow_includes_outside"] = True
-    materials = [_material(table, Units()) for table in job.tables.material]
+    materials = [_material(table, Units()) for table in MaterialTable.of(job)]
     imported = import_file(path, options=options, engine=given.engine, materials=materials)
     return model_of(imported, job.units, mass_integration=given.mass_integration)
 
 
 def materials_of(job: Job) -> list[Material]:
     """The materials in SI units."""
-    return [_material(table, job.units) for table in job.tables.material]
+    return [_material(table, job.units) for table in MaterialTable.of(job)]
 
 
 def _material(table: MaterialTable, units: Units) -> Material:
@@ -138,7 +181,7 @@ def _material(table: MaterialTable, units: Units) -> Material:
 
 def mesh_of(job: Job) -> Mesh:
     """The mesh of the job, in SI units."""
-    given = job.tables.model
+    given = ModelTable.of(job)
     return read_mesh(
         job.resolve(given.mesh or ""),
         job.units,

@@ -1,22 +1,27 @@
-"""The tables [[parameter]] of a job as parameters in SI units, on the mesh of the job."""
+"""``[[parameter]]``: parameters in SI units, on the mesh of the job."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import scipy.sparse as sp
 
-from morembs.app.jobs.job import Job
-from morembs.app.jobs.schema import ParameterTable
 from morembs.app.jobs.stages.couple import VARIED, damping_of
 from morembs.app.jobs.stages.model import MESH, materials_of
+from morembs.app.jobs.stages.preload import PreloadTable
+from morembs.app.jobs.stages.reduction import ReduceTable
+from morembs.app.jobs.stages.spin import SpinTable
 from morembs.app.jobs.stages.stage import MODEL, JobStage, Work
 from morembs.app.jobs.stages.write import WRITTEN
+from morembs.app.jobs.tables import Job, JobTables, ModelTable, RepeatedTable, Six
 from morembs.app.jobs.tolerances import TOL
-from morembs.base.errors import InputError
+from morembs.base.errors import InputError, nearest
+from morembs.base.key_tables import described
+from morembs.base.limits import Finite, length, text
 from morembs.base.types import Floats, Ints
 from morembs.body.floating.preload import Preload, Preloaded
 from morembs.fem import DofMap, FEModel, Mesh, Nodes
@@ -25,7 +30,8 @@ from morembs.fem.material import Material
 from morembs.fem.selection import NUMBERS, select_nodes
 from morembs.importers import read_mesh
 from morembs.parametric.added import with_preload
-from morembs.parametric.parameter import Parameter, Spring
+from morembs.parametric.parameter import NAME as PARAMETER
+from morembs.parametric.parameter import PROPERTIES, Parameter, Spring
 from morembs.parametric.regions import rows_of_set, young_of
 from morembs.parametric.steps import clear_steps
 from morembs.parametric.terms import VariedModel, varied_model
@@ -35,39 +41,100 @@ from morembs.storage.csv_table import read_table
 COLUMNS = ("id", "dx", "dy", "dz")
 
 
+@dataclass(frozen=True, kw_only=True)
+class ParameterTable(RepeatedTable):
+    """``[[parameter]]``: what of the model varies, and between which values."""
+
+    name: Annotated[str, text("a name of letters, digits and _", PARAMETER, longest=100)]
+    property: str = described("one of " + ", ".join(repr(name) for name in PROPERTIES))
+    set: str | list[str] = described(
+        'an element set, a list of them, "all", or the elements in a region such as "box:0,0,0,1,1,1"', "all"
+    )
+    range: Annotated[list[Finite], length("[LOW, HIGH]", 2)]
+    nominal: Finite | None = described("a number in the range", None)
+    displacement: Annotated[str, text('the path of a table id,dx,dy,dz such as "longer.csv"')] | None = None
+    mesh: Annotated[str, text("the path of the mesh at the value 1")] | None = None
+    interface: str | None = described("the interface that a spring holds", None)
+    to: str | None = described("another interface that it holds to, in place of the ground", None)
+    stiffness: Six | None = described("six numbers, zero or more, of a spring at the value 1", None)
+
+    def refuse_conflicts(self) -> None:
+        if self.property not in PROPERTIES:
+            if self.property == "speed":
+                raise InputError(
+                    "property = 'speed' was given; a table [spin] gives one body for all speeds, with the Coriolis "
+                    "matrix that no stiffness tells"
+                )
+            raise InputError(f"property = {self.property!r} was given; {nearest(self.property, PROPERTIES)}")
+        moves = [key for key in ("displacement", "mesh") if getattr(self, key) is not None]
+        if self.property == "morph" and len(moves) != 1:
+            raise InputError(f"a morph needs displacement or mesh; {' and '.join(moves) or 'neither'} was given")
+        if self.property != "morph" and moves:
+            raise InputError(f"{moves[0]} was given beside property = {self.property!r}; it belongs to a morph")
+        springs = [key for key in ("interface", "stiffness") if getattr(self, key) is not None]
+        if self.property == "spring" and (len(springs) != 2 or self.to == self.interface):
+            raise InputError("a spring needs interface and stiffness = [six numbers], and to, if it has one, another")
+        if self.property != "spring" and (springs or self.to is not None):
+            raise InputError(
+                f"{(springs or ['to'])[0]} was given beside property = {self.property!r}; it belongs to a spring"
+            )
+        if self.property not in ("young", "density") and "set" in self.given:
+            raise InputError(f"set was given beside property = {self.property!r}; it belongs to young and density")
+
+
 class Parameters(JobStage):
     """The model of a mesh with its parameters, and that of nominal values."""
 
-    tables = ("parameter", "reduce")
+    tables = (ParameterTable,)
     needs = (MESH,)
     gives = (MODEL, VARIED)
+    step = "assemble"
+
+    def refuse_conflicts(self, tables: JobTables) -> None:
+        parameters, preload = ParameterTable.of(tables), PreloadTable.of(tables)
+        varied = any(table.method == "parametric" for table in ReduceTable.of(tables))
+        if varied and not parameters:
+            raise InputError('method = "parametric" needs parameters; add at least one table [[parameter]]')
+        if not parameters:
+            return
+        if not varied:
+            raise InputError('[[parameter]] was given; add a [[reduce]] with method = "parametric", or leave it out')
+        if ModelTable.of(tables).mesh is None:
+            raise InputError("a model file brings its matrices; parameters need a mesh ([model] mesh)")
+        loads = [table.name for table in parameters if table.property == "preload"]
+        if len(loads) != (preload is not None):
+            raise InputError(
+                f"{len(loads)} parameters with property = 'preload' were given {'with' if preload else 'without'} "
+                "a table [preload]; expected one of them for that table, whose loads it multiplies"
+            )
+        if SpinTable.of(tables) is not None:
+            raise InputError("[spin] was given beside [[parameter]], which change its stress; leave one of them out")
 
     def is_asked(self, job: Job) -> bool:
-        return bool(job.tables.parameter)
+        return bool(ParameterTable.of(job))
 
     def reads(self, job: Job) -> Mapping[str, Path]:
-        moves = {table.name: table.mesh or table.displacement for table in job.tables.parameter}
+        moves = {table.name: table.mesh or table.displacement for table in ParameterTable.of(job)}
         return {f"the morph of {name}": job.resolve(path) for name, path in moves.items() if path}
 
     def check_mesh(self, job: Job, mesh: Mesh) -> None:
         parameters_of(job, mesh)
 
     def run(self, work: Work) -> None:
-        with work.watch.stage("assemble"):
-            varied = varied_of(work.job, work[MESH], materials_of(work.job))
-            work.give(MODEL, varied.model(varied.box.nominal))
+        varied = varied_of(work.job, work[MESH], materials_of(work.job))
+        work.give(MODEL, varied.model(varied.box.nominal))
         work.give(VARIED, varied)
 
 
 class ParameterSteps(JobStage):
     """The steps of an offline stage, which are no longer needed where its body is written."""
 
-    tables = ("parameter",)
+    tables = (ParameterTable,)
     needs = (WRITTEN,)
     gives = (WRITTEN,)
 
     def is_asked(self, job: Job) -> bool:
-        return bool(job.tables.parameter)
+        return bool(ParameterTable.of(job))
 
     def run(self, work: Work) -> None:
         with work.watch.more():
@@ -81,13 +148,13 @@ def varied_of(job: Job, mesh: Mesh, materials: Sequence[Material]) -> VariedMode
         InputError: parameters that do not fit the mesh.
     """
     mesh, parameters = parameters_of(job, mesh)
-    tolerances = [table.options().get("tolerance", PARAMETRIC.default_tolerance) for table in job.tables.reduce]
+    tolerances = [table.options().get("tolerance", PARAMETRIC.default_tolerance) for table in ReduceTable.of(job)]
     return varied_model(
         mesh,
         materials,
         parameters,
         tolerance=min(float(x) for x in tolerances if isinstance(x, int | float)),
-        mass_integration=job.tables.model.mass_integration,
+        mass_integration=ModelTable.of(job).mass_integration,
     )
 
 
@@ -98,7 +165,7 @@ def parameters_of(job: Job, mesh: Mesh) -> tuple[Mesh, list[Parameter]]:
         InputError: sets, tables or meshes that cannot be used, or values that do not fit together.
     """
     parameters = []
-    for table in job.tables.parameter:
+    for table in ParameterTable.of(job):
         mesh, sets = _sets(job, mesh, table)
         parameters.append(_parameter(job, mesh, table, sets))
     return mesh, parameters
@@ -209,7 +276,7 @@ def _displacement(job: Job, mesh: Mesh, table: ParameterTable) -> Floats:
     units = job.units
     if table.mesh is not None:
         path = job.resolve(table.mesh)
-        other = read_mesh(path, units, dialect=job.tables.model.dialect)
+        other = read_mesh(path, units, dialect=ModelTable.of(job).dialect)
         _refuse_other(mesh, other, path, job)
         order, theirs = (np.argsort(each.nodes.ids, kind="stable") for each in (mesh, other))
         moved = np.empty_like(mesh.nodes.xyz)
@@ -220,7 +287,7 @@ def _displacement(job: Job, mesh: Mesh, table: ParameterTable) -> Floats:
 
 def _refuse_other(mesh: Mesh, other: Mesh, path: Path, job: Job) -> None:
     cure = "a morph needs the same labels and elements"
-    name = Path(job.tables.model.mesh or "").name
+    name = Path(ModelTable.of(job).mesh or "").name
     if len(other.nodes) != len(mesh.nodes):
         raise InputError(f"{path.name} has {len(other.nodes)} nodes, {name} {len(mesh.nodes)}; {cure}")
     if not np.array_equal(np.sort(other.nodes.ids), np.sort(mesh.nodes.ids)):

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from morembs.app.jobs.job import Job
-from morembs.app.jobs.stages.body import BODIES, recommended_body
+from morembs.app.jobs.stages.body import recommended_body
 from morembs.app.jobs.stages.couple import PROBLEM
 from morembs.app.jobs.stages.response import RESPONSE
-from morembs.app.jobs.stages.stage import JobStage, Result, Work
+from morembs.app.jobs.stages.stage import BODIES, JobStage, Result, Work
 from morembs.app.jobs.stages.write import WRITTEN
+from morembs.app.jobs.tables import Job, OutputTable
 from morembs.body.shapes import Shapes, mode_shapes
 
 SHAPES: Result[Shapes | None] = Result("shapes")
@@ -19,7 +19,7 @@ SHAPES: Result[Shapes | None] = Result("shapes")
 class DrawnShapes(JobStage):
     """The shapes that the picture shows, while the full model is there."""
 
-    tables = ("output",)
+    tables = (OutputTable,)
     needs = (PROBLEM, BODIES, RESPONSE)
     gives = (SHAPES,)
 
@@ -34,8 +34,9 @@ class DrawnShapes(JobStage):
 class Picture(JobStage):
     """The picture file."""
 
-    tables = ("output",)
+    tables = (OutputTable,)
     needs = (BODIES, SHAPES, RESPONSE, WRITTEN)
+    step = "draw"
 
     def is_asked(self, job: Job) -> bool:
         return job.picture is not None
@@ -47,7 +48,5 @@ class Picture(JobStage):
         # Not at the top: it loads the drawing library.
         from morembs.app.jobs.picture import draw
 
-        bodies = work[BODIES]
         if work.job.picture is not None:
-            with work.watch.stage("draw"):
-                draw(work.job.picture, bodies, work[SHAPES], work.get(RESPONSE))
+            draw(work.job.picture, work[BODIES], work[SHAPES], work.get(RESPONSE))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.stage import asked
+from morembs.app.jobs.tables import Job, ModelTable
 from morembs.app.jobs.tolerances import TOL
+from morembs.base.errors import InputError
 from morembs.base.progress import duration_words
 from morembs.body.diagnostics.warnings import examined, examined_mesh
 from morembs.fem import FEModel
 from morembs.reducers import ProblemSummary
 from morembs.reducers.problem_summary import ShiftedFactorisations
+from morembs.responses.direct import why_no_response
 
 
 def model_warnings(job: Job, model: FEModel) -> tuple[str, ...]:
@@ -18,7 +20,7 @@ def model_warnings(job: Job, model: FEModel) -> tuple[str, ...]:
     Raises:
         InputError: matrices that no reduction takes.
     """
-    if job.tables.model.mesh is None:
+    if ModelTable.of(job).mesh is None:
         return examined(model)
     return examined_mesh(model, job.units)
 
@@ -31,6 +33,23 @@ def preflight(job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
     """
     warnings = [warning for stage in asked(job) for warning in stage.check(job, facts, rigid)]
     return (*_many_motions(job, facts), *warnings)
+
+
+def refuse_responses(key: str, facts: ProblemSummary) -> None:
+    """Refuse to compare the responses of all interface degrees of freedom, as the table ``key`` asks.
+
+    Raises:
+        InputError: there are too many, or the damping allows none.
+    """
+    if facts.inputs > TOL.max_interface_dofs:
+        raise InputError(
+            f"[{key}] compares the responses of all interface degrees of freedom, {facts.inputs} x {facts.inputs} "
+            f"at each frequency, and at most {TOL.max_interface_dofs} fit; leave [{key}] out, or take rigid or "
+            "average couplings"
+        )
+    reason = why_no_response(facts.damping, facts.own_damping, facts.size)
+    if reason:
+        raise InputError(f"[{key}]: {reason}")
 
 
 def shifted_of(job: Job, facts: ProblemSummary) -> dict[str, ShiftedFactorisations]:

@@ -2,25 +2,51 @@
 
 from __future__ import annotations
 
-from morembs.app.jobs.job import Job
+from dataclasses import dataclass
+
 from morembs.app.jobs.stages.couple import INTERFACES, PROBLEM, VARIED, coupled
+from morembs.app.jobs.stages.parts import SubstructureTable
 from morembs.app.jobs.stages.stage import MODEL, JobStage, Work
+from morembs.app.jobs.tables import Job, JobTables, OptionalTable, Six, Three
 from morembs.base.errors import InputError
+from morembs.base.key_tables import described
+from morembs.base.limits import Finite
 from morembs.body.floating.preload import Preload, preloaded
 from morembs.body.floating.stiffening_terms import why_no_stiffening
 from morembs.fem.fe_model import has_places
 from morembs.reducers import ProblemSummary
 
 
+@dataclass(frozen=True, kw_only=True)
+class PreloadTable(OptionalTable):
+    """``[preload]``: loads in the declared units whose stress stiffens the body before it is reduced."""
+
+    wrench: dict[str, Six] = described("a table { interface = [fx, fy, fz, mx, my, mz] }", {})
+    speed: Finite = described("a number (rad/time)", 0.0)
+    axis: Three | None = described("the direction of the axis of rotation, [x, y, z]", None)
+    point: Three = described("a point of the axis, [x, y, z]", [0.0, 0.0, 0.0])
+    acceleration: Three = described("the acceleration of the body less gravity, [x, y, z]", [0.0, 0.0, 0.0])
+    held: list[str] = described("names of the interfaces that carry the loads", [])
+    follows: list[str] = described("names of the interfaces that the loads turn with", [])
+
+    def refuse_conflicts(self) -> None:
+        Preload(**{**self.values(), "held": tuple(self.held), "follows": tuple(self.follows)})
+
+
 class PreloadStress(JobStage):
     """The stress of the preload in the model, and the problem of that."""
 
-    tables = ("preload",)
+    tables = (PreloadTable,)
     needs = (MODEL, VARIED, INTERFACES, PROBLEM)
     gives = (MODEL, VARIED, PROBLEM)
+    step = "preload"
+
+    def refuse_conflicts(self, tables: JobTables) -> None:
+        if SubstructureTable.of(tables) and PreloadTable.of(tables) is not None:
+            raise InputError("[preload] was given for an assembly of bodies, which have no elements; leave it out")
 
     def is_asked(self, job: Job) -> bool:
-        return job.tables.preload is not None
+        return PreloadTable.of(job) is not None
 
     def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         """Refuse loads on nothing, and bodies that carry no stress or are held."""
@@ -34,7 +60,7 @@ class PreloadStress(JobStage):
 
     def run(self, work: Work) -> None:
         preload, varied = preload_of(work.job), work.get(VARIED)
-        with work.watch.stage("preload"), work[PROBLEM] as problem:
+        with work[PROBLEM] as problem:
             found = preloaded(problem, preload)
             model = found.model
             if varied is not None:
@@ -51,9 +77,7 @@ class PreloadStress(JobStage):
 
 def preload_of(job: Job) -> Preload:
     """The preload in SI units, of a job that has one."""
-    given, units = job.tables.preload, job.units
-    if given is None:
-        raise InputError("the job has no table [preload]; add one")
+    given, units = PreloadTable.needed(job), job.units
     force, acceleration = units.mass * units.length / units.time**2, units.length / units.time**2
     scale = [force] * 3 + [force * units.length] * 3
     return Preload(

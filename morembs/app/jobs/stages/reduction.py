@@ -2,43 +2,55 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
 
-from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.couple import PROBLEM
 from morembs.app.jobs.stages.stage import JobStage, Result, Work
+from morembs.app.jobs.tables import HasTables, Job, RepeatedTable
 from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError, SolverError
+from morembs.base.key_tables import described
+from morembs.base.limits import text
+from morembs.base.options import read_options
 from morembs.base.progress import duration_words
-from morembs.reducers import ProblemSummary, Reducer
+from morembs.reducers import REDUCERS, ProblemSummary, Reducer
 from morembs.reducers.base import ReducedModel
 from morembs.reducers.cost import mode_seconds
 from morembs.reducers.problem_summary import ShiftedFactorisations
-from morembs.responses.direct import why_no_response
 
 REDUCED: Result[Sequence[ReducedModel]] = Result("reduced")
+# Names become groups of the HDF5 file.
+SAFE_NAME = r"^[A-Za-z0-9_][A-Za-z0-9_.+-]*$"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReduceTable(RepeatedTable):
+    """``[[reduce]]``: one reduced body. Further keys are the options of its method."""
+
+    least: ClassVar[int] = 1
+    expected: ClassVar[str] = "at least one table [[reduce]]"
+    further: ClassVar[Mapping[str, Any]] = {}
+    method: str = described("one of " + ", ".join(REDUCERS.own))
+    name: Annotated[str, text("a name of letters, digits, _, -, + and .", SAFE_NAME, longest=100)] | None = None
+
+    def options(self) -> dict[str, object]:
+        """Keys besides name and method."""
+        return dict(self.further)
 
 
 class Reduction(JobStage):
     """The factorisation, and the reductions of the job."""
 
-    tables = ("reduce",)
+    tables = (ReduceTable,)
     needs = (PROBLEM,)
     gives = (REDUCED,)
+    steps = ("factorise", "reduce")
 
     def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
-        """Ask every reduction, and the comparison of their responses, whether it can be made."""
-        key = next((key for key in ("certify", "response") if getattr(job.tables, key) is not None), "")
-        if key == "certify" and not facts.inputs:
-            raise InputError(
-                "[certify] compares interface degrees of freedom, and there are none; add at least one [[interface]]"
-            )
-        if key and facts.inputs > TOL.max_interface_dofs:
-            raise InputError(
-                f"[{key}] compares the responses of all interface degrees of freedom, {facts.inputs} x {facts.inputs} "
-                f"at each frequency, and at most {TOL.max_interface_dofs} fit; leave [{key}] out, or take rigid or "
-                "average couplings"
-            )
+        """Ask every reduction whether it can be made."""
         for name, reducer in reducers_of(job).items():
             if facts.inputs > TOL.max_interface_dofs and reducer.follows_responses:
                 raise InputError(
@@ -49,13 +61,17 @@ class Reduction(JobStage):
             reason = reducer.why_not(facts)
             if reason:
                 raise InputError(f"[[reduce]] {name!r}: {reason}")
-        reason = why_no_response(facts.damping, facts.own_damping, facts.size)
-        if key and reason:
-            raise InputError(f"[{key}]: {reason}")
         return tuple(_many_modes(job, facts.size))
 
     def shifted(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
         return {f"[[reduce]] {name!r}": reducer.shifted(facts) for name, reducer in job.reducers.items()}
+
+    def columns(self, job: Job, facts: ProblemSummary) -> int:
+        return facts.inputs + max(reducer.mode_count for reducer in job.reducers.values())
+
+    def seconds(self, job: Job, facts: ProblemSummary, factor_entries: int) -> Mapping[str, float]:
+        times = {name: reducer.seconds(facts, factor_entries) for name, reducer in job.reducers.items()}
+        return {name: seconds for name, seconds in times.items() if seconds is not None}
 
     def followed_seconds(self, job: Job, facts: ProblemSummary) -> Mapping[str, float]:
         return {
@@ -82,6 +98,33 @@ class Reduction(JobStage):
                         raise
                     raise type(error)(f"[[reduce]] {name!r}: {error}") from error
         work.give(REDUCED, reduced)
+
+
+def make_reducers(job: HasTables) -> dict[str, Reducer]:
+    """Name -> reducer with its options, of the tables of a job.
+
+    Raises:
+        InputError: names that repeat, unknown methods, wrong options.
+    """
+    names = [table.name or table.method for table in ReduceTable.of(job)]
+    repeated = [name for name, count in Counter(names).items() if count > 1]
+    if repeated:
+        raise InputError(f"two [[reduce]] tables are named {repeated[0]!r}; give each its own name = ...")
+    return {name: _reducer(name, table) for name, table in zip(names, ReduceTable.of(job), strict=True)}
+
+
+def _reducer(name: str, table: ReduceTable) -> Reducer:
+    where = f"[[reduce]] {name!r}: "
+    if table.method not in REDUCERS:
+        raise InputError(f"{where}method = {table.method!r} was given; {REDUCERS.advice(table.method)}")
+    kind = REDUCERS[table.method]
+    options = read_options(
+        kind, table.options(), f"method {table.method!r}", where=where, word="key", besides=("name", "method")
+    )
+    try:
+        return kind(**options)
+    except InputError as error:
+        raise InputError(f"{where}{error}") from error
 
 
 def reducers_of(job: Job) -> dict[str, Reducer]:

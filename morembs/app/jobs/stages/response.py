@@ -3,58 +3,114 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 
 from morembs.app.jobs.compare import FrequencyResponse, certified_response, frequency_response
-from morembs.app.jobs.job import Job
-from morembs.app.jobs.stages.body import BODIES
+from morembs.app.jobs.stages.certificate import CertifyTable
 from morembs.app.jobs.stages.couple import PROBLEM
-from morembs.app.jobs.stages.stage import JobStage, Result, Work
+from morembs.app.jobs.stages.full_modes import CheckTable
+from morembs.app.jobs.stages.preflight import refuse_responses
+from morembs.app.jobs.stages.stage import BODIES, JobStage, Result, Results, Work
 from morembs.app.jobs.stages.unreduced import PARTS
+from morembs.app.jobs.tables import CurvePoints, Job, OptionalTable, OutputTable
 from morembs.app.jobs.tolerances import TOL
+from morembs.app.report.sections import Place, Section
+from morembs.base.errors import InputError
+from morembs.base.limits import number
+from morembs.base.tolerances import TOL as BASE
 from morembs.base.types import Floats
 from morembs.body import Body
 from morembs.reducers import ProblemSummary
 from morembs.reducers.cost import response_seconds
 from morembs.reducers.problem_summary import ShiftedFactorisations
+from morembs.responses.tolerances import TOL as RESPONSES
 
+_LOWEST_HZ = RESPONSES.least_upper_hz
+ResponseHertz = Annotated[
+    float, number(f"a frequency in Hz from {_LOWEST_HZ:g} to {BASE.largest_hz:g}", gt=_LOWEST_HZ, lt=BASE.largest_hz)
+]
 RESPONSE: Result[FrequencyResponse] = Result("response")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResponseTable(OptionalTable):
+    """``[response]``: frequency response of the full and the reduced model at logarithmic steps."""
+
+    from_hz: ResponseHertz
+    to_hz: ResponseHertz
+    points: CurvePoints = 200
+
+    def refuse_conflicts(self) -> None:
+        if self.to_hz <= self.from_hz:
+            raise InputError(f"from_hz = {self.from_hz:g} must lie below to_hz = {self.to_hz:g}")
 
 
 class Response(JobStage):
     """The response that certificates were made with, or one of its own where it is asked for or drawn."""
 
-    tables = ("response", "output")
+    tables = (ResponseTable, OutputTable)
     needs = (PROBLEM, PARTS, BODIES)
     gives = (RESPONSE,)
+    tells = (RESPONSE,)
+    steps = ("response",)
+
+    def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
+        """Refuse responses that are too many to compare."""
+        if ResponseTable.of(job) is not None:
+            refuse_responses("response", facts)
+        return ()
 
     def shifted(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
-        given = job.tables.response
+        given = ResponseTable.of(job)
         if given is not None:
             return {"[response]": facts.at_frequencies(given.points)}
-        drawn = job.picture is not None and job.tables.certify is None and facts.inputs
+        drawn = job.picture is not None and CertifyTable.of(job) is None and facts.inputs
         return {"the picture": facts.at_frequencies(TOL.picture_points)} if drawn else {}
 
     def followed_seconds(self, job: Job, facts: ProblemSummary) -> Mapping[str, float]:
-        return {} if job.tables.response is None else {"[response]": response_seconds(facts.size, facts.inputs)}
+        return {} if ResponseTable.of(job) is None else {"[response]": response_seconds(facts.size, facts.inputs)}
 
     def run(self, work: Work) -> None:
         job, problem, bodies, parts = work.job, work[PROBLEM], work[BODIES], work.get(PARTS)
         response = certified_response(problem, bodies)
         drawn = job.picture is not None and 0 < problem.B.shape[1] <= TOL.max_interface_dofs
-        if job.tables.response is not None or (response is None and drawn):
+        if ResponseTable.of(job) is not None or (response is None and drawn):
             with work.watch.stage("response"):
                 against = problem if parts is None else parts.problem
                 response = frequency_response(against, bodies, _band(job, bodies[0]))
         if response is not None:
             work.give(RESPONSE, response)
 
+    def document(self, job: Job, results: Results) -> Mapping[str, Any]:
+        response = results.get(RESPONSE)
+        if response is None:
+            return {}
+        errors = {
+            name: {"largest_response_error": float(error.max()), "median_response_error": float(np.median(error))}
+            for name, error in response.error.items()
+        }
+        return {"response_band_hz": response.frequencies_hz[[0, -1]].tolist(), "bodies": errors}
+
+    def sections(self, document: Mapping[str, Any]) -> Sequence[Section]:
+        bodies = document["bodies"]
+        if "response_band_hz" not in document or any(body["certificate"] for body in bodies.values()):
+            return ()
+        low, high = document["response_band_hz"]
+        lines = [
+            f"{name}: relative error of the frequency response at most {body['largest_response_error']:.2e} from "
+            f"{low:,.6g} to {high:,.6g} Hz (median {body['median_response_error']:.1e})"
+            for name, body in bodies.items()
+        ]
+        return [Section(place=Place.REMARKS, lines=lines)]
+
 
 def _band(job: Job, body: Body) -> Floats:
-    given = job.tables.response
+    given = ResponseTable.of(job)
     if given is not None:
         return np.geomspace(given.from_hz, given.to_hz, given.points)
     known = body.frequencies_hz if body.full_frequencies_hz is None else body.full_frequencies_hz
-    elastic = known[known > 0][: max(job.tables.check.full_modes, 1)]
+    elastic = known[known > 0][: max(CheckTable.of(job).full_modes, 1)]
     return np.geomspace(TOL.picture_band[0] * elastic[0], TOL.picture_band[1] * elastic[-1], TOL.picture_points)

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
 
-from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.couple import PROBLEM
+from morembs.app.jobs.stages.preload import PreloadTable
 from morembs.app.jobs.stages.reduction import REDUCED
 from morembs.app.jobs.stages.stage import JobStage, Result, Work
+from morembs.app.jobs.tables import Job, JobTables, OptionalTable, Three
 from morembs.base.arguments import refuse_out_of_range
 from morembs.base.errors import InputError
+from morembs.base.key_tables import described
+from morembs.base.limits import Finite, length, number
 from morembs.body.floating.spin import ReducedSpin
 from morembs.body.floating.spinning import Rotation, Spin, spinning
 from morembs.body.floating.spinning_modes import modes_over_speed, refuse_damping, with_spin
@@ -19,15 +25,35 @@ SPIN: Result[Spin] = Result("spin")
 SPINS: Result[Sequence[ReducedSpin | None]] = Result("spins")
 
 
+@dataclass(frozen=True, kw_only=True)
+class SpinTable(OptionalTable):
+    """``[spin]``: matrices of a frame that turns with the body, for all speeds."""
+
+    speed: Annotated[list[Finite], length("speeds such as [0, 100, 400] (rad/time)", 1, sys.maxsize)]
+    axis: Three = described("the direction of the axis, [x, y, z]")
+    point: Three = described("a point of the axis, [x, y, z]", [0.0, 0.0, 0.0])
+    held: list[str] = described("names of the interfaces at rest in the frame that turns", [])
+    stress: bool = described("true or false: the centrifugal stress stiffens", True)
+    modes: Annotated[int, number("a count of complex modes", ge=1, le=1000)] = 12
+
+    def refuse_conflicts(self) -> None:
+        Rotation(axis=self.axis, point=self.point)
+
+
 class SpinMatrices(JobStage):
     """The matrices of the full model that spins."""
 
-    tables = ("spin",)
+    tables = (SpinTable,)
     needs = (PROBLEM,)
     gives = (SPIN,)
+    step = "spin"
+
+    def refuse_conflicts(self, tables: JobTables) -> None:
+        if SpinTable.of(tables) is not None and PreloadTable.of(tables) is not None:
+            raise InputError("[preload] was given beside [spin], which has its own static stress; leave one out")
 
     def is_asked(self, job: Job) -> bool:
-        return job.tables.spin is not None
+        return SpinTable.of(job) is not None
 
     def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         """Refuse axes, supports, damping and reductions that do not spin."""
@@ -42,8 +68,7 @@ class SpinMatrices(JobStage):
         return ()
 
     def run(self, work: Work) -> None:
-        with work.watch.stage("spin"):
-            spin = spinning(work[PROBLEM], rotation_of(work.job)[0])
+        spin = spinning(work[PROBLEM], rotation_of(work.job)[0])
         work.tell(*spin.warnings)
         work.give(SPIN, spin)
 
@@ -51,32 +76,25 @@ class SpinMatrices(JobStage):
 class SpinModes(JobStage):
     """The reduced bodies with their matrices of spin, and with the modes over the speed."""
 
-    tables = ("spin",)
+    tables = (SpinTable,)
     needs = (PROBLEM, SPIN, REDUCED)
     gives = (REDUCED, SPINS)
+    step = "spin modes"
 
     def is_asked(self, job: Job) -> bool:
-        return job.tables.spin is not None
+        return SpinTable.of(job) is not None
 
     def run(self, work: Work) -> None:
-        given = work.job.tables.spin
-        if given is None:
-            return
-        _, speeds = rotation_of(work.job)
-        with work.watch.stage("spin modes"):
-            full = modes_over_speed(work[PROBLEM], work[SPIN], speeds, given.modes)
-            reduced, spins = zip(
-                *(with_spin(work[PROBLEM], body, work[SPIN], full) for body in work[REDUCED]), strict=True
-            )
+        given, (_, speeds) = SpinTable.needed(work.job), rotation_of(work.job)
+        full = modes_over_speed(work[PROBLEM], work[SPIN], speeds, given.modes)
+        reduced, spins = zip(*(with_spin(work[PROBLEM], body, work[SPIN], full) for body in work[REDUCED]), strict=True)
         work.give(REDUCED, reduced)
         work.give(SPINS, spins)
 
 
 def rotation_of(job: Job) -> tuple[Rotation, list[float]]:
     """The axis of [spin] and the speeds in rad/s, of a job that has one."""
-    given, units = job.tables.spin, job.units
-    if given is None:
-        raise InputError("the job has no table [spin]; add one")
+    given, units = SpinTable.needed(job), job.units
     rotation = Rotation(
         axis=given.axis,
         point=[units.length * value for value in given.point],

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
-from morembs.app.jobs.job import Job
+from morembs.app.jobs.tables import Job, JobTable, JobTables
+from morembs.app.report.sections import Section
 from morembs.base.progress import Stopwatch
 from morembs.fem import FEModel, Mesh
-from morembs.linalg.sparse.solver import LinearSolver
+from morembs.linalg.sparse.solver import FactorStats, LinearSolver
+from morembs.storage.contents import Content
 
 if TYPE_CHECKING:
+    from morembs.body import Body
     from morembs.reducers import ProblemSummary
     from morembs.reducers.problem_summary import ShiftedFactorisations
 
 T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
 
 
 def unheard(_: str) -> None:
@@ -24,33 +29,24 @@ def unheard(_: str) -> None:
 
 
 @dataclass(frozen=True)
-class Result(Generic[T]):
+class Result(Generic[T_co]):
     """The name of what one stage gives and others need."""
 
     name: str
 
 
+# What every job gives, whichever stages it has.
 MODEL: Result[FEModel] = Result("model")
+BODIES: Result[tuple[Body, ...]] = Result("bodies")
+FACTOR: Result[FactorStats] = Result("factor")
+# The files that were read up to the model, by the names that were opened.
+INPUTS: Result[Mapping[str, Content]] = Result("inputs")
 
 
 @dataclass(kw_only=True, eq=False)
-class Work:
-    """A job at work: its means, what its stages have given so far, and what there is to say of it.
+class Results:
+    """What stages have given, each by its name."""
 
-    ``start`` is the resident memory of the process before any model was read, ``counts_modes`` says whether modes are
-    computed. ``warnings`` are those of the job,
-    ``stored`` those that go into the body file, ``recipe`` is what stages add to the recipe of the file.
-    """
-
-    job: Job
-    solver: LinearSolver
-    start: int
-    watch: Stopwatch
-    counts_modes: bool = False
-    warn: Callable[[str], None] = unheard
-    warnings: list[str] = field(default_factory=list)
-    stored: list[str] = field(default_factory=list)
-    recipe: dict[str, object] = field(default_factory=dict)
     _given: dict[Result[Any], Any] = field(default_factory=dict)
 
     def __getitem__(self, result: Result[T]) -> T:
@@ -72,6 +68,26 @@ class Work:
             if hasattr(value, "__exit__"):
                 value.__exit__(None, None, None)
 
+
+@dataclass(kw_only=True, eq=False)
+class Work(Results):
+    """A job at work: its means, what its stages have given so far, and what there is to say of it.
+
+    ``start`` is the resident memory of the process before any model was read, ``counts_modes`` says whether modes are
+    computed. ``warnings`` are those of the job,
+    ``stored`` those that go into the body file, ``recipe`` is what stages add to the recipe of the file.
+    """
+
+    job: Job
+    solver: LinearSolver
+    start: int
+    watch: Stopwatch
+    counts_modes: bool = False
+    warn: Callable[[str], None] = unheard
+    warnings: list[str] = field(default_factory=list)
+    stored: list[str] = field(default_factory=list)
+    recipe: dict[str, object] = field(default_factory=dict)
+
     def tell(self, *sentences: str, stored: bool = True, heard: bool = True) -> None:
         """Warnings of the job, ``heard`` at once or only in the result, and ``stored`` in its body file or not."""
         for sentence in sentences if heard else ():
@@ -83,14 +99,28 @@ class Work:
 class JobStage:
     """A stage of a job: all that is known of one feature. A new one is a file here and a line in ``STAGES``.
 
-    ``tables`` are the tables of the job that it reads. It runs after all stages that give what it ``needs``; a result
-    that it needs and ``gives`` it changes. Results in ``needs``
-    that no stage of a job gives are absent.
+    ``tables`` are the tables of the job file that it reads. It runs after all stages that give what it ``needs``; a
+    result that it needs and ``gives`` it changes. Results in ``needs`` that no stage of a job gives are absent. Those
+    that it ``tells`` of, in ``document``, stay until the job is done.
+
+    ``step`` is its line of progress and its row among the costs; a stage that runs in several steps, or not always in
+    one, has them as ``steps`` and measures them itself. ``on_page`` says that pages show its sections too.
     """
 
-    tables: ClassVar[tuple[str, ...]] = ()
+    tables: ClassVar[tuple[type[JobTable], ...]] = ()
     needs: ClassVar[tuple[Result[Any], ...]] = ()
     gives: ClassVar[tuple[Result[Any], ...]] = ()
+    tells: ClassVar[tuple[Result[Any], ...]] = ()
+    step: ClassVar[str] = ""
+    steps: ClassVar[tuple[str, ...]] = ()
+    on_page: ClassVar[bool] = False
+
+    def refuse_conflicts(self, tables: JobTables) -> None:
+        """Refuse tables that do not go together, each of which is right by itself.
+
+        Raises:
+            InputError: as said.
+        """
 
     def is_asked(self, job: Job) -> bool:
         """Whether the job has this stage."""
@@ -103,6 +133,13 @@ class JobStage:
     def writes(self, job: Job) -> Mapping[str, Path]:
         """The files that it writes, by the words for each."""
         return {}
+
+    def prepare(self, job: Job) -> None:
+        """Refuse values that are wrong by themselves, before any file is read.
+
+        Raises:
+            InputError: as said.
+        """
 
     def check_mesh(self, job: Job, mesh: Mesh) -> None:
         """Refuse what does not fit the mesh of the job.
@@ -123,6 +160,14 @@ class JobStage:
         """What it factorises beside K, by the words for what asks for it."""
         return {}
 
+    def columns(self, job: Job, facts: ProblemSummary) -> int:
+        """Columns as long as there are dofs that it has at once."""
+        return 0
+
+    def seconds(self, job: Job, facts: ProblemSummary, factor_entries: int) -> Mapping[str, float]:
+        """Time of the reductions that it makes, by name, as far as it can be told."""
+        return {}
+
     def followed_seconds(self, job: Job, facts: ProblemSummary) -> Mapping[str, float]:
         """Time of what follows the responses to all interface degrees of freedom, by the words for it."""
         return {}
@@ -134,14 +179,26 @@ class JobStage:
     def run(self, work: Work) -> None:
         """Do the work and give its results."""
 
+    def provenance(self, work: Work) -> Mapping[str, object]:
+        """What it adds to the provenance in the body file."""
+        return {}
 
-# Filled where all stages are known, in the order in which a check asks them; they run as their results need each other.
+    def document(self, job: Job, results: Results) -> Mapping[str, Any]:
+        """What it adds to the document of the finished job: plain values and arrays; tables in it are joined."""
+        return {}
+
+    def sections(self, document: Mapping[str, Any]) -> Sequence[Section]:
+        """What reports show of such a document, whether it was just made or read."""
+        return ()
+
+
+# Filled where all stages are known, in the order in which a document tells of them.
 STAGES: dict[str, JobStage] = {}
 
 
 def asked(job: Job) -> list[JobStage]:
-    """The stages of a job."""
-    return [stage for stage in STAGES.values() if stage.is_asked(job)]
+    """The stages of a job, in the order in which they run."""
+    return list(in_order([stage for stage in STAGES.values() if stage.is_asked(job)]))
 
 
 def computes_modes(job: Job) -> bool:
@@ -176,11 +233,13 @@ def run_stages(
     Raises:
         MorembsError: what a stage refuses.
     """
-    left = list(in_order(stages))
+    left = list(stages)
     try:
         while left and (until is None or work.get(until) is None):
-            left.pop(0).run(work)
-            work.close([*kept, *(result for stage in left for result in stage.needs)])
+            stage = left.pop(0)
+            with work.watch.stage(stage.step) if stage.step else nullcontext():
+                stage.run(work)
+            work.close([*kept, *(result for each in left for result in each.needs)])
     except BaseException:
         work.close()
         raise

@@ -2,41 +2,60 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
-from morembs.app.jobs.job import Job
-from morembs.app.jobs.stages.body import BODIES, recommended_body
-from morembs.app.jobs.stages.stage import JobStage, Work
+from morembs.app.jobs.stages.body import recommended_body
+from morembs.app.jobs.stages.spin import SpinTable
+from morembs.app.jobs.stages.stage import BODIES, JobStage, Work
 from morembs.app.jobs.stages.write import WRITTEN
+from morembs.app.jobs.tables import Job, JobTables, OptionalTable
 from morembs.base.errors import InputError, nearest
+from morembs.base.key_tables import described
+from morembs.base.limits import length, number, text
 from morembs.fem import rigid_motion
 from morembs.fem.fe_model import STRUCTURAL
 from morembs.problem.damping import frequency_domain_only
 from morembs.reducers import ProblemSummary
 
 
+@dataclass(frozen=True, kw_only=True)
+class StateSpaceTable(OptionalTable):
+    """``[state_space]``: a file for control design of one body."""
+
+    path: Annotated[str, text("the path of a .npz or .mat file", r"\.(npz|mat)$")]
+    inputs: Annotated[list[str], length('inputs such as ["base:acceleration", "tip:force:z"]', 1, sys.maxsize)]
+    outputs: Annotated[list[str], length('outputs such as ["base:reaction", "tip:displacement"]', 1, sys.maxsize)]
+    held: list[str] = described("names of the interfaces at rest", [])
+    step: Annotated[float, number("a step in s for the zero-order hold", gt=0, lt=1e12)] | None = None
+    body: str | None = described("the name of a reduction", None)
+
+
 class StateSpace(JobStage):
     """The state space of one body, written beside the body file."""
 
-    tables = ("state_space",)
+    tables = (StateSpaceTable,)
     needs = (BODIES, WRITTEN)
     gives = (WRITTEN,)
 
+    def refuse_conflicts(self, tables: JobTables) -> None:
+        if SpinTable.of(tables) is not None and StateSpaceTable.of(tables) is not None:
+            raise InputError("[state_space] was given beside [spin], but would be of the body at rest; leave one out")
+
     def is_asked(self, job: Job) -> bool:
-        return job.tables.state_space is not None
+        return StateSpaceTable.of(job) is not None
 
     def writes(self, job: Job) -> Mapping[str, Path]:
-        asked = job.tables.state_space
-        return {} if asked is None else {"[state_space] path": job.result(asked.path)}
+        return {"[state_space] path": job.result(StateSpaceTable.needed(job).path)}
 
     def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         """Refuse signals that there are not, and supports that leave the part loose."""
-        asked = job.tables.state_space
-        if asked is None:
-            return ()
+        asked = StateSpaceTable.needed(job)
         # Not at the top: most jobs do without.
         from morembs.exporters.ports import ports_of, refuse_loose
         from morembs.exporters.state_space import signals
@@ -57,9 +76,7 @@ class StateSpace(JobStage):
         return ()
 
     def run(self, work: Work) -> None:
-        asked = work.job.tables.state_space
-        if asked is None:
-            return
+        asked = StateSpaceTable.needed(work.job)
         # Not at the top: most jobs do without.
         from morembs.exporters.state_space import state_space
         from morembs.exporters.state_space_files import write_state_space

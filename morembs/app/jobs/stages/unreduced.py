@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from morembs.app.jobs.job import Job
 from morembs.app.jobs.stages.couple import PROBLEM
+from morembs.app.jobs.stages.parts import SubstructureTable
 from morembs.app.jobs.stages.stage import JobStage, Result, Work
+from morembs.app.jobs.tables import Job
 
 if TYPE_CHECKING:
     from morembs.dynamics.assembly import Unreduced
@@ -17,16 +18,16 @@ PARTS: Result[Unreduced] = Result("parts")
 class UnreducedParts(JobStage):
     """The unreduced parts, coupled, where the job names those that made its bodies."""
 
-    tables = ("substructure",)
+    tables = (SubstructureTable,)
     needs = (PROBLEM,)
     gives = (PARTS,)
+    step = "couple parts"
 
     def is_asked(self, job: Job) -> bool:
-        return any(table.job for table in job.tables.substructure)
+        return any(table.job for table in SubstructureTable.of(job))
 
     def run(self, work: Work) -> None:
         # Not at the top: most jobs have a mesh.
         from morembs.dynamics.assembly import Unreduced
 
-        with work.watch.stage("couple"):
-            work.give(PARTS, Unreduced(work[PROBLEM]))
+        work.give(PARTS, Unreduced(work[PROBLEM]))

@@ -1,4 +1,4 @@
-"""Certificates for people: the same table for those just made and those read from files."""
+"""Certificates for people: the same sections for those just made and those read from files."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
-from morembs.app.cli.tables import plain_table, titled
-from morembs.app.cli.tolerances import TOL
+from morembs.app.report.sections import Section
+from morembs.app.report.tolerances import TOL
 from morembs.base.summary import upwards
 
 MEASURES = ("envelope", "peak", "pointwise")
@@ -19,6 +18,10 @@ LEGEND = (
     "error of the frequency response relative to the sum of its modes (envelope), to its largest value (peak), to "
     "itself (pointwise); block: of the worst pair of interfaces, by the envelope; static: at 0 Hz; modes, residues, "
     "MAC: the worst mode in the band that loads excite"
+)
+COLUMNS = (
+    *("body", "order", *(f"{name} <=" for name in MEASURES), "worst at Hz", "block <=", "static", "modes off by"),
+    *("residues off by", "MAC", "kind"),
 )
 
 
@@ -34,73 +37,69 @@ class Certified:
     def text(self, key: str) -> str:
         """A text of the certificate; sentences of one that was just made are joined as a body file joins them."""
         value = self.values.get(key, "")
-        if isinstance(value, tuple):
+        if isinstance(value, tuple | list):
             return "; ".join(value)
         return str(value.item() if isinstance(value, np.ndarray) else value).strip()
 
 
-def print_certificates(console: Console, known: Sequence[Certified], interfaces: Sequence[str]) -> None:
+def certificate_sections(known: Sequence[Certified], interfaces: Sequence[str]) -> list[Section]:
     """Tables of the certificates: one for each band and damping floor."""
-    groups: dict[tuple[float, ...], list[Certified]] = {}
+    groups: dict[tuple[float, float, float], list[Certified]] = {}
+    lines: list[str] = []
     for certified in known:
         if "version" in certified.values:
             band, floor = certified.values["band_hz"], float(certified.values["damping_floor"])
-            groups.setdefault((*map(float, band), floor), []).append(certified)
+            groups.setdefault((float(band[0]), float(band[1]), floor), []).append(certified)
         else:
-            _at_samples(console, certified)
-    for (low, high, floor), group in groups.items():
-        holds = any(KINDS[certified.text("bound_kind")] != "sampled" for certified in group)
-        what = "holds at every frequency" if holds else "errors at samples"
-        titled(console, f"certificate: {what} from {low:,.6g} to {high:,.6g} Hz", _table(group))
-        console.print(f"  {LEGEND}", highlight=False, soft_wrap=True)
-        if floor:
-            console.print(
-                f"  damping of {100 * floor:.3g} % of critical assumed in both beside their own; poles are compared "
-                "without it",
-                highlight=False,
-                soft_wrap=True,
-            )
-        for certified in group:
-            for note in (*_does_not_serve(certified, interfaces), *_notes(certified)):
-                console.print(f"  {certified.name}: {note}", highlight=False, soft_wrap=True)
+            lines.append(_at_samples(certified))
+    sections = [Section(lines=lines)] if lines else []
+    return sections + [_section(*band, group, interfaces) for band, group in groups.items()]
 
 
-def _table(known: Sequence[Certified]) -> Any:
-    table = plain_table(
-        "body",
-        "order",
-        *(f"{name} <=" for name in MEASURES),
-        "worst at Hz",
-        "block <=",
-        "static",
-        "modes off by",
-        "residues off by",
-        "MAC",
-        "kind",
+def _section(low: float, high: float, floor: float, known: Sequence[Certified], interfaces: Sequence[str]) -> Section:
+    holds = any(KINDS[certified.text("bound_kind")] != "sampled" for certified in known)
+    what = "holds at every frequency" if holds else "errors at samples"
+    lines = [f"  {LEGEND}"]
+    if floor:
+        lines.append(
+            f"  damping of {100 * floor:.3g} % of critical assumed in both beside their own; poles are compared "
+            "without it"
+        )
+    lines += [
+        f"  {certified.name}: {note}"
+        for certified in known
+        for note in (*_does_not_serve(certified, interfaces), *_notes(certified))
+    ]
+    return Section(
+        title=f"certificate: {what} from {low:,.6g} to {high:,.6g} Hz",
+        columns=COLUMNS,
+        rows=[_row(certified) for certified in known],
+        lines=lines,
     )
-    for certified in known:
-        values = certified.values
-        kind = KINDS[certified.text("bound_kind")]
-        limits = [np.asarray(values[f"limits/{name}"], dtype=float) for name in MEASURES]
-        worst = limits[MEASURES.index(certified.text("measure"))]
-        residue = np.asarray(values["residue_deviation"], dtype=float)
-        # Modes that no load excites have no residue; what resembles them in a body says nothing.
-        mac, moved = (
-            np.asarray(values[name], dtype=float)[np.isfinite(residue)] for name in ("mode_mac", "mode_deviation")
-        )
-        table.add_row(
-            certified.name,
-            str(certified.order),
-            *("-" if kind == "sampled" else upwards(limit[1]) for limit in limits),
-            "-" if kind == "sampled" else f"{worst[2]:,.6g}",
-            "-" if kind == "sampled" else upwards(np.max(values["block_limit"], initial=0.0)),
-            f"{float(values['static_error']):.1e}",
-            _largest(moved),
-            _largest(residue),
-            f"{mac.min():.4f}" if len(mac) else "-",
-            kind,
-        )
-    return table
+
+
+def _row(certified: Certified) -> tuple[str, ...]:
+    values = certified.values
+    kind = KINDS[certified.text("bound_kind")]
+    limits = [np.asarray(values[f"limits/{name}"], dtype=float) for name in MEASURES]
+    worst = limits[MEASURES.index(certified.text("measure"))]
+    residue = np.asarray(values["residue_deviation"], dtype=float)
+    # Modes that no load excites have no residue; what resembles them in a body says nothing.
+    mac, moved = (
+        np.asarray(values[name], dtype=float)[np.isfinite(residue)] for name in ("mode_mac", "mode_deviation")
+    )
+    return (
+        certified.name,
+        str(certified.order),
+        *("-" if kind == "sampled" else upwards(limit[1]) for limit in limits),
+        "-" if kind == "sampled" else f"{worst[2]:,.6g}",
+        "-" if kind == "sampled" else upwards(np.max(values["block_limit"], initial=0.0)),
+        f"{float(values['static_error']):.1e}",
+        _largest(moved),
+        _largest(residue),
+        f"{mac.min():.4f}" if len(mac) else "-",
+        kind,
+    )
 
 
 def _largest(deviations: Any) -> str:
@@ -143,12 +142,10 @@ def _notes(certified: Certified) -> list[str]:
     return [*notes, *([certified.text("notes")] if certified.text("notes") else []), *certified.notes]
 
 
-def _at_samples(console: Console, certified: Certified) -> None:
+def _at_samples(certified: Certified) -> str:
     hz, error, bound = (np.asarray(certified.values[key]) for key in ("frequencies_hz", "error", "bound"))
     known = f", {certified.text('bound_kind')} {bound.max():.1e}" if np.isfinite(bound).all() else ""
-    console.print(
+    return (
         f"  {certified.name}: certificate at samples: error at most {error.max():.1e}{known} at {len(hz)} frequencies "
-        f"from {hz[0]:,.6g} to {hz[-1]:,.6g} Hz",
-        highlight=False,
-        soft_wrap=True,
+        f"from {hz[0]:,.6g} to {hz[-1]:,.6g} Hz"
     )

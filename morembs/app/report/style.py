@@ -1,4 +1,4 @@
-"""Sizes of what the command line prints and of its pages."""
+"""Sizes of reports, in a terminal and as pages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class CommandStyle:
+class ReportStyle:
     """Sizes of layout, each named by its quantity."""
 
     # Elastic frequencies of a body: that evaluate prints where no number is given, of a report, and on a page.
@@ -26,4 +26,4 @@ class CommandStyle:
     response_picture: tuple[float, float, int] = (9.0, 4.6, 90)
 
 
-STYLE = CommandStyle()
+STYLE = ReportStyle()

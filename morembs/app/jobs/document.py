@@ -1,0 +1,24 @@
+"""The document of a finished job, which its stages write: text, JSON and pages are views of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from morembs.app.jobs.stages.stage import STAGES
+from morembs.app.report.sections import Section
+
+
+def sections_of(document: Mapping[str, Any], pages: bool = False) -> list[Section]:
+    """What reports show of a document, or ``pages`` alone: the sections of all stages that find something in it."""
+    stages = [stage for stage in STAGES.values() if stage.on_page or not pages]
+    return [section for stage in stages for section in stage.sections(document)]
+
+
+def joined(document: dict[str, Any], added: Mapping[str, Any]) -> None:
+    """Add to a document; tables that are there take what is added to them."""
+    for key, value in added.items():
+        if isinstance(value, Mapping) and isinstance(document.get(key), dict):
+            joined(document[key], value)
+        else:
+            document[key] = value
