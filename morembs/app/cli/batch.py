@@ -73,6 +73,7 @@ def batch(
                     output=record.output,
                     seconds=record.seconds or sum(record.facts.get("seconds", {}).values()) or None,
                     peak_memory_bytes=record.facts.get("job_peak_memory_bytes"),
+                    document=record.facts or None,
                 )
                 for record in records
             ]

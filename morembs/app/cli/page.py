@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,14 +28,11 @@ from morembs.version import VERSION
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Stages of a job in the order in which they run; files keep them by name.
-STAGES = ("read", "assemble", "couple", "preload", "factorise", "reduce", "certify", "compare", "response", "deliver")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
     """A job of a report: its ``state`` (``done``, ``unchanged``, ``failed``), the ``message`` of a failed one, and of
-    another the body file ``output`` and what it cost, where that is known."""
+    another the body file ``output`` and what it cost, where that is known, and the ``document`` of its run."""
 
     name: str
     job: str
@@ -44,6 +41,7 @@ class Entry:
     message: str = ""
     seconds: float | None = None
     peak_memory_bytes: int | None = None
+    document: Mapping[str, Any] | None = None
 
 
 def check_report(path: Path | None) -> None:
@@ -109,6 +107,9 @@ def _part(number: int, entry: Entry, report: Path) -> dict[str, Any]:
         said |= {"bodies": bodies, **_pictures(stored, shown["name"])}
     except MorembsError as error:
         return said | {"state": "failed", "message": str(error)}
+    # Not at the top: what checks the path of a report does without.
+    from morembs.app.jobs.document import sections_of, steps_in_turn
+
     origin = stored.provenance
     memory = entry.peak_memory_bytes
     said["row"] = {
@@ -129,8 +130,9 @@ def _part(number: int, entry: Entry, report: Path) -> dict[str, Any]:
         "warnings": list(stored.warnings),
         "interfaces": {name: (each.coupling, len(each.node_ids)) for name, each in stored.interfaces.items()},
         "stages": [
-            (name, f"{seconds[name]:.2f} s", bytes_words(peaks.get(name, 0))) for name in sorted(seconds, key=_in_turn)
+            (name, f"{seconds[name]:.2f} s", bytes_words(peaks.get(name, 0))) for name in steps_in_turn(seconds)
         ],
+        "sections": [] if entry.document is None else sections_of(entry.document, pages=True),
         "inputs": list(zip(*(_texts(inputs.get(key, [])) for key in ("file", "sha256")), strict=True)),
         "origin": [
             ("source", str(stored.recipe.get("source") or "model")),
@@ -218,12 +220,6 @@ def _png(size: tuple[float, float, int], draw: Any) -> str:
         file = io.BytesIO()
         figure.savefig(file, format="png", metadata={"Software": None})
     return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode()
-
-
-def _in_turn(stage: str) -> tuple[int, str]:
-    """Where a stage stands in a list of them."""
-    kind = "reduce" if stage.startswith("reduce ") else stage
-    return (STAGES.index(kind) if kind in STAGES else len(STAGES), stage)
 
 
 def _number(value: Any) -> tuple[float, str]:

@@ -249,6 +249,7 @@ def _write_report(report: Path, documents: Sequence[Mapping[str, Any]]) -> None:
             output=document.get("output", ""),
             seconds=sum(document.get("seconds", {}).values()),
             peak_memory_bytes=document.get("job_peak_memory_bytes"),
+            document=document if "bodies" in document else None,
         )
         for document in documents
     ]

@@ -16,10 +16,10 @@ from morembs.app.jobs.stages.certificate import certified_band
 from morembs.app.jobs.stages.couple import damping_of, interfaces_of
 from morembs.app.jobs.stages.model import materials_of, mesh_of, model_of_file
 from morembs.app.jobs.stages.parameters import ParameterTable
-from morembs.app.jobs.stages.parts import CoupleTable, SubstructureTable
 from morembs.app.jobs.stages.preload import PreloadTable
 from morembs.app.jobs.stages.reduction import reducers_of
 from morembs.app.jobs.stages.spin import SpinTable
+from morembs.app.jobs.stages.unreduced import CoupleTable, SubstructureTable
 from morembs.app.jobs.tables import Job, ModelTable
 from morembs.base.errors import InputError
 from morembs.base.types import Floats

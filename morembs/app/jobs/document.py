@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
-from morembs.app.jobs.stages.stage import STAGES
+from morembs.app.jobs.stages.stage import STAGES, in_order
 from morembs.app.report.sections import Section
 
 
@@ -22,3 +22,15 @@ def joined(document: dict[str, Any], added: Mapping[str, Any]) -> None:
             joined(document[key], value)
         else:
             document[key] = value
+
+
+def steps_in_turn(names: Collection[str]) -> list[str]:
+    """Names of steps, which files keep by name, in the order in which they ran; unknown ones come last."""
+    known = [step for stage in in_order(list(STAGES.values())) for step in (stage.step, *stage.steps) if step]
+    turns = {step: turn for turn, step in enumerate(dict.fromkeys(known))}
+
+    def turn(name: str) -> tuple[int, str]:
+        kind = "reduce" if name.startswith("reduce ") else name
+        return turns.get(kind, len(turns)), name
+
+    return sorted(names, key=turn)

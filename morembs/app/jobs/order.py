@@ -10,7 +10,7 @@ from pathlib import Path
 
 from morembs.app.jobs.files import inputs_of, results_of
 from morembs.app.jobs.stages.model import mesh_of
-from morembs.app.jobs.stages.parts import SubstructureTable
+from morembs.app.jobs.stages.unreduced import SubstructureTable
 from morembs.app.jobs.tables import Job, ModelTable
 from morembs.base.errors import InputError, MorembsError
 from morembs.body.stored import FORMAT

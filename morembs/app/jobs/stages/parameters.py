@@ -23,13 +23,11 @@ from morembs.base.errors import InputError, nearest
 from morembs.base.key_tables import described
 from morembs.base.limits import Finite, length, text
 from morembs.base.types import Floats, Ints
-from morembs.body.floating.preload import Preload, Preloaded
 from morembs.fem import DofMap, FEModel, Mesh, Nodes
 from morembs.fem.assembly import material_of_elements
 from morembs.fem.material import Material
 from morembs.fem.selection import NUMBERS, select_nodes
 from morembs.importers import read_mesh
-from morembs.parametric.added import with_preload
 from morembs.parametric.parameter import NAME as PARAMETER
 from morembs.parametric.parameter import PROPERTIES, Parameter, Spring
 from morembs.parametric.regions import rows_of_set, young_of
@@ -200,22 +198,6 @@ def _spring(job: Job, table: ParameterTable) -> Spring | None:
         to=table.to,
         stiffness=tuple(k * s for k, s in zip(table.stiffness, scale, strict=True)),
     )
-
-
-def stressed(varied: VariedModel, bare: FEModel, preload: Preload, found: Preloaded) -> VariedModel:
-    """``varied`` with the stress of its ``preload``, ``found`` for the ``bare`` model of nominal values.
-
-    Raises:
-        InputError: other parameters that change the stress, or loads beyond buckling.
-    """
-    inertial = preload.axis is not None or any(preload.acceleration)
-    for parameter in varied.parameters if inertial else ():
-        if parameter.kind == "density":
-            raise InputError(
-                f"parameter {parameter.name} changes the loads of a [preload] with a speed or an acceleration; leave "
-                "one of them out"
-            )
-    return with_preload(varied, sp.csr_array(found.model.K - bare.K), found.critical_factor)
 
 
 def _nominal(job: Job, mesh: Mesh, table: ParameterTable, sets: tuple[str, ...]) -> float:

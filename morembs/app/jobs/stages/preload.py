@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import scipy.sparse as sp
 
 from morembs.app.jobs.stages.couple import INTERFACES, PROBLEM, VARIED, coupled
-from morembs.app.jobs.stages.parts import SubstructureTable
 from morembs.app.jobs.stages.stage import MODEL, JobStage, Work
+from morembs.app.jobs.stages.unreduced import SubstructureTable
 from morembs.app.jobs.tables import Job, JobTables, OptionalTable, Six, Three
 from morembs.base.errors import InputError
 from morembs.base.key_tables import described
 from morembs.base.limits import Finite
-from morembs.body.floating.preload import Preload, preloaded
+from morembs.body.floating.preload import Preload, Preloaded, preloaded
 from morembs.body.floating.stiffening_terms import why_no_stiffening
+from morembs.fem import FEModel
 from morembs.fem.fe_model import has_places
 from morembs.reducers import ProblemSummary
+
+if TYPE_CHECKING:
+    from morembs.parametric.terms import VariedModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,15 +71,31 @@ class PreloadStress(JobStage):
             found = preloaded(problem, preload)
             model = found.model
             if varied is not None:
-                # Not at the top: most jobs have no parameters.
-                from morembs.app.jobs.stages.parameters import stressed
-
                 varied = stressed(varied, work[MODEL], preload, found)
                 model = varied.model(varied.box.nominal)
                 work.give(VARIED, varied)
             work.give(MODEL, model)
             work.give(PROBLEM, coupled(work, model, varied))
         work.recipe |= dict(found.notes)
+
+
+def stressed(varied: VariedModel, bare: FEModel, preload: Preload, found: Preloaded) -> VariedModel:
+    """``varied`` with the stress of its ``preload``, ``found`` for the ``bare`` model of nominal values.
+
+    Raises:
+        InputError: other parameters that change the stress, or loads beyond buckling.
+    """
+    # Not at the top: most jobs have no parameters.
+    from morembs.parametric.added import with_preload
+
+    inertial = preload.axis is not None or any(preload.acceleration)
+    for parameter in varied.parameters if inertial else ():
+        if parameter.kind == "density":
+            raise InputError(
+                f"parameter {parameter.name} changes the loads of a [preload] with a speed or an acceleration; leave "
+                "one of them out"
+            )
+    return with_preload(varied, sp.csr_array(found.model.K - bare.K), found.critical_factor)
 
 
 def preload_of(job: Job) -> Preload:
