@@ -29,7 +29,8 @@ from .fem.interface import Interface, make_interface, matrix_interface
 from .fem.material import Material, isotropic, orthotropic
 from .fem.selection import select_nodes
 from .fem.tubes import Flow, Tube, conveying, tube_model
-from .importers import read_mesh
+from .importers import read_deck, read_mesh
+from .importers.decks.model import Deck
 from .importers.matrices.from_matrices import from_matrices
 from .linalg.sparse.select import available_solvers, select_solver
 from .problem import Damping, Problem
@@ -67,6 +68,7 @@ __all__ = [
     "Couple",
     "CraigBampton",
     "Damping",
+    "Deck",
     "DofMap",
     "ElasticBody",
     "ElementBlock",
@@ -126,6 +128,7 @@ __all__ = [
     "parse_units",
     "ranked_terms",
     "read_body",
+    "read_deck",
     "read_mesh",
     "read_trajectory",
     "recover",

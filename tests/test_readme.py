@@ -169,9 +169,17 @@ def test_a_model_file_is_read_with_h5py_alone(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     model = steel(box("hex8", (2, 1, 1), (0.2, 0.05, 0.03)))
     write_model("part.model.h5", model)
-    (code,), names = blocks("formats.md"), {}
+    code, names = blocks("formats.md")[-1], {}
     exec(code, names)
     assert abs(names["K"] - model.K).max() == 0
+
+
+def test_a_deck_is_read_by_its_labels(tmp_path, monkeypatch):
+    """The Python on decks of docs/formats.md."""
+    monkeypatch.chdir(tmp_path)
+    code, names = blocks("formats.md")[0], {}
+    exec(code, names)
+    assert len(names["tip"]) == len(names["model"].nodes.sets["TIP"]) > 0
 
 
 # Tables of a job that go with those of a fragment.
@@ -210,7 +218,7 @@ RUN = {
     "README.md": {"python": 1},
     "contact.md": {"python": 4},
     "extending.md": {"toml": 1, "python": 2},
-    "formats.md": {"": 4, "toml": 2, "python": 1},
+    "formats.md": {"": 3, "toml": 2, "python": 2},
     "fmu.md": {"python": 2, "c": 1},
     "gmp.md": {"python": 1, "python divided": 1, "python chain": 1, "python body": 1, "python evaluator": 1},
     "job.md": {"toml": 5, "python": 2},

@@ -197,6 +197,47 @@ def _hdf5_kind(path: Path) -> str:
     return ""
 
 
+def _read(path: Path, format: str, options: Mapping[str, Any]) -> Imported | Deck:
+    importer = IMPORTERS[format]
+    given = {key: Text(value) if isinstance(value, str) else value for key, value in options.items()}
+    values = read_options(
+        importer.read, given, "the format", where=f"{path.name}: ", hidden=_NO_OPTIONS, cure="; give --set {key}=VALUE"
+    )
+    return importer.read(path, **values)
+
+
+def read_deck(path: str | Path, format: str | None = None, **options: Any) -> Deck:
+    """A deck of Abaqus, CalculiX, Nastran or ANSYS, or a universal file, by its labels and in its units.
+
+    Args:
+        format: "abaqus", "nastran", "ansys" or "unv"; by default the ending of the file tells.
+        options: of the format, as ``morembs import`` has them: ``density``, ``contact``, ``skip``, ``dialect``,
+            ``allow_includes_outside``.
+
+    Raises:
+        DeckError: what ends the reading, with all problems that were found before: an ``InputError``. What keeps a deck
+            that was read from becoming a model is among its ``problems``.
+        InputError: the file is missing or holds no deck, or an option that its format does not have.
+
+    >>> grids = [f"GRID,{n},,{x:.2f},{y},{z}" for n, (x, y, z) in zip(nodes.ids, nodes.xyz.tolist())]
+    >>> solids = ["CHEXA,{},1,{},{},{},{},{},{}\\n,{},{}".format(i + 1, *row) for i, row in enumerate(nodes.ids[cells])]
+    >>> with open("bar.bdf", "w") as file:
+    ...     print(*grids, *solids, "PSOLID,1,1", "MAT1,1,2.1+11,,.3,7850.", "SET1,5,1,THRU,4", sep="\\n", file=file)
+    >>> deck = read_deck("bar.bdf")
+    >>> deck
+    Deck: file bar.bdf; program Nastran; nodes 20; elements 4 CHEXA; sections 1; problems none
+    >>> deck.node_sets["SET1_5"].tolist(), deck.materials["MAT1 1"].density
+    ([[1, 4]], 7850.0)
+    """
+    path = Path(path)
+    name = format_of(path, format)
+    if not isinstance(deck := _read(path, name, options), Deck):
+        raise InputError(
+            f"{path.name} is a file of the format {name!r}, which is no deck; expected abaqus, nastran, ansys or unv"
+        )
+    return deck
+
+
 def import_file(
     path: str | Path,
     format: str | None = None,
@@ -236,12 +277,8 @@ def import_file(
         from morembs.importers.engines import import_with_engine
 
         return import_with_engine(path, format_of(path, format), engine, options or {}, materials)
-    given = {key: Text(value) if isinstance(value, str) else value for key, value in (options or {}).items()}
-    values = read_options(
-        importer.read, given, "the format", where=f"{path.name}: ", hidden=_NO_OPTIONS, cure="; give --set {key}=VALUE"
-    )
     try:
-        found = importer.read(path, **values)
+        found = _read(path, format_of(path, format), options or {})
         return _with_materials(found.imported() if isinstance(found, Deck) else found, materials)
     except DeckError as error:
         # Materials that are given count before the problems of a deck are told.

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from morembs.base.units import Units, parse_units
 from morembs.fem import FEModel, Mesh
+from morembs.fem.material import Material
 from morembs.importers.decks.join import import_deck, mesh_of
 from morembs.importers.decks.tables import DeckTables
 from morembs.importers.imported import Imported
@@ -15,7 +17,18 @@ from morembs.importers.to_model import model_of
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Deck(DeckTables):
-    """All of a deck that a linear model may need, by labels, as its tables (``DeckTables``) say."""
+    """All of a deck that a linear model may need, by labels, as its tables (``DeckTables``) say.
+
+    >>> from morembs.importers.decks.tables import Elements, Section
+    >>> solids = Elements(code="C3D8", kind="solid", shape="hex8", ids=np.arange(1, 5), nodes=nodes.ids[cells])
+    >>> section = Section(set="BAR", stiffness=steel.stiffness, density=steel.density)
+    >>> deck = Deck(name="bar.inp", program="Abaqus", ids=nodes.ids, xyz=nodes.xyz, elements=(solids,),
+    ...             element_sets={"BAR": np.array([[1, 4]])}, sections=(section,))
+    >>> deck
+    Deck: file bar.inp; program Abaqus; nodes 20; elements 4 C3D8; sections 1; problems none
+    >>> deck.to_model().K.shape
+    (60, 60)
+    """
 
     def imported(self) -> Imported:
         """All that own assembly has of it: solids with their materials, couplings, masses and springs.
@@ -33,18 +46,23 @@ class Deck(DeckTables):
         """
         return mesh_of(self)
 
-    def to_model(self, units: Units | str | None = None, *, mass_integration: str = "element") -> FEModel:
+    def to_model(
+        self, units: Units | str | None = None, *, materials: Sequence[Material] = (), mass_integration: str = "element"
+    ) -> FEModel:
         """The model of its solids in SI units.
 
         Args:
             units: of the deck, as ``parse_units`` gives them or takes them ("mm-t-s"); m-kg-s unless given.
+            materials: of element sets that have none in the deck ("all": all), in the units of the deck.
             mass_integration: as of ``assemble``.
 
         Raises:
             DeckError: all that keeps the deck from becoming a model: an ``InputError`` with ``problems``.
         """
         given = parse_units(units) if isinstance(units, str) else units
-        return model_of(self.imported(), given, mass_integration=mass_integration)
+        imported = self.imported()
+        whole = replace(imported, materials=(*imported.materials, *materials))
+        return model_of(whole, given, mass_integration=mass_integration)
 
     def write(self, path: str | Path, format: str) -> tuple[str, ...]:
         """Write a flat deck of all that this one holds; sentences on what differs in it.
