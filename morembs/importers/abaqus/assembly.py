@@ -16,6 +16,7 @@ from morembs.fem.middle_nodes import in_order
 from morembs.importers.abaqus.deck import Contents, Instance, values
 from morembs.importers.abaqus.names import Discrete, Names, Placed, ascending, of_instance
 from morembs.importers.decks.algebra import rotation_about
+from morembs.importers.decks.labels import Labels
 from morembs.importers.tolerances import TOL
 
 # Type, formulation and mass of solids.
@@ -45,11 +46,11 @@ class Assembly(Names):
             placed = self.placed[key] = Placed(
                 instance.scope.name, [*contents, instance.scope], R, R @ (shift - point) + point
             )
-            ids, xyz = _gathered(placed, deck.name)
+            ids, xyz = _gathered(placed)
             moved = xyz if not instance.moves else (xyz + shift - point) @ R.T + point
             node_parts.append((placed, ids, moved))
         self._unused(deck)
-        node_parts.append((self.top, *_gathered(self.top, deck.name)))
+        node_parts.append((self.top, *_gathered(self.top)))
         if not any(len(ids) for _, ids, _ in node_parts):
             raise InputError(f"{deck.name} has no *NODE block; expected an Abaqus or CalculiX input deck with a mesh")
         shift_of = self._shifts([ids for _, ids, _ in node_parts], "node")
@@ -59,8 +60,8 @@ class Assembly(Names):
             raise InputError(f"{deck.name}: coordinates are too large; check the nodes and how instances are moved")
         start = 0
         for placed, ids, _ in node_parts:
-            order = np.argsort(ids, kind="stable")
-            placed.labels, placed.rows = ids[order], order + start
+            rows = start + np.arange(len(ids))
+            placed.nodes = Labels(ids, deck.name, "node", of_instance(placed), rows)
             start += len(ids)
         self._elements([placed for placed, *_ in node_parts], deck)
 
@@ -112,12 +113,7 @@ class Assembly(Names):
         first = (np.cumsum(counts) - counts.ravel()).reshape(counts.shape)
         for j, (placed, own) in enumerate(zip(scopes, labels, strict=True)):
             number = np.concatenate([np.arange(a, a + n) for a, n in zip(first[:, j], counts[:, j], strict=True)])
-            by_label = np.argsort(own, kind="stable")
-            placed.element_labels, placed.element_rows = own[by_label], number[by_label]
-            twice = np.flatnonzero(np.diff(placed.element_labels) == 0)
-            if len(twice):
-                own_label = f"{placed.element_labels[twice[0]]}{of_instance(placed)}"
-                raise InputError(f"{self.deck} defines the element {own_label} twice; expected unique element labels")
+            placed.elements = Labels(own, self.deck, "element", of_instance(placed), number)
         shifts = self._shifts(labels, "element")
         self.blocks: list[ElementBlock] = [self._block(kind, scopes, kinds, shifts) for kind in order]
         self.solids = int(counts[:-2].sum())
@@ -128,7 +124,7 @@ class Assembly(Names):
                 ends = [self.one_node(placed, ref) for ref in nodes]
                 self.discrete.append(Discrete(placed, code, label_ + shifts[j], int(first[-2, j]) + i, ends))
             for code, rows in others[j]:
-                self.others.append((code, rows[:, 0] + shifts[j], self.rows_of(placed, rows[:, 1:], "elements name")))
+                self.others.append((code, rows[:, 0] + shifts[j], placed.nodes.rows(rows[:, 1:], "elements name")))
 
     def _block(
         self, kind: Kind, scopes: list[Placed], kinds: list[dict[Kind, Ints]], shifts: list[int]
@@ -138,7 +134,7 @@ class Assembly(Names):
         for placed, own, shift in zip(scopes, kinds, shifts, strict=True):
             rows = own.pop(kind, None)
             if rows is not None:
-                nodes.append(self.rows_of(placed, rows[:, 1:], "elements name"))
+                nodes.append(placed.nodes.rows(rows[:, 1:], "elements name"))
                 ids.append(rows[:, 0] + shift)
         whole, labels = nodes[0] if len(nodes) == 1 else np.concatenate(nodes), np.concatenate(ids)
         shape, formulation, mass = kind
@@ -207,13 +203,10 @@ def _by_kind(placed: Placed, deck: Contents, *, spent: bool) -> dict[Kind, Ints]
     return {kind: np.concatenate(pieces) for kind, pieces in kinds.items()}
 
 
-def _gathered(placed: Placed, deck: str) -> tuple[Ints, Floats]:
+def _gathered(placed: Placed) -> tuple[Ints, Floats]:
     """Labels and coordinates of a scope as they are written."""
     ids = np.concatenate([_NONE, *(a for scope in placed.contents for a in scope.node_ids)])
     xyz = np.concatenate([np.empty((0, 3)), *(a for scope in placed.contents for a in scope.xyz)])
-    if len(ids) and (_repeats(ids) or ids.min() < 1):
-        where = of_instance(placed)
-        raise InputError(f"{deck} defines some nodes{where} twice, or below 1; expected unique node labels")
     return ids, xyz
 
 

@@ -11,6 +11,7 @@ from morembs.base.types import Floats, Ints
 from morembs.fem import ElementBlock
 from morembs.importers.abaqus.data import label
 from morembs.importers.abaqus.deck import Members, NamedSet, Scope
+from morembs.importers.decks.labels import Labels
 from morembs.importers.tolerances import TOL
 
 _NONE = np.empty(0, dtype=np.int64)
@@ -20,17 +21,15 @@ _NONE = np.empty(0, dtype=np.int64)
 class Placed:
     """A scope in its place, where x is ``rotation`` x + ``offset``.
 
-    ``labels`` (n,) are sorted, as in the deck; node i of them is row ``rows[i]`` of all.
+    ``nodes`` and ``elements`` are its labels with their rows, and numbers, among all.
     """
 
     name: str
     contents: list[Scope]
     rotation: Floats
     offset: Floats = field(default_factory=lambda: np.zeros(3))
-    labels: Ints = field(default_factory=lambda: _NONE)
-    rows: Ints = field(default_factory=lambda: _NONE)
-    element_labels: Ints = field(default_factory=lambda: _NONE)
-    element_rows: Ints = field(default_factory=lambda: _NONE)
+    nodes: Labels = field(default_factory=lambda: Labels(_NONE, ""))
+    elements: Labels = field(default_factory=lambda: Labels(_NONE, ""))
 
     def sets(self, kind: str) -> dict[str, list[NamedSet]]:
         """Node or element sets under their names in capitals; a part and its instance may both add to one."""
@@ -71,27 +70,6 @@ class Names:
     def __init__(self) -> None:
         self._cache: dict[tuple[int, str, str], Ints] = {}
 
-    def rows_of(self, placed: Placed, labels: Ints, who: str) -> Ints:
-        """Rows of all nodes with ``labels`` (any shape) of a scope."""
-        own = placed.labels
-        if len(own) and own[-1] - own[0] + 1 == len(own):
-            # Without gaps a place follows from its label.
-            at = labels - own[0]
-            wrong = (at < 0) | (at >= len(own))
-        else:
-            at = np.searchsorted(own, labels)
-            at[at == len(own)] = 0
-            wrong = own[at] != labels if len(own) else np.ones(labels.shape, dtype=bool)
-        if wrong.any():
-            missing = np.unique(labels[wrong])
-            some = ", ".join(map(str, missing[:10].tolist()))
-            raise InputError(
-                f"{self.deck}: {who} the node {missing[0]}{of_instance(placed)}, which is not defined"
-                if len(missing) == 1
-                else f"{self.deck}: {who} {len(missing)} nodes{of_instance(placed)} that are not defined: {some}"
-            )
-        return np.asarray(placed.rows[at])
-
     def split(self, placed: Placed, text: str) -> tuple[Placed, str]:
         """The scope that a reference "INSTANCE.NAME" means and what it names there."""
         first, dot, rest = text.partition(".")
@@ -111,7 +89,7 @@ class Names:
         scope, rest = self.split(placed, text)
         value = label(rest)
         if value is not None:
-            return self.rows_of(scope, np.array([value]), "a line names")
+            return scope.nodes.rows(np.array([value]), "a line names")
         return self.members("node", scope, rest)
 
     def paired(self, placed: Placed, text: str) -> Ints:
@@ -138,7 +116,7 @@ class Names:
         scope, rest = self.split(placed, text)
         value = label(rest)
         if value is not None:
-            return self._rows_by_label("element", scope, np.array([value]), text)
+            return scope.elements.rows(np.array([value]), f"the set {text!r} names")
         return self.members("element", scope, rest)
 
     def members(self, kind: str, placed: Placed, name: str, seen: tuple[str, ...] = ()) -> Ints:
@@ -169,25 +147,26 @@ class Names:
                     f"{self.deck}: the set {name!r} is of the instance {part.instance!r}, which is unknown"
                 )
             scope = self.placed[part.instance.upper()]
-        labels, rows = (scope.labels, scope.rows) if kind == "node" else (scope.element_labels, scope.element_rows)
+        table, who = scope.nodes if kind == "node" else scope.elements, f"the set {name!r} names"
         if part.of_elements:
             return self.nodes_of_elements(self._part("element", placed, replace(part, of_elements=False), name, ()))
-        pieces = [self._rows_by_label(kind, scope, part.labels, name)]
+        pieces = [table.rows(part.labels, who)]
         for first, last, step in part.ranges:
-            low, high = np.searchsorted(labels, [first, last + 1])
-            on = (labels[low:high] - first) % step == 0
+            low, high = np.searchsorted(table.ascending, [first, last + 1])
+            on = (table.ascending[low:high] - first) % step == 0
             missing = (last - first) // step + 1 - int(on.sum())
             if missing:
                 self.notes.append(
                     f"The {kind} set {name} runs from {first} to {last} in steps of {step}; {missing} of these labels "
                     "do not exist and are not in it."
                 )
-            pieces.append(rows[low:high][on])
+            pieces.append(table.order[low:high][on])
         for other in part.names:
             target, rest = self.split(scope, other)
             value = label(rest)
             if value is not None:
-                pieces.append(self._rows_by_label(kind, target, np.array([value]), name))
+                own = target.nodes if kind == "node" else target.elements
+                pieces.append(own.rows(np.array([value]), who))
             else:
                 pieces.append(self.members(kind, target, rest, seen if target is placed else ()))
         return np.concatenate(pieces)
@@ -208,22 +187,9 @@ class Names:
             start += len(ids)
         return np.unique(np.concatenate(rows))
 
-    def _rows_by_label(self, kind: str, scope: Placed, labels: Ints, name: str) -> Ints:
-        if kind == "node":
-            return self.rows_of(scope, labels, f"the set {name!r} names")
-        at = np.searchsorted(scope.element_labels, labels)
-        at[at == len(scope.element_labels)] = 0
-        wrong = scope.element_labels[at] != labels if len(scope.element_labels) else np.ones(len(labels), dtype=bool)
-        if wrong.any():
-            raise InputError(
-                f"{self.deck}: the set {name!r} names the element {labels[wrong][0]}{of_instance(scope)}, which is not "
-                "defined"
-            )
-        return scope.element_rows[at]
-
     def new_elements(self, placed: Placed, name: str, numbers: Ints) -> str:
         """The name of a new set of elements of a scope."""
-        labels = placed.element_labels[np.isin(placed.element_rows, numbers)]
+        labels = placed.elements.ascending[np.isin(placed.elements.order, numbers)]
         placed.contents[-1].element_sets[name.upper()] = NamedSet(name, [Members(labels, [], [], "")])
         return name
 

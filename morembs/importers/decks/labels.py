@@ -17,16 +17,19 @@ class Labels:
         source: the name of the file, for messages.
         noun: what has the labels, such as "node".
         where: what stands behind a label in messages, such as " of the instance 'A'".
+        rows: (n,) of the labels in a larger table; by default their places.
 
     Raises:
         InputError: a label twice, or below 1.
     """
 
-    def __init__(self, ids: Ints, source: str, noun: str = "node", where: str = "") -> None:
+    def __init__(self, ids: Ints, source: str, noun: str = "node", where: str = "", rows: Ints | None = None) -> None:
         self.ids, self._source, self._noun, self._where = ids, source, noun, where
+        is_ascending = bool((ids[1:] > ids[:-1]).all())
+        order = np.arange(len(ids)) if is_ascending else np.argsort(ids, kind="stable")
+        self.ascending = ids if is_ascending else ids[order]
         # Rows by label.
-        self.order = np.arange(len(ids)) if (ids[1:] > ids[:-1]).all() else np.argsort(ids, kind="stable")
-        self.ascending = ids[self.order]
+        self.order = order if rows is None else rows[order]
         twice = self.ascending[1:][np.diff(self.ascending) == 0]
         if len(twice) or (len(ids) and self.ascending[0] < 1):
             label = f"{twice[0]}{where} twice" if len(twice) else f"{self.ascending[0]}{where}"
