@@ -15,7 +15,7 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
-from morembs.importers.decks.labels import Labels, ranges_of
+from morembs.importers.decks.labels import Labels, distinct, ranges_of
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.tables import Elements, LeftOut
 
@@ -219,7 +219,7 @@ def _deck(contents: _Contents, name: str) -> Deck:
     if flat := sum(map(len, contents.flat.values())):
         contents.notes.append(f"{flat} elements that are no solids were left out")
     ids = np.array(contents.ids, dtype=np.int64)
-    elements = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(part.ids for part in parts)]))
+    elements = distinct(np.concatenate([np.empty(0, dtype=np.int64), *(part.ids for part in parts)]))
     return Deck(
         name=name,
         program="UNV",

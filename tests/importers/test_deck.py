@@ -10,7 +10,7 @@ import pytest
 from morembs.base.errors import InputError
 from morembs.fem.constraints import RigidElement
 from morembs.fem.material import isotropic
-from morembs.importers.decks.labels import Labels, in_ranges, ranges_by_number, ranges_of
+from morembs.importers.decks.labels import Labels, distinct, ranges_by_number, ranges_of
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import DeckError, Problem
@@ -29,8 +29,8 @@ def deck_of(kind: str = "hex8") -> Deck:
     xyz = np.concatenate([[[9.0, 9.0, 9.0]], mesh.nodes.xyz[::-1], [[3.0, 0.5, 0.5]]])
     nodes = mesh.nodes.ids[mesh.blocks[0].nodes] + 100
     return Deck(
-        name="bar.inp",
-        program="Abaqus",
+        name="bar.cdb",
+        program="ANSYS",
         ids=ids,
         xyz=xyz,
         elements=(
@@ -66,9 +66,11 @@ def test_labels_become_rows_of_a_mesh() -> None:
         "The node set FAR holds no node of the model and was left out.",
         "1 of 1 elements of the set SKIN are no solids and were left out.",
     )
+    # Decks of Abaqus have sets for loads and output too.
+    assert len(replace(deck, program="Abaqus").imported().notes) == 2
     model = deck.to_model("m-kg-s")
     assert model.M.sum() == pytest.approx(3 * (2.0 * STEEL.density + 2.0))
-    assert repr(deck).startswith("Deck: file bar.inp; program Abaqus; nodes 14; elements 2 C3D8 + 1 MASS + 1 S4;")
+    assert repr(deck).startswith("Deck: file bar.cdb; program ANSYS; nodes 14; elements 2 C3D8 + 1 MASS + 1 S4;")
 
 
 def test_middle_nodes_that_are_not_there_follow_their_corners() -> None:
@@ -94,7 +96,7 @@ def test_what_keeps_a_deck_from_a_model_is_told_at_once() -> None:
     assert [problem.flags for problem in error.value.problems] == [("--skip S4",), ("--density X",)]
     given = replace(bad, elements=deck.elements, options=DeckOptions(density={"all": 3.0}), mass_scale=2.0).imported()
     assert given.materials[0].density == 6.0
-    with pytest.raises(DeckError, match=r"no solid elements; expected a mesh of solids \(C3D4"):
+    with pytest.raises(DeckError, match=r"no solid elements; expected a mesh of solids \(SOLID185"):
         replace(deck, elements=deck.elements[1:]).imported()
     with pytest.raises(InputError, match="has head, tip, which a mesh cannot carry"):
         deck.mesh()
@@ -118,8 +120,9 @@ def test_labels_that_do_not_fit_are_refused(change: dict[str, object], message: 
 def test_ranges_hold_labels() -> None:
     labels = np.array([7, 3, 4, 12, 5, 4])
     assert ranges_of(labels).tolist() == [[3, 5], [7, 7], [12, 12]] and ranges_of(labels[:0]).shape == (0, 2)
-    overlapping = np.array([[1, 4], [3, 8], [3, 3]])
-    assert in_ranges(np.arange(10), overlapping).nonzero()[0].tolist() == list(range(1, 9))
+    assert distinct(labels).tolist() == [3, 4, 5, 7, 12] and distinct(labels[:0]).shape == (0,)
+    overlapping = np.array([[4, 6], [1, 4], [3, 8], [3, 3]])
+    assert Labels(np.arange(12, 0, -1), "a.cdb").members(overlapping, "sets name").tolist() == list(range(11, 3, -1))
     pairs = [(np.array([5, 6]), np.array([2, 1])), (np.array([7]), np.array([1]))]
     by_number = {number: ranges.tolist() for number, ranges in ranges_by_number(pairs).items()}
     assert by_number == {1: [[6, 7]], 2: [[5, 5]]} and ranges_by_number([]) == {}

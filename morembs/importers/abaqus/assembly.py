@@ -14,9 +14,9 @@ from morembs.fem import ElementBlock
 from morembs.fem.elements import TYPES
 from morembs.fem.middle_nodes import in_order
 from morembs.importers.abaqus.deck import Contents, Instance, values
-from morembs.importers.abaqus.names import Discrete, Names, Placed, ascending, of_instance
+from morembs.importers.abaqus.names import Discrete, Names, Placed, of_instance
 from morembs.importers.decks.algebra import rotation_about
-from morembs.importers.decks.labels import Labels
+from morembs.importers.decks.labels import Labels, distinct
 from morembs.importers.tolerances import TOL
 
 # Type, formulation and mass of solids.
@@ -189,7 +189,7 @@ class Assembly(Names):
 
 def _repeats(labels: Ints) -> bool:
     """Whether a label is there twice."""
-    return len(ascending(labels)) < len(labels)
+    return len(distinct(labels)) < len(labels)
 
 
 def _by_kind(placed: Placed, deck: Contents, *, spent: bool) -> dict[Kind, Ints]:

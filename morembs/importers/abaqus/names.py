@@ -11,7 +11,7 @@ from morembs.base.types import Floats, Ints
 from morembs.fem import ElementBlock
 from morembs.importers.abaqus.data import label
 from morembs.importers.abaqus.deck import Members, NamedSet, Scope
-from morembs.importers.decks.labels import Labels
+from morembs.importers.decks.labels import Labels, distinct
 from morembs.importers.tolerances import TOL
 
 _NONE = np.empty(0, dtype=np.int64)
@@ -136,7 +136,7 @@ class Names:
                 for named in sets[name.upper()]
                 for part in named.parts
             ]
-            self._cache[key] = ascending(np.concatenate(pieces)) if pieces else _NONE
+            self._cache[key] = distinct(np.concatenate(pieces)) if pieces else _NONE
         return self._cache[key]
 
     def _part(self, kind: str, placed: Placed, part: Members, name: str, seen: tuple[str, ...]) -> Ints:
@@ -216,11 +216,6 @@ class Names:
             if where is scope and own.upper() == rest.upper():
                 return name
         raise InputError(f"{self.deck}: {text!r} is not a set of {kind}s")
-
-
-def ascending(labels: Ints) -> Ints:
-    """Each label once; those of most files ascend already."""
-    return labels if (labels[1:] > labels[:-1]).all() else np.unique(labels)
 
 
 def of_instance(placed: Placed) -> str:

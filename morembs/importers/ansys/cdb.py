@@ -18,7 +18,7 @@ from morembs.importers.ansys.names import CARRIERS, CONTACT, FAMILIES, HANGING, 
 from morembs.importers.ansys.properties import section
 from morembs.importers.ansys.ties import Hanging, point_masses, rigid_beams, springs, sums
 from morembs.importers.decks.formulations import ansys_meaning, warnings_of
-from morembs.importers.decks.labels import Labels, ranges_by_number
+from morembs.importers.decks.labels import Labels, distinct, ranges_by_number
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import DeckOptions, deck_options, left_out
 from morembs.importers.decks.problems import Problem, Problems
@@ -94,8 +94,9 @@ def _deck(
 ) -> Deck:
     ids, xyz, rotated = _nodes(archive)
     own = [part for part in parts if part.kind == "solid"]
-    of_solids = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(part.nodes.ravel() for part in own)]))
-    equations = sums(archive, of_solids[of_solids > 0], rotated, archive.notes)
+    has_couplings = bool(hanging or archive.equations or archive.coupled)
+    of_solids = distinct(np.concatenate([ids[:0], *(part.nodes.ravel() for part in own if has_couplings)]))
+    equations = sums(archive, of_solids, rotated, archive.notes)
     if len(rotated):
         archive.notes.append(
             f"{len(rotated)} nodes have rotated axes, which a mesh does not need; coordinates are global"

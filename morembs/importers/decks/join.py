@@ -11,7 +11,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.fem import ElementBlock, Mesh, Nodes
 from morembs.fem.material import Material
-from morembs.importers.decks.labels import Labels, in_ranges
+from morembs.importers.decks.labels import Labels, distinct, find
 from morembs.importers.decks.missing_middles import with_middles
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problem, Problems
@@ -200,15 +200,20 @@ def _node_sets(deck: DeckTables, labels: Labels, row: Ints, notes: list[str]) ->
 def _element_sets(
     deck: DeckTables, blocks: tuple[ElementBlock, ...], notes: list[str]
 ) -> Iterator[tuple[str, tuple[Ints, ...]]]:
-    Labels(np.concatenate([block.ids for block in blocks]), deck.name, "element")
-    none = np.empty(0, dtype=np.int64)
-    known = Labels(np.unique(np.concatenate([none, *(part.ids for part in deck.elements)])), deck.name, "element")
-    gone = np.concatenate([none, *(part.ids for part in deck.elements if part.kind not in ("solid", "point"))])
+    solids = Labels(np.concatenate([block.ids for block in blocks]), deck.name, "element")
+    none = solids.ids[:0]
+    others = distinct(np.concatenate([none, *(part.ids for part in deck.elements if part.kind != "solid")]))
+    points = distinct(np.concatenate([none, *(part.ids for part in deck.elements if part.kind == "point")]))
+    others = others[~solids.has(others)]
+    known = Labels(np.concatenate([solids.ids, others]), deck.name, "element")
+    is_left = np.concatenate([np.zeros(len(solids), dtype=bool), ~find(points, others)[1]])
+    ends = np.cumsum([0, *(len(block.ids) for block in blocks)])
     for name, ranges in deck.element_sets.items():
-        count = len(known.members(ranges, f"the set {name} names"))
-        picked = tuple(np.flatnonzero(in_ranges(block.ids, ranges)) for block in blocks)
-        left = int(in_ranges(gone, ranges).sum())
+        members = np.sort(known.members(ranges, f"the set {name} names"))
+        parts = np.split(members, np.searchsorted(members, ends[1:]))
+        picked = tuple(part - start for part, start in zip(parts, ends, strict=True))
+        left = int(is_left[members].sum())
         if left and deck.program not in _SILENT:
-            notes.append(f"{left} of {count} elements of the set {name} are no solids and were left out.")
-        if any(map(len, picked)):
-            yield name, picked
+            notes.append(f"{left} of {len(members)} elements of the set {name} are no solids and were left out.")
+        if any(map(len, picked[:-1])):
+            yield name, picked[:-1]

@@ -78,10 +78,10 @@ class Labels:
                 f"{self._source}: {who} {lacking.sum()} {self._noun}s that are not defined (first: {first}); write the "
                 "file again with all selected"
             )
-        mark = np.zeros(len(ids) + 1, dtype=np.int64)
-        np.add.at(mark, low, 1)
-        np.add.at(mark, high, -1)
-        return self.order[np.cumsum(mark[:-1]) > 0]
+        counts = high - low
+        places = np.arange(counts.sum()) + np.repeat(low - np.cumsum(counts) + counts, counts)
+        # Ranges may lie in each other, or in any order.
+        return np.asarray(self.order[distinct(places)])
 
 
 def find(ids: Ints, labels: Ints) -> tuple[Ints, Bools]:
@@ -96,9 +96,17 @@ def find(ids: Ints, labels: Ints) -> tuple[Ints, Bools]:
     return at, ids[at] == labels
 
 
+def distinct(labels: Ints) -> Ints:
+    """Each label once, ascending; those of most files ascend already."""
+    if not (labels[1:] > labels[:-1]).all():
+        labels = np.sort(labels)
+        labels = labels[np.append(True, labels[1:] != labels[:-1])]
+    return labels
+
+
 def ranges_of(labels: Ints) -> Ints:
     """Ranges (k, 2), first and last, of ``labels`` in any order."""
-    labels = np.unique(labels)
+    labels = distinct(labels)
     if not len(labels):
         return np.empty((0, 2), dtype=np.int64)
     gaps = np.flatnonzero(np.diff(labels) > 1)
@@ -108,12 +116,6 @@ def ranges_of(labels: Ints) -> Ints:
 def ranges_by_number(parts: Iterable[tuple[Ints, Ints]]) -> dict[int, Ints]:
     """Number -> ranges of the labels that have it, from pairs (labels, numbers) (k,), numbers ascending."""
     table = np.concatenate([np.empty((2, 0), dtype=np.int64), *(np.stack(pair) for pair in parts)], axis=1)
-    labels, numbers = table
-    return {number: ranges_of(labels[numbers == number]) for number in np.unique(numbers).tolist()}
-
-
-def in_ranges(labels: Ints, ranges: Ints) -> Bools:
-    """Whether each of ``labels`` (n,) is in one of ``ranges`` (k, 2)."""
-    starts, ends = np.sort(ranges[:, 0]), np.sort(ranges[:, 1])
-    # A label is in a range where more of them have begun than ended.
-    return np.asarray(np.searchsorted(starts, labels, side="right") > np.searchsorted(ends, labels))
+    labels, numbers = table[:, np.argsort(table[1], kind="stable")]
+    starts = np.flatnonzero(np.diff(numbers, prepend=numbers[:1] - 1)).tolist()
+    return {int(numbers[a]): ranges_of(labels[a:b]) for a, b in zip(starts, [*starts[1:], len(numbers)], strict=False)}

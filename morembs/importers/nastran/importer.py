@@ -14,7 +14,7 @@ import numpy as np
 
 from morembs.base.types import Bools, Ints
 from morembs.importers.decks.formulations import nastran_mass_warnings, nastran_meaning, warnings_of
-from morembs.importers.decks.labels import Labels, ranges_by_number, ranges_of
+from morembs.importers.decks.labels import distinct, find, ranges_by_number, ranges_of
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import deck_options, left_out
 from morembs.importers.decks.tables import Elements, LeftOut
@@ -213,7 +213,7 @@ def _sets(
     for card in bulk.rows["SET1"]:
         what = f"{bulk.file}: SET1 {padded(card, 1)[0]}"
         node_sets[f"SET1_{card[0]}"] = ranges_of(np.array(labels_of(card[1:], what, ids), dtype=np.int64))
-    known = Labels(np.unique(np.concatenate([ids[:0], *(part.ids for part in parts)])), bulk.file, "element")
+    known = distinct(np.concatenate([ids[:0], *(part.ids for part in parts)]))
     for number, text in _SET.findall(bulk.text.head):
         words = text.upper().replace(",", " ").split()
         name, what = f"SET_{int(number)}", f"{bulk.file}: SET {number}"
@@ -225,8 +225,8 @@ def _sets(
             node_sets[name] = ranges_of(labels)
             notes.append(f"SET {number} of case control was read as a set of grids.")
             continue
-        labels = np.array(labels_of(words, what, known.ids), dtype=np.int64)
-        if known.has(labels).all() and len(labels):
+        labels = np.array(labels_of(words, what, known), dtype=np.int64)
+        if find(known, labels)[1].all() and len(labels):
             element_sets[name] = ranges_of(labels)
             notes.append(f"SET {number} of case control was read as a set of elements.")
         else:
