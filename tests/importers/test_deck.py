@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from morembs import read_deck
 from morembs.base.errors import InputError
 from morembs.fem.constraints import RigidElement
 from morembs.fem.material import isotropic
-from morembs.importers.decks.labels import Labels, distinct, ranges_by_number, ranges_of
+from morembs.importers.decks.labels import Labels, distinct, in_ranges, ranges_by_number, ranges_of
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import DeckError, Problem
 from morembs.importers.decks.tables import Elements, Section, Surface
 from morembs.importers.imported import PointMass
+from tests.support.mesh_decks import abaqus_mesh, ansys_archive, nastran_mesh
 from tests.support.meshes import box
 
 STEEL = isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)
@@ -122,6 +125,7 @@ def test_ranges_hold_labels() -> None:
     assert ranges_of(labels).tolist() == [[3, 5], [7, 7], [12, 12]] and ranges_of(labels[:0]).shape == (0, 2)
     assert distinct(labels).tolist() == [3, 4, 5, 7, 12] and distinct(labels[:0]).shape == (0,)
     overlapping = np.array([[4, 6], [1, 4], [3, 8], [3, 3]])
+    assert in_ranges(np.arange(10), overlapping).nonzero()[0].tolist() == list(range(1, 9))
     assert Labels(np.arange(12, 0, -1), "a.cdb").members(overlapping, "sets name").tolist() == list(range(11, 3, -1))
     pairs = [(np.array([5, 6]), np.array([2, 1])), (np.array([7]), np.array([1]))]
     by_number = {number: ranges.tolist() for number, ranges in ranges_by_number(pairs).items()}
@@ -134,3 +138,24 @@ def test_ranges_hold_labels() -> None:
     assert gapless.has(np.array([3, 4, 7])).tolist() == [False, True, False]
     with pytest.raises(InputError, match="sets name 2 nodes that are not defined: 7, 8"):
         gapless.rows(np.array([8, 7, 4]), "sets name")
+
+
+def test_decks_are_read_from_files_of_every_program(tmp_path: Path) -> None:
+    mesh = box("hex8", (2, 1, 1), (2.0, 1.0, 1.0))
+    (tmp_path / "bar.inp").write_text(abaqus_mesh(mesh))
+    (tmp_path / "bar.bdf").write_text(nastran_mesh(mesh, "free") + "ENDDATA\n")
+    (tmp_path / "bar.cdb").write_text(ansys_archive(mesh))
+    heavy = isotropic(set="all", young=2.1e5, poisson=0.3, density=7.85e-9)
+    for name, program in (("bar.inp", "CalculiX"), ("bar.bdf", "Nastran"), ("bar.cdb", "ANSYS")):
+        deck = read_deck(tmp_path / name)
+        assert deck.program == program and not deck.problems and deck.mesh().blocks[0].type == "hex8"
+        model = deck.to_model("mm-t-s", materials=[heavy])
+        assert model.M.sum() == pytest.approx(3 * 2e-9 * 7850.0)
+        with pytest.raises(InputError, match="material"):
+            deck.to_model()
+    assert read_deck(tmp_path / "bar.inp", dialect="abaqus").program == "Abaqus"
+    with pytest.raises(InputError, match="dialect"):
+        read_deck(tmp_path / "bar.bdf", dialect="abaqus")
+    np.savez(tmp_path / "K.npz", K=np.eye(3), M=np.eye(3))
+    with pytest.raises(InputError, match="'npz', which is no deck; expected abaqus"):
+        read_deck(tmp_path / "K.npz")

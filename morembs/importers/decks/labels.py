@@ -119,3 +119,10 @@ def ranges_by_number(parts: Iterable[tuple[Ints, Ints]]) -> dict[int, Ints]:
     labels, numbers = table[:, np.argsort(table[1], kind="stable")]
     starts = np.flatnonzero(np.diff(numbers, prepend=numbers[:1] - 1)).tolist()
     return {int(numbers[a]): ranges_of(labels[a:b]) for a, b in zip(starts, [*starts[1:], len(numbers)], strict=False)}
+
+
+def in_ranges(labels: Ints, ranges: Ints) -> Bools:
+    """Whether each of ``labels`` (n,) is in one of ``ranges`` (k, 2)."""
+    starts, ends = np.sort(ranges[:, 0]), np.sort(ranges[:, 1])
+    # A label is in a range where more of them have begun than ended.
+    return np.asarray(np.searchsorted(starts, labels, side="right") > np.searchsorted(ends, labels))
