@@ -512,7 +512,7 @@ TWISTED = [(7, 1, 1, 1, [101, 102, 103, 104, 105, 105, 106, 107])]
         ({"before": "ET,3,188\n", "extra": [(7, 3, 1, 1, [101, 102])]}, "BEAM188"),
         (
             {"before": "ET,3,181\n", "extra": [(7, 3, 1, 1, [101, 102, 103, 104])]},
-            r"1 elements SHELL181 .first: 7.*Let ANSYS write K and M .*--skip SHELL181",
+            r"1 elements SHELL181 .first: 7.*let ANSYS write K and M .*--skip SHELL181",
         ),
         ({"after": "EBLOCK,10,COMPACT\n(10i9)\n-1\n"}, "compact form"),
         ({"after": "CP,1,TEMP,101,102\n"}, "CP gives no direction of some nodes"),
