@@ -296,7 +296,11 @@ MATERIAL = "*SOLID SECTION, ELSET=Cube, MATERIAL=M\n*MATERIAL, NAME=M\n*DENSITY\
         ("*NODE\n1, 0, 0, 0\n", "no solid elements"),
         (SOLID + "*NODE, SYSTEM=S\n", "SYSTEM=S"),
         (SOLID + "\0", "binary"),
-        (SOLID + "*NSET, NSET=A\n10, 2", "ends within the line '10, 2'"),
+        (SOLID + "*NSET, NSET=A\n10, 20,", "ends within the line '10, 20,'"),
+        (SOLID + "*NSET, NSET=A\n10\n*DENSI", "ends within the line '\\*DENSI'"),
+        (SOLID + "*STEP\n*STATIC\n*END ST", "ends within the line '\\*END ST'"),
+        (SOLID + "*NODE\n11, 0., 0., 0.\n12, 1., 0.", "ends within the line '12, 1., 0.'"),
+        ("$ a deck\nSOL 103\nCEND\nBEGIN BULK\nGRID,1,,0.,0.,0.\n", "seems to be Nastran bulk data: --format nastran"),
     ],
 )
 def test_what_cannot_be_carried_is_refused_by_name(deck, text, words):
@@ -368,3 +372,21 @@ def test_damaged_decks_end_in_one_message(tmp_path):
         except InputError:
             refused += 1
     assert refused > 100
+
+
+@pytest.mark.parametrize(
+    ("last", "warned"),
+    [
+        ("*NSET, NSET=A\n10, 20", True),
+        ("*NODE\n11, 0., 0., 0.\n12, 1., 0., 2.5", True),
+        ("*END", False),
+        ("** made by hand", False),
+        ("*BOUNDARY", False),
+        ("*STEP\n*STATIC\n1., 1.", False),
+        ("*STEP\n*STATIC\n*END STEP", False),
+    ],
+)
+def test_a_last_line_without_an_end_is_read_where_its_card_may_be_whole(last, warned, deck):
+    """What is in a step is not applied, so it may be cut."""
+    said = [text for text in deck(SOLID + last).warnings if text.endswith("[last-line-open]")]
+    assert len(said) == warned and all(repr(last.rsplit("\n", 1)[-1]) in text for text in said)

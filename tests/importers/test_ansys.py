@@ -521,7 +521,9 @@ TWISTED = [(7, 1, 1, 1, [101, 102, 103, 104, 105, 105, 106, 107])]
         ({"after": "CERIG,101,102\n"}, "rigid regions .CERIG."),
         ({"after": "RBE3,101,ALL,102\n"}, "RBE3"),
         ({"after": "CDREAD,DB,other,cdb\n"}, "another archive"),
-        ({"after": "N,7,1.0,2.0\n"}, "UNBLOCKED"),
+        ({"after": "N,R5.3,LOC,       7, 1.0, 2.0, 0.0\n"}, "UNBLOCKED"),
+        ({"after": "E,101,102,103\n"}, "UNBLOCKED"),
+        ({"after": "CSYS,1\nN,7,1.0,2.0\n"}, "UNBLOCKED"),
         ({"after": "MP,EX,1,modulus\n"}, "not a program with parameters"),
         ({"after": "MP,EX,1,nan\n"}, "cannot be read"),
         ({"after": "CERIG,101,102\nTB,ANEL,1\n"}, "TB,ANEL"),
@@ -744,3 +746,44 @@ def test_materials_of_tables_and_of_temperature(tmp_path):
     imported = import_ansys_cdb(write(tmp_path, hex_deck(after=warm)))
     assert imported.materials[0].stiffness[3, 3] == pytest.approx(2e11 / 2.6)
     assert "EX of material 1 depends on temperature; its first value was taken" in imported.warnings[0]
+
+
+def test_nodes_and_elements_one_by_one_with_several_commands_in_a_line(tmp_path):
+    """As HyperMesh writes them; the same model as in blocks."""
+    mesh = box("hex20", (2, 1, 1), (2.0, 1.0, 1.0))
+    (tmp_path / "blocks.cdb").write_text(ansys_archive(mesh, after=MP_STEEL))
+    blocks = import_ansys_cdb(tmp_path / "blocks.cdb")
+    label, xyz = blocks.mesh.nodes.ids, blocks.mesh.nodes.xyz.tolist()
+    lines = ["/TITLE, costs 3 $ a kilo", "ET,1,186 $ MAT,1", *MP_STEEL.splitlines()]
+    lines += [f"N, {n}, {x!r}, {y!r}, {z!r}" for n, (x, y, z) in zip(label, xyz, strict=True)]
+    # Nodes of VTK are those of SOLID186 but for middles of upright edges, which are last in both.
+    for i, row in zip(blocks.mesh.blocks[0].ids, label[blocks.mesh.blocks[0].nodes], strict=True):
+        lines += ["TYPE, 1 $ MAT, 1 $ REAL, 1", "ESYS, 0 ! axes", f"EN, {i}, {', '.join(map(str, row[:8]))}"]
+        lines += [f"EMORE, {', '.join(map(str, row[8:16]))}", f"EMORE, {', '.join(map(str, row[16:]))}"]
+    (tmp_path / "singles.cdb").write_text("\n".join([*lines, "FINISH\n"]))
+    singles = import_ansys_cdb(tmp_path / "singles.cdb")
+    assert np.array_equal(singles.mesh.nodes.xyz, blocks.mesh.nodes.xyz)
+    assert np.array_equal(singles.mesh.blocks[0].nodes, blocks.mesh.blocks[0].nodes)
+    assert np.array_equal(singles.mesh.blocks[0].ids, blocks.mesh.blocks[0].ids)
+    assert np.array_equal(singles.materials[0].stiffness, blocks.materials[0].stiffness)
+
+
+@pytest.mark.parametrize(
+    "form", ["(7i9,6e21.13e3)", "(1i9,2i4,3e21.13,3e16.9)", "(i9,2x,3e20.13)", "(1p,3i8,3e21.13)", "(3I10, 3F12.6)"]
+)
+def test_node_blocks_have_integers_and_reals_of_any_groups(form, tmp_path):
+    """Seven integers, two kinds of reals, blanks: the first integer is the label, the first three reals the place."""
+    text = hex_deck()
+    begin, end = text.index("NBLOCK"), text.index("N,R5.3")
+    rows = [line.split() for line in text[begin:end].splitlines()[2:]]
+    whole = {"(7": "{:9d}" + "        0" * 6, "(1i": "{:9d}   0   0", "(i9": "{:9d}  ", "(1p": "{:8d}" + "       0" * 2}
+    head = next((value for key, value in whole.items() if form.startswith(key)), "{:10d}" + "         0" * 2)
+    real = "{:12.6f}" if "F" in form else "{:20.13E}" if "20" in form else "{:21.13E}"
+    lines = [head.format(int(row[0])) + "".join(real.format(float(x)) for x in row[3:6]) for row in rows]
+    path = tmp_path / "model.cdb"
+    path.write_text(text)
+    wanted = import_ansys_cdb(path).mesh
+    path.write_text("\n".join([f"{text[:begin]}NBLOCK,6,SOLID", form, *lines, text[end:]]))
+    read = import_ansys_cdb(path).mesh
+    assert np.array_equal(read.nodes.ids, wanted.nodes.ids)
+    assert np.allclose(read.nodes.xyz, wanted.nodes.xyz, atol=1e-6, rtol=0)

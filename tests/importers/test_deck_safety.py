@@ -240,7 +240,8 @@ def by_meshio(path: Path) -> Path:
 def test_files_cut_within_their_last_lines_are_noticed(
     tmp_path: Path, ending: str, source: Callable[[Path], Path | str]
 ) -> None:
-    """Cut at any byte of the end that is no end of a line: refused, unless nothing but blanks is missing."""
+    """Cut at any byte of the end that is no end of a line: refused, unless nothing but blanks is missing or the last
+    card may be whole, of which the import warns."""
     path = tmp_path / f"part{ending}"
     whole = source(path)
     data = whole.read_bytes() if isinstance(whole, Path) else whole.encode()
@@ -253,7 +254,14 @@ def test_files_cut_within_their_last_lines_are_noticed(
             continue
         if last in (b"FINISH", b"ENDDATA") and data[:cut].rstrip() == data[: ended - len(last)].rstrip():
             continue
+        if data[:cut].endswith(b"\nFINI"):
+            # Commands of ANSYS may be cut to four letters.
+            continue
         path.write_bytes(data[:cut])
-        with pytest.raises(InputError):
-            import_file(path)
-            pytest.fail(f"cut {ended - cut} bytes before the end: {data[cut - 30 : cut]!r}")
+        try:
+            read = import_file(path)
+        except InputError:
+            continue
+        warnings = (*read.warnings, *read.mesh.warnings)
+        place = f"cut {ended - cut} bytes before the end: {data[cut - 30 : cut]!r}"
+        assert ending in (".inp", ".bdf", ".cdb") and any("[last-line-open]" in text for text in warnings), place

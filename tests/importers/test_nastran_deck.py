@@ -248,7 +248,10 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
         ("CORD2R,x\n=,*1,==\n", "cannot be counted up"),
         ("PARAM,WTMASS,0.\n", "WTMASS"),
         ("\0", "binary"),
-        ("PSOLID,1,1", "ends within the line"),
+        ("GRID,11,,0.,0.,1.\nGRID,12,,0.,1.", "ends within the line 'GRID,12,,0.,1.'"),
+        ("GRID    11              0.0     0.0     1.0\nGRID    12              0.0     1.", "ends within the line"),
+        ("RBE2,9,10,123,20,", "ends within the line"),
+        ("ENDDA", "ends within the line"),
         (
             "RBE2    1       10      123     20      30      40      50      60      +A\n+B      70\n",
             "mark of the line",
@@ -691,3 +694,40 @@ def test_cards_are_skipped_and_densities_given_where_asked(tmp_path):
     assert "--skip CQUAD4,RBE2 --density X" in str(told.value)
     imported = read_nastran(path, skip=["CQUAD4", "RBE2"], density=7850.0).imported()
     assert imported.materials[0].density == 7850.0 and len(imported.warnings) == 4
+
+
+@pytest.mark.parametrize(
+    ("last", "warned"),
+    [
+        ("GRID,90,,1.,2.,3.", True),
+        ("$ the end", False),
+        ("ENDDATA", False),
+        ("PSOLID,1,1", True),
+        ("PLOTEL,5,10,20", True),
+    ],
+)
+def test_a_last_line_without_an_end_is_read_where_its_card_may_be_whole(last, warned, bulk):
+    said = [text for text in bulk(CUBE + last).mesh.warnings if text.endswith("[last-line-open]")]
+    assert len(said) == warned and all(repr(last) in text for text in said)
+
+
+def test_blanks_between_digits_of_components_do_not_count(bulk):
+    plain = CUBE + "RBE2,9,10,12346,20\nGRDSET,,,,,,,1246\nGRID,11,,0.,0.,0.,,135\n"
+    spaced = CUBE + "RBE2,9,10,12 3 46,20\nGRDSET,,,,,,,12 4 6\nGRID,11,,0.,0.,0.,,1 35\n"
+    one, other = bulk(plain), bulk(spaced)
+    assert one.rigid[0].components == other.rigid[0].components == (0, 1, 2, 3, 5) and one.notes == other.notes
+    with pytest.raises(InputError, match="GRID"):
+        bulk(CUBE + "GRID,11,,0.,0.,0.,,1 x 5\n")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "DEQATN  10      F(A,B,C)=A+B*C,A\n        -SQRT(ABS(A))+MAX(A,B,C,1.,2.,3.,4.,5.,6.,7.,8.,9.)\n",
+        "DEQATN  10      F(A)=A*100.0+VERYLONGNAMEOFAVARIABLE*2+ANOTHERONETHATGOESON1\n+       XYZ+1.\n",
+        "DEQATN,10,F(A,B)=A+B,,,,,,,,,,,and more\n",
+    ],
+)
+def test_cards_of_free_text_are_passed_over(text, bulk):
+    """Commas, marks and lengths of fields mean nothing in them."""
+    assert len(bulk(CUBE + text + "GRID,11,,0.,0.,0.\n").mesh.blocks) == len(bulk(CUBE).mesh.blocks)

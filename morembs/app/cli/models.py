@@ -174,7 +174,7 @@ def _dry_run(job: ImportJob, command: str, *, check: bool, strict: bool, as_json
         typer.Exit: the model cannot be imported, with code 2.
     """
     from morembs.app.jobs.import_job import run_import
-    from morembs.importers.decks.problems import DeckError
+    from morembs.importers.decks.problems import DeckError, in_lines
 
     try:
         with progress_line() as progress:
@@ -202,7 +202,7 @@ def _dry_run(job: ImportJob, command: str, *, check: bool, strict: bool, as_json
                     ]
                 )
             else:
-                lines = [f"problem: {problem.placed}".replace("; ", "\n    ") for problem in error.problems]
+                lines = [line for p in error.problems for line in in_lines(f"problem: {p.placed}")]
                 lines += [f"all of it is answered by: {answer}"] if answer else []
                 lines += [error.hint] if error.hint else []
                 typer.echo("\n".join([*lines, f"{error.source} cannot be imported: {len(error.problems)} problems"]))

@@ -15,8 +15,8 @@ from operator import itemgetter
 from pathlib import Path
 
 from morembs.base.errors import InputError
-from morembs.importers.abaqus.words import canonical, canonical_option
-from morembs.importers.decks.includes import Includes, open_text
+from morembs.importers.abaqus.words import WORDS, canonical, canonical_option
+from morembs.importers.decks.includes import Includes, cut_line, open_line, open_text
 from morembs.importers.tolerances import TOL
 
 _COMMENT = re.compile(rb"^[ \t]*\*\*.*\n", re.MULTILINE)
@@ -27,8 +27,10 @@ _BEGIN = re.compile(rb"\*[ \t]*[A-Za-z]|[-+.0-9][-+.0-9eEdD, \t]*$")
 _NO_STAR = re.compile(rb"^[ \t]*INCLUDE[ \t]*,[ \t]*INPUT[ \t]*=", re.MULTILINE | re.IGNORECASE)
 # They take a title or nothing, so numbers of an included file behind them are those of a block that lost its keyword.
 _WITHOUT_DATA = ("HEADING", "PREPRINT")
-# The lines with which a deck may end without an end of line: cut off, they would be other words.
-_LAST = re.compile(rb"\*\*|\*[ \t]*END[ \t]*(STEP|PART|ASSEMBLY|INSTANCE)$", re.IGNORECASE)
+# Last lines that are whole without an end of line: cut off, they would be other words. *END alone is of old decks.
+_LAST = re.compile(rb"\*\*|\*[ \t]*END([ \t]*(STEP|PART|ASSEMBLY|INSTANCE))?$", re.IGNORECASE)
+# What bulk data of Nastran have and decks of Abaqus have not.
+_NASTRAN = re.compile(rb"^[ \t]*(BEGIN[ \t]+BULK|CEND\b|GRID[ ,*\t]|ENDDATA)", re.IGNORECASE | re.MULTILINE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +53,18 @@ class Card:
         return value
 
 
-def cards(path: Path, *, outside: bool = False) -> Iterator[tuple[Card, Iterator[bytes]]]:
+def cards(
+    path: Path, *, outside: bool = False, warnings: list[str] | None = None
+) -> Iterator[tuple[Card, Iterator[bytes]]]:
     """Each keyword with its data in pieces of whole lines; what is not taken of the pieces is passed over.
 
-    ``outside`` allows to include files from beyond the folder of the deck.
+    ``outside`` allows to include files from beyond the folder of the deck; ``warnings`` about the text are added.
 
     Raises:
         InputError: a file is missing, binary, includes what it must not, or does not begin with a keyword.
     """
-    for card, group in groupby(_stream(path, (), None, Includes(path, outside)), key=itemgetter(0)):
+    includes = Includes(path, outside, [] if warnings is None else warnings)
+    for card, group in groupby(_stream(path, (), None, includes), key=itemgetter(0)):
         yield card, (piece for _, piece in group)
 
 
@@ -68,7 +73,8 @@ def _stream(
 ) -> Generator[tuple[Card, bytes], None, Card | None]:
     """Cards with pieces of data; begins inside ``card`` and returns the one it ends in."""
     outer, above = card, (*above, path.resolve())
-    for text, number in _texts(path):
+    before = b""
+    for text, number, open_end in _texts(path):
         at = 0
         while (star := _next_keyword(text, at)) >= 0:
             yield from _data(card, text[at:star], path, swallowed=card is outer)
@@ -80,10 +86,32 @@ def _stream(
             card = following
             yield card, b""
             if card.keyword in _WITH_INPUT and card.options.get("INPUT"):
-                for piece, _ in _texts(_included(path, card, above, includes)):
+                for piece, *_ in _texts(_included(path, card, above, includes)):
                     yield card, piece
         yield from _data(card, text[at:], path, swallowed=card is outer)
+        if open_end:
+            includes.warnings += _last_line(card, before * (at == 0) + text[at:], open_end, path.name)
+        before = text[text.rfind(b"\n", 0, -1) + 1 :]
     return card
+
+
+def _last_line(card: Card | None, data: bytes, line: bytes, file: str) -> list[str]:
+    """What to say of the last ``line`` of a file, which has no end, behind the ``data`` of its card. The programs read
+    it (fgets of ccx); a keyword that is known is whole, and numbers may be.
+
+    Raises:
+        InputError: a keyword that is not known, or fewer fields than the line above or the comma at its end tell.
+    """
+    if line.startswith(b"*"):
+        if not _LAST.match(line) and (canonical(decoded(line[1:]).split(",")[0]) not in WORDS or line.endswith(b",")):
+            raise cut_line(file, line)
+        return []
+    *above, _ = data.rstrip().split(b"\n")[-2:]
+    is_node = card is not None and card.keyword == "NODE"
+    is_short = is_node and any(line.count(b",") < row.rstrip(b", ").count(b",") for row in above)
+    if line.endswith(b",") or is_short:
+        raise cut_line(file, line)
+    return [open_line(file, line)]
 
 
 def _data(card: Card | None, piece: bytes, path: Path, *, swallowed: bool) -> Iterator[tuple[Card, bytes]]:
@@ -92,9 +120,10 @@ def _data(card: Card | None, piece: bytes, path: Path, *, swallowed: bool) -> It
         return
     if card is None or (swallowed and card.keyword in _WITHOUT_DATA):
         behind = "no *NODE block or the like" if card is None else f"*{card.keyword}, which takes none,"
+        cure = "; it seems to be Nastran bulk data: --format nastran" if _NASTRAN.search(piece) else ""
         raise InputError(
             f"{path.name} begins with data where a keyword belongs: {behind} stands before them; expected an Abaqus or "
-            "CalculiX input deck"
+            f"CalculiX input deck{cure}"
         )
     if (b"I" in piece or b"i" in piece) and b"INCLUDE" in piece.upper() and _NO_STAR.search(piece):
         raise InputError(f"{path.name} has INCLUDE, INPUT= without a star among the data of {card}; write *INCLUDE")
@@ -106,8 +135,9 @@ def _included(path: Path, card: Card, above: tuple[Path, ...], includes: Include
     return includes.take(card.need("INPUT"), str(card), (path.parent, includes.path.parent), above, _BEGIN)
 
 
-def _texts(path: Path) -> Iterator[tuple[bytes, Callable[[int], int]]]:
-    """Pieces of whole lines without comments, and what gives the line of the file at an ascending place in the piece.
+def _texts(path: Path) -> Iterator[tuple[bytes, Callable[[int], int], bytes]]:
+    """Pieces of whole lines without comments, what gives the line of the file at an ascending place in the piece, and
+    the last line of the file where it has no end.
 
     A keyword line is never at the end of a piece but the last.
     """
@@ -125,19 +155,13 @@ def _texts(path: Path) -> Iterator[tuple[bytes, Callable[[int], int]]]:
                 rest = text[cut:]
                 if cut:
                     piece, lines = _clean(text[:cut])
-                    yield piece, lines.since(above)
+                    yield piece, lines.since(above), b""
                     above += lines.count
     except OSError as error:
         raise InputError(f"{path.name} cannot be opened: {error.strerror}; check the path") from error
     if rest:
         piece, lines = _clean(rest + b"\n")
-        yield piece, lines.since(above)
-        last = rest[rest.rfind(b"\n") + 1 :].strip()
-        if last and not _LAST.match(last):
-            raise InputError(
-                f"{path.name} ends within the line {last[-40:].decode('latin-1')!r}, so it may be cut off; write it "
-                "again, or end the last line if the file is complete"
-            )
+        yield piece, lines.since(above), rest[rest.rfind(b"\n") + 1 :].strip()
 
 
 def _before_last_keyword(text: bytes, cut: int) -> int:

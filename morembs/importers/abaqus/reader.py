@@ -41,10 +41,12 @@ def read_deck(
     """
     options = options or DeckOptions()
     deck = Contents(path.name, options, Problems(path.name, options.flags))
+    said: list[str] = []
     with deck.problems.ending():
         reader = DeckReader(deck)
-        for card, pieces in cards(path, outside=outside):
+        for card, pieces in cards(path, outside=outside, warnings=said):
             reader.take(card, pieces)
+        deck.warnings += said if reader.open != ["STEP"] else []
         if reader.open == ["STEP"]:
             # Nothing of a step is applied, so its end does not matter.
             reader.open.clear()

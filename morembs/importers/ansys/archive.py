@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from morembs.importers.ansys import blocks
 from morembs.importers.ansys.elements import Rows, from_plain_form, from_solid_form
 from morembs.importers.ansys.lines import Lines
 from morembs.importers.ansys.properties import ELASTIC, SAID
+from morembs.importers.ansys.singles import Singles
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problems
 
@@ -44,6 +46,7 @@ LOADS = {
 ELASTIC_TABLES = ("ELAS", "ANEL", "HYPE", "FOAM", "GASK", "COMP", "USER", "PELA", "SMA", "BB", "MOONEY", "CAST")
 
 
+_TITLES = ("/COM", "/TITLE", "/STITLE", "C***")
 # Commands may be cut to their first four letters.
 _SHORT = {
     name[:4]: name
@@ -105,8 +108,8 @@ class Archive:
     coupled: dict[tuple[int, int], list[int]] = field(default_factory=dict)
     tables: dict[int, str] = field(default_factory=dict)
     table: tuple[int, str] = (0, "")
-    current_type: int = 1
     current_real: int = 0
+    singles: Singles = field(default_factory=Singles)
 
 
 def read_commands(path: Path, problems: Problems | None = None, options: DeckOptions | None = None) -> Archive:
@@ -118,10 +121,7 @@ def read_commands(path: Path, problems: Problems | None = None, options: DeckOpt
     archive = Archive(path.name)
     problems, options = problems or Problems(path.name), options or DeckOptions()
     lines = Lines(path)
-    for line in lines:
-        text = line.decode("latin-1").split("!")[0].strip()
-        if not text:
-            continue
+    for text in _commands(lines):
         fields = [part.strip() for part in text.split(",")]
         command = _SHORT.get(fields[0].upper()[:4], fields[0].upper())
         if options.skips(command, fields[0]):
@@ -140,12 +140,30 @@ def read_commands(path: Path, problems: Problems | None = None, options: DeckOpt
                 f"{path.name}, line {lines.number}: {text[:60]!r} cannot be read; expected an archive with numbers "
                 "(CDWRITE,DB,model,cdb), not a program with parameters"
             ) from error
+    archive.warnings += lines.warnings
+    if archive.singles.nodes:
+        stores = archive.ids, archive.xyz, archive.angles
+        for store, values in zip(stores, archive.singles.node_tables(), strict=True):
+            store.append(values)  # type: ignore[attr-defined]
+    archive.elements.extend(archive.singles.element_tables())
     for kind, table in archive.plain:
         if kind not in archive.types:
             raise InputError(f"{path.name}: EBLOCK has elements of the type {kind}, which no ET defines")
         routine = archive.types[kind][0]
         archive.elements.append((kind, from_plain_form(table, routine, path.name)))
     return archive
+
+
+def _commands(lines: Lines) -> Iterator[str]:
+    """Commands without comments; a line may hold several, between dollar signs (Mechanical APDL Command Reference, 2.1,
+    free-format input), as HyperMesh writes TYPE, 1 $ MAT, 1."""
+    for line in lines:
+        text = line.decode("latin-1")
+        if text.lstrip().upper().startswith(_TITLES):
+            continue
+        for command in text.split("!")[0].split("$"):
+            if command.strip():
+                yield command.strip()
 
 
 def _take(archive: Archive, command: str, fields: list[str], lines: Lines) -> None:
@@ -157,7 +175,7 @@ def _take(archive: Archive, command: str, fields: list[str], lines: Lines) -> No
     elif command == "EBLOCK":
         solid, table = blocks.element_block(lines, fields)
         if not solid:
-            archive.plain.append((archive.current_type, table))
+            archive.plain.append((archive.singles.current["TYPE"], table))
         elif len(table):
             parts = from_solid_form(table, archive.name)
             held, count = sum(len(part.ids) for _, part in parts), blocks.announced(fields, 4)
@@ -168,7 +186,9 @@ def _take(archive: Archive, command: str, fields: list[str], lines: Lines) -> No
             archive.elements.extend(parts)
     elif command in ("CMBLOCK", "ETBLOCK", "RLBLOCK"):
         _take_table(archive, command, fields, lines)
-    elif command in ("ET", "KEYOPT", "TYPE", "R", "RMORE", "RMODIF"):
+    elif command in archive.singles.current and len(fields) > 1:
+        archive.singles.current[command] = int(fields[1] or 0)
+    elif command in ("ET", "KEYOPT", "R", "RMORE", "RMODIF"):
         _take_type(archive, command, fields)
     elif command in ("MP", "MPDATA", "MPTEMP", "UIMP", "TB"):
         _take_material(archive, command, fields)
@@ -197,10 +217,7 @@ def _take(archive: Archive, command: str, fields: list[str], lines: Lines) -> No
             "archive (CDWRITE,DB,model,cdb)"
         )
     elif command in ("N", "EN", "E", "EMORE") and not (fields[1].upper().startswith("R5") and "-1" in fields):
-        raise InputError(
-            f"{archive.name}, line {lines.number}: {command} defines a node or element by itself, which is not read; "
-            "write the archive in blocks (CDWRITE,DB,model,cdb without UNBLOCKED)"
-        )
+        archive.singles.take(command, fields, f"{archive.name}, line {lines.number}")
 
 
 def _refuse(archive: Archive, command: str, fields: list[str]) -> None:
@@ -265,9 +282,7 @@ def _take_table(archive: Archive, command: str, fields: list[str], lines: Lines)
 
 
 def _take_type(archive: Archive, command: str, fields: list[str]) -> None:
-    if command == "TYPE":
-        archive.current_type = int(fields[1])
-    elif command == "ET":
+    if command == "ET":
         digits = "".join(c if c.isdigit() else " " for c in fields[2]).split()
         keys = {i: int(float(word)) for i, word in enumerate(fields[3:9], start=1) if word}
         archive.types[int(fields[1])] = int(digits[-1]), keys

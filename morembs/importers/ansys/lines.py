@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
-from morembs.importers.decks.includes import open_text
+from morembs.importers.decks.includes import cut_line, open_line, open_text
 from morembs.importers.decks.numerals import Eight
 from morembs.importers.tolerances import TOL
 
+# Commands without fields, which an archive may end with.
+_ALONE = (b"FINISH", b"FINI", b"/EOF", b"/SOLU", b"SOLVE", b"/GO", b"/PREP7", b"ALLSEL", b"SAVE")
 _BEFORE_NEWLINE = re.compile(rb"\r+\n")
 
 
@@ -22,6 +24,7 @@ class Lines:
 
     def __init__(self, path: Path) -> None:
         self.name, self.number = path.name, 0
+        self.warnings: list[str] = []
         self._pieces = self._read(path)
         self._text, self._at = next(self._pieces, b""), 0
 
@@ -45,7 +48,7 @@ class Lines:
         except OSError as error:
             raise InputError(f"archive {str(path)!r} cannot be read: {error.strerror}") from error
         if rest.strip():
-            yield rest.rstrip(b"\r") + (b"\n" if rest.endswith(b"\r") or rest.strip().upper() == b"FINISH" else b"")
+            yield rest.rstrip(b"\r") + (b"\n" if rest.endswith(b"\r") else b"")
 
     def __iter__(self) -> Iterator[bytes]:
         while self._is_more():
@@ -62,12 +65,22 @@ class Lines:
             raise InputError(f"{self.name} ends within {within}; it is cut off, write it again")
         end = self._text.find(b"\n", self._at)
         if end < 0:
-            raise InputError(
-                f"{self.name} ends within a line, so it may be cut off; write it again, or end the last line if the "
-                "file is complete"
-            )
+            self._text += b"\n"
+            return self._last_line(self.take(within), within)
         line = self._text[self._at : end]
         self._at, self.number = end + 1, self.number + 1
+        return line
+
+    def _last_line(self, line: bytes, within: str) -> bytes:
+        """The last line, which has no end: that of a command may be whole.
+
+        Raises:
+            InputError: the line is one of a block, or of a command that is not.
+        """
+        word = line.split(b",")[0].strip().upper()
+        if within or line.rstrip().endswith(b",") or (b"," not in line and word not in _ALONE):
+            raise cut_line(self.name, line)
+        self.warnings += [] if word in _ALONE else [open_line(self.name, line)]
         return line
 
     def rows(self, within: str, count: int) -> BlockText:
@@ -79,6 +92,10 @@ class Lines:
         last = None
         while last is None:
             if not self._is_more() or self._text.find(b"\n", self._at) < 0:
+                if self._text[self._at :].lstrip().upper().startswith(ends):
+                    self._text = b""
+                    self._at = 0
+                    return
                 self.take(within)
             stop = self._text.rfind(b"\n", self._at, self._at + TOL.block_bytes) + 1
             rows = BlockText(self._text[self._at : stop])

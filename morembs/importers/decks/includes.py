@@ -40,12 +40,30 @@ def open_text(path: Path) -> BinaryIO:
     return file
 
 
+def open_line(file: str, line: bytes) -> str:
+    """The warning of a last line without an end that may be whole, by its card."""
+    return (
+        f"{file} has no end of line behind its last line {line.strip()[-40:].decode('latin-1')!r}, which was read as "
+        "it stands; check that it is not cut off [last-line-open]"
+    )
+
+
+def cut_line(file: str, line: bytes) -> InputError:
+    """The refusal of a last line without an end that is not whole."""
+    return InputError(
+        f"{file} ends within the line {line.strip()[-40:].decode('latin-1')!r}, so it may be cut off; write it again, "
+        "or end the last line if the file is complete"
+    )
+
+
 @dataclass
 class Includes:
-    """What the deck at ``path`` has included so far; ``outside`` allows files beyond its folder."""
+    """What the deck at ``path`` has included so far; ``outside`` allows files beyond its folder; ``warnings`` are about
+    the texts."""
 
     path: Path
     outside: bool = False
+    warnings: list[str] = field(default_factory=list)
     count: int = 0
     total: int = 0
     folder: Path = field(init=False)

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from morembs.base.errors import InputError
 from morembs.importers.tolerances import TOL
 
+# Before a clause that names an option.
+_CURE = re.compile(r"; (?=[^;]*--\w)")
 _OWN_NAMES = re.compile(r"'[^']*'|\"[^\"]*\"|\([^()]*\)|\d+(\.\d*)?(e[-+]?\d+)?", re.IGNORECASE)
 
 
@@ -70,7 +72,7 @@ class DeckError(InputError):
 
     def lines(self) -> list[str]:
         """The message in lines, each with one cure at most."""
-        return [line for part in self._listed() for line in part.replace("; ", "\n    ").split("\n")]
+        return [line for part in self._listed() for line in in_lines(part)]
 
     def _listed(self) -> list[str]:
         """The problems by kind, the command that answers them, and the hint."""
@@ -147,6 +149,11 @@ class Problems:
         """
         if self.entries:
             raise DeckError(self.source, self.entries, self.given)
+
+
+def in_lines(sentence: str) -> list[str]:
+    """A sentence in lines, each cure (an option of the command line) in one of its own."""
+    return _CURE.sub("\n    ", sentence).split("\n")
 
 
 def _line(same: list[Problem]) -> str:

@@ -122,7 +122,7 @@ class Grids:
         """GRID cards: label, CP, three coordinates, CD, PS, SEID."""
         ids = table.integers(0, 1)[:, 0]
         self.superelements += int((table.integers(7, 8) != 0).sum())
-        permanent = table.integers(6, 7)[:, 0]
+        permanent = table.components(6)
         self.fixed += int((permanent != 0).sum())
         self._permanent.append(permanent)
         systems = table.integers(1, 2)[:, 0], table.integers(5, 6)[:, 0]
@@ -149,7 +149,7 @@ class Grids:
         self.ids, self.xyz = ids[order], xyz[order]
         self.cp, self.cd = np.where(given_cp, cps, cp)[order], np.where(given_cd, cds, cd)[order]
         permanent = np.concatenate(self._permanent)[order]
-        default_ps = integer(default[6], what) if len(default) > 6 else 0
+        default_ps = integer(default[6].replace(" ", ""), what) if len(default) > 6 else 0
         self.ps = np.where(permanent == 0, default_ps, permanent)
         twice = np.flatnonzero(np.diff(self.ids) == 0)
         same = (

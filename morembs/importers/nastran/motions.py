@@ -19,7 +19,8 @@ Motion = tuple[int, int]
 
 
 def components(text: str, what: str) -> tuple[int, ...]:
-    """Components 0 to 5 of digits 1 to 6."""
+    """Components 0 to 5 of digits 1 to 6; blanks between them do not count."""
+    text = text.replace(" ", "")
     if not text or not set(text) <= set("123456"):
         raise InputError(f"{what}: {text!r} was given as components; expected digits of 1 to 6")
     return tuple(sorted({int(digit) - 1 for digit in text}))

@@ -22,8 +22,8 @@ PROPERTIES = (
     "PSHELL", "PCOMP", "PCOMPG", "PSHEAR", "PROD", "PTUBE", "PBAR", "PBARL", "PBEAM", "PBEAML", "PBCOMP", "MAT2",
     "MAT8", "BAROR", "BEAMOR",
 )
-# Their fields are text, in which commas and columns of marks mean nothing (Quick Reference Guide, DEQATN, UDNAME).
-FREE_TEXT = ("DEQATN", "UDNAME")
+# Their fields are text, in which commas and columns of marks mean nothing (Quick Reference Guide, DEQATN).
+FREE_TEXT = ("DEQATN",)
 RESTRAINTS = ("SPC", "SPC1", "SPCADD", "SPCD", "SUPORT", "SUPORT1")
 # Materials that vary with temperature; the values of the material itself hold.
 OF_TEMPERATURE = ("MATT1", "MATT9", "MATT11")

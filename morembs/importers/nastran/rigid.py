@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -156,7 +158,7 @@ class Ties:
         groups: list[tuple[float, tuple[int, ...], Ints]] = []
         words = [text for text in texts if text]
         starts = [i for i in range(len(words)) if i == 0 or "." in words[i]]
-        for first, last in zip(starts, [*starts[1:], len(words)], strict=True):
+        for first, last in pairwise([*starts, len(words)]):
             weight, moving = real(words[first], what), components(padded(words[first:last], 2)[1], what)
             rows = self.motions.rows(labels_of(words[first + 2 : last], what, self.grids.ids), what)
             groups.append((weight, moving, rows))

@@ -74,6 +74,24 @@ class Table:
             values = integers(self.reals(first, last).ravel(), f"an integer of a {self.name} card", self.file)
         return values.reshape(part.shape[:2])
 
+    def components(self, at: int) -> Ints:
+        """Digits (cards,) of a field of components, 0 where it is blank.
+
+        The manuals allow no blanks between them; the programs read over them, and decks have them ("12 4 6").
+
+        Raises:
+            InputError: something that is no digits.
+        """
+        given = np.flatnonzero(self.given(at, at + 1))
+        digits = np.zeros(len(self), dtype=np.int64)
+        if len(given):
+            texts = [bytes(text).replace(b" ", b"") for text in self._part(at, at + 1)[given, 0]]
+            odd = next((text for text in texts if not text.isdigit()), None)
+            if odd is not None:
+                raise InputError(f"{self.file}: a {self.name} card has the components {odd.decode('latin-1')!r}")
+            digits[given] = [int(text) for text in texts]
+        return digits
+
     def rows(self) -> list[list[str]]:
         """The fields of each card as text, without blank ones at the end."""
         width = self.fields.shape[2]

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from morembs.base.errors import InputError
-from morembs.importers.decks.includes import Includes, open_text
+from morembs.importers.decks.includes import Includes, cut_line, open_line, open_text
 from morembs.importers.nastran.replication import BLOCK, replicated
 from morembs.importers.tolerances import TOL
 
@@ -63,6 +63,7 @@ class BulkText:
         self.head = re.sub(rb"\$.*", b"", head.replace(b"\r", b"")).decode("latin-1")
         self._includes = Includes(path, outside)
         self._ended = True
+        self._said: list[str] = []
         self._first: dict[str, str] = {}
         self._count: dict[str, int] = {}
 
@@ -77,11 +78,15 @@ class BulkText:
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the text, a sentence each, once its pieces were read."""
         cut = f"{self.file} has BEGIN BULK and no ENDDATA at its end; cards may be missing there"
-        return (() if self._ended else (cut,)) + tuple(
-            f"{file}, {first} beyond column {Columns.ALL}, where the fields of a card end, was not read"
-            + (f", nor that of {count - 1} further lines" if (count := self._count[file]) > 1 else "")
-            + "; check the columns of these cards"
-            for file, first in self._first.items()
+        return (
+            (() if self._ended else (cut,))
+            + tuple(self._said)
+            + tuple(
+                f"{file}, {first} beyond column {Columns.ALL}, where the fields of a card end, was not read"
+                + (f", nor that of {count - 1} further lines" if (count := self._count[file]) > 1 else "")
+                + "; check the columns of these cards"
+                for file, first in self._first.items()
+            )
         )
 
     def __iter__(self) -> Iterator[Piece]:
@@ -95,7 +100,7 @@ class BulkText:
     def _pieces(self, path: Path, outer: tuple[Path, ...], start: int = 0) -> Iterator[Piece]:
         outer, above = (*outer, path.resolve()), _lines_above(path, start)
         ended = not start
-        for text, last in _cards(path, start):
+        for text, last in _cards(path, start, self._said):
             at = 0
             for match in _INCLUDE.finditer(text) if _has_word(text, b"INCLUDE") else ():
                 yield from _written_out(text[at : match.start()], path.name, above + text.count(b"\n", 0, at))
@@ -165,9 +170,9 @@ def _lines_above(path: Path, start: int) -> int:
         return len(re.findall(rb"\r\n?|\n", file.read(start)))
 
 
-def _cards(path: Path, start: int) -> Iterator[tuple[bytes, bool]]:
-    """Text of whole cards without comments, up to ENDDATA; whether that was met."""
-    rest = b""
+def _cards(path: Path, start: int, said: list[str]) -> Iterator[tuple[bytes, bool]]:
+    """Text of whole cards without comments, up to ENDDATA; whether that was met. ``said`` are warnings."""
+    rest = above = b""
     with _opened(path) as file:
         file.seek(start, 1)
         while True:
@@ -185,14 +190,33 @@ def _cards(path: Path, start: int) -> Iterator[tuple[bytes, bool]]:
             clean = _clean(text[:cut])
             end = _END.search(clean) if _has_word(clean, b"ENDDATA") else None
             if not chunk and not end and text.strip() and text[-1:] not in (b"\n", b"\r"):
-                line = text[text.rfind(b"\n") + 1 :].decode("latin-1")
-                raise InputError(
-                    f"{path.name} ends within the line {line[:40]!r} and without ENDDATA, so it may be cut off; "
-                    "write it again, or end the last line if the file is complete"
-                )
+                said += _last_line(above, text[text.rfind(b"\n") + 1 :], path.name)
+            above = clean.rstrip(b"\n").rpartition(b"\n")[2]
             yield (clean[: end.start()] if end else clean), end is not None
             if end or not chunk:
                 return
+
+
+def _last_line(above: bytes, line: bytes, file: str) -> list[str]:
+    """What to say of a last line without an end and without ENDDATA below ``above``; its card may be whole.
+
+    Raises:
+        InputError: the line has fewer fields than the one above, which has the same name, goes on, or is of a matrix.
+    """
+    line = line.partition(b"$")[0]
+    if not line.strip():
+        return []
+    own, other = (
+        row.split(b",") if b"," in row else [row[at : at + 8] for at in range(0, len(row) or 1, 8)]
+        for row in (line, above)
+    )
+    name = own[0].strip(b" *").upper()
+    is_short = name == other[0].strip(b" *").upper() and len(own) < len(other)
+    goes_on = line.rstrip().endswith((b",", b"+", b"*"))
+    # Columns of a matrix have any number of entries.
+    if is_short or goes_on or name == b"DMIG" or b"ENDDATA".startswith(line.strip().upper()):
+        raise cut_line(file, line)
+    return [open_line(file, line)]
 
 
 def _last_card(text: bytes, known: int) -> int:

@@ -90,7 +90,7 @@ def read_for_engine(path: Path, options: DeckOptions, *, outside: bool = False) 
     deck = EngineDeck(path.name, options, Problems(path.name, options.flags), dialect="calculix")
     with deck.problems.ending():
         reader = _Keeping(deck)
-        for card, pieces in cards(path, outside=outside):
+        for card, pieces in cards(path, outside=outside, warnings=deck.warnings):
             reader.take(card, pieces)
         if reader.open and reader.open != ["STEP"]:
             raise InputError(f"{path.name} ends inside *{reader.open[-1]}; the file may be cut off")

@@ -145,6 +145,11 @@ class Structures:
         """Orientation, pins and offsets along basic axes."""
         a, b = grids.tolist()
         options = (words[7] or "GGG").upper()
+        if options in ("1", "2"):
+            # COSMIC NASTRAN says there whether a vector (1) or a grid (2) stands before (User's Manual, CBAR, BAROR).
+            if (options == "2") == any(words[5:7]):
+                raise InputError(f"{what} has the flag F = {options} and an orientation of the other kind; mend it")
+            options = "GGG"
         offsets = np.array([real(text, what) for text in words[10:16]]).reshape(2, 3)
         if "." in options or len(options) != 3 or options[0] not in "GB" or (offsets.any() and options[1:] != "GG"):
             raise InputError(f"{what} gives its orientation or offsets along {options!r}; expected GGG or BGG")
