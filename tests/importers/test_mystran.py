@@ -395,8 +395,8 @@ def test_all_problems_are_told_at_once_with_their_cures(tmp_path):
     ("line", "message"),
     [
         (
-            ["--engine", "mystran", "--format", "abaqus"],
-            "--engine mystran reads Nastran bulk data; deck.bdf is Abaqus or",
+            ["--engine", "mystran", "--format", "ansys"],
+            "--engine mystran reads Nastran bulk data, and decks of Abaqus; deck.bdf is an archive of ANSYS",
         ),
         (["--engine", "mystran:/nowhere/mystran"], "no file that can be run"),
         (["--engine", "mystran", "--boundary", "hold"], 'expected "drop" or "keep"'),
@@ -429,3 +429,63 @@ def test_a_missing_program_is_told_with_its_cure(tmp_path, monkeypatch):
 @needs_mystran
 def test_engines_are_listed_with_their_versions():
     assert "(MYSTRAN 18." in CliRunner().invoke(app, ["import", "--list"]).stdout.splitlines()[-1]
+
+
+ABAQUS = "*MATERIAL,NAME=S\n*ELASTIC\n2.1e11,.3\n*DENSITY\n7850.\n"
+
+
+def abaqus_plate(code: str, section: str) -> str:
+    """The sheet of ``plate`` in words of Abaqus."""
+    bulk = plate(6, 4, T)
+    rows = [line.split(",") for line in bulk.splitlines()]
+    nodes = "".join(f"{row[1]},{','.join(row[3:6])}\n" for row in rows if row[0] == "GRID")
+    cells = "".join(f"{row[1]},{','.join(row[3:7])}\n" for row in rows if row[0] == "CQUAD4")
+    edge = "*NSET,NSET=EDGE,GENERATE\n1,5,1\n"
+    return f"*NODE\n{nodes}*ELEMENT,TYPE={code},ELSET=E\n{cells}{edge}{ABAQUS}{section}"
+
+
+@needs_mystran
+def test_shells_of_an_abaqus_deck_are_those_of_bulk_data(tmp_path):
+    (tmp_path / "a.inp").write_text(abaqus_plate("S4R", "*SHELL SECTION,ELSET=E,MATERIAL=S\n.01\n"))
+    model = model_of(import_file(tmp_path / "a.inp", engine="mystran"))
+    same = imported(tmp_path, SHEET)
+    for A, B in ((model.K, same.K), (model.M, same.M)):
+        assert abs(A - B).max() < 1e-9 * abs(B).max()
+    assert model.nodes.ids[model.nodes.sets["EDGE"]].tolist() == [1, 2, 3, 4, 5]
+    assert model.source == "a.inp" and any("[formulation-differs]" in warning for warning in model.warnings)
+
+
+@needs_mystran
+def test_beams_and_trusses_of_an_abaqus_deck_bend_as_theory_says(tmp_path):
+    nodes = "*NODE\n" + "".join(f"{i},{i / 20},0,0\n" for i in range(1, 22)) + "30,1.05,.3,0.\n"
+    cells = "".join(f"{i},{i},{i + 1}\n" for i in range(1, 21))
+    deck = (
+        f"{nodes}*ELEMENT,TYPE=B31,ELSET=B\n{cells}*ELEMENT,TYPE=T3D2,ELSET=R\n40,21,30\n{ABAQUS}"
+        "*BEAM SECTION,ELSET=B,MATERIAL=S,SECTION=RECT\n.02,.01\n0,1,0\n*SOLID SECTION,ELSET=R,MATERIAL=S\n1e-4\n"
+    )
+    (tmp_path / "b.inp").write_text(deck)
+    model = model_of(import_file(tmp_path / "b.inp", engine="mystran"))
+    assert masses(model)[0, 0] == pytest.approx(7850 * (2e-4 * 1.0 + 1e-4 * 0.3), rel=1e-6)
+    # The stiffer axis is that of the first dimension, along y; elements of 50 mm are soft in shear (Timoshenko).
+    first = model.dofs.node == model.nodes.ids.tolist().index(1)
+    y, z = (model.K.diagonal()[first & (model.dofs.component == axis)][0] for axis in (1, 2))
+    shear = [1 + 2 * 1.3 / (5 / 6) * (height / 0.05) ** 2 for height in (0.02, 0.01)]
+    assert y / z == pytest.approx(4.0 * shear[1] / shear[0], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("deck", "message"),
+    [
+        (abaqus_plate("M3D4", "*MEMBRANE SECTION,ELSET=E,MATERIAL=S\n.01\n"), "has elements M3D4"),
+        (abaqus_plate("S4", "*SHELL SECTION,ELSET=E,MATERIAL=S,COMPOSITE\n.01,3,S\n"), "has layers or no data"),
+        (
+            abaqus_plate("S4", "*SHELL SECTION,ELSET=E,MATERIAL=S\n.01\n*RIGID BODY,NSET=EDGE,REF NODE=30\n"),
+            "has \\*RIGID BODY and no solids",
+        ),
+        (abaqus_plate("S4", "*SHELL SECTION,ELSET=E,MATERIAL=X\n.01\n"), "'X' has no isotropic"),
+    ],
+)
+def test_what_mystran_is_not_given_of_an_abaqus_deck_is_told(tmp_path, deck, message):
+    (tmp_path / "a.inp").write_text(deck)
+    with pytest.raises(InputError, match=message):
+        import_file(tmp_path / "a.inp", engine=f"mystran:{program(tmp_path, 'sys.exit()')}")

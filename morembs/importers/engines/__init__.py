@@ -68,9 +68,9 @@ _OWN: dict[str, Engine] = {
         program="CalculiX",
     ),
     "mystran": Engine(
-        about="MYSTRAN assembles Nastran bulk data",
-        formats=("nastran",),
-        decks="Nastran bulk data",
+        about="MYSTRAN assembles Nastran bulk data, and shells and beams of Abaqus decks",
+        formats=("nastran", "abaqus"),
+        decks="Nastran bulk data, and decks of Abaqus",
         find=find_mystran,
         read=import_with_mystran,
         readable=readable_by_mystran,

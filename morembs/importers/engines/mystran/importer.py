@@ -20,6 +20,7 @@ from morembs.importers.decks.join import couplings_of, join
 from morembs.importers.decks.missing_middles import with_middles
 from morembs.importers.decks.options import Boundary, DeckOptions, deck_options, lacking_problems
 from morembs.importers.decks.tables import DeckTables
+from morembs.importers.engines.mystran.bulk import as_bulk
 from morembs.importers.engines.mystran.elements import STRUCTURES, Structures, solid_cards
 from morembs.importers.engines.mystran.program import Mystran, cores, mystran_path
 from morembs.importers.engines.mystran.rotations import turning, with_springs
@@ -48,6 +49,7 @@ CARDS_READ = (
 def import_with_mystran(
     path: str | Path,
     *,
+    format: str = "nastran",
     executable: str = "",
     density: float | dict[str, float] | None = None,
     skip: list[str] | str = "",
@@ -57,11 +59,16 @@ def import_with_mystran(
     grids: int = TOL.run_grids,
     jobs: int | None = None,
     allow_includes_outside: bool = False,
+    dialect: str = "auto",
+    contact: str = "refuse",
     materials: tuple[Material, ...] = (),
 ) -> Imported:
-    """Bulk data as MYSTRAN assembles them, in the units of the file, along the basic axes.
+    """A deck as MYSTRAN assembles it, in the units of the file, along the basic axes.
+
+    Bulk data are read card by card; decks of other programs are written as bulk data first.
 
     Args:
+        format: "nastran" or "abaqus".
         executable: the path of MYSTRAN; "" looks for it.
         density: of materials without one (before WTMASS), or set -> density, "all" standing for all.
         skip: cards to leave out, although stiffness or mass may depend on them.
@@ -71,6 +78,8 @@ def import_with_mystran(
         grids: of one run of MYSTRAN at most.
         jobs: runs at once; None for as many as there are cores.
         allow_includes_outside: INCLUDE may name files beyond the folder of the file.
+        dialect: of an Abaqus deck, the program that it was written for.
+        contact: of a deck of another program, "refuse" contact, "skip" it, or "tie" it.
         materials: isotropic ones of sets of properties whose materials are not there, or "all" of these.
 
     Peak memory: the entries of K and M several times, and what the runs at once take.
@@ -84,9 +93,21 @@ def import_with_mystran(
     check_value("--engine-timeout", timeout, Positive)
     check_value("grids", grids, PositiveCount)
     check_value("jobs", jobs, PositiveCount | None)
-    options = deck_options(density, "refuse", skip)
-    deck = _Deck(Path(path), options, boundary == "keep", allow_includes_outside, materials)
     keep = Path(keep_files) if keep_files else None
+    reading = {"density": density, "skip": skip, "allow_includes_outside": allow_includes_outside}
+    with as_bulk(Path(path), format, {**reading, "dialect": dialect, "contact": contact}) as source:
+        if boundary == "keep" and source.deck is not None and not len(source.deck.supports.nodes):
+            raise InputError(
+                f"--boundary keep was given for {Path(path).name}, whose supports are not read; leave it out, and hold "
+                "the model by [[interface]] of a job"
+            )
+        options = deck_options(source.density(density), "refuse", skip if format == "nastran" else "")
+        deck = _Deck(source.bulk, options, boundary == "keep", allow_includes_outside, materials)
+        return source.whole(_assembled(deck, program, timeout, jobs, keep, grids))
+
+
+def _assembled(deck: _Deck, program: Path, timeout: float, jobs: int | None, keep: Path | None, grids: int) -> Imported:
+    """The model of a deck that was read, by runs of MYSTRAN."""
     with Mystran(
         program=program,
         file=deck.bulk.file,
@@ -108,6 +129,9 @@ def readable_by_mystran(
     density: dict[str, float] | None = None,
     skip: list[str] | str = "",
     allow_includes_outside: bool = False,
+    dialect: str = "auto",
+    contact: str = "refuse",
+    format: str = "nastran",
     materials: tuple[Material, ...] = (),
 ) -> None:
     """Whether a deck can be written for MYSTRAN; it is not run.
@@ -115,7 +139,10 @@ def readable_by_mystran(
     Raises:
         InputError: it cannot.
     """
-    _Deck(path, deck_options(density, "refuse", skip), False, allow_includes_outside, materials)
+    reading = {"density": density, "skip": skip, "allow_includes_outside": allow_includes_outside}
+    with as_bulk(path, format, {**reading, "dialect": dialect, "contact": contact}) as source:
+        options = deck_options(source.density(density), "refuse", skip if format == "nastran" else "")
+        _Deck(source.bulk, options, False, allow_includes_outside, materials)
 
 
 class _Deck:
