@@ -94,6 +94,9 @@ def import_with_mystran(
     check_value("grids", grids, PositiveCount)
     check_value("jobs", jobs, PositiveCount | None)
     keep = Path(keep_files) if keep_files else None
+    other = "contact" if contact != "refuse" else "dialect" if dialect != "auto" else ""
+    if format == "nastran" and other:
+        raise InputError(f"--{other} was given with --engine mystran, and bulk data have none; leave it out")
     reading = {"density": density, "skip": skip, "allow_includes_outside": allow_includes_outside}
     with as_bulk(Path(path), format, {**reading, "dialect": dialect, "contact": contact}) as source:
         if boundary == "keep" and source.deck is not None and not len(source.deck.supports.nodes):
