@@ -68,7 +68,12 @@ class ModelFile:
     importer: str = dataset("words", name="source/format", doc="what they were read as")
     units: str = dataset("words", "", "length, mass and time of the files; everything here is SI", name="source/units")
     findings: tuple[str, ...] = dataset(
-        "words", "any", "what the examination found at the import", name="source/findings", default=(), since="0.2"
+        "words",
+        "any",
+        "what the examination found at the import",
+        name="source/findings",
+        default=(),
+        when="files of 0.1 may lack it",
     )
     model: FEModel = dataset(table_of(FEModel, build=dict), inline=True)
 
