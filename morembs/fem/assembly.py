@@ -21,9 +21,10 @@ from morembs.base.errors import InputError, nearest
 from morembs.base.former_names import with_budget_argument, with_progress_argument
 from morembs.base.types import Floats, Ints
 from morembs.fem.elements import TYPES, ElementType
-from morembs.fem.fe_model import DofMap, ElementBlock, FEModel, Mesh
+from morembs.fem.fe_model import DofMap, FEModel
 from morembs.fem.formulations import Formulation, Geometry, element_mass, formulation_of, geometry
 from morembs.fem.material import Material
+from morembs.fem.mesh import ElementBlock, Mesh, material_of_elements
 from morembs.fem.middle_nodes import mesh_in_order
 from morembs.fem.surface import seam_faces
 from morembs.fem.tolerances import TOL
@@ -199,39 +200,6 @@ def mass_warnings(mesh: Mesh, mass_integration: str) -> tuple[str, ...]:
         f"{rule!r}: frequencies of a coarse mesh may differ by 10 %; leave the mass integration out for its mass"
         for (kind, rule), count in others.items()
     )
-
-
-def material_of_elements(mesh: Mesh, materials: Sequence[Material]) -> dict[int, Ints]:
-    """For each block (by identity) the index of the material of each element.
-
-    Raises:
-        InputError: an unknown set, or an element with no or two materials.
-    """
-    owner = {id(block): np.full(len(block.ids), -1, dtype=np.int64) for block in mesh.blocks}
-    for number, material in enumerate(materials):
-        if material.set != "all" and material.set not in mesh.element_sets:
-            raise InputError(
-                f"material names the element set {material.set!r}, which the mesh does not have; "
-                f"{nearest(material.set, ['all', *mesh.element_sets])}"
-            )
-        for j, block in enumerate(mesh.blocks):
-            chosen = np.arange(len(block.ids)) if material.set == "all" else mesh.element_sets[material.set][j]
-            taken = owner[id(block)][chosen]
-            if (taken >= 0).any():
-                other = materials[int(taken[taken >= 0][0])].set
-                raise InputError(
-                    f"element {block.ids[chosen[taken >= 0][0]]} has two materials, of the sets {other!r} and "
-                    f"{material.set!r}; give every element one"
-                )
-            owner[id(block)][chosen] = number
-    for block in mesh.blocks:
-        bare = np.flatnonzero(owner[id(block)] < 0)
-        if len(bare):
-            raise InputError(
-                f"{len(bare)} elements have no material (first: {block.ids[bare[0]]}); add a [[material]] for their "
-                f'set, or set = "all"; element sets: {", ".join(mesh.element_sets) or "none"}'
-            )
-    return owner
 
 
 def _refuse_loose_nodes(mesh: Mesh) -> None:

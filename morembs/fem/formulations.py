@@ -16,7 +16,7 @@ import numpy as np
 from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
 from morembs.fem.elements import IRONS, STROUD, TYPES, ElementType, Order, Rule
-from morembs.fem.fe_model import ElementBlock
+from morembs.fem.mesh import ElementBlock
 from morembs.fem.tolerances import TOL
 
 LINEAR = ("tet4", "hex8", "wedge6")

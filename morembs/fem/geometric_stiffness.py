@@ -17,11 +17,11 @@ from morembs.base.budget import current_budget
 from morembs.base.errors import InputError
 from morembs.base.former_names import with_budget_argument
 from morembs.base.types import Floats, Ints
-from morembs.fem.assembly import chunks, material_of_elements, node_graph
+from morembs.fem.assembly import chunks, node_graph
 from morembs.fem.elements import TYPES
-from morembs.fem.fe_model import Mesh
 from morembs.fem.formulations import formulation_of
 from morembs.fem.material import VOIGT, Material
+from morembs.fem.mesh import Mesh, material_of_elements
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem.elements import TYPES
-from morembs.fem.fe_model import ElementBlock, Mesh, Nodes
+from morembs.fem.mesh import ElementBlock, Mesh, Nodes
 
 
 def grid_cells(shape: Sequence[int], element: str = "hex20") -> Ints:

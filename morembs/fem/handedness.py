@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from morembs.base.types import Floats, Ints
 from morembs.fem.elements import TYPES
-from morembs.fem.fe_model import ElementBlock, Mesh
+from morembs.fem.mesh import ElementBlock, Mesh
 from morembs.fem.tolerances import TOL
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem.elements import TYPES
-from morembs.fem.fe_model import Mesh
+from morembs.fem.mesh import Mesh
 from morembs.fem.tolerances import TOL
 
 _CORNERS = {"tet10": "tet4", "hex20": "hex8", "hex27": "hex8", "wedge15": "wedge6"}

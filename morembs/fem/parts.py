@@ -12,7 +12,8 @@ from scipy.sparse.csgraph import connected_components
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.fem.constraints import DependentDofs, Equations
-from morembs.fem.fe_model import MATRICES, DofMap, FEModel, Mesh, Nodes
+from morembs.fem.fe_model import MATRICES, DofMap, FEModel
+from morembs.fem.mesh import Mesh, Nodes
 
 
 def parts_of(model: FEModel) -> list[FEModel]:

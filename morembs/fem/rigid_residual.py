@@ -8,7 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base.types import Bools, Floats
-from morembs.fem.fe_model import Component, DofMap, Nodes, rigid_motion, skew
+from morembs.fem.fe_model import Component, DofMap, rigid_motion, skew
+from morembs.fem.mesh import Nodes
 from morembs.fem.tolerances import TOL
 from morembs.linalg.congruence import abs_products
 

@@ -24,8 +24,9 @@ from morembs.base.former_names import with_budget_argument, with_progress_argume
 from morembs.base.types import Floats, Ints, Reals
 from morembs.fem import assembly as fem
 from morembs.fem.elements import TYPES, ElementType
-from morembs.fem.fe_model import FEModel, Mesh
+from morembs.fem.fe_model import FEModel
 from morembs.fem.formulations import Elements, Formulation, formulation_of
+from morembs.fem.mesh import Mesh, material_of_elements
 from morembs.fem.surface import outer_faces
 from morembs.fem.tolerances import TOL
 
@@ -111,7 +112,7 @@ def stress_operator(
         )
     rows = chosen_rows(mesh, nodes)
     alike = _alike(model)
-    owner = {block: alike[which] for block, which in fem.material_of_elements(mesh, model.materials).items()}
+    owner = {block: alike[which] for block, which in material_of_elements(mesh, model.materials).items()}
     points = _points(mesh, owner, rows, len(alike))
     # Engineering shears of the materials' constants against tensor shears here.
     C = np.stack([material.stiffness for material in model.materials])[:, _FROM_VOIGT][:, :, _FROM_VOIGT]

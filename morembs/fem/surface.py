@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from morembs.base.types import Floats, Ints
 from morembs.fem.elements import FACES, TYPES
-from morembs.fem.fe_model import Mesh
+from morembs.fem.mesh import Mesh
 
 
 def outer_faces(mesh: Mesh, *, within: Ints | None = None, elements: tuple[Ints, ...] | None = None) -> dict[str, Ints]:

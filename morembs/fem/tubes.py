@@ -21,7 +21,8 @@ from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.limits import Finite, PoissonRatio, Positive, one_of
 from morembs.base.types import Floats, Ints
-from morembs.fem.fe_model import DofMap, FEModel, Nodes
+from morembs.fem.fe_model import DofMap, FEModel
+from morembs.fem.mesh import Nodes
 
 OUTLETS = ("held", "free")
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.fem import DofMap, Nodes
-from morembs.fem.fe_model import Component, refuse_far
+from morembs.fem.fe_model import Component
+from morembs.fem.mesh import refuse_far
 from morembs.importers.imported import Imported
 
 

@@ -17,8 +17,9 @@ from morembs.base.types import Ints
 from morembs.base.units import Units
 from morembs.fem import FEModel, Mesh, Nodes
 from morembs.fem.assembly import assemble
-from morembs.fem.fe_model import MATRICES, refuse_far
+from morembs.fem.fe_model import MATRICES
 from morembs.fem.handedness import right_handed
+from morembs.fem.mesh import refuse_far
 from morembs.fem.middle_nodes import mesh_in_order
 from morembs.fem.surface import seam_faces
 from morembs.importers.decks.labels import find

@@ -10,8 +10,8 @@ import numpy as np
 from morembs.base.errors import InputError, nearest
 from morembs.base.types import Ints
 from morembs.fem import Mesh
-from morembs.fem.assembly import material_of_elements
 from morembs.fem.material import Material, isotropic
+from morembs.fem.mesh import material_of_elements
 from morembs.fem.tolerances import TOL as FEM
 from morembs.parametric.parameter import Parameter
 

@@ -24,13 +24,13 @@ from morembs.fem.assembly import (
     integrate,
     mass_matrix,
     mass_warnings,
-    material_of_elements,
     stiffness_matrix,
 )
 from morembs.fem.elements import TYPES, Rule
-from morembs.fem.fe_model import DofMap, ElementBlock
+from morembs.fem.fe_model import DofMap
 from morembs.fem.formulations import formulation_of, mass_rule
 from morembs.fem.material import Material
+from morembs.fem.mesh import ElementBlock, material_of_elements
 from morembs.fem.middle_nodes import mesh_in_order
 from morembs.parametric.law import LAGRANGE, LINEAR, ONE, Law
 from morembs.parametric.morph import Morph

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from morembs.base.errors import InputError
-from morembs.fem.assembly import assemble, integrate, material_of_elements
+from morembs.fem.assembly import assemble, integrate
 from morembs.fem.elements import TYPES
 from morembs.fem.material import isotropic, orthotropic
+from morembs.fem.mesh import material_of_elements
 from morembs.parametric.law import Law, chebyshev_points, lagrange
 from morembs.parametric.parameter import Box
 from morembs.parametric.terms import AffineProblem, varied_model

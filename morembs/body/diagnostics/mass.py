@@ -13,11 +13,12 @@ from morembs.body.diagnostics.findings import Finding, Names
 from morembs.body.diagnostics.readings import orders
 from morembs.body.diagnostics.tolerances import TOL
 from morembs.fem import DofMap, Mesh, Nodes
-from morembs.fem.assembly import chunks, material_of_elements
+from morembs.fem.assembly import chunks
 from morembs.fem.elements import TYPES
 from morembs.fem.formulations import geometry
 from morembs.fem.mass import mass_properties
 from morembs.fem.material import Material
+from morembs.fem.mesh import material_of_elements
 from morembs.fem.rigid_residual import motion
 
 

@@ -20,12 +20,12 @@ from morembs.base.errors import InputError, SolverError
 from morembs.base.former_names import with_budget_argument
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel
-from morembs.fem.assembly import chunks, material_of_elements, node_graph, stiffness_pattern
+from morembs.fem.assembly import chunks, node_graph, stiffness_pattern
 from morembs.fem.elements import TYPES, Rule
-from morembs.fem.fe_model import ElementBlock
 from morembs.fem.formulations import formulation_of, geometry
 from morembs.fem.geometric_stiffness import element_stiffness
 from morembs.fem.material import VOIGT
+from morembs.fem.mesh import ElementBlock, material_of_elements
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,8 @@ from morembs.base.key_tables import described
 from morembs.base.limits import Finite, length, text
 from morembs.base.types import Floats, Ints
 from morembs.fem import DofMap, FEModel, Mesh, Nodes
-from morembs.fem.assembly import material_of_elements
 from morembs.fem.material import Material
+from morembs.fem.mesh import material_of_elements
 from morembs.fem.selection import NUMBERS, select_nodes
 from morembs.importers import read_mesh
 from morembs.parametric.parameter import NAME as PARAMETER
