@@ -17,7 +17,7 @@ from morembs.base.types import Floats, Ints
 from morembs.fem.arrays import frozen
 from morembs.fem.constraints import COUPLING, COUPLINGS, AverageElement, DependentDofs, Equations, RigidElement
 from morembs.fem.material import Material
-from morembs.fem.mesh import Mesh, Nodes, refuse_far
+from morembs.fem.mesh import Mesh, Nodes, material_of_elements, refuse_far
 from morembs.fem.named_columns import NamedColumns
 from morembs.fem.stored import matrix_table
 from morembs.fem.tolerances import TOL
@@ -192,6 +192,25 @@ class FEModel:
     materials: tuple[Material, ...] = dataset(
         listed(table_of(Material)), default=(), when="if", write=lambda model: model.materials or None
     )
+
+    @derived(
+        "whole",
+        "any",
+        "place in /materials of the material of each element, counted through all blocks",
+        name="elements/material",
+        since="0.2",
+        when="where each element has one material",
+    )
+    def element_materials(self) -> Ints | None:
+        """(ne,) place in ``materials`` of the material of each element; None where not each has one."""
+        if self.mesh is None or not self.materials:
+            return None
+        try:
+            owner = material_of_elements(self.mesh, self.materials)
+        except InputError:
+            return None  # models of matrices need no materials
+        return np.concatenate([owner[id(block)] for block in self.mesh.blocks])
+
     rigid: tuple[RigidElement, ...] = ()
     average: tuple[AverageElement, ...] = ()
 

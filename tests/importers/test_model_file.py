@@ -131,6 +131,24 @@ def test_the_page_names_all_formulations_and_rules_of_the_mass():
     assert rows["mass"].endswith(f"one of {', '.join(MASSES)}")
 
 
+def test_the_material_of_each_element_is_in_the_file(tmp_path):
+    bar, _, _ = with_hub(1)
+    mesh = bar.mesh
+    block, none = mesh.blocks[0], np.empty(0, dtype=np.int64)
+    halves = tuple(replace(block, nodes=block.nodes[part], ids=block.ids[part]) for part in (slice(0, 1), slice(1, 4)))
+    sets = {"SOFT": (none, np.array([0, 2])), "HARD": (np.array([0]), np.array([1]))}
+    soft, hard = (isotropic(**{**STEEL, "set": name, "young": E}) for name, E in (("SOFT", 1e9), ("HARD", 2e11)))
+    imported = Imported(source="bar", mesh=replace(mesh, blocks=halves, element_sets=sets), materials=(soft, hard))
+    with h5py.File(write_model(tmp_path / "two.model.h5", model_of(imported))) as file:
+        names = [file["materials/sets"].asstr()[i] for i in file["elements/material"][()]]
+    assert names == ["HARD", "SOFT", "HARD", "SOFT"]
+    # Matrices may come with elements that have none.
+    given = model_of(imported)
+    bare = model_of(replace(imported, K=given.K, M=given.M, nodes=mesh.nodes, materials=(soft,)))
+    with h5py.File(write_model(tmp_path / "bare.model.h5", bare)) as file:
+        assert "elements/material" not in file and "elements/types" in file
+
+
 def test_a_user_reads_it_with_h5py_alone(tmp_path):
     model = full_model()
     with h5py.File(write_model(tmp_path / "a.model.h5", model), "r") as file:
