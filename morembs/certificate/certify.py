@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,7 +131,7 @@ def _certificate(
         reference_error=unsure,
         block_error=_block_errors(problem, H_r - H, H),
         held_error=_held_errors(problem, H_r, H, omega),
-        static_error=_static_error(problem, reduced),
+        **_static_errors(problem, reduced),
         mode_frequencies_hz=poles.frequencies_hz,
         mode_enclosure_hz=poles.enclosure_hz,
         mode_deviation=poles.deviation,
@@ -179,6 +180,7 @@ def _measured(
                 block_error=_block_errors(problem, H_r - H, H),
                 held_error=_held_errors(problem, H_r, H, 2 * np.pi * hz),
                 static_error=float(np.linalg.norm(static - statics) / np.linalg.norm(statics)),
+                static_block_error=_block_errors(problem, (static - statics)[None], statics[None]),
                 mode_frequencies_hz=nothing,
                 mode_enclosure_hz=np.empty((0, 2)),
                 mode_deviation=nothing,
@@ -194,12 +196,17 @@ def _measured(
     return tuple(certificates)
 
 
-def _static_error(problem: Problem, reduced: ReducedModel) -> float:
+def _static_errors(problem: Problem, reduced: ReducedModel) -> dict[str, Any]:
+    """Errors at 0 Hz, by the fields of a certificate."""
     S = np.outer(problem.motion_scale, problem.motion_scale)
     statics = problem.B.T @ static_response(problem)
     # Without the loss factor, which would hide real parts.
     response = reduced_response(replace(reduced, structural=0.0), np.zeros(1))[0]
-    return float(np.linalg.norm((response - statics) * S) / np.linalg.norm(statics * S))
+    wrong, full = (response - statics) * S, statics * S
+    return {
+        "static_error": float(np.linalg.norm(wrong) / np.linalg.norm(full)),
+        "static_block_error": _block_errors(problem, wrong[None], full[None]),
+    }
 
 
 def _missing(poles: Poles) -> list[str]:

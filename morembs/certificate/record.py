@@ -75,7 +75,8 @@ class Certificate(ErrorLimits):
     is how far the full response is not known, round-off in K included.
     ``block_error`` (ni, ni) largest relative error of each block there, ``held_error`` (ni, nf) the relative error of
     what is left when interface i is held still, from the whole transfer matrix with its rigid-body part; not a number
-    below ``TOL.least_held`` of the upper frequency. ``static_error`` that at 0 Hz.
+    below ``TOL.least_held`` of the upper frequency. ``static_error`` that at 0 Hz, and
+    ``static_block_error`` (ni, ni) that of each block, which is the error of its static compliance.
 
     ``mode_frequencies_hz`` (k,) of the full model, which lie within ``mode_enclosure_hz`` (k, 2), as far as that meets
     the band, whose lower end may lie above modes too;
@@ -124,6 +125,13 @@ class Certificate(ErrorLimits):
         when=_MAYBE,
     )
     static_error: float = dataset("any", "", "error at 0 Hz", when=_MAYBE)
+    static_block_error: Floats = dataset(
+        "any",
+        "ni ni",
+        "error at 0 Hz of motion of interface i under load on interface j",
+        doc="error at 0 Hz of the motions of interface i under loads at interface j, relative to these motions",
+        since="0.2",
+    )
     mode_frequencies_hz: Floats = dataset(
         "any",
         "nm",

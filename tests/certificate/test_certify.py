@@ -360,6 +360,11 @@ def test_band_from_zero():
             assert (error <= certificate.bound * (1 + 1e-6) + 1e-11).all()
         assert modal.static_error == pytest.approx(modal.error[0], rel=1e-9) and modal.static_error > 0.01
         assert static.static_error < 1e-10
+        wrong, full = response_of(bodies[0], np.zeros(1))[0] * scale - H[0], H[0]
+        blocks = list(problem.coupling.columns.values())
+        expected = [[np.linalg.norm(wrong[i, j]) / np.linalg.norm(full[i, j]) for j in blocks] for i in blocks]
+        assert modal.static_block_error == pytest.approx(np.array(expected), rel=1e-7)
+        assert static.static_block_error.max() < 1e-9
 
 
 @pytest.mark.parametrize("shift", [1 - 1e-5, 1 + 1e-5, 1 + 1e-4])
