@@ -31,7 +31,11 @@ ROOMS = {
 }
 WHOLE = {"model": "fem"}
 # A module alone.
-MODULES = {"reducers.switching_tables": "responses.static_mode_tables"}
+MODULES = {
+    "reducers.switching_tables": "responses.static_mode_tables",
+    "storage.body_file": "body.file",
+    "storage.model_file": "importers.model_file",
+}
 
 
 def place_now(name: str) -> str:
