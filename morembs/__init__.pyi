@@ -1,5 +1,6 @@
 # What ``import morembs`` offers, and where each name lives.
 from .app.batches.run import batch
+from .app.jobs.import_job import import_model
 from .base.errors import InputError, MorembsError
 from .base.units import parse_units
 from .body import Body, ElasticBody, elastic_body, make_part
@@ -32,6 +33,7 @@ from .fem.tubes import Flow, Tube, conveying, tube_model
 from .importers import read_deck, read_mesh
 from .importers.decks.model import Deck
 from .importers.matrices.from_matrices import from_matrices
+from .importers.model_file import read_model, write_model
 from .linalg.sparse.select import available_solvers, select_solver
 from .problem import Damping, Problem
 from .reducers import (
@@ -120,6 +122,7 @@ __all__ = [
     "from_pymor",
     "full_response",
     "geometric_stiffening",
+    "import_model",
     "isotropic",
     "make_interface",
     "make_part",
@@ -130,6 +133,7 @@ __all__ = [
     "read_body",
     "read_deck",
     "read_mesh",
+    "read_model",
     "read_trajectory",
     "recover",
     "reduced_response",
@@ -144,4 +148,5 @@ __all__ = [
     "to_xarray",
     "tube_model",
     "write_body",
+    "write_model",
 ]

@@ -19,6 +19,7 @@ from morembs.app.cli.tolerance_table import tolerances
 from morembs.app.jobs.job import job_tables
 from morembs.base.arguments import hints_of
 from morembs.base.key_tables import expected, holds_several, inner_table
+from morembs.base.limits import choices
 from morembs.base.options import in_toml
 from morembs.body.body import BODY
 from morembs.body.floating.parametric import FrameTerms
@@ -29,6 +30,7 @@ from morembs.body.stored import FILE, INTERFACE
 from morembs.certificate.record import CERTIFICATE
 from morembs.dynamics.gmp.stored import MEMBER
 from morembs.importers.native import MODEL
+from morembs.importers.options import ImportOptions
 from morembs.parametric.bound import ParametricBound
 from morembs.parametric.proof import BoxCells
 from morembs.reducers import REDUCERS, Reducer
@@ -131,6 +133,16 @@ def job_keys() -> Iterator[str]:
             yield f"| `{name}` | `{key.name}` | {left_out(key)} | {expected(key, hints_of(kind)[key.name])} |"
 
 
+def import_options() -> Iterator[str]:
+    """A row for each option of an import."""
+    hints = hints_of(ImportOptions)
+    for entry in fields(ImportOptions):
+        flag = "FILE" if entry.name == "file" else f"--{entry.name.replace('_', '-')}"
+        meaning = entry.metadata["meaning"]
+        names = ", ".join(f"`{name}`" for name in choices(hints[entry.name]))
+        yield f"| `{flag}` | `{entry.name}` | {left_out(entry)} | {meaning}{f': {names}' if names else ''} |"
+
+
 def left_out(key: Field[object]) -> str:
     """What a key of a job has where it is left out."""
     value = key.default if key.default_factory is MISSING else key.default_factory()
@@ -160,6 +172,9 @@ def renewed(text: str) -> str:
             head, rows = ["| method | key | default | meaning |", "|---|---|---|---|"], list(keys())
         elif match[1] == "job keys":
             head, rows = ["| table | key | default | what to give |", "|---|---|---|---|"], list(job_keys())
+        elif match[1] == "import options":
+            head = ["| option | key, argument | default | meaning |", "|---|---|---|---|"]
+            rows = list(import_options())
         elif match[1] == "tolerances":
             head, rows = [], list(tolerance_tables())
         else:

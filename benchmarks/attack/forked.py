@@ -121,10 +121,10 @@ def program(arguments: Sequence[str]) -> Callable[[], None]:
     """The command line of morembs."""
     from morembs.app.cli import console
 
-    _built()
+    built, tree_of = _built(), typer.main.get_command
 
     def work() -> None:
-        typer.main.get_command = lambda _: _built()
+        typer.main.get_command = lambda given: built if given.info.name == "morembs" else tree_of(given)
         sys.argv = ["morembs", *arguments]
         console()
 

@@ -6,7 +6,7 @@ import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 from morembs.base.tolerances import TOL
 
@@ -20,6 +20,7 @@ class Domain:
     words: str
     passes: Callable[[Any], bool] = lambda _: True
     schema: Mapping[str, object] = field(default_factory=dict)
+    names: tuple[str, ...] = ()
 
 
 def number(words: str, **ends: float) -> Domain:
@@ -54,7 +55,13 @@ def length(words: str, least: int, most: int | None = None) -> Domain:
 
 def one_of(*names: str) -> Domain:
     """One of some texts."""
-    return Domain(alternatives(names), lambda value: value in names, {"enum": list(names)})
+    return Domain(alternatives(names), lambda value: value in names, {"enum": list(names)}, names)
+
+
+def choices(hint: Any) -> tuple[str, ...]:
+    """The texts that a hint with ``one_of`` takes; none for other hints."""
+    limits = [part for part in get_args(hint)[1:] if isinstance(part, Domain)]
+    return next((limit.names for limit in limits if limit.names), ())
 
 
 def alternatives(values: Sequence[object]) -> str:

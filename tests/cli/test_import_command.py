@@ -325,7 +325,7 @@ def test_a_dry_run_overwrites_nothing_whatever_its_name(tmp_path, monkeypatch):
     [
         ('mesh = "a.inp"\nfile = "a.model.h5"', "choose one"),
         ("", "mesh is missing"),
-        ('file = "none.model.h5"', "no such file"),
+        ('file = "none.model.h5"', "does not exist"),
         ('file = "old.h5"', "not an HDF5 file"),
         ('file = "none.model.h5"\nmass_integration = "exact"', "leave it out"),
     ],

@@ -12,7 +12,7 @@ import scipy.io
 import scipy.sparse as sp
 
 import morembs
-from morembs.app.jobs.import_job import ImportJob, run_import
+from morembs.app.jobs.import_job import run_import
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.stages.couple import interfaces_of
 from morembs.base.errors import InputError
@@ -20,6 +20,7 @@ from morembs.certificate.response import full_response, reduced_response
 from morembs.exporters.op4 import write_op4
 from morembs.importers import import_file
 from morembs.importers.model_file import read_model, write_model
+from morembs.importers.options import read_import_options
 from tests.support.meshes import box, steel
 from tests.support.processes import morembs as cli
 
@@ -109,7 +110,7 @@ def files(folder: Path) -> dict[str, Path]:
 def test_files_give_inputs_and_outputs_by_name(kind, tmp_path, model):
     at = "system/" if kind == "h5" else ""
     named = {role: f"{at}{role}" for role in "KMDBC"} | {"B_names": "drive, brake", "C_names": "strain"}
-    result = run_import(ImportJob(out=tmp_path / "chain.model.h5", file=files(tmp_path)[kind], options=named))
+    result = run_import(tmp_path / "chain.model.h5", read_import_options(file=files(tmp_path)[kind], set=named))
     for read in (result.model, read_model(result.path)):
         for mine, given in ((read.inputs, model.inputs), (read.outputs, model.outputs)):
             assert mine.names == given.names
@@ -121,16 +122,15 @@ def test_matrix_market_takes_further_files_and_a_job_their_columns(tmp_path, mod
     K, M, _, B, _ = chain()
     for name, A in (("K", K), ("M", M), ("B", sp.coo_array(B))):
         scipy.io.mmwrite(tmp_path / f"{name}.mtx", A)
-    matrices = {"K": tmp_path / "K.mtx", "M": tmp_path / "M.mtx"}
-    out = tmp_path / "chain.model.h5"
-    read = run_import(ImportJob(out=out, matrices=matrices, options={"B": "B.mtx"})).model
+    options = read_import_options(stiffness=tmp_path / "K.mtx", mass=tmp_path / "M.mtx", set={"B": "B.mtx"})
+    read = run_import(tmp_path / "chain.model.h5", options).model
     assert read.inputs.names == ("1", "2")
     assert np.array_equal(read.inputs.matrix.toarray(), B)
     (tmp_path / "job.toml").write_text(
         '[model]\nfile = "chain.model.h5"\n[[interface]]\nname = "in"\nmatrix = "B"\n'
         '[[reduce]]\nname = "m"\nmethod = "modal"\nmodes = 4\n[output]\npath = "out.h5"\n'
     )
-    (drive,) = interfaces_of(load_job(tmp_path / "job.toml"), read_model(out))
+    (drive,) = interfaces_of(load_job(tmp_path / "job.toml"), read_model(tmp_path / "chain.model.h5"))
     assert drive.forces == ("B:1", "B:2")
 
 

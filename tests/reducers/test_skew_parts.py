@@ -26,7 +26,6 @@ from morembs import (
     export_body,
     full_response,
     make_part,
-    parse_units,
     read_body,
     reduced_response,
     state_space,
@@ -35,13 +34,14 @@ from morembs import (
 )
 from morembs.app.cli.report_stored import print_stored
 from morembs.app.jobs.check import check_job
-from morembs.app.jobs.import_job import ImportJob, run_import
+from morembs.app.jobs.import_job import import_model
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.modes import job_modes
 from morembs.app.jobs.run import run_job
 from morembs.body.diagnostics.findings import Diagnosis
 from morembs.exporters import EXPORTERS
 from morembs.importers.model_file import read_model, write_model
+from morembs.importers.options import ROLES
 from morembs.responses.certified import certified_reference
 from tests.support.tubes import BORE, STEEL, arch, dense, eigenvalues, ports
 
@@ -236,8 +236,8 @@ def test_matrices_come_in_from_files_in_their_units(tmp_path):
     files = {name: tmp_path / f"{name}.mtx" for name in "KMG"} | {"N": tmp_path / "N.npz"}
     for name, path in files.items():
         (sp.save_npz if name == "N" else mmwrite)(path, sp.csr_array(given[name]))
-    job = ImportJob(out=tmp_path / "x.model.h5", matrices=files, units=parse_units("mm-kg-ms"))
-    model = read_model(run_import(job).path)
+    paths = {ROLES[role]: path for role, path in files.items()}
+    model = import_model(**paths, units="mm-kg-ms")
     np.testing.assert_allclose(model.G.toarray(), 1e3 * given["G"].toarray())
     np.testing.assert_allclose((model.K + model.N).toarray(), 1e6 * (given["K"] + given["N"]).toarray())
     np.testing.assert_array_equal(model.N.toarray(), -model.N.T.toarray())

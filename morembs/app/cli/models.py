@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
+from functools import cache, partial
+from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,14 +15,24 @@ from typer.core import TyperCommand
 
 from morembs.app.cli.messages import print_json, print_names, printing
 from morembs.app.cli.terminal import EPILOG, AsJson, messages, progress_line
-from morembs.app.cli.tolerances import TOL
 from morembs.base.errors import InputError
 from morembs.base.options import pairs
 
 if TYPE_CHECKING:
-    from morembs.app.jobs.import_job import ImportJob, ImportResult
+    from morembs.app.jobs.import_job import ImportResult
+    from morembs.fem.material import Material
+    from morembs.importers.options import ImportOptions
 
 app = typer.Typer()
+
+
+@app.command("import", epilog=EPILOG)
+def import_model() -> None:
+    """Convert a model of another program into a model file that jobs read."""
+
+
+# How options look whose text has parts.
+_METAVARS = {"density": "X[,set=NAME]", "skip": "WORD[,WORD]", "set": "KEY=VALUE", "keep_files": "DIR"}
 
 
 class _Asked(TyperCommand):
@@ -30,51 +44,15 @@ class _Asked(TyperCommand):
         return super().parse_args(ctx, args)
 
 
-@app.command("import", cls=_Asked, epilog=EPILOG)
-def import_model(
+def _import(
     context: typer.Context,
     files: Annotated[
         list[Path] | None, typer.Argument(metavar="[FILE]", help="The file of the model.", show_default=False)
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The model file to write, NAME.model.h5.")] = None,
-    format: Annotated[str | None, typer.Option(help="The format, one that --list names.")] = None,
-    units: Annotated[str, typer.Option(help="Length, mass and time of the files.")] = "m-kg-s",
-    stiffness: Annotated[Path | None, typer.Option(help="A file with K alone.")] = None,
-    mass: Annotated[Path | None, typer.Option(help="A file with M alone.")] = None,
-    damping: Annotated[Path | None, typer.Option(help="A file with D alone.")] = None,
-    gyroscopic: Annotated[Path | None, typer.Option(help="A file with G alone, skew-symmetric.")] = None,
-    circulatory: Annotated[Path | None, typer.Option(help="A file with N alone, which joins K.")] = None,
-    nodes: Annotated[Path | None, typer.Option(help="A mesh that gives nodes to matrices.")] = None,
-    dofs: Annotated[Path | None, typer.Option(help="A table node,dof of the rows (.csv).")] = None,
     material: Annotated[
         list[str] | None, typer.Option(help="For sets without: young=..,poisson=..,density=..[,set=NAME].")
     ] = None,
-    mass_integration: Annotated[str, typer.Option(help="For a mesh: element, exact or reduced.")] = "element",
-    dialect: Annotated[
-        str, typer.Option(help="The program that an .inp was written for: auto, abaqus or calculix.")
-    ] = "auto",
-    density: Annotated[
-        list[str] | None, typer.Option(help="For materials with stiffness only: X or X,set=NAME, in units of the deck.")
-    ] = None,
-    contact: Annotated[str, typer.Option(help="Contact of a deck: refuse, skip, or tie (glue).")] = "refuse",
-    skip: Annotated[
-        list[str] | None, typer.Option(help="Keywords, cards or element types to leave out, between commas.")
-    ] = None,
-    engine: Annotated[
-        str | None, typer.Option(help="Who assembles a deck: calculix or mystran (NAME:PATH), or auto.")
-    ] = None,
-    boundary: Annotated[str, typer.Option(help="With --engine: drop what the deck holds, or keep it.")] = "drop",
-    preload: Annotated[int, typer.Option(help="With --engine: the steps up to this one run first.")] = 0,
-    engine_timeout: Annotated[
-        float, typer.Option(help="With --engine: seconds for each run of it.")
-    ] = TOL.engine_seconds,
-    keep_files: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="With --engine: a folder for what it read and wrote.")
-    ] = None,
-    option: Annotated[list[str] | None, typer.Option("--set", help="An option of the format, KEY=VALUE.")] = None,
-    allow_includes_outside: Annotated[
-        bool, typer.Option("--allow-includes-outside", help="Decks may include files from beyond their folders.")
-    ] = False,
     split: Annotated[
         bool, typer.Option("--split", help="A file for each part that nothing joins to others: NAME-1.model.h5, ...")
     ] = False,
@@ -83,46 +61,29 @@ def import_model(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Tell all problems and notes, write nothing.")] = False,
     listed: Annotated[bool, typer.Option("--list", help="List the formats and engines.")] = False,
     as_json: AsJson = False,
+    **given: Any,
 ) -> None:
     """Convert a model of another program into a model file that jobs read."""
-    from morembs.app.jobs.import_job import ImportJob, list_engines, list_formats, material_of, run_import
-    from morembs.base.units import parse_units
-    from morembs.importers.decks.options import density_of
+    from morembs.app.jobs.import_job import run_import
     from morembs.importers.decks.problems import DeckError
 
     command = _command(context.meta[_Asked.__name__])
     with messages():
         if listed:
-            engines = list_engines()
-            print_names({**list_formats(), **engines}, as_json, dict.fromkeys(engines, "--engine "))
+            engines = _list_engines()
+            print_names({**_list_formats(), **engines}, as_json, dict.fromkeys(engines, "--engine "))
             return
-        named = {"K": stiffness, "M": mass, "D": damping, "G": gyroscopic, "N": circulatory}
-        job = ImportJob(
-            out=_model_file(Path("dry.model.h5") if dry_run and out is None else out),
-            file=_only_file(files or []),
-            format=format,
-            units=parse_units(units),
-            nodes=nodes,
-            dofs=dofs,
-            matrices={role: path for role, path in named.items() if path is not None},
-            materials=tuple(material_of(text) for text in material or []),
-            mass_integration=mass_integration,
-            dialect=dialect,
-            density=density_of(density or []),
-            contact=contact,
-            skip=tuple(word.strip() for text in skip or [] for word in text.split(",") if word.strip()),
-            engine=engine,
-            engine_options=_engine_options(boundary, preload, engine_timeout, keep_files),
-            options=pairs(option or []),
-            allow_includes_outside=allow_includes_outside,
-            split=split,
+        target = _model_file(Path("dry.model.h5") if dry_run and out is None else out)
+        options = _options_given(_only_file(files or []), given)
+        run = partial(
+            run_import, target, options, materials=_materials(material), split=split, check=check, strict=strict
         )
         if dry_run:
-            _dry_run(job, command, check=check, strict=strict, as_json=as_json)
+            _dry_run(run, command, as_json=as_json)
             return
         try:
             with progress_line() as progress:
-                done = run_import(job, check=check, strict=strict, progress=progress)
+                done = run(progress=progress)
         except DeckError as error:
             raise InputError("\n".join(error.asked(command).lines())) from None
         parts = [done, *done.others]
@@ -131,6 +92,117 @@ def import_model(
                 print_json([_document(part) for part in parts])
             else:
                 typer.echo("\n".join(line for part in parts for line in _lines(part)))
+
+
+_import.__doc__ = import_model.__doc__
+
+
+@cache
+def import_command() -> Any:
+    """An option for each field of ``ImportOptions``; these are loaded only where it is used."""
+    own = signature(_import, eval_str=True).parameters
+    context, first, *others = (parameter for parameter in own.values() if parameter.kind is not Parameter.VAR_KEYWORD)
+    parameters = [context, first, *_import_options(), *others]
+    _import.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    _import.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    verb = typer.Typer(add_completion=False)
+    verb.command("import", cls=_Asked, epilog=EPILOG)(_import)
+    return typer.main.get_command(verb)
+
+
+def _import_options() -> Iterator[Parameter]:
+    """Parameters of the command line for the options that are not its argument."""
+    from morembs.base.arguments import hints_of
+    from morembs.base.limits import choices
+    from morembs.importers.options import PATHS, ImportOptions, default_of
+
+    hints = hints_of(ImportOptions)
+    for entry in fields(ImportOptions):
+        name, default, meaning = entry.name, default_of(entry), entry.metadata["meaning"].replace("`", "")
+        if name == "file":
+            continue
+        several = name in ("density", "skip", "set")
+        kind: Any = list[str] | None if several else type(default) if default is not None else str | None
+        shown = typer.Option(
+            f"--{name.replace('_', '-')}",
+            metavar=_METAVARS.get(name, "FILE" if name in PATHS else "|".join(choices(hints[name])) or None),
+            help=f"{meaning[0].upper()}{meaning[1:]}.",
+        )
+        yield Parameter(
+            name,
+            Parameter.POSITIONAL_OR_KEYWORD,
+            default=None if several else default,
+            annotation=Annotated[kind, shown],
+        )
+
+
+def _options_given(file: Path | None, given: dict[str, Any]) -> ImportOptions:
+    """The options of the command line."""
+    from morembs.base.units import parse_units
+    from morembs.importers.decks.options import density_of
+    from morembs.importers.options import read_import_options
+
+    parse_units(given["units"])
+    words = [word.strip() for text in given["skip"] or [] for word in text.split(",") if word.strip()]
+    texts = {
+        "density": density_of(given["density"] or []) or None,
+        "skip": words or None,
+        "set": pairs(given["set"] or []),
+    }
+    return read_import_options(**{**given, **texts, "file": file})
+
+
+def _materials(texts: Sequence[str] | None) -> tuple[Material, ...]:
+    """Materials in the units of the files from "young=210e3,poisson=0.3,density=7.85e-9[,set=NAME]" each.
+
+    Raises:
+        InputError: unknown, missing or repeated keys, or values that make no material.
+    """
+    return tuple(_material(text) for text in texts or [])
+
+
+def _material(text: str) -> Material:
+    from morembs.fem.material import isotropic
+
+    given: dict[str, str] = {}
+    for part in text.split(","):
+        key, equals, value = part.partition("=")
+        if not equals or key.strip() in given or key.strip() not in ("young", "poisson", "density", "set"):
+            raise InputError(
+                f"--material {text!r} was given; expected young=...,poisson=...,density=... and for one element set "
+                ",set=NAME"
+            )
+        given[key.strip()] = value.strip()
+    try:
+        numbers = {key: float(given[key]) for key in ("young", "poisson", "density")}
+    except (KeyError, ValueError) as error:
+        raise InputError(f"--material {text!r} was given; expected numbers young, poisson and density") from error
+    return isotropic(set=given.get("set", "all"), **numbers)
+
+
+def _list_engines() -> dict[str, str]:
+    """A line for each program that may assemble decks: what it is, and where it is found."""
+    from morembs.importers.engines import ENGINES
+
+    lines = {}
+    for name, engine in ENGINES.items():
+        try:
+            program = engine.find("")
+            place = f"{program.name}{f' {program.version}' if program.version else ''} at {program.path}"
+        except InputError:
+            place = "not found"
+        lines[name] = f"{engine.about} ({place})"
+    return lines
+
+
+def _list_formats() -> dict[str, str]:
+    """A line for each format."""
+    from morembs.importers import IMPORTERS
+
+    return {
+        name: importer.about + (f" ({', '.join(importer.endings)})" if importer.endings else "")
+        for name, importer in IMPORTERS.items()
+    }
 
 
 def _command(arguments: list[str]) -> str:
@@ -156,29 +228,17 @@ def _only_file(files: list[Path]) -> Path | None:
     return files[0] if files else None
 
 
-def _engine_options(boundary: str, preload: int, timeout: float, keep: Path | None) -> dict[str, Any]:
-    """The options of engines that are not as they are by default."""
-    given = {
-        "boundary": (boundary, "drop"),
-        "preload": (preload, 0),
-        "timeout": (timeout, TOL.engine_seconds),
-        "keep_files": ("" if keep is None else str(keep), ""),
-    }
-    return {name: value for name, (value, default) in given.items() if value != default}
-
-
-def _dry_run(job: ImportJob, command: str, *, check: bool, strict: bool, as_json: bool) -> None:
+def _dry_run(run: Callable[..., ImportResult], command: str, *, as_json: bool) -> None:
     """What an import would say; nothing is written.
 
     Raises:
         typer.Exit: the model cannot be imported, with code 2.
     """
-    from morembs.app.jobs.import_job import run_import
     from morembs.importers.decks.problems import DeckError, in_lines
 
     try:
         with progress_line() as progress:
-            done = run_import(job, check=check, strict=strict, dry=True, progress=progress)
+            done = run(dry=True, progress=progress)
     except DeckError as error:
         answer = error.asked(command).answer
         with printing():

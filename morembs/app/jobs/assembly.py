@@ -14,7 +14,7 @@ from morembs.app.jobs.job import load_job
 from morembs.app.jobs.solver import solver_of
 from morembs.app.jobs.stages.certificate import certified_band
 from morembs.app.jobs.stages.couple import damping_of, interfaces_of
-from morembs.app.jobs.stages.model import materials_of, mesh_of, model_of_file
+from morembs.app.jobs.stages.model import materials_of, mesh_of, model_of_files
 from morembs.app.jobs.stages.parameters import ParameterTable
 from morembs.app.jobs.stages.preload import PreloadTable
 from morembs.app.jobs.stages.reduction import reducers_of
@@ -111,8 +111,8 @@ class _Maker:
     def _problem(self, job: Job) -> Problem:
         own = self.job
         given = ModelTable.of(own)
-        if given.file is not None:
-            model = equations_of_motion(own, model_of_file(own))
+        if given.brings_matrices:
+            model = equations_of_motion(own, model_of_files(own))
         else:
             model = assemble(mesh_of(own), materials_of(own), mass_integration=given.mass_integration)
         # That of the part: another one may turn modes of one frequency.

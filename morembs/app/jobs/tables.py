@@ -15,7 +15,8 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
 from morembs.base.errors import InputError
 from morembs.base.key_tables import Table, described
 from morembs.base.limits import Finite, length, number, text
-from morembs.base.units import Units, parse_units
+from morembs.base.units import Units
+from morembs.importers.options import ImportOptions, option
 from morembs.reducers.base import Reducer
 from morembs.storage.attempts import attempt_at
 
@@ -113,47 +114,48 @@ class JobTables(Table):
         return getattr(self, name)
 
 
-@dataclass(frozen=True, kw_only=True)
-class UnitsTable(Table):
-    """Units by name."""
-
-    length: str = described('a unit of length such as "mm"')
-    mass: str = described('a unit of mass such as "t"')
-    time: str = described('a unit of time such as "s"')
+# Keys of [model] that go with mesh.
+OF_MESHES = {"units", "mass_integration", "dialect", "allow_includes_outside"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModelTable(SingleTable):
-    """``[model]``: a mesh file, or a model file; and the units of all numbers in the mesh and in the job.
+class ModelTable(SingleTable, ImportOptions):
+    """``[model]``: a mesh, or files of a whole model with the options of their import; units of all numbers in the job.
 
     A job with tables ``[[substructure]]`` has neither; ``units`` are those of its places and springs.
     """
 
-    mesh: Annotated[str, text('the path of a mesh file such as "conrod.msh"')] | None = None
-    file: Annotated[str, text('the path of a model file of morembs import such as "conrod.model.h5"')] | None = None
-    engine: Annotated[str, text('who assembles a deck that file names: "auto", "calculix" or "mystran"')] | None = None
-    units: str | UnitsTable = described(
-        '"length-mass-time" such as "mm-t-s", or a table with length, mass and time', "m-kg-s"
+    mesh: Annotated[str, text('the path of a mesh file such as "conrod.msh"')] | None = option(
+        "the file of a mesh, in place of file"
     )
-    mass_integration: Literal["element", "exact", "reduced"] = "element"
-    dialect: Literal["auto", "abaqus", "calculix"] = described(
-        '"auto", "abaqus" or "calculix": the program that a deck .inp was written for', "auto"
-    )
-    allow_includes_outside: bool = described("true or false: a deck may include files from beyond its folder", False)
-    unsymmetric: Literal["refuse", "split", "symmetrise"] = described(
-        '"refuse", "split" or "symmetrise": what becomes of the skew parts of K and D', "refuse"
+    unsymmetric: Literal["refuse", "split", "symmetrise"] = option(
+        "the skew parts of K and D: refused, split off as N and G, or dropped", "refuse"
     )
 
+    @property
+    def brings_matrices(self) -> bool:
+        """Whether files of a whole model are given, not a mesh alone."""
+        return bool(self.files) and self.mesh is None
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the model takes no materials: it is that of a model file, or made of bodies."""
+        return not self.files or (self.file or "").endswith(".model.h5")
+
     def refuse_conflicts(self) -> None:
-        if self.mesh is not None and self.file is not None:
+        if self.mesh is not None and (self.file is not None or self.matrices):
             raise InputError("mesh and file were both given; choose one")
-        if self.engine is not None and self.file is None:
-            raise InputError(f'engine = "{self.engine}" was given without file, the deck that it is for; give file')
-        if self.file is not None and self.engine is None and "mass_integration" in self.given:
+        if self.files and self.is_ready and "mass_integration" in self.given:
             raise InputError("mass_integration was given for a model file, whose matrices are ready; leave it out")
-        deck = self.mesh or (self.file if self.engine is not None else None) or ""
-        if self.dialect != "auto" and not deck.lower().endswith(".inp"):
+        if self.mesh is None:
+            return
+        if self.dialect != "auto" and not self.mesh.lower().endswith(".inp"):
             raise InputError(f'dialect = "{self.dialect}" was given without a deck .inp; leave it out')
+        others = {entry.name for entry in fields(ImportOptions)} - OF_MESHES
+        for name in sorted(others & self.given):
+            raise InputError(
+                f"{name} was given beside mesh, of which only nodes and elements are read; give file = ..."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,8 +217,7 @@ class Job:
     @property
     def units(self) -> Units:
         """The declared units."""
-        given = ModelTable.of(self).units
-        return parse_units(given if isinstance(given, str) else given.values())
+        return ModelTable.of(self).parsed_units
 
     @property
     def output(self) -> Path:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from morembs.app.jobs.equations import FlowTable, equations_of_motion
+from morembs.app.jobs.import_job import read_files_model
 from morembs.app.jobs.stages.forecast import least_memory, require_room, require_room_of_mesh
 from morembs.app.jobs.stages.stage import MODEL, JobStage, Result, Work
 from morembs.app.jobs.tables import Job, JobTable, JobTables, ModelTable, RepeatedTable, Three
@@ -20,9 +21,10 @@ from morembs.base.units import Units
 from morembs.fem import FEModel, Mesh
 from morembs.fem.assembly import assemble
 from morembs.fem.material import Material, isotropic, orthotropic
-from morembs.importers import import_file, read_mesh
+from morembs.importers import read_mesh
 from morembs.importers.model_file import read_model
-from morembs.importers.to_model import model_of
+from morembs.importers.native import FORMAT
+from morembs.storage.hdf5 import holds_format
 
 MESH: Result[Mesh] = Result("mesh")
 
@@ -63,8 +65,8 @@ class ReadMesh(JobStage):
         model, materials = ModelTable.of(tables), MaterialTable.of(tables)
         if model.mesh is not None and not materials:
             raise InputError("material is missing; expected at least one table [[material]]")
-        if model.mesh is None and model.engine is None and materials:
-            what = "a model file" if model.file is not None else "bodies"
+        if model.mesh is None and model.is_ready and materials:
+            what = "a model file" if model.files else "bodies"
             raise InputError(f"[[material]] was given for {what}, whose matrices are ready; leave it out")
 
     def is_asked(self, job: Job) -> bool:
@@ -99,18 +101,18 @@ class Assemble(JobStage):
 
 
 class ReadModel(JobStage):
-    """The model of a model file or of a deck that an engine assembles, with what the job makes of its equations."""
+    """The model of files of a whole model, with what the job makes of its equations."""
 
     tables: ClassVar[tuple[type[JobTable], ...]] = (ModelTable, MaterialTable, FlowTable)
     gives = (MODEL,)
     step = "read"
 
     def refuse_conflicts(self, tables: JobTables) -> None:
-        if FlowTable.of(tables) and ModelTable.of(tables).file is None:
+        if FlowTable.of(tables) and not ModelTable.of(tables).brings_matrices:
             raise InputError("[[flow]] was given without a model file; a mesh of solids has no tubes of beam elements")
 
     def is_asked(self, job: Job) -> bool:
-        return ModelTable.of(job).file is not None
+        return ModelTable.of(job).brings_matrices
 
     def prepare(self, job: Job) -> None:
         materials_of(job)
@@ -118,11 +120,13 @@ class ReadModel(JobStage):
     def reads(self, job: Job) -> Mapping[str, Path]:
         tables = [flow.path for flow in FlowTable.of(job) if flow.path.endswith(".csv")]
         files = {f"the path of [[flow]] {path}": job.resolve(path) for path in tables}
-        return {"the model file": job.resolve(ModelTable.of(job).file or "")} | files
+        model = ModelTable.of(job)
+        own = model.with_paths(job.resolve).files if model.brings_matrices else ()
+        return {"the model file" if path.suffix == ".h5" else f"the file {path.name}": path for path in own} | files
 
     def matrices(self, job: Job) -> FEModel:
-        """The model as it stands in its file."""
-        return model_of_file(job)
+        """The model of its files, as they have it."""
+        return model_of_files(job)
 
     def run(self, work: Work) -> None:
         job = work.job
@@ -137,22 +141,25 @@ class ReadModel(JobStage):
         work.give(MODEL, equations_of_motion(job, model))
 
 
-def model_of_file(job: Job) -> FEModel:
-    """The model that the file of the job holds, in SI units, or that the engine makes of it.
+def model_of_files(job: Job) -> FEModel:
+    """The model of the files that ``[model]`` names, in SI units.
 
     Raises:
-        InputError: no model file, or a deck that the engine does not take.
+        InputError: files that cannot be used, or options that they do not take.
     """
-    given = ModelTable.of(job)
-    path = job.resolve(given.file or "")
-    if given.engine is None:
-        return read_model(path)
-    options: dict[str, Any] = {} if given.dialect == "auto" else {"dialect": given.dialect}
-    if given.allow_includes_outside:
-        options["allow_includes_outside"] = True
-    materials = [_material(table, Units()) for table in MaterialTable.of(job)]
-    imported = import_file(path, options=options, engine=given.engine, materials=materials)
-    return model_of(imported, job.units, mass_integration=given.mass_integration)
+    options = ModelTable.of(job).with_paths(job.resolve)
+    if options.file is not None and options.has_plain_file and holds_format(Path(options.file), FORMAT):
+        # Its units are SI; those of the job are of the numbers in the job.
+        return read_model(options.file)
+    try:
+        return read_files_model(options, [_material(table, Units()) for table in MaterialTable.of(job)])
+    except InputError as error:
+        if " --" not in str(error):
+            raise
+        raise InputError(
+            f"{error}; in a job, options of the command line are keys of [model] with the same names, such as "
+            'density = { SET = 7.85e-9 } or skip = ["CONTACT PAIR"], and materials are tables [[material]]'
+        ) from error
 
 
 def materials_of(job: Job) -> list[Material]:

@@ -1,0 +1,143 @@
+"""Options of an import are declared once, and mean the same on the command line, in jobs and in Python."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import morembs
+from morembs import InputError, import_model, read_model
+from morembs.app.cli.models import import_command
+from morembs.app.jobs.tables import ModelTable
+from morembs.importers.options import ImportOptions, read_import_options
+from tests.support import commands
+from tests.support.decks import BEAM, MATERIAL, deck, folder
+
+# Steel without density, and contact, which a linear model does not carry.
+INCOMPLETE = deck(BEAM) + MATERIAL.replace("*DENSITY\n7.85e-9\n", "") + "*CONTACT PAIR, INTERACTION=NONE\nA, B\n"
+OPTIONS = {"units": "mm-t-s", "density": 7.85e-9, "skip": ["CONTACT PAIR"]}
+JOB = 'file = "part.inp"\nunits = "mm-t-s"\n'
+
+
+def same(a, b) -> bool:
+    return all((abs(getattr(a, name) - getattr(b, name))).max() == 0 for name in "KM") and a.warnings == b.warnings
+
+
+def blocks(language: str, word: str) -> list[str]:
+    text = (Path(__file__).parents[2] / "docs/formats.md").read_text()
+    return [block for block in re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL) if word in block]
+
+
+def test_each_option_is_a_flag_and_a_key():
+    names = {entry.name for entry in fields(ImportOptions)}
+    flags = {option.name for option in import_command().params}
+    assert names - {"file"} <= flags and "material" in flags
+    assert names < {entry.name for entry in fields(ModelTable)}
+
+
+def test_the_command_and_python_make_the_same_model(tmp_path):
+    (tmp_path / "part.inp").write_text(INCOMPLETE)
+    out = tmp_path / "part.model.h5"
+    given = ("--units", "mm-t-s", "--density", "7.85e-9,set=EVERY", "--skip", "CONTACT PAIR")
+    commands.run("import", tmp_path / "part.inp", *given, "-o", out)
+    model = import_model(tmp_path / "part.inp", **OPTIONS)
+    assert same(read_model(out), model) and "density-given" in " ".join(model.warnings)
+    # 24 cubes of 10 mm of steel.
+    np.testing.assert_allclose(model.M[0::3, 0::3].sum(), 24 * 7.85e-9 * 1e3 * 1e3)
+
+
+def test_a_job_reads_a_deck_by_itself(tmp_path):
+    """The bodies of a deck and of the model file that the import makes of it are the same."""
+    texts = [JOB + 'density = { EVERY = 7.85e-9 }\nskip = ["CONTACT PAIR"]', 'file = "part.model.h5"\nunits = "mm-t-s"']
+    bodies = []
+    for number, text in enumerate(texts):
+        path = tmp_path / str(number)
+        path.mkdir()
+        job = folder(path, {"model": text, "material": None}, INCOMPLETE)
+        morembs.write_model(path / "part.model.h5", import_model(path / "part.inp", **OPTIONS))
+        commands.run("reduce", job)
+        bodies.append(morembs.read_body(path / "part.h5").bodies["cb"])
+    assert all(np.array_equal(getattr(bodies[0].reduced, name), getattr(bodies[1].reduced, name)) for name in "KM")
+
+
+def test_materials_of_a_job_go_to_its_deck(tmp_path):
+    job = folder(tmp_path, {"model": JOB}, deck(BEAM))
+    assert "cb" in commands.run("reduce", job)
+    job = folder(tmp_path, {"model": JOB}, deck(BEAM) + MATERIAL)
+    assert "brings its own materials" in commands.refused(job)
+
+
+def test_a_job_reads_matrices_by_themselves(tmp_path):
+    from scipy.io import mmwrite
+
+    model = import_model_of_steel(tmp_path)
+    for name in "KM":
+        mmwrite(tmp_path / f"{name}.mtx", getattr(model, name).tocoo())
+    text = 'stiffness = "K.mtx"\nmass = "M.mtx"\nnodes = "part.inp"\n'
+    job = folder(tmp_path, {"model": text, "material": None}, scaled_deck())
+    commands.run("reduce", job)
+    whole = folder(tmp_path, {"model": JOB, "output": 'path = "deck.h5"'}, deck(BEAM))
+    commands.run("reduce", whole)
+    mine, other = (morembs.read_body(tmp_path / name).bodies["cb"].frequencies_hz for name in ("part.h5", "deck.h5"))
+    np.testing.assert_allclose(mine[6:], other[6:], rtol=1e-9)
+
+
+def import_model_of_steel(path: Path) -> morembs.FEModel:
+    (path / "steel.inp").write_text(deck(BEAM) + MATERIAL)
+    return import_model(path / "steel.inp", units="mm-t-s")
+
+
+def scaled_deck() -> str:
+    return deck(BEAM, size=0.01)
+
+
+def test_a_job_names_the_keys_that_answer_its_deck(tmp_path):
+    message = commands.refused(folder(tmp_path, {"model": JOB, "material": None}, INCOMPLETE))
+    assert "CONTACT PAIR" in message and "keys of [model]" in message and "density = {" in message
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"contact": "glue"}, "contact"),
+        ({"density": -1.0}, "density"),
+        ({"densty": 1.0}, "did you mean 'density'"),
+        ({"engine_timeout": 0}, "engine_timeout"),
+        ({"units": "mm"}, "units"),
+        ({"boundary": "keep"}, "--engine"),
+    ],
+)
+def test_options_of_python_are_checked(given, named, tmp_path):
+    (tmp_path / "part.inp").write_text(deck(BEAM) + MATERIAL)
+    with pytest.raises(InputError, match=re.escape(named)):
+        import_model(tmp_path / "part.inp", **given)
+
+
+def test_keys_of_whole_models_are_refused_beside_a_mesh(tmp_path):
+    job = folder(tmp_path, {"model": 'mesh = "part.inp"\nunits = "mm-t-s"\ncontact = "skip"'})
+    assert "contact was given beside mesh" in commands.refused(job)
+
+
+def test_paths_of_a_job_are_seen_from_its_folder(tmp_path):
+    options = read_import_options(file="a.inp", nodes="b.msh").with_paths(lambda path: tmp_path / path)
+    assert options.files == (tmp_path / "a.inp", tmp_path / "b.msh")
+
+
+def test_a_body_file_is_no_model(tmp_path):
+    job = folder(tmp_path)
+    commands.run("reduce", job)
+    assert "is a body file" in commands.run("import", tmp_path / "part.h5", "-o", tmp_path / "x.model.h5", code=2)
+
+
+def test_the_examples_of_the_documents(tmp_path, monkeypatch):
+    (toml,), (python,) = blocks("toml", "bracket.inp"), blocks("python", "bracket.inp")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bracket.inp").write_text(INCOMPLETE.replace("EVERY", "BODY"))
+    job = folder(tmp_path, {"model": toml.replace("[model]\n", ""), "material": None})
+    commands.run("reduce", job)
+    exec(python, {})
+    assert same(read_model("bracket.model.h5"), import_model("bracket.inp", **OPTIONS))
