@@ -59,7 +59,7 @@ def bounds_of(problem: Problem, high: float, rng: np.random.Generator) -> Floats
         # No tolerance: the plain formula at one frequency.
         (residual,) = Kept.last
         there = np.array([Residual.bounds(residual, (w, w * (1 + 1e-9)), 0.0)[1].max() for w in omega])
-        cells = standard.uncertain(omega, omega)
+        cells = standard.uncertainty(omega, omega)
         known = off > LEAST * lost
         ratios.append(np.stack([off, there, cells])[:, known])
     return np.hstack(ratios)

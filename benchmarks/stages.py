@@ -11,6 +11,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.linalg import eigen, lanczos, sturm
+from morembs.linalg.space import Columns, Space
 from morembs.linalg.sparse.symmetric import Lower
 from morembs.linalg.statics import Statics
 
@@ -22,10 +23,10 @@ _STAGES: tuple[tuple[Any, str, str], ...] = (
     (eigen, "count_below", "count"),
     (sp.csr_array, "__matmul__", "products"),
     (Lower, "__matmul__", "products"),
-    (lanczos, "take_out", "orthogonal"),
+    (Space, "project_out_once", "orthogonal"),
     (lanczos, "orthonormal_pair", "orthogonal"),
-    (lanczos, "multiply", "vectors"),
-    (lanczos, "multiply_into", "vectors"),
+    (Columns, "multiply", "vectors"),
+    (Columns, "multiply_into", "vectors"),
     (sl, "eigh", "small"),
 )
 NAMES = tuple(dict.fromkeys(stage for *_, stage in _STAGES))

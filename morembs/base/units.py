@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -74,6 +74,12 @@ def parse_units(given: str | Mapping[str, str]) -> Units:
 def in_hz(omega: Rate) -> Rate:
     """Frequencies in Hz of ``omega`` in rad/s, of any shape."""
     return omega / (2 * np.pi)
+
+
+def angular_band(band_hz: Sequence[float]) -> tuple[float, float]:
+    """Ends of a band in rad/s, from those in Hz."""
+    low, high = band_hz
+    return 2 * np.pi * low, 2 * np.pi * high
 
 
 def eigenvalue_in_hz(value: Any) -> Any:

@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from morembs.base.errors import InputError
 from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.body.body import Body
 from morembs.body.floating.frame import FloatingFrame, floating_frame, why_not_floating
 from morembs.body.floating.ranking import ranked_terms
@@ -70,7 +71,7 @@ def body_of(reduced: ReducedModel, part: Part, frequencies_hz: Floats | None = N
         values, Y = reduced.modes()
         omega = np.sqrt(np.maximum(values, 0.0))
         omega[: reduced.rigid_count] = 0.0
-        frequencies_hz = omega / (2 * np.pi)
+        frequencies_hz = in_hz(omega)
         if reduced.congruent:
             # Modes have unit modal mass; those without frequency have no ratio.
             damping = np.einsum("in,in->n", Y, reduced.D @ Y)

@@ -14,6 +14,7 @@ import numpy as np
 
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.body.curve_check import curve_findings
 from morembs.body.delivered import Delivered, delivered
 from morembs.body.diagnostics.findings import Diagnosis, Finding, sentences
@@ -21,6 +22,7 @@ from morembs.body.frame_check import frame_findings
 from morembs.body.rigid_check import eigh, rigid_findings, scale
 from morembs.body.stored import StoredBodies
 from morembs.body.tolerances import TOL
+from morembs.linalg.columns import symmetric
 
 if TYPE_CHECKING:
     from morembs.body import Body, Part
@@ -115,7 +117,7 @@ def _definite(given: Delivered, findings: list[Finding], facts: dict[str, Any]) 
             continue
         s = scale(A)
         s[s == 0] = 1.0
-        lowest = float(np.linalg.eigvalsh(0.5 * (A + A.T) / np.outer(s, s)).min(initial=1.0))
+        lowest = float(np.linalg.eigvalsh(symmetric(A) / np.outer(s, s)).min(initial=1.0))
         facts[f"lowest_of_scaled_{name}"] = lowest
         if name != "M" and lowest < -TOL.negative_eigenvalue and _round_off(A, given):
             continue
@@ -140,7 +142,7 @@ def _round_off(A: Floats, given: Delivered) -> bool:
         return True
     m = scale(given.M)
     m[m == 0] = 1.0
-    values, squares = (np.linalg.eigvalsh(0.5 * (X + X.T) / np.outer(m, m)) for X in (A, given.K))
+    values, squares = (np.linalg.eigvalsh(symmetric(X) / np.outer(m, m)) for X in (A, given.K))
     # Dashpots between nodes that move as one leave a D of round-off alone: critical damping is what it is measured by.
     size = np.sqrt(np.abs(squares).max(initial=0.0)) if A is given.D else 0.0
     return bool(values.min(initial=0.0) > -TOL.roundoff_eigenvalue * max(np.abs(values).max(initial=0.0), size))
@@ -169,7 +171,7 @@ def _response(given: Delivered, values: Floats, Y: Floats) -> list[Finding]:
 
 
 def _frequencies(given: Delivered, values: Floats, Y: Floats, findings: list[Finding], facts: dict[str, Any]) -> None:
-    hz = np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)
+    hz = eigenvalue_in_hz(values)
     hz[: given.rigid_count] = 0.0
     facts["free_hz"] = hz
     if not given.inertia.any():
@@ -218,7 +220,7 @@ def _effective(given: Delivered, rigid: Floats, findings: list[Finding], facts: 
     taken = (N @ phi).T @ given.M @ rigid
     whole = np.diag(rigid.T @ given.M @ rigid)
     share = (taken**2).sum(axis=0) / whole
-    facts["fixed_hz"] = np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)
+    facts["fixed_hz"] = eigenvalue_in_hz(values)
     facts["effective_mass"], facts["effective_mass_share"] = taken**2, share
     if share[:3].min() < TOL.effective_mass:
         words = ", ".join(f"{value:.0%}" for value in share[:3])
@@ -235,15 +237,13 @@ def _damping(given: Delivered, values: Floats, Y: Floats, findings: list[Finding
     facts["damping_ratios"] = ratios
     if len(ratios) and ratios.min() < -TOL.negative_damping:
         k = int(ratios.argmin())
-        sentence = (
-            f"elastic mode {k + 1} at {omega[k] / (2 * np.pi):.4g} Hz has a negative damping ratio of {ratios[k]:.3g}"
-        )
+        sentence = f"elastic mode {k + 1} at {in_hz(omega[k]):.4g} Hz has a negative damping ratio of {ratios[k]:.3g}"
         cure = "a simulation would gain energy; check the damping matrix"
         findings.append(Finding(code="negative-damping", severity="error", sentence=sentence, cure=cure))
     elif len(ratios):
         k = int(ratios.argmin())
         words = "no damping" if ratios.max() <= 0 else f"damping ratios from {ratios.min():.3g} to {ratios.max():.3g}"
-        sentence = f"elastic modes have {words}, the lowest at {omega[k] / (2 * np.pi):.4g} Hz"
+        sentence = f"elastic modes have {words}, the lowest at {in_hz(omega[k]):.4g} Hz"
         findings.append(Finding(code="damping", severity="note", sentence=sentence))
     rigid = Y[:, : given.rigid_count]
     per_second = np.einsum("in,ij,jn->n", rigid, given.D, rigid)

@@ -16,11 +16,13 @@ from typing import Any
 import numpy as np
 
 from morembs.base.types import Floats, Ints
+from morembs.base.units import eigenvalue_in_hz
 from morembs.body.delivered import Delivered
 from morembs.body.diagnostics.findings import MOTIONS, Finding, listed
 from morembs.body.tolerances import TOL
 from morembs.fem import skew
 from morembs.fem.mass import mass_properties
+from morembs.linalg.columns import symmetric
 
 
 def scale(A: Floats) -> Floats:
@@ -33,7 +35,7 @@ def eigh(K: Floats, M: Floats) -> tuple[Floats, Floats]:
     """Eigenvalues (n,) and M-orthonormal vectors (n, n) of symmetric K and M; SciPy's would cost most of ``info``."""
     L = np.linalg.cholesky(M)
     A = np.linalg.solve(L, np.linalg.solve(L, K).T)
-    values, Z = np.linalg.eigh(0.5 * (A + A.T))
+    values, Z = np.linalg.eigh(symmetric(A))
     return values, np.linalg.solve(L.T, Z)
 
 
@@ -98,19 +100,19 @@ def rigid_findings(
         sentence = "rigid-body motion could not be checked: fewer than six interface degrees of freedom and no frame"
         findings.append(Finding(code="rigid-unchecked", severity="note", sentence=sentence))
         return ways
-    first = np.sqrt(max(values[6], 0.0)) / (2 * np.pi) if len(values) > 6 else 0.0
+    first = eigenvalue_in_hz(values[6]) if len(values) > 6 else 0.0
     shift = np.eye(6)
     shift[:3, 3:] = skew(given.center)
     facts["rigid_energy_J"], facts["rigid_hz"], facts["ground_force"], facts["rigid_mass"] = {}, {}, {}, {}
     for way, q in ways.items():
         centred = q @ shift
         energy, modal = centred.T @ given.K @ centred, centred.T @ given.M @ centred
-        energy, modal = 0.5 * (energy + energy.T), 0.5 * (modal + modal.T)
+        energy, modal = symmetric(energy), symmetric(modal)
         facts["rigid_energy_J"][way] = 0.5 * np.diag(energy)
         facts["ground_force"][way] = given.K @ q
         facts["rigid_mass"][way] = q.T @ given.M @ q
         d = np.sqrt(np.maximum(np.diag(modal), np.finfo(float).tiny))
-        hz = float(np.sqrt(max(eigh(energy / np.outer(d, d), modal / np.outer(d, d))[0][-1], 0.0)) / (2 * np.pi))
+        hz = float(eigenvalue_in_hz(eigh(energy / np.outer(d, d), modal / np.outer(d, d))[0][-1]))
         facts["rigid_hz"][way] = hz
         if first and hz > TOL.soft_ground * first:
             _ground(given, way, centred, hz, first, findings)

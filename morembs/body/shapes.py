@@ -9,6 +9,7 @@ import numpy as np
 
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
+from morembs.base.units import eigenvalue_in_hz
 from morembs.body.tolerances import TOL
 from morembs.body.vtkhdf_series import Grid, View
 from morembs.fem import ElementBlock, Mesh, Nodes
@@ -51,7 +52,7 @@ def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:
         points=mesh.nodes.xyz[rows],
         triangles=np.searchsorted(rows, triangles),
         motion=motion.T.reshape(-1, len(rows), 3),
-        frequencies_hz=np.sqrt(np.maximum(values[shown], 0)) / (2 * np.pi),
+        frequencies_hz=eigenvalue_in_hz(values[shown]),
         interfaces={interface.name: interface.point for interface in problem.interfaces},
     )
 

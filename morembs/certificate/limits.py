@@ -9,7 +9,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.summary import upwards
 from morembs.base.types import Floats
-from morembs.base.units import in_hz
+from morembs.base.units import angular_band, in_hz
 from morembs.certificate.record import ErrorLimits
 from morembs.certificate.tolerances import TOL
 from morembs.reducers.base import ReducedModel
@@ -72,7 +72,7 @@ def error_limits(
             f"{reduced.name} has {reduced.B.shape[1]} inputs and the problem {problem.B.shape[1]}; "
             "give the problem the interfaces of the body"
         )
-    low, high = (2 * np.pi * f for f in reference.band_hz)
+    low, high = angular_band(reference.band_hz)
     standard = reference.standard(reduced.symmetric)
     body = body_response(reference, reduced, standard.layout)
     sharp = {
@@ -123,7 +123,7 @@ def _causes(standard: ReferenceResponse, body: Response, cells: BandCells, loose
             e = inverse @ standard.sizes[:, 0]
             parts = np.nan_to_num(
                 [
-                    standard.uncertain(omega, omega),
+                    standard.uncertainty(omega, omega),
                     standard.rounding.at(inverse).size()[:, 0] / e + standard.floor,
                     body.rounding.at(body.terms.moduli(omega)[0]).size()[:, 0] / e,
                 ],

@@ -19,6 +19,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.limits import Part, RelativeError
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.body.floating.frame import FloatingFrame
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.sid import normal_coordinates
@@ -58,7 +59,7 @@ class MuJoCo(Exporter):
             file.check()
         crossed = np.abs(frame.De - np.diag(np.diag(frame.De))).max(initial=0.0)
         notes = [
-            f"{len(kept)} of {frame.count} modes, up to {omega[kept[-1]] / (2 * np.pi):.5g} Hz: the time step is "
+            f"{len(kept)} of {frame.count} modes, up to {in_hz(omega[kept[-1]]):.5g} Hz: the time step is "
             f"{step:.3g} s; highest_hz takes fewer, within the tolerance",
             "Coriolis and centrifugal forces on the modes are left out; deflections must be small and spin slow",
             "mean axes: the body of the file is at the origin of the frame, whatever the frame of the body file is",

@@ -16,6 +16,7 @@ import scipy.linalg as sl
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
+from morembs.base.units import in_hz
 from morembs.body.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits, names_without_blanks
 from morembs.exporters.read_back import ReadBack, SecondOrder
@@ -215,7 +216,7 @@ def _sid(frame: FloatingFrame) -> Sid:
     J1 = np.array([integrals.J1[:, a, b] for a, b in INERTIA])
     return Sid(
         mass=integrals.mass,
-        frequencies_hz=omega / (2 * np.pi),
+        frequencies_hz=in_hz(omega),
         nodes={},
         mdCM=Taylor(M0=integrals.first[:, None], M1=integrals.Ct.T[:, :, None]),
         J=Taylor(M0=np.array([[integrals.inertia[a, b]] for a, b in INERTIA]), M1=J1[:, :, None]),

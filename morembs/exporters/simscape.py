@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
+from morembs.base.units import eigenvalue_in_hz
 from morembs.body.body import Body
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.ports import COMPONENTS
@@ -70,7 +71,7 @@ class Simscape(Exporter):
             "interface_names": np.array(names, dtype=object)[:, None],
             "interface_origins": np.array([interface.point for interface in framed]),
             "interface_quaternions": np.array([quaternion(interface.axes.T) for interface in framed]),
-            "fixed_interface_frequencies_hz": np.sqrt(np.maximum(modes, 0.0)) / (2 * np.pi),
+            "fixed_interface_frequencies_hz": eigenvalue_in_hz(modes),
             "mass": source.mass,
             "center_of_mass": source.center_of_mass,
             "inertia_about_center_of_mass": source.inertia,

@@ -13,6 +13,7 @@ import scipy.io as sio
 
 from morembs.base.errors import InputError
 from morembs.base.limits import Positive
+from morembs.base.units import in_hz
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.read_back import FirstOrder, ReadBack
 from morembs.exporters.simscape import write_mat
@@ -152,7 +153,7 @@ def _notes(system: StateSpace, step: float | None) -> list[str]:
         notes.append(f"{rigid} poles at zero: what moves freely, or with a support")
     upper = poles[rigid:][poles[rigid:].imag >= 0]
     if len(upper):
-        shown = [f"{abs(pole) / (2 * np.pi):.5g} Hz ({100 * -pole.real / (abs(pole) or 1.0):.3g} %)" for pole in upper]
+        shown = [f"{in_hz(abs(pole)):.5g} Hz ({100 * -pole.real / (abs(pole) or 1.0):.3g} %)" for pole in upper]
         more = " ..." if len(shown) > TOL.shown_values else ""
         notes.append(f"poles and their damping: {', '.join(shown[: TOL.shown_values])}{more}")
     fastest = float(np.abs(poles).max(initial=0.0))

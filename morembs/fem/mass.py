@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from morembs.base.types import Floats
+from morembs.linalg.columns import symmetric
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -23,4 +24,4 @@ def mass_properties(M: sp.csr_array, R: Floats, pole: Floats) -> tuple[float, Fl
     arm = np.array([coupling[1, 2], coupling[2, 0], coupling[0, 1]]) / (mass or 1.0)
     shift = mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     inertia = G[3:, 3:] - shift
-    return mass, pole + arm, 0.5 * (inertia + inertia.T)
+    return mass, pole + arm, symmetric(inertia)

@@ -65,7 +65,7 @@ class SecondOrderArnoldi:
         E = 2 * self.shift * (self.M @ newest) + self.D @ newest
         W = -solve(self.scale * E + self.scale**2 * (self.M @ before))
         del newest, before, E
-        coordinates, Q = self.space.split(self.blocks, W, passes=TOL.krylov_passes)
+        coordinates, Q = self.space.orthogonalize(self.blocks, W, passes=TOL.krylov_passes)
         coordinates = np.vstack([coordinates, Q.conj().T @ (self.M @ W)])
         self.deflated.append(W.shape[1] - Q.shape[1])
         self._add(Q)

@@ -127,10 +127,10 @@ class Space(Columns):
         known = [V] if isinstance(V, np.ndarray) else [*V]
         if not sum(Q.shape[1] for Q in known):
             return np.zeros((0, W.shape[1]))
-        first = self.take_out(known, W, self.M @ W if MW is None else MW)
-        return np.asarray(first + self.take_out(known, W, self.M @ W))
+        first = self.project_out_once(known, W, self.M @ W if MW is None else MW)
+        return np.asarray(first + self.project_out_once(known, W, self.M @ W))
 
-    def take_out(self, known: Sequence[Values], W: Values, MW: Values) -> Values:
+    def project_out_once(self, known: Sequence[Values], W: Values, MW: Values) -> Values:
         """Take span(known) out of ``W`` in place, once, given M W; returns the coefficients."""
         parts = [self.dot(Q, MW) for Q in known]
         for Q, C in zip(known, parts, strict=True):
@@ -139,9 +139,9 @@ class Space(Columns):
 
     def complement(self, V: Values | Sequence[Values], W: Values, *, passes: int = 1) -> Values:
         """M-orthonormal columns of what ``W`` (overwritten) adds to the M-orthonormal ``V``, in one or more blocks."""
-        return self.split(V, W, passes=passes)[1]
+        return self.orthogonalize(V, W, passes=passes)[1]
 
-    def split(self, V: Values | Sequence[Values], W: Values, *, passes: int = 1) -> tuple[Values, Values]:
+    def orthogonalize(self, V: Values | Sequence[Values], W: Values, *, passes: int = 1) -> tuple[Values, Values]:
         """Coefficients V^H M W, and ``complement``; ``W`` becomes what V leaves of it."""
         MW = self.M @ W
         before = m_norms(W, MW)

@@ -17,7 +17,7 @@ import scipy.linalg as sl
 from morembs.base import progress
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.base.units import eigenvalue_in_hz, in_hz
+from morembs.base.units import angular_band, eigenvalue_in_hz, in_hz
 from morembs.linalg.columns import symmetric
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.parametric.bound import ParametricBound, ratio
@@ -40,7 +40,7 @@ class ParametricBasis:
     """Columns ``V`` (Nc, n) of the ``model``, which has the bound; ``kinds`` of the columns.
 
     ``box_bound`` is the largest bound over the band at all values looked at, a maximum over samples; ``worst`` (P,) is
-    the p and ``worst_hz`` the frequency of it, ``points`` (k, P) are the values with factorisations of K, of which
+    the p of it, ``points`` (k, P) are the values with factorisations of K, of which
     there were ``factorisations`` and ``counts`` of eigenvalues beside them. ``collected`` columns were there before the
     cut. ``kind`` is "bound" or "estimate"; ``floor`` the damping ratio that is assumed.
     """
@@ -50,7 +50,6 @@ class ParametricBasis:
     model: ParametricModel
     box_bound: float
     worst: Floats
-    worst_hz: float
     points: Floats
     factorisations: int
     counts: int
@@ -87,7 +86,7 @@ class GreedySearch:
     def __init__(self, problem: AffineProblem, wanted: Wanted) -> None:
         self.problem, self.wanted = problem, wanted
         self.floor = floor_of(problem, wanted.band_hz, wanted.floor, problem.damping_at(problem.box.low))
-        self.low, self.high = (2 * np.pi * f for f in wanted.band_hz)
+        self.low, self.high = angular_band(wanted.band_hz)
         self.training = training_points(problem.box, wanted.training)
         progress.update("modes at nominal values")
         limit = (self._deflated() * self.high) ** 2
@@ -284,7 +283,6 @@ class GreedySearch:
             model=replace(model, bound=bound),
             box_bound=worst.value,
             worst=worst.p,
-            worst_hz=worst.hz,
             points=np.array(self.points),
             factorisations=self.factorisations,
             counts=self.proofs.count,

@@ -18,7 +18,7 @@ import numpy as np
 from morembs.base.errors import InputError, SolverError
 from morembs.base.limits import PositiveCount, RelativeError, one_of
 from morembs.base.types import Floats, Values
-from morembs.base.units import in_hz
+from morembs.base.units import angular_band, in_hz
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.space import Space
@@ -243,7 +243,7 @@ def _up_to(problem: Problem, top: float) -> ModalReference:
 
 def _over_band(problem: Problem, band_hz: tuple[float, float]) -> _Gramian:
     """The Gramian over a band, in the coordinates of the reference model."""
-    low, high = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
+    low, high = angular_band(band_hz)
     omega = np.linspace(low, high, TOL.reference_samples)
     reference = reference_model(problem, omega, tolerance=TOL.reference_error)
     loads = reference.B * problem.motion_scale

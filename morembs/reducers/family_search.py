@@ -11,7 +11,7 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from morembs.base.types import Floats
-from morembs.base.units import in_hz
+from morembs.base.units import angular_band, in_hz
 from morembs.linalg.eigen import accurate_eigh
 from morembs.linalg.quadrature import trapezoid
 from morembs.problem.damping import Damping
@@ -136,7 +136,7 @@ class FamilySearch:
 
     def _decided(self, C: Floats) -> bool:
         """Whether the tolerance holds on all of the band; if not, the worst frequency joins the samples."""
-        low, high = (2 * np.pi * f for f in self.certified.band_hz)
+        low, high = angular_band(self.certified.band_hz)
         verdict = decide(self.standard, self._response(C), low, high, self.measure, self.tolerance)
         if not verdict.decided:
             self._look_at(verdict.at)
@@ -154,7 +154,7 @@ class FamilySearch:
 
     def limit(self, C: Floats, theta: Floats) -> Limit:
         """The certified limit of the body on span(C) whose eigenvalues came out as ``theta`` (n,)."""
-        low, high = (2 * np.pi * f for f in self.certified.band_hz)
+        low, high = angular_band(self.certified.band_hz)
         body = self._response(C, theta if len(theta) == C.shape[1] else None)
         asked = self.measure, self.tolerance
         self.worst = compare(self.standard, body, low, high, asked=asked)[0][self.measure]

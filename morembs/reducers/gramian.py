@@ -28,6 +28,7 @@ from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
 from morembs.base.limits import PositiveCount, number, one_of
 from morembs.base.types import Floats
+from morembs.base.units import angular_band
 from morembs.base.worker_pool import WorkerPool
 from morembs.linalg.columns import m_norms, orthonormal
 from morembs.linalg.gramians import StreamedSVD, WeightedSVD, snapshot_factor
@@ -102,7 +103,7 @@ class Gramian(OfResponses):
         return [ShiftedFactorisations(structure="complex-symmetric", count=count, columns=facts.inputs, at_once=count)]
 
     def _basis(self, problem: Problem) -> Basis:
-        low, high = (2 * np.pi * f for f in self.band_hz)
+        low, high = angular_band(self.band_hz)
         mu = (0.5 * (low + high)) ** 2
         notes: dict[str, object] = {}
         make = self._direct if self.direct else self._modal

@@ -22,6 +22,7 @@ from morembs.base import progress
 from morembs.base.errors import InputError
 from morembs.base.limits import PositiveCount, RelativeError
 from morembs.base.types import Complexes, Floats
+from morembs.base.units import angular_band
 from morembs.linalg.columns import orthonormal
 from morembs.linalg.quadrature import trapezoid
 from morembs.linalg.tolerances import TOL as LINALG
@@ -75,7 +76,7 @@ class Irka(OfResponses):
         return super().why_not(facts)
 
     def _basis(self, problem: Problem) -> Basis:
-        low, high = (2 * np.pi * f for f in self.band_hz)
+        low, high = angular_band(self.band_hz)
         reference = reference_model(
             problem, np.linspace(low, high, TOL.reference_samples), tolerance=TOL.reference_error
         )

@@ -21,7 +21,7 @@ from morembs.base.former_names import with_progress_argument
 from morembs.base.limits import DampingFloor
 from morembs.base.summary import summarised, upwards
 from morembs.base.types import Complexes, Floats
-from morembs.base.units import eigenvalue_in_hz, in_hz
+from morembs.base.units import angular_band, eigenvalue_in_hz, in_hz
 from morembs.linalg.congruence import scaled_row_sums
 from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem import Problem
@@ -53,7 +53,7 @@ def floor_of(
     if given is not None:
         check_value("damping_floor", given, DampingFloor)
         return float(given)
-    damping, (low, high) = damping or problem.damping, (2 * np.pi * f for f in band_hz)
+    damping, (low, high) = damping or problem.damping, angular_band(band_hz)
     if damping.is_rayleigh or damping.structural or problem.D is not None:
         return 0.0
     jumps = damping.jumps
@@ -183,7 +183,7 @@ class CertifiedReference:
     def lost(self) -> tuple[float, float]:
         """What is not known of the response at the resonances of the band, as part of its envelope, at most, and the
         frequency in Hz where that is."""
-        low, high = (2 * np.pi * f for f in self.band_hz)
+        low, high = angular_band(self.band_hz)
         inside = _inside(np.sqrt(self.values), (low, high))
         omega = np.concatenate([[low, high], inside])
         off, e = self._lost(omega)
@@ -196,7 +196,7 @@ class CertifiedReference:
         size = standard.modes.moduli(omega)[0]
         e = size @ standard.sizes[:, 0]
         off = standard.rounding.at(size).size()[:, 0]
-        return np.asarray(off + (standard.uncertain(omega, omega) + standard.floor) * e), e
+        return np.asarray(off + (standard.uncertainty(omega, omega) + standard.floor) * e), e
 
     @property
     def undamped(self) -> bool:
@@ -239,7 +239,7 @@ def certified_reference(
     if key not in references or references[key][0] > tolerance:
         damping = replace(problem.damping, structural=problem.damping.structural + 2 * floor)
         build = _Build(problem, (low, high), damping, floor, tolerance, key[-1])
-        references[key] = tolerance, build.with_own_damping() if problem.D is not None else build.grown()
+        references[key] = tolerance, build.with_own_damping() if problem.D is not None else build.within_tolerance()
     return references[key][1]
 
 
@@ -257,7 +257,7 @@ class _Build:
     ) -> None:
         self.problem, self.band_hz, self.damping, self.floor = problem, band_hz, damping, floor
         self.tolerance, self.inertia = tolerance, inertia
-        self.band = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
+        self.band = angular_band(band_hz)
         self.modes = problem.elastic_modes(below=beyond(band_hz[1]))
         self.cut = beyond(band_hz[1]) * (1 + LINALG.eigenvalue_gap)
         # Whether nothing but the residuals of solutions keeps the error above the tolerance.
@@ -295,31 +295,31 @@ class _Build:
             parts.append(problem.system.roundoff(X) + EPS * self.band[1] * np.einsum("i,ij,ij->j", weights, X, X))
         return np.concatenate(parts)
 
-    def grown(self) -> CertifiedReference:
+    def within_tolerance(self) -> CertifiedReference:
         """The space, grown until the error is below the tolerance."""
-        growth, seen = reference_space(self.problem, self.inertia), list[float]()
+        krylov, seen = reference_space(self.problem, self.inertia), list[float]()
         # Modal damping acts on the computed modes: they are closer to the true ones than the response asks for.
         enough = 0.1 * self.tolerance * (TOL.modal_growth_part if self.damping.is_modal else 1.0)
         while True:
-            error = self._guess(growth)
-            progress.update(f"reference: order {growth.lanczos.size}, error {error:.1e}")
-            if error <= enough or not growth.lanczos.pending.shape[1]:
-                reference = self._reference(growth)
+            error = self._guess(krylov)
+            progress.update(f"reference: order {krylov.lanczos.size}, error {error:.1e}")
+            if error <= enough or not krylov.lanczos.pending.shape[1]:
+                reference = self._reference(krylov)
                 # A larger space has no part in what solutions are off by.
                 if reference.off.max() <= self.tolerance or reference.undamped or self.hidden:
                     return reference
                 error = float(reference.off.max())
             seen.append(error)
             # Where round-off hides the rest, limits say how much.
-            if has_stagnated(seen) or not growth.grow(error):
-                return self._reference(growth)
+            if has_stagnated(seen) or not krylov.extend(error):
+                return self._reference(krylov)
 
-    def _guess(self, growth: ReferenceSpace) -> float:
+    def _guess(self, krylov: ReferenceSpace) -> float:
         """Largest error at some frequencies, relative to the envelope, where all modes are excited by the loads."""
-        problem, lanczos, S = self.problem, growth.lanczos, growth.stiffness
+        problem, lanczos, S = self.problem, krylov.lanczos, krylov.stiffness
         values, Y = sl.eigh(S)
         g = np.zeros((lanczos.size, problem.B.shape[1]))
-        g[: len(growth.loads)] = (growth.loads * growth.scale)[:, : g.shape[1]]
+        g[: len(krylov.loads)] = (krylov.loads * krylov.scale)[:, : g.shape[1]]
         b = Y.T @ (S @ g) * problem.motion_scale
         W = lanczos.rest_vectors
         KW = problem.K @ W
@@ -333,14 +333,14 @@ class _Build:
         T = (tau * (g / a)[:, None, :]) @ b
         return float((squares(T).sum(axis=(1, 2)) / (1 - w**2 / self.cut) / e).max())
 
-    def _reference(self, growth: ReferenceSpace) -> CertifiedReference:
+    def _reference(self, krylov: ReferenceSpace) -> CertifiedReference:
         """The reference on the space as it is, with the modes that it misses."""
         problem = self.problem
-        space = ReferenceBasis(problem, growth, self.modes)
+        space = ReferenceBasis(problem, krylov, self.modes)
         values, Y = sl.eigh(space.stiffness)
         k = int((values < self.cut).sum())
         if k != len(self.modes.eigenvalues):
-            space = ReferenceBasis(problem, growth, self.modes, everything=True)
+            space = ReferenceBasis(problem, krylov, self.modes, everything=True)
             values, Y = sl.eigh(space.stiffness)
             k = int((values < self.cut).sum())
         if k != len(self.modes.eigenvalues):
@@ -349,7 +349,7 @@ class _Build:
                 f"reference has {k}; move the upper end of the band by a percent"
             )
         modes = space.modes(Y, values, k, self.band[1])
-        self.hidden, start = False, self._start(growth, space, modes)
+        self.hidden, start = False, self._start(krylov, space, modes)
         left = Residual(
             values=modes.values,
             b=modes.b,
@@ -362,7 +362,7 @@ class _Build:
         )
         edges, off = left.bounds(self.band, self.tolerance)
         if off.max() > self.tolerance and left.poles.z.imag.any():
-            modes = space.sharpened(modes)
+            modes = space.refine(modes)
             left = replace(left, lost=modes.lost)
             edges, off = left.bounds(self.band, self.tolerance)
             without = replace(left, lost=np.zeros(len(left.lost))).bounds(self.band, self.tolerance)[1]
@@ -390,7 +390,7 @@ class _Build:
             cut=self.cut,
             edges=edges,
             off=off,
-            doubts=self._doubts(growth, modes, left, sigma),
+            doubts=self._doubts(krylov, modes, left, sigma),
             solve_errors=modes.lost,
             start=start,
             counted=self.modes.counted,
@@ -406,16 +406,16 @@ class _Build:
             F = np.hstack([F, modes.Y.T @ problem.space.dot(space.V, others)])
         return F
 
-    def _start(self, growth: ReferenceSpace, space: ReferenceBasis, modes: RitzModes) -> float:
+    def _start(self, krylov: ReferenceSpace, space: ReferenceBasis, modes: RitzModes) -> float:
         """|r_0| in the norm of K^-1: what the space misses of the static responses, round-off."""
         problem = self.problem
-        X, left = growth.statics
+        X, left = krylov.statics
         lost = float(np.linalg.norm(left * problem.motion_scale)) * modes.softness.value
         X = X * problem.motion_scale
         problem.space.subtract(space.V, modes.Y @ (modes.b / modes.values[:, None]), X)
         return float(np.sqrt(max((X * (problem.K @ X)).sum(), 0.0))) + lost
 
-    def _doubts(self, growth: ReferenceSpace, modes: RitzModes, left: Residual, sigma: Floats) -> tuple[str, ...]:
+    def _doubts(self, krylov: ReferenceSpace, modes: RitzModes, left: Residual, sigma: Floats) -> tuple[str, ...]:
         """Why limits are estimates, in words."""
         doubts: tuple[str, ...] = ()
         if not modes.softness.proven:
@@ -424,7 +424,7 @@ class _Build:
         jumps = jumps[jumps >= left.softest]
         off = values * (sigma / np.sqrt(np.maximum(values, TOL.closest_mode)) + TOL.closest_mode)
         straddled = (np.abs(values[:, None] - jumps) <= off[:, None]).any()
-        if len(jumps) and (straddled or len(values) < growth.room):
+        if len(jumps) and (straddled or len(values) < krylov.room):
             doubts += (
                 "the modal damping table jumps among modes that the reference does not know one by one, so that "
                 "limits are estimates",

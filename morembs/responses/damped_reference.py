@@ -54,14 +54,14 @@ class DampedSpace:
             SolverError: it is not with ``TOL.max_order`` columns.
         """
         if len(self.F) <= TOL.dense_order:
-            return (self.V, *self._sharpened(), 0.0)
+            return (self.V, *self._refine_soft_modes(), 0.0)
         grid = omega[omega > 0][:: max(1, len(omega) // TOL.change_samples)]
         loads, good, visited = self.F * self.scale, 0, list[float]()
         wanted = list(dict.fromkeys([float(omega.max()), float(grid[len(grid) // 2])]))
         before: Complexes = np.zeros((0, 0, 0), dtype=complex)
         with states_pool(self.problem, [1j * wanted[0]] * TOL.shifts_at_once, loads) as pool:
             while True:
-                values, Y, D = self._small()
+                values, Y, D = self._solve_pencil()
                 F = Y.T @ self.problem.space.dot(self.V, loads)
                 H = np.array([_response(w, values, D, F) for w in grid])
                 if visited:
@@ -79,7 +79,7 @@ class DampedSpace:
                 # Both judge one space: the next one, which has them in it, has to be good as well.
                 good = good + 1 if max(errors) <= tolerance else 0
                 if good == 2 or not self._grow(np.hstack(solved), max(errors), min(errors) <= tolerance):
-                    return (self.V, *self._sharpened(), max(errors))
+                    return (self.V, *self._refine_soft_modes(), max(errors))
 
     def _grow(self, solved: Floats, error: float, good: bool) -> bool:
         """Take the columns ``solved`` into the space; False where there are no more and it is ``good`` as it is.
@@ -100,7 +100,7 @@ class DampedSpace:
             "frequency, or raise the tolerance"
         )
 
-    def _small(
+    def _solve_pencil(
         self, modes: Callable[[Floats, Floats], tuple[Floats, Floats]] = sl.eigh
     ) -> tuple[Floats, Floats, Floats]:
         """Eigenvalues, vectors and damping of the pencil on V.
@@ -118,14 +118,14 @@ class DampedSpace:
             ) from error
         return values, Y, symmetric(Y.T @ D @ Y)
 
-    def _sharpened(self) -> tuple[Floats, Floats, Floats]:
-        """``_small`` with every eigenvalue known to the round-off of its own energy, not to that of the highest."""
+    def _refine_soft_modes(self) -> tuple[Floats, Floats, Floats]:
+        """``_solve_pencil`` with each eigenvalue known to the round-off of its own energy, not of the highest."""
         problem, space = self.problem, self.problem.space
 
         def stiffness(Y: Floats) -> Floats:
             return space.project(space.multiply(self.V, Y), problem.K)
 
-        values, Y, D = self._small(partial(accurate_eigh, projected=stiffness))
+        values, Y, D = self._solve_pencil(partial(accurate_eigh, projected=stiffness))
         width = space.budget.columns(len(self.V))
         for at in range(0, len(values), width):
             some = slice(at, at + width)

@@ -82,7 +82,7 @@ def elastic_states(system: System, s: complex, F: Values, *, transposed: bool = 
 def states_pool(problem: Problem, s: Sequence[complex], F: Values) -> WorkerPool:
     """Processes that make ``elastic_states`` at all of ``s`` (none of it zero) or at other values of their kind.
 
-    Work for them is ``state``, which gives U (Nc, p), and ``seen``, which gives F'U (p, p).
+    Work for them is ``state``, which gives U (Nc, p), and ``transfer_matrix``, which gives F'U (p, p).
     """
     return problem.system.worker_pool(F, s, workers=problem.workers, columns=F.shape[1])
 
@@ -93,7 +93,7 @@ def state(shared: tuple[System, Values], s: complex) -> Values:
     return elastic_states(system, s, F)
 
 
-def seen(shared: tuple[System, Values], s: complex) -> Complexes:
+def transfer_matrix(shared: tuple[System, Values], s: complex) -> Complexes:
     """F'U (p, p) of ``state``."""
     return np.asarray(shared[1].T @ state(shared, s))
 
@@ -131,7 +131,7 @@ def direct_response(problem: Problem, omega: Floats) -> Complexes:
         H[still] = problem.B.T @ elastic_statics(problem, problem.B) / (1 + 1j * problem.damping.structural)
     s = [1j * float(omega[j]) for j in moving]
     with states_pool(problem, s, problem.B) as pool:
-        for count, (j, found) in enumerate(zip(moving, pool.each(seen, s), strict=True)):
+        for count, (j, found) in enumerate(zip(moving, pool.each(transfer_matrix, s), strict=True)):
             progress.update(f"direct response: {count + 1} of {len(s)}")
             H[j] = found
     return H

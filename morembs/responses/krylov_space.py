@@ -65,7 +65,7 @@ class ReferenceBasis:
         # Few rows of V, which may lie in a file.
         rows = np.unique(problem.B.indices)
         b = np.vstack([(problem.B.T @ U).T, (problem.B[rows].T @ self.V[rows] @ Y[:, k:]).T]) * problem.motion_scale
-        unsure = np.concatenate([problem.system.roundoff(U), self.uncertain(Y[:, k:])])
+        unsure = np.concatenate([problem.system.roundoff(U), self.eigenvalue_roundoff(Y[:, k:])])
         unsure = np.maximum(unsure, 4 * EPS * (values + highest**2))
         rest = np.zeros((len(values), len(values)))
         rest[:k], rest[k:, :k] = coupled, coupled[:, k:].T
@@ -98,7 +98,7 @@ class ReferenceBasis:
         off = EPS * (sums + Z.sum(axis=1)) + turned[:, None] * (Z @ np.sqrt(problem.system.roundoff(problem.rigid)))
         return np.asarray(off * problem.motion_scale)
 
-    def sharpened(self, modes: RitzModes) -> RitzModes:
+    def refine(self, modes: RitzModes) -> RitzModes:
         """``modes`` with what is lost of the first ones from solutions for their residuals."""
         U, k = modes.vectors, modes.vectors.shape[1]
         e = modes.Y[self.rows, :k]
@@ -113,7 +113,7 @@ class ReferenceBasis:
         """(q, k) coordinates of G s_p / theta_p, but for the sign, for Ritz vectors V ``Y`` (n, k)."""
         return np.asarray(self.root @ Y[self.rows])
 
-    def uncertain(self, Y: Floats) -> Floats:
+    def eigenvalue_roundoff(self, Y: Floats) -> Floats:
         """(k,) how far round-off in K moves the eigenvalues of V ``Y`` at most, as ``System.roundoff``."""
         weights, V = self.problem.system.row_sums, self.V
         gram = np.zeros((V.shape[1], V.shape[1]))

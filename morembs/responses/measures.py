@@ -58,7 +58,7 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReferenceResponse:
-    """What bodies are measured against: ``H`` in the entries of ``layout``, known but for ``uncertain(low, high)``
+    """What bodies are measured against: ``H`` in the entries of ``layout``, known but for ``uncertainty(low, high)``
     (nc,) times the envelope on cells without round-off, the envelope's ``modes`` with ``sizes`` (k, 1 + nb) and their
     ``rounding``, which is at least ``floor`` times the envelope."""
 
@@ -71,7 +71,7 @@ class ReferenceResponse:
     edges: Floats
     off: Floats
 
-    def uncertain(self, low: Floats, high: Floats) -> Floats:
+    def uncertainty(self, low: Floats, high: Floats) -> Floats:
         """(nc,) limits of |H - H_ref| / e on cells, round-off apart."""
         last = len(self.off) - 1
         first = np.clip(np.searchsorted(self.edges, low, side="right") - 1, 0, last)
@@ -114,7 +114,7 @@ class Comparison:
         size = layout.norms(X)
         most = np.maximum(size[:, 1:], size[:, :-1]) + TOL.bulge * _spread(X, layout)[:, None] + rest
         e, e_least, e_most, floor, floor_most = self._envelope(grid)
-        off = standard.uncertain(low, high)[:, None]
+        off = standard.uncertainty(low, high)[:, None]
         # The uncertainty of the whole counts for every block.
         unsure = floor + (off * e[..., 0])[..., None]
         unsure_most = floor_most + (off * e_most[..., 0])[..., None]

@@ -251,17 +251,17 @@ class ReferenceSpace:
             progress.update(f"frequency response: order {lanczos.size}, error {worst:.1e}")
             good = error <= tolerance and jumps <= max(tolerance, TOL.jump_error)
             if good or not lanczos.pending.shape[1]:
-                return self._sharpened(reference, worst)
+                return self._refine_soft_modes(reference, worst)
             seen.append(worst)
             if has_stagnated(seen):
                 raise SolverError(
                     f"the full response reached an error of only {min(seen):.1e} with {lanczos.size} vectors, and more "
                     f"of them do not help: round-off hides the rest; raise the tolerance, or {SOFTER}"
                 )
-            if not self.grow(worst, JUMPY if jumps > tolerance else ""):
-                return self._sharpened(reference, worst)
+            if not self.extend(worst, JUMPY if jumps > tolerance else ""):
+                return self._refine_soft_modes(reference, worst)
 
-    def grow(self, error: float, advice: str = "") -> bool:
+    def extend(self, error: float, advice: str = "") -> bool:
         """One block more; False where there is none. ``error`` and ``advice`` are told where there is no room.
 
         Raises:
@@ -283,7 +283,7 @@ class ReferenceSpace:
         self._border()
         return True
 
-    def _sharpened(self, reference: ModalReference, error: float) -> ModalReference:
+    def _refine_soft_modes(self, reference: ModalReference, error: float) -> ModalReference:
         """``reference`` with soft modes known to their own round-off, and with its loads."""
         problem, V = self.problem, self.lanczos.V[:, : self.lanczos.size]
 
@@ -300,7 +300,7 @@ class ReferenceSpace:
         Q, MQ = lanczos.pending, lanczos.M_pending
         known = [self.problem.rigid, lanczos.V[:, : lanczos.size]]
         for _ in range(2):
-            out = float(np.abs(self.problem.space.take_out(known, Q, MQ)).max(initial=0.0))
+            out = float(np.abs(self.problem.space.project_out_once(known, Q, MQ)).max(initial=0.0))
             if out > TOL.no_change:
                 MQ = M @ Q
             if out < TOL.large_change:

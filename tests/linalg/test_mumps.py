@@ -189,7 +189,7 @@ def test_single_precision_takes_half_the_disk(tmp_path: Path) -> None:
             error = np.linalg.norm(A @ factor.solve(b) - b) / np.linalg.norm(b)
             assert 1e-7 < error < 1e-4 if precision == "single" else error < 1e-12
     assert disk["single"][0] <= 0.51 * disk["double"][0] and disk["single"][1] <= 0.6 * disk["double"][1]
-    with pytest.raises(InputError, match="expected one of double, single"):
+    with pytest.raises(InputError, match='expected "double" or "single"'):
         Mumps(precision="half")
 
 

@@ -22,6 +22,7 @@ from morembs.body.floating.stiffening import STIFFENING, Stiffening
 from morembs.body.floating.tolerances import TOL
 from morembs.fem import frozen_numbers, rigid_motion, skew
 from morembs.fem.fe_model import has_places
+from morembs.linalg.columns import symmetric
 from morembs.storage.table import dataset, table_of
 
 if TYPE_CHECKING:
@@ -323,8 +324,8 @@ def frame_about(
         elastic=Y,
         rigid=rigid,
         integrals=integrals,
-        Ke=0.5 * (Ke + Ke.T),
-        De=0.5 * (De + De.T),
+        Ke=symmetric(Ke),
+        De=symmetric(De),
         markers=markers,
         notes=(note,) if note else (),
     )

@@ -20,6 +20,7 @@ from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.body.floating.tolerances import TOL
 from morembs.fem import FEModel, frozen_numbers, rigid_motion, skew
+from morembs.linalg.columns import symmetric
 from morembs.storage.table import dataset, derived
 
 if TYPE_CHECKING:
@@ -135,7 +136,7 @@ class ShapeIntegrals:
             self,
             Ct=moved[:, :3],
             Cr=moved[:, 3:],
-            Me=0.5 * (Me + Me.T),
+            Me=symmetric(Me),
             x_phi=self.x_phi - np.einsum("a,bl->abl", self.first, t) - np.einsum("lbq,aq->abl", W, self.second),
             phi_phi=self.phi_phi - mixed - mixed.transpose(1, 0, 3, 2) + both,
         )
@@ -193,7 +194,7 @@ def shape_integrals(model: FEModel, shapes: Floats, origin: Floats) -> tuple[Sha
         mass=float(weighted[:, 0].sum()),
         first=x.T @ weighted[:, 0],
         inertia=np.trace(second) * np.eye(3) - second,
-        second=0.5 * (second + second.T),
+        second=symmetric(second),
         Ct=Ct,
         Cr=Cr,
         Me=np.einsum("aakl->kl", phi_phi),
@@ -252,5 +253,5 @@ def _with_consistent_parts(integrals: ShapeIntegrals, model: FEModel, shapes: Fl
         inertia=0.5 * (G[3:, 3:] + G[3:, 3:].T),
         Ct=rows[:, :3],
         Cr=rows[:, 3:],
-        Me=0.5 * (Me + Me.T),
+        Me=symmetric(Me),
     )

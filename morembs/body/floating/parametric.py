@@ -18,6 +18,7 @@ from morembs.body.floating.frame import FloatingFrame, InterfaceMarker, frame_ab
 from morembs.body.floating.integrals import PERMUTATION, ShapeIntegrals
 from morembs.body.floating.tolerances import TOL
 from morembs.fem import skew
+from morembs.linalg.columns import symmetric
 from morembs.storage.table import dataset
 
 if TYPE_CHECKING:
@@ -125,7 +126,7 @@ class FrameTerms:
             mass=(b @ self.mass).item(),
             first=np.einsum("j,k,jka->a", b, t, self.first),
             inertia=np.trace(second) * np.eye(3) - second,
-            second=0.5 * (second + second.T),
+            second=symmetric(second),
             Ct=Y.T @ np.tensordot(b, self.Ct, axes=1),
             Cr=np.einsum("abc,bcl->la", PERMUTATION, x_phi),
             Me=np.einsum("aakl->kl", phi_phi),

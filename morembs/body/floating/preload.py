@@ -32,6 +32,7 @@ from morembs.body.floating.tolerances import TOL
 from morembs.fem import FEModel, rigid_motion
 from morembs.fem.geometric_stiffness import StressedMesh
 from morembs.fem.interface import Interface
+from morembs.linalg.columns import symmetric
 from morembs.linalg.statics import support_dofs
 from morembs.problem import Problem
 
@@ -242,7 +243,7 @@ def _without_rigid(R: Floats, turned: Floats, rows: Ints) -> sp.coo_array:
     loaded = np.abs(turned).reshape(-1, 18).max(axis=1) > TOL.negligible_term * np.abs(turned).max(initial=0.0)
     on = np.flatnonzero(np.repeat(loaded, 3))
     W = R.T @ turned
-    corner = C.T @ (0.5 * (W + W.T)) @ C
+    corner = C.T @ symmetric(W) @ C
     d = len(dofs)
     side_rows, side_cols, side = np.repeat(on, d), np.tile(dofs, len(on)), G[on].ravel()
     data = np.concatenate([side, side, corner.ravel()])

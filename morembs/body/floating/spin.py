@@ -12,6 +12,7 @@ from morembs.base.arguments import refuse_out_of_range
 from morembs.base.errors import InputError
 from morembs.base.types import Complexes, Floats
 from morembs.body.floating.tolerances import TOL
+from morembs.linalg.columns import symmetric
 from morembs.storage.table import dataset
 
 
@@ -121,8 +122,8 @@ def whirl_modes(M: Floats, K: Floats, D: Floats, spin: ReducedSpin, speed: float
     Z = Vt[int((s > TOL.dependent_hold * s.max(initial=0.0)).sum()) :].T
     Kw, Mz, Dz, Cz, Sz = (Z.T @ A @ Z for A in (K + speed**2 * (spin.Kg - spin.S), M, D, spin.C, spin.S))
     gyroscopic = speed * (Cz - Cz.T)
-    damping = 0.5 * (Dz + Dz.T) + gyroscopic if np.abs(D).max(initial=0.0) > 0 else gyroscopic
-    values, Y = small_complex_modes(0.5 * (Kw + Kw.T), 0.5 * (Mz + Mz.T), damping)
+    damping = symmetric(Dz) + gyroscopic if np.abs(D).max(initial=0.0) > 0 else gyroscopic
+    values, Y = small_complex_modes(symmetric(Kw), symmetric(Mz), damping)
     return whirl_of(values[:count], Y[:, :count], Cz, Sz, Mz, speed)
 
 

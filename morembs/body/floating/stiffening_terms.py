@@ -25,6 +25,7 @@ from morembs.body.floating.stiffening import Envelope, Stiffening
 from morembs.body.floating.tolerances import TOL
 from morembs.fem import FEModel
 from morembs.fem.geometric_stiffness import StressedMesh
+from morembs.linalg.columns import symmetric
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 
@@ -92,7 +93,7 @@ def geometric_stiffening(
             for name, A in turning.items():
                 rotation = frame.markers[name].motion[3:]
                 value += rotation.T @ A[place] @ rotation
-            G[load] = 0.5 * (value + value.T)
+            G[load] = symmetric(value)
         progress.update(f"geometric stiffening: {first + len(some)} of {len(loaded)} loads")
     return _kept(problem, frame, G, envelope or Envelope(share=0.0))
 

@@ -14,6 +14,7 @@ from morembs.dynamics.gmp.equilibria import Equilibrium
 from morembs.dynamics.gmp.plan import AngleRange
 from morembs.dynamics.gmp.symmetry import Symmetry
 from morembs.dynamics.gmp.tolerances import TOL
+from morembs.linalg.columns import symmetric
 
 
 class Loaded(Protocol):
@@ -90,7 +91,7 @@ def _balanced(work: Loaded, turns: Any, now: Equilibrium, moments: Floats) -> Eq
     """
     for _ in range(TOL.moment_iterations):
         S = now.modes.T @ (work.tangent(now.X) @ now.modes)
-        if np.linalg.eigvalsh(0.5 * (S + S.T))[0] <= 0:
+        if np.linalg.eigvalsh(symmetric(S))[0] <= 0:
             raise SolverError("the member gives way under these moments")
         step = np.linalg.solve(S, moments - now.moments)
         if not np.abs(step).max() < TOL.max_moment_step:

@@ -38,6 +38,7 @@ from morembs.dynamics.gmp.solid_manifold import (
 )
 from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.solid import NonlinearSolid
+from morembs.linalg.columns import symmetric
 from morembs.linalg.sparse.solver import LinearSolver
 
 
@@ -203,7 +204,7 @@ class _Law:
             moments=equilibrium.moments,
             k=k,
             c=self.Psi.T @ force / k,
-            H=0.5 * (H + H.T),
+            H=symmetric(H),
         )
 
     def straight_diagonal(self) -> Floats:

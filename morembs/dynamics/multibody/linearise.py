@@ -16,6 +16,7 @@ import scipy.linalg as sl
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.types import Complexes, Floats
+from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.dynamics.multibody.component import Marker
 from morembs.dynamics.multibody.steady_spin import SteadySpin
 from morembs.dynamics.multibody.system import State
@@ -61,8 +62,8 @@ class Linearised:
         spins those of its ``eigenvalues``, with Coriolis forces and damping."""
         if self.state.v.any():
             imaginary = self.eigenvalues.imag
-            return np.asarray(np.sort(imaginary)[len(imaginary) // 2 :] / (2 * np.pi))
-        return np.asarray(np.sqrt(np.maximum(self.squares, 0.0)) / (2 * np.pi))
+            return np.asarray(in_hz(np.sort(imaginary)[len(imaginary) // 2 :]))
+        return np.asarray(eigenvalue_in_hz(self.squares))
 
     @cached_property
     def eigenvalues(self) -> Complexes:

@@ -26,6 +26,7 @@ from morembs.dynamics.nonlinear.rotation_vectors import curvature, shortened, ta
 from morembs.dynamics.nonlinear.total_lagrangian import SaintVenantKirchhoff
 from morembs.fem import FEModel, skew
 from morembs.fem.interface import COUPLINGS, Interface
+from morembs.linalg.columns import symmetric
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +210,7 @@ class NonlinearSolid:
             for j, other in enumerate(frames):
                 block = moved[j].T @ KG[other.dofs]
                 if i == j:
-                    block = 0.5 * (block + block.T) + self._turning(frame, x, forces)
+                    block = symmetric(block) + self._turning(frame, x, forces)
                 values.append(block.ravel())
         source, indices, indptr = self._layout
         result = sp.csr_array((np.concatenate(values)[source], indices, indptr), shape=(self.size,) * 2)
@@ -221,7 +222,7 @@ class NonlinearSolid:
         p, spin, arms = self._arms(frame, x)
         f = forces[frame.nodes]
         product = f.T @ arms
-        second = spin.T @ (0.5 * (product + product.T) - np.trace(product) * np.eye(3)) @ spin
+        second = spin.T @ (symmetric(product) - np.trace(product) * np.eye(3)) @ spin
         result = np.zeros((6, 6))
         result[3:, 3:] = second + curvature(p[None], np.cross(arms, f).sum(axis=0)[None], fixed=True)[0]
         return result
@@ -311,7 +312,7 @@ class NonlinearSolid:
             about = m + np.cross(self.frame(x, name)[0] - center, f)
             now = self.positions(x)[interface.nodes] - center
             S = R.T @ ((w[:, None] * now).T @ arms)
-            spin = R @ np.linalg.solve(np.trace(S) * np.eye(3) - 0.5 * (S + S.T), R.T @ about)
+            spin = R @ np.linalg.solve(np.trace(S) * np.eye(3) - symmetric(S), R.T @ about)
             forces = np.zeros_like(self.model.nodes.xyz)
             forces[interface.nodes] = w[:, None] * (f + np.cross(spin, arms @ R.T))
             return self.load(x, forces)

@@ -31,6 +31,7 @@ from morembs.dynamics.multibody.contact.tolerances import TOL
 from morembs.fem.elements import FACES
 from morembs.fem.selection import select_nodes
 from morembs.fem.surface import outer_faces
+from morembs.linalg.columns import symmetric
 from morembs.problem import Problem
 
 log = logging.getLogger(__name__)
@@ -291,7 +292,7 @@ class _Faces:
         for first in range(0, F.shape[1], TOL.table_columns):
             some = slice(first, first + TOL.table_columns)
             C[:, some] = F.T @ problem.internal.flexibility(F[:, some].toarray())
-        return 0.5 * (C + C.T)
+        return symmetric(C)
 
 
 def _normals(corners: Floats) -> Floats:
