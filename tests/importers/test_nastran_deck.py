@@ -731,3 +731,28 @@ def test_blanks_between_digits_of_components_do_not_count(bulk):
 def test_cards_of_free_text_are_passed_over(text, bulk):
     """Commas, marks and lengths of fields mean nothing in them."""
     assert len(bulk(CUBE + text + "GRID,11,,0.,0.,0.\n").mesh.blocks) == len(bulk(CUBE).mesh.blocks)
+
+
+def test_what_a_deck_holds_is_among_its_tables(tmp_path):
+    """SPC, SPC1 and PS of the set that the case control asks for, along the axes of each grid."""
+    path = tmp_path / "model.bdf"
+    held = (
+        "GRID,90,,9.,0.,0.,3,4\nCORD2R,3,,0.,0.,0.,0.,0.,1.\n,0.,1.,0.\n"
+        "SPC1,1,12,10,THRU,20\nSPC,2,30,3,0.\nSPC1,1,1,90\nSPCADD,5,1\nENDDATA\n"
+    )
+
+    def read(head):
+        path.write_text(head + CUBE + MAT1 + held)
+        return read_nastran(path)
+
+    deck = read("CEND\nSPC = 5\nBEGIN BULK\n")
+    assert deck.supports.nodes.tolist() == [10, 10, 20, 20, 90, 90]
+    assert deck.supports.directions[:4].tolist() == np.eye(6)[[0, 1, 0, 1]].tolist()
+    # The first axis of the system 3 is y, and PS 4 a rotation about it.
+    assert np.allclose(deck.supports.directions[4:], np.eye(6)[[1, 4]], atol=1e-15)
+    everything = read("BEGIN BULK\n")
+    assert everything.supports.nodes.tolist() == [10, 10, 20, 20, 30, 90, 90]
+    assert everything.left_out["SPC1"].count == 2 and "2 SPC1: not applied; the body is free." in everything.notes
+    torn = read("CEND\nSUBCASE 1\nSPC = 1\nSUBCASE 2\nSPC = 2\nBEGIN BULK\n")
+    assert not len(torn.supports.nodes) and "subcases ask for the SPC sets [1, 2]" in torn.left_out["SPC"].why
+    assert torn.to_model().M.sum() > 0

@@ -12,7 +12,7 @@ from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problem, Problems
 from morembs.importers.nastran.cards import integer, real, tables
 from morembs.importers.nastran.geometry import SOLIDS, Grids, Solids, Systems
-from morembs.importers.nastran.names import NOTED, OF_TEMPERATURE, READ, REASONS, SYSTEMS
+from morembs.importers.nastran.names import NOTED, OF_TEMPERATURE, READ, REASONS, RESTRAINTS, SYSTEMS
 from morembs.importers.nastran.properties import Rows, padded
 from morembs.importers.nastran.tables import Table
 from morembs.importers.nastran.text import BulkText
@@ -63,6 +63,8 @@ class Bulk:
         elif name in self.rows:
             self.rows[name] += table.rows()
             self.lines[name] += table.lines.tolist()
+            if name in RESTRAINTS:
+                self.noted[name] = self.noted.get(name, 0) + count
         else:
             # Matrices that case control does not ask for are data only.
             idle = name == "DMIG" and self.text.head.strip() and not _ADDED.search(self.text.head)

@@ -12,17 +12,19 @@ from pathlib import Path
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Bools, Ints
 from morembs.importers.decks.formulations import nastran_mass_warnings, nastran_meaning, warnings_of
 from morembs.importers.decks.labels import distinct, find, ranges_by_number, ranges_of
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import deck_options, left_out
-from morembs.importers.decks.tables import Elements, LeftOut
+from morembs.importers.decks.tables import Elements, LeftOut, Supports
 from morembs.importers.imported import Imported, nodes_of
 from morembs.importers.nastran.bulk import Bulk
 from morembs.importers.nastran.geometry import card_of
 from morembs.importers.nastran.names import OF_TEMPERATURE, RESTRAINTS, SCALARS
 from morembs.importers.nastran.properties import Materials, labels_of, padded
+from morembs.importers.nastran.restraints import supports_of
 from morembs.importers.nastran.rigid import Ties
 from morembs.importers.nastran.springs import Springs
 
@@ -88,6 +90,12 @@ def deck_of(
     used[np.concatenate([nodes_of(whole.ties), *([] if more is None else [more])])] = True
     properties = ranges_by_number((part.ids, part.numbers["property"]) for part in parts)
     node_sets, element_sets = _sets(bulk, used, parts, remarks)
+    supports, out = Supports(), {name: LeftOut(count, _why(name)) for name, count in bulk.noted.items()}
+    try:
+        supports = supports_of(bulk)
+    except InputError as error:
+        # A free body does without; a program that is to hold it says so.
+        out["SPC"] = LeftOut(1, str(error))
     sections = [] if materials is None else materials.of(list(properties), bulk.rows, bulk.systems, grids)
     whole = whole.on_rows(grids.ids.__getitem__)
     return Deck(
@@ -108,7 +116,8 @@ def deck_of(
         discrete=whole.discrete,
         systems=bulk.systems.placed,
         turned=grids.ids[grids.cd != 0],
-        left_out={name: LeftOut(count, _why(name)) for name, count in bulk.noted.items()},
+        supports=supports,
+        left_out=out,
         notes=tuple(notes_of(bulk, scale)),
         remarks=(*remarks, *([] if materials is None else materials.notes), *ties.notes),
         warnings=(*skipped_warnings(bulk), *dict.fromkeys([] if materials is None else materials.warnings)),
@@ -238,14 +247,15 @@ def _why(name: str) -> str:
     return "not applied; the body is free" if name in RESTRAINTS else "not carried over"
 
 
-def notes_of(bulk: Bulk, scale: float) -> list[str]:
-    """What was left out, a sentence each."""
+def notes_of(bulk: Bulk, scale: float, *, is_held: bool = False) -> list[str]:
+    """What was left out, a sentence each; of a model that ``is_held`` nothing on restraints."""
     notes = []
     if bulk.text.head.strip():
         notes.append("Executive and case control are not carried over, sets of labels excepted.")
     for name, count in bulk.noted.items():
-        notes.append(f"{count} {name}: {_why(name)}.")
-    if bulk.grids.fixed:
+        if not (is_held and name in RESTRAINTS[:3]):
+            notes.append(f"{count} {name}: {_why(name)}.")
+    if bulk.grids.fixed and not is_held:
         notes.append("Permanent restraints of grids (PS) are not applied; the body is free.")
     if bulk.grids.repeated:
         notes.append(f"{bulk.grids.repeated} grids are given twice in the same way.")

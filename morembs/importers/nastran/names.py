@@ -10,9 +10,10 @@ SCALARS = {
     "CDAMP1": ("D", "PDAMP"), "CDAMP2": ("D", ""),
 }
 RIGID = ("RBE1", "RBE2", "RBE3", "RBAR", "RROD", "RTRPLT")
+RESTRAINTS = ("SPC", "SPC1", "SPCADD", "SPCD", "SUPORT", "SUPORT1")
 READ = (
     "PSOLID", "MAT1", "MAT9", "MAT11", *RIGID, "CONM1", "CONM2", "PARAM", "SET1", "GRDSET", "MPC", "MPCADD",
-    "CBUSH", "PBUSH", *SCALARS, "PELAS", "PMASS", "PDAMP", *SYSTEMS,
+    "CBUSH", "PBUSH", *SCALARS, "PELAS", "PMASS", "PDAMP", *SYSTEMS, *RESTRAINTS[:3],
 )
 # Shells and bars, their properties, and materials and defaults that only these have.
 STRUCTURAL = (
@@ -24,7 +25,6 @@ PROPERTIES = (
 )
 # Their fields are text, in which commas and columns of marks mean nothing (Quick Reference Guide, DEQATN).
 FREE_TEXT = ("DEQATN",)
-RESTRAINTS = ("SPC", "SPC1", "SPCADD", "SPCD", "SUPORT", "SUPORT1")
 # Materials that vary with temperature; the values of the material itself hold.
 OF_TEMPERATURE = ("MATT1", "MATT9", "MATT11")
 # Part of superelements within one file: all of it is one model.

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg as sl
 
-from morembs.base.types import Bools, Floats
+from morembs.base.types import Bools, Floats, Ints
 from morembs.fem.constraints import Equations
+from morembs.importers.decks.labels import distinct
+from morembs.importers.decks.tables import Supports
 from morembs.importers.nastran.bulk import Bulk
 from morembs.importers.nastran.cards import integer
 from morembs.importers.nastran.motions import components
@@ -14,40 +16,42 @@ from morembs.importers.nastran.properties import labels_of, padded
 from morembs.importers.tolerances import TOL
 
 
-def held_directions(bulk: Bulk) -> dict[int, Floats]:
-    """For rows of grids the directions (k, 6) in basic components along which they are held: those of the set that the
-    case control asks for (of all sets without case control), and PS of GRID.
+def supports_of(bulk: Bulk) -> Supports:
+    """What is held, by grids and components: in the set that the case control asks for (in all sets without case
+    control), and by PS of GRID; directions are along the basic axes.
 
     Raises:
         InputError: subcases that ask for different sets, or cards that cannot be read.
     """
+    grids = bulk.grids
     asked, has_control = bulk.chosen("SPC", " with --boundary keep")
     chosen = asked if asked or has_control else None
-    named: dict[int, set[int]] = {}
+    # Six times the row of a grid plus a component.
+    codes = [np.empty(0, dtype=np.int64)]
 
-    def hold(label: int, text: str, what: str) -> None:
+    def hold(labels: Ints, text: str, what: str) -> None:
         if text.strip("0"):
-            row = int(bulk.grids.rows(np.array([label]), what)[0])
-            named.setdefault(row, set()).update(components(text, what))
+            held = np.array(components(text, what), dtype=np.int64)
+            codes.append((6 * grids.rows(labels, what)[:, None] + held).ravel())
 
-    for grid in np.flatnonzero(bulk.grids.ps).tolist():
-        hold(int(bulk.grids.ids[grid]), str(int(bulk.grids.ps[grid])), f"{bulk.file}: PS of GRID")
-    for words in bulk.rows["SPC"]:
-        what = f"{bulk.file}: SPC {padded(words, 1)[0]}"
-        if chosen is None or integer(padded(words, 1)[0], what) in chosen:
-            for at in range(1, len(words), 3):
-                named_grid, text = padded(words[at : at + 2], 2)
-                if named_grid:
-                    hold(integer(named_grid, what), text, what)
-    for words in bulk.rows["SPC1"]:
-        what = f"{bulk.file}: SPC1 {padded(words, 1)[0]}"
-        if chosen is None or integer(padded(words, 1)[0], what) in chosen:
-            for label in labels_of(words[2:], what, bulk.grids.ids):
-                hold(label, padded(words, 2)[1], what)
-    return {
-        row: np.array([bulk.systems.direction(row, c, bulk.grids) for c in sorted(own)])
-        for row, own in sorted(named.items())
-    }
+    for number in np.unique(grids.ps[grids.ps != 0]).tolist():
+        hold(grids.ids[grids.ps == number], str(number), f"{bulk.file}: PS of GRID")
+    for name in ("SPC", "SPC1"):
+        for words in bulk.rows[name]:
+            what = f"{bulk.file}: {name} {padded(words, 1)[0]}"
+            if chosen is not None and integer(padded(words, 1)[0], what) not in chosen:
+                continue
+            if name == "SPC1":
+                hold(np.array(labels_of(words[2:], what, grids.ids), dtype=np.int64), padded(words, 2)[1], what)
+                continue
+            for label, text in (padded(words[at : at + 2], 2) for at in range(1, len(words), 3)):
+                if label:
+                    hold(np.array([integer(label, what)]), text, what)
+    rows, held = np.divmod(distinct(np.concatenate(codes)), 6)
+    directions = np.eye(6)[held]
+    for i in np.flatnonzero(grids.cd[rows] > 0).tolist():
+        directions[i] = bulk.systems.direction(int(rows[i]), int(held[i]), grids)
+    return Supports(nodes=grids.ids[rows], directions=directions)
 
 
 def held_equations(held: dict[int, Floats], there: Bools) -> Equations | None:

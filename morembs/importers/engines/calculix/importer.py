@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +15,7 @@ from morembs.fem.material import Material
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.decks.formulations import DIALECTS
 from morembs.importers.decks.options import Boundary, DeckOptions, deck_options
+from morembs.importers.decks.tables import Supports
 from morembs.importers.engines.calculix.flat import Choices, flat_deck
 from morembs.importers.engines.calculix.model import Exported
 from morembs.importers.engines.calculix.other_decks import FORMATS, read_other, with_others, write_other
@@ -79,6 +81,9 @@ def import_with_calculix(
                 f"--boundary keep was given for {Path(path).name}, whose supports are not read; leave it out, and hold "
                 "the model by [[interface]] of a job"
             )
+        if boundary == "drop":
+            # Along turned axes they would be equations, which stay.
+            other = replace(other, supports=Supports())
         with closing(ScratchFolder(None)) as scratch:
             flat_path, said = write_other(other, scratch.path)
             imported = import_with_calculix(

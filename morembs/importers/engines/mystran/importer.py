@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
 from morembs.base.limits import Positive, PositiveCount
-from morembs.base.types import Ints
+from morembs.base.types import Floats, Ints
 from morembs.fem import DofMap, rigid_motion
 from morembs.fem.constraints import Equations
 from morembs.fem.handedness import right_handed
@@ -19,7 +19,7 @@ from morembs.fem.material import Material
 from morembs.importers.decks.join import couplings_of, join
 from morembs.importers.decks.missing_middles import with_middles
 from morembs.importers.decks.options import Boundary, DeckOptions, deck_options, lacking_problems
-from morembs.importers.decks.tables import DeckTables
+from morembs.importers.decks.tables import DeckTables, Supports
 from morembs.importers.engines.mystran.bulk import as_bulk
 from morembs.importers.engines.mystran.elements import STRUCTURES, Structures, solid_cards
 from morembs.importers.engines.mystran.program import Mystran, cores, mystran_path
@@ -28,8 +28,7 @@ from morembs.importers.engines.mystran.sections import CARDS, Sections
 from morembs.importers.imported import Imported, nodes_of
 from morembs.importers.nastran.bulk import Bulk
 from morembs.importers.nastran.importer import deck_of, grids_of, notes_of, skipped_warnings, solid_elements, tied
-from morembs.importers.nastran.names import RESTRAINTS
-from morembs.importers.nastran.restraints import held_directions, held_equations
+from morembs.importers.nastran.restraints import held_equations, supports_of
 from morembs.importers.tolerances import TOL
 
 # Cards beside those of the own reader.
@@ -40,9 +39,6 @@ CARDS_READ = (
     "MAT8",
     "BAROR",
     "BEAMOR",
-    "SPC",
-    "SPC1",
-    "SPCADD",
 )
 
 
@@ -166,7 +162,7 @@ class _Deck:
             for block in self.structures.blocks:
                 solid[block.nodes] = False
             ties, springs = tied(bulk, solid, self.scale)
-            self.held = held_directions(bulk) if keep else {}
+            self.held = _by_row(bulk, supports_of(bulk)) if keep else {}
             own = np.concatenate([bulk.grids.ids[:0], *(block.nodes.ravel() for block in self.structures.blocks)])
             self._mesh(deck_of(bulk, parts, ties, springs, more=own), own)
             self.properties = self._properties(options)
@@ -298,15 +294,16 @@ class _Deck:
     def _said(self, version: str, loose: int, rows: int) -> list[str]:
         """What was left out, a sentence each."""
         notes = [f"The matrices of elements are those of MYSTRAN{' ' + version if version else ''}."]
-        kept = RESTRAINTS[:3] if self.keep else ()
-        for name in RESTRAINTS[:3]:
-            if self.bulk.rows[name] and name not in kept:
-                notes.append(f"{len(self.bulk.rows[name])} {name}: not applied; the body is free.")
         if loose:
             notes.append(
                 f"{loose} grids turn freely about an axis, such as the normal of flat shells; they follow the "
                 "rotation of an element by springs that carry no force."
             )
-        skipped = "Permanent restraints" if self.keep else "\0"
-        notes += [note for note in notes_of(self.bulk, self.scale) if not note.startswith(skipped)]
+        notes += notes_of(self.bulk, self.scale, is_held=self.keep)
         return [*notes, *self.notes]
+
+
+def _by_row(bulk: Bulk, supports: Supports) -> dict[int, Floats]:
+    """Directions (k, 6) that are held, by rows of grids."""
+    rows, starts = np.unique(bulk.grids.rows(supports.nodes, "SPC"), return_index=True)
+    return dict(zip(rows.tolist(), np.split(supports.directions, starts[1:]), strict=True)) if len(rows) else {}
