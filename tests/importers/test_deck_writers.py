@@ -14,6 +14,7 @@ from morembs.importers import IMPORTERS, import_file
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.tables import ElasticMaterial, Elements, Section, Supports
 from morembs.importers.to_model import model_of
+from tests.importers.test_engines import BEAM, PLATE, SHELL
 from tests.importers.test_nastran_deck import FULL
 from tests.importers.test_unv import universal
 from tests.support.calculix import STEEL, elements_text, needs_ccx, nodes_text, on_plane, own_frequencies
@@ -221,6 +222,37 @@ def test_shells_and_beams_are_those_of_a_deck_by_hand_in_ccx(tmp_path):
     theirs = own_frequencies((tmp_path / "flat.inp").read_text(), tmp_path)
     assert theirs == pytest.approx(own_frequencies(text, tmp_path), rel=1e-9)
     assert 0 < theirs[0] < theirs[-1]
+
+
+@needs_ccx
+@pytest.mark.parametrize(
+    "text",
+    [
+        PLATE + "*BOUNDARY\n1,1,6\n4,1,6\n7,1,6\n",
+        SHELL.replace("S4R", "M3D4R").replace("SHELL", "MEMBRANE") + "*BOUNDARY\n1,1,3\n2,1,3\n3,3,3\n4,3,3\n",
+        "*NODE\n1,0,0,0\n2,1,0,0\n3,1,1,0\n4,0,1,0\n5,.5,0,0\n6,1,.5,0\n7,.5,1,0\n8,0,.5,0\n"
+        "*ELEMENT,TYPE=S8R,ELSET=E\n1,1,2,3,4,5,6,7,8\n*ORIENTATION,NAME=O\n0.,1.,0.,-1.,0.,0.\n"
+        "*ORIENTATION,NAME=P\n.8,.6,0.,-.6,.8,0.\n*MATERIAL,NAME=PLY\n*ELASTIC,TYPE=ENGINEERING CONSTANTS\n"
+        "140.e9,10.e9,10.e9,.3,.3,.4,5.e9,5.e9\n3.5e9\n*DENSITY\n1600.\n*SHELL SECTION,ELSET=E,OFFSET=.5,COMPOSITE\n"
+        ".004,,PLY,O\n.003,,PLY,P\n*BOUNDARY\n1,1,6\n5,1,6\n2,1,6\n",
+        BEAM.format(",OFFSET1=.5,OFFSET2=-.2") + "*BOUNDARY\n1,1,6\n",
+        BEAM.format("").replace("RECT\n.1,.2", "PIPE\n.1,.02").replace("B32", "B32R") + "*BOUNDARY\n1,1,6\n",
+        "*NODE\n1,0,0,0\n2,1,0,0\n3,0,1,0\n4,0,0,1\n*ELEMENT,TYPE=T3D2,ELSET=E\n1,1,4\n2,2,4\n3,3,4\n"
+        f"{STEEL}*SOLID SECTION,ELSET=E,MATERIAL=STEEL\n.01\n*BOUNDARY\n1,1,3\n2,1,3\n3,1,3\n",
+    ],
+    ids=["S4 and a rigid body", "membrane", "layers", "B32 with offsets", "pipe", "trusses"],
+)
+def test_shells_and_beams_of_input_decks_keep_their_frequencies_in_ccx(text, tmp_path):
+    body, held = text.split("*BOUNDARY")
+    (tmp_path / "deck.inp").write_text(body)
+    deck = read(tmp_path / "deck.inp", dialect="calculix")
+    assert deck.write(tmp_path / "flat.inp", "calculix") == ()
+    flat = (tmp_path / "flat.inp").read_text()
+    theirs = own_frequencies(f"{flat}*BOUNDARY{held}", tmp_path, 3)
+    assert theirs == pytest.approx(own_frequencies(text, tmp_path, 3), rel=1e-6)
+    assert np.abs(theirs).min() > 0
+    with pytest.raises(InputError, match="elements that are not supported"):
+        deck.imported()
 
 
 @needs_mystran

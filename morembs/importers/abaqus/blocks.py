@@ -124,3 +124,29 @@ def _nodes_of(code: str) -> int:
     beam = _BEAMS.match(code)
     plane = _PLANES.match(code)
     return (2, 3, 2)[int(beam.group(1)) - 1] if beam else int(plane.group(1)) if plane else 0
+
+
+def line_records(card: Card, pieces: Iterator[bytes], code: str, width: int) -> Ints:
+    """Label and nodes (k, 1 + width) of elements; data may go on in further lines, and lines may name more nodes."""
+    values, first = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=bool)]
+    for piece in pieces:
+        if piece:
+            own, begins = element_numbers(piece, card)
+            values.append(own)
+            first.append(begins)
+    numbers, starts = np.concatenate(values), np.flatnonzero(np.concatenate(first))
+    if len(numbers) % (width + 1) == 0 and np.isin(np.arange(0, len(numbers), width + 1), starts).all():
+        return numbers.reshape(-1, width + 1)
+    rows, row = [], list[int]()
+    for line in np.split(numbers, starts[1:]):
+        row += line.tolist()
+        if len(row) > width:
+            # As CalculiX does: what a line has beyond the last node is passed over.
+            rows.append(row[: width + 1])
+            row = []
+    if row:
+        raise InputError(
+            f"{card}, TYPE={code}: the element {row[0]} has {len(row) - 1} nodes, expected {width}; the file may be "
+            "cut off"
+        )
+    return np.array(rows, dtype=np.int64).reshape(-1, width + 1)

@@ -10,7 +10,7 @@ from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.left_out import warning_of
 from morembs.importers.decks.formulations import meaning_of
 from morembs.importers.decks.options import DeckOptions
-from morembs.importers.decks.problems import Problems
+from morembs.importers.decks.problems import Problem, Problems
 
 Rows = list[list[str]]
 NODES = {"tet4": 4, "tet10": 10, "hex8": 8, "hex20": 20, "hex27": 27, "wedge6": 6, "wedge15": 15}
@@ -46,6 +46,47 @@ DISCRETE = {
     "DASHPOT2": 2,
     "DASHPOTA": 2,
 }
+# Kind and shape of shells, membranes, beams and trusses, which own assembly has not.
+STRUCTURES = {
+    "S3": ("shell", "tri3"),
+    **dict.fromkeys(("S4", "S4R"), ("shell", "quad4")),
+    "S6": ("shell", "tri6"),
+    **dict.fromkeys(("S8", "S8R"), ("shell", "quad8")),
+    "M3D3": ("membrane", "tri3"),
+    **dict.fromkeys(("M3D4", "M3D4R"), ("membrane", "quad4")),
+    "M3D6": ("membrane", "tri6"),
+    **dict.fromkeys(("M3D8", "M3D8R"), ("membrane", "quad8")),
+    **dict.fromkeys(("B31", "B31R"), ("beam", "line2")),
+    **dict.fromkeys(("B32", "B32R"), ("beam", "line3")),
+    "T3D2": ("truss", "line2"),
+    "T3D3": ("truss", "line3"),
+    "GAPUNI": ("gap", "line2"),
+}
+# Types of Abaqus that CalculiX has under another name, in a plain form.
+PLAIN = {
+    "S3R": "S3",
+    "S3RS": "S3",
+    "STRI3": "S3",
+    "STRI65": "S6",
+    "S4RS": "S4R",
+    "S4R5": "S4R",
+    "S8R5": "S8R",
+    "B31H": "B31",
+    "B31OS": "B31",
+    "B32H": "B32",
+    "B32OS": "B32",
+    "B33": "B31",
+    "PIPE31": "B31",
+    "PIPE32": "B32",
+    "T3D2H": "T3D2",
+    "T3D3H": "T3D3",
+}
+_WIDTHS = {"tri3": 3, "quad4": 4, "tri6": 6, "quad8": 8, "line2": 2, "line3": 3}
+
+
+def width_of(code: str) -> int:
+    """Nodes of a shell, membrane, beam or truss, 0 of another type."""
+    return _WIDTHS[STRUCTURES[code][1]] if code in STRUCTURES else 0
 
 
 @dataclass
@@ -74,8 +115,8 @@ class NamedSet:
 class Scope:
     """What a part, an instance, or the assembly (with all that stands outside of parts) defines.
 
-    ``others`` are elements that are not assembled here: type, label and nodes (k, 1 + width), of which a program that
-    takes them needs all and others none.
+    ``others`` are elements that are not assembled here: type, label and nodes (k, 1 + width), without nodes where
+    nobody takes them; ``sections`` are theirs.
     """
 
     name: str
@@ -88,6 +129,7 @@ class Scope:
     element_sets: dict[str, NamedSet] = field(default_factory=dict)
     surfaces: list[tuple[Card, Rows]] = field(default_factory=list)
     properties: list[tuple[Card, Rows]] = field(default_factory=list)
+    sections: list[tuple[Card, Rows]] = field(default_factory=list)
     orientations: dict[str, tuple[Card, Rows]] = field(default_factory=dict)
     transforms: list[tuple[Card, Rows]] = field(default_factory=list)
     constraints: list[tuple[Card, Rows, Card | None, Rows]] = field(default_factory=list)
@@ -121,6 +163,7 @@ class Contents:
     skipped: dict[str, int] = field(default_factory=dict)
     in_steps: dict[str, int] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    unsupported: Problem | None = None
     dialects: set[str] = field(default_factory=set)
     dialect: str = "calculix"
     guessed: bool = False

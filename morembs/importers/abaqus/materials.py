@@ -15,7 +15,7 @@ from morembs.importers.abaqus.deck import Contents, Rows, Scope, values
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
 from morembs.importers.decks.algebra import frame_of, rotate_stiffness
-from morembs.importers.decks.tables import Section
+from morembs.importers.decks.tables import ElasticMaterial, Section
 
 # What has a stiffness of its own, but no linear one.
 _NOT_LINEAR = {
@@ -119,7 +119,7 @@ def _section(
         own_axes = np.eye(3)
         # CalculiX takes the global axes where a section names none.
         if orientation or deck.dialect != "calculix":
-            own_axes = _axes(placed, scope, deck, orientation, elset, name)
+            own_axes = axes_of(placed, scope, deck, orientation, elset, name)
         axes = own_axes @ placed.rotation.T
     if "DENSITY" not in given:
         stiffness = _elastic(elastic, rows, final, name, 1.0, axes, result.warnings).stiffness
@@ -128,6 +128,23 @@ def _section(
     density = _numbers(*given["DENSITY"], 1, name, result.warnings)[0]
     material = _elastic(elastic, rows, final, name, density, axes, result.warnings)
     result.sections.append(replace(section, stiffness=material.stiffness, density=density))
+
+
+def elastic_of(deck: Contents, name: str) -> ElasticMaterial:
+    """A material along its own axes, without a stiffness where it has no linear one in space.
+
+    Raises:
+        InputError: it is not there, or its constants cannot be read.
+    """
+    if name.upper() not in deck.materials:
+        raise InputError(f"{deck.name}: a section names the material {name!r}; {nearest(name, deck.materials)}")
+    given = _properties(deck, name, SectionMaterials())
+    density = _numbers(*given["DENSITY"], 1, name, [])[0] if "DENSITY" in given else None
+    if "ELASTIC" not in given or given["ELASTIC"][0].options.get("TYPE", "").upper().startswith("LAMINA"):
+        return ElasticMaterial(name=name, density=density)
+    return ElasticMaterial(
+        name=name, stiffness=_elastic(*given["ELASTIC"], name, name, 1.0, None, []).stiffness, density=density
+    )
 
 
 def _properties(deck: Contents, name: str, result: SectionMaterials) -> dict[str, tuple[Card, Rows]]:
@@ -193,7 +210,7 @@ def _elastic(
     return Material(set=final, stiffness=C if axes is None else rotate_stiffness(C, axes), density=density)
 
 
-def _axes(placed: Placed, scope: Scope, deck: Contents, key: str, elset: str, name: str) -> Floats:
+def axes_of(placed: Placed, scope: Scope, deck: Contents, key: str, elset: str, name: str) -> Floats:
     """Rows are the material directions 1, 2, 3 in the axes of the part."""
     orientation = scope.orientations.get(key) or deck.top.orientations.get(key)
     if not orientation:

@@ -9,13 +9,35 @@ from pathlib import Path
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.importers.abaqus.blocks import other_records, set_parts, solid_records
+from morembs.importers.abaqus.blocks import line_records, other_records, set_parts, solid_records
 from morembs.importers.abaqus.data import fields, node_rows
-from morembs.importers.abaqus.deck import DISCRETE, KINDS, SOLIDS, Contents, Instance, Members, Rows, Scope, join
+from morembs.importers.abaqus.deck import (
+    DISCRETE,
+    KINDS,
+    PLAIN,
+    SOLIDS,
+    STRUCTURES,
+    Contents,
+    Instance,
+    Members,
+    Rows,
+    Scope,
+    join,
+    width_of,
+)
 from morembs.importers.abaqus.generate import GENERATING, generate
 from morembs.importers.abaqus.keywords import Card, cards
 from morembs.importers.abaqus.left_out import refusal_of
-from morembs.importers.abaqus.words import CONSTRAINTS, CONTACT, GAPS, LEFT_OUT, MATERIAL, PROPERTIES, STRUCTURAL
+from morembs.importers.abaqus.words import (
+    CONSTRAINTS,
+    CONTACT,
+    GAPS,
+    LEFT_OUT,
+    MATERIAL,
+    PROPERTIES,
+    SECTIONS,
+    STRUCTURAL,
+)
 from morembs.importers.decks.algebra import points_of
 from morembs.importers.decks.formulations import dialect_of, dialects_of_comments
 from morembs.importers.decks.includes import open_text
@@ -78,17 +100,16 @@ def _others(deck: Contents) -> None:
     listed = ", ".join(f"{n} of the type {code!r}" for code, n in unknown.items())
     gaps = set(unknown) <= GAPS
     flags = ("--contact skip",) if gaps else tuple(f"--skip {code}" for code in unknown)
-    deck.problems.add(
-        Problem(
-            what=f"{deck.name} has elements that are not supported: {listed}; expected solids ({', '.join(KINDS)} and "
-            f"their variants), {', '.join(DISCRETE)}; leave the others out with "
-            f"{'--contact skip' if gaps else '--skip ' + ','.join(unknown)} if the model is right without them"
-            f"{'; --engine calculix may assemble them' if all(map(_OF_ENGINE.match, unknown)) else ''}",
-            file=deck.name,
-            keyword="ELEMENT",
-            flags=flags,
-        )
+    deck.unsupported = Problem(
+        what=f"{deck.name} has elements that are not supported: {listed}; expected solids ({', '.join(KINDS)} and "
+        f"their variants), {', '.join(DISCRETE)}; leave the others out with "
+        f"{'--contact skip' if gaps else '--skip ' + ','.join(unknown)} if the model is right without them"
+        f"{'; --engine calculix may assemble them' if all(map(_OF_ENGINE.match, unknown)) else ''}",
+        file=deck.name,
+        keyword="ELEMENT",
+        flags=flags,
     )
+    deck.problems.add(deck.unsupported)
 
 
 class DeckReader:
@@ -122,6 +143,8 @@ class DeckReader:
             deck.skip(card)
         elif word in LEFT_OUT:
             deck.leave_out(card)
+            if word in SECTIONS:
+                self.scope.sections.append((card, fields(b"".join(pieces))))
         else:
             with deck.problems.collected(card):
                 self._rest(card, pieces)
@@ -196,6 +219,13 @@ class DeckReader:
                 self.scope.elements.setdefault(code, []).append(rows)
                 join(self.scope.element_sets, name, Members(rows[:, 0].copy(), [], [], ""))
             return
+        plain = PLAIN.get(code, code)
+        if plain in STRUCTURES and not self._skips(code):
+            rows = line_records(card, pieces, code, width_of(plain))
+            counts[code] += len(rows)
+            self.scope.others.append((plain, rows))
+            join(self.scope.element_sets, name, Members(rows[:, 0].copy(), [], [], ""))
+            return
         others = []
         for given, nodes in other_records(card, pieces, code):
             counts[code or "(none)"] += 1
@@ -207,6 +237,11 @@ class DeckReader:
                 join(self.scope.element_sets, name, Members(np.array([given]), [], [], ""))
         if others:
             self.scope.others.append((code, np.array(others, dtype=np.int64)[:, None]))
+
+    def _skips(self, code: str) -> bool:
+        """Whether elements of a type are left out as asked."""
+        options = self.deck.options
+        return options.skips(code) or (code in GAPS and options.contact == "skip")
 
     def _set(self, card: Card, pieces: Iterator[bytes]) -> None:
         sets = self.scope.node_sets if card.keyword == "NSET" else self.scope.element_sets

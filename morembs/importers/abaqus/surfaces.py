@@ -11,7 +11,7 @@ from morembs.fem.elements import TYPES
 from morembs.fem.surface import outer_faces
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.data import number
-from morembs.importers.abaqus.deck import Rows
+from morembs.importers.abaqus.deck import STRUCTURES, Rows
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
 from morembs.importers.decks.tables import Surface
@@ -132,6 +132,12 @@ class Surfaces:
             for face, local in faces_of(kind):
                 if set(local[: len(table[at])].tolist()) == set(table[at]):
                     blocks.append((face, nodes[own][:, local]))
+        start += len(self.assembly.discrete)
+        for code, ids, nodes in self.assembly.others:
+            own = numbers[(numbers >= start) & (numbers < start + len(ids))] - start
+            start += len(ids)
+            if len(own) and nodes.shape[1] and STRUCTURES[code][0] in ("shell", "membrane"):
+                blocks.append((STRUCTURES[code][1], nodes[own]))
         return blocks
 
     def _free(self, kind: str, faces: Ints) -> Ints:

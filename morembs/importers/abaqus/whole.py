@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from morembs.base.types import Ints
+from morembs.base.types import Floats, Ints
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.constraints import Constraints, DeckTies
-from morembs.importers.abaqus.deck import SOLIDS, Contents
+from morembs.importers.abaqus.deck import SOLIDS, STRUCTURES, Contents
 from morembs.importers.abaqus.left_out import LOCKED, PRETENSION, notes_of
 from morembs.importers.abaqus.materials import SectionMaterials, materials_of
+from morembs.importers.abaqus.structures import structures_of
 from morembs.importers.abaqus.words import of_kind
 from morembs.importers.decks.formulations import Meaning, deck_warnings, program_of
 from morembs.importers.decks.labels import ranges_of
@@ -20,6 +21,9 @@ from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import left_out
 from morembs.importers.decks.tables import Elements, Surface
 from morembs.importers.imported import on_rows
+
+# Nodes of lines in VTK order.
+_ORDER = {"line3": [0, 2, 1]}
 
 
 def deck_of(contents: Contents) -> Deck:
@@ -31,17 +35,19 @@ def deck_of(contents: Contents) -> Deck:
     with contents.problems.ending():
         assembly = Assembly(contents)
         ties, sections, surfaces = DeckTies(), SectionMaterials(), dict[str, Surface]()
-        if assembly.blocks:
+        if assembly.blocks or any(nodes.shape[1] for *_, nodes in assembly.others):
             constraints = Constraints(contents, assembly)
             ties, surfaces = constraints.read(), constraints.surfaces.named
             sections = materials_of(contents, assembly)
-        deck = mesh_deck(contents, assembly)
+        structures = structures_of(contents, assembly)
+        deck = mesh_deck(contents, assembly, structures.offsets)
     ids = assembly.ids
     moved = (own.scope.name for own in contents.instances.values() if own.moves)
     return replace(
         deck,
         surfaces={name: _labelled(surface, ids) for name, surface in surfaces.items()},
-        sections=tuple(sections.sections),
+        materials=structures.materials,
+        sections=(*sections.sections, *structures.sections),
         rigid=on_rows(ties.rigid, ids),
         average=on_rows(ties.average, ids),
         equations=on_rows(ties.equations, ids),
@@ -55,8 +61,9 @@ def deck_of(contents: Contents) -> Deck:
     )
 
 
-def mesh_deck(contents: Contents, assembly: Assembly) -> Deck:
-    """Nodes, elements and sets alone; the assembly gives up its solids."""
+def mesh_deck(contents: Contents, assembly: Assembly, offsets: Mapping[int, Floats] | None = None) -> Deck:
+    """Nodes, elements and sets alone, with ``offsets`` (3,) of beams by their numbers; the assembly gives up its
+    solids."""
     labels, ids = assembly.element_labels(), assembly.ids
     node_sets = {name: ranges_of(ids[rows]) for name, rows in assembly.resolved("node")}
     element_sets = {name: ranges_of(labels[numbers]) for name, numbers in assembly.resolved("element")}
@@ -66,7 +73,7 @@ def mesh_deck(contents: Contents, assembly: Assembly) -> Deck:
         program=program_of(contents.dialect),
         ids=ids,
         xyz=assembly.xyz,
-        elements=tuple(_elements(contents, assembly)),
+        elements=tuple(_elements(contents, assembly, offsets or {})),
         node_sets=node_sets,
         element_sets=element_sets,
         notes=tuple(assembly.notes),
@@ -76,21 +83,38 @@ def mesh_deck(contents: Contents, assembly: Assembly) -> Deck:
     )
 
 
-def _elements(contents: Contents, assembly: Assembly) -> Iterator[Elements]:
+def _elements(contents: Contents, assembly: Assembly, offsets: Mapping[int, Floats]) -> Iterator[Elements]:
     """Solids by what they mean, then elements on single nodes, then others."""
+    start = assembly.solids + len(assembly.discrete)
     codes = {contents.kind(code): code for code in reversed(contents.counts) if code in SOLIDS}
     while assembly.blocks:
         block = assembly.blocks.pop(0)
-        kind = block.type, block.formulation, block.mass
+        code = codes[block.type, block.formulation, block.mass]
         meaning = Meaning(formulation=block.formulation, mass=block.mass)
         nodes = assembly.ids[block.nodes]
-        yield Elements(code=codes[kind], kind="solid", shape=block.type, ids=block.ids, nodes=nodes, meaning=meaning)
+        yield Elements(code=code, kind="solid", shape=block.type, ids=block.ids, nodes=nodes, meaning=meaning)
     for code in dict.fromkeys(element.code for element in assembly.discrete):
         own = [element for element in assembly.discrete if element.code == code]
         labels, nodes = np.array([element.label for element in own]), np.array([element.nodes for element in own])
         yield Elements(code=code, kind="point", shape="", ids=labels, nodes=assembly.ids[nodes])
     for code, labels, nodes in assembly.others:
-        yield Elements(code=code, kind="none", shape="", ids=labels, nodes=assembly.ids[nodes])
+        kind, shape = STRUCTURES[code] if nodes.shape[1] else ("none", "")
+        yield Elements(
+            code=code,
+            kind=kind,
+            shape=shape,
+            ids=labels,
+            nodes=assembly.ids[nodes[:, _ORDER.get(shape, slice(None))]],
+            values=_offsets_of(start, len(labels), offsets),
+            problem=contents.unsupported if nodes.shape[1] else None,
+        )
+        start += len(labels)
+
+
+def _offsets_of(start: int, count: int, offsets: Mapping[int, Floats]) -> dict[str, Floats]:
+    """Offsets (count, 2, 3) of the ends of beams with the numbers from ``start`` on, where there are any."""
+    vectors = np.array([offsets.get(start + i, np.zeros(3)) for i in range(count)]).reshape(-1, 1, 3)
+    return {"offset": np.repeat(vectors, 2, axis=1)} if vectors.any() else {}
 
 
 def _labelled(surface: Surface, ids: Ints) -> Surface:

@@ -99,7 +99,8 @@ def mesh_of(deck: DeckTables) -> Mesh:
 def _problems(deck: DeckTables) -> Problems:
     """Those of the deck, and of elements that own assembly does not have."""
     problems = Problems(deck.name, deck.options.flags)
-    problems.entries = [*deck.problems, *(part.problem for part in deck.elements if part.problem)]
+    of_elements = dict.fromkeys(part.problem for part in deck.elements if part.problem)
+    problems.entries = [*deck.problems, *(own for own in of_elements if own not in deck.problems)]
     return problems
 
 

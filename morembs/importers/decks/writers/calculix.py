@@ -15,6 +15,8 @@ from morembs.importers.decks.writers.calculix_sections import SectionText, unit
 from morembs.importers.imported import DiscreteElement
 from morembs.importers.tolerances import TOL
 
+_ALL = range(6)
+
 
 @dataclass(eq=False)
 class CalculixText(SectionText):
@@ -58,8 +60,12 @@ class CalculixText(SectionText):
         return ["*EQUATION", str(len(texts)), *(", ".join(texts[i : i + Line.EQUATION_TERMS]) for i in rows)]
 
     def coupling_lines(self) -> Iterator[str]:
-        """Rigid elements as kinematic couplings, average elements as distributing ones."""
+        """Rigid elements as rigid bodies or kinematic couplings, average elements as distributing ones."""
         for rigid in self.deck.rigid:
+            if len(rigid.components) == len(_ALL):
+                nodes_of = self.node_set(np.unique(rigid.slaves), rigid.name)
+                yield f"*RIGID BODY, NSET={nodes_of}, REF NODE={self.node(np.array([rigid.master]))[0]}"
+                continue
             nodes = Surface(nodes=np.unique(rigid.slaves), weights=np.ones(len(np.unique(rigid.slaves))))
             dofs = (f"{c + 1}, {c + 1}" for c in rigid.components)
             yield "\n".join([*self._coupling(rigid.name, rigid.master, nodes), "*KINEMATIC", *dofs])

@@ -6,12 +6,22 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from morembs.base.errors import InputError
-from morembs.base.types import Ints
-from morembs.importers.abaqus.data import element_numbers, fields
-from morembs.importers.abaqus.deck import DISCRETE, NODES, SOLIDS, Contents, Members, Rows, Scope, join
+from morembs.importers.abaqus.blocks import line_records
+from morembs.importers.abaqus.data import fields
+from morembs.importers.abaqus.deck import (
+    DISCRETE,
+    NODES,
+    PLAIN,
+    SOLIDS,
+    STRUCTURES,
+    Contents,
+    Members,
+    Rows,
+    Scope,
+    join,
+    width_of,
+)
 from morembs.importers.abaqus.generate import GENERATING
 from morembs.importers.abaqus.keywords import Card, cards
 from morembs.importers.abaqus.reader import DeckReader
@@ -22,47 +32,6 @@ from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problem, Problems
 from morembs.importers.tolerances import TOL
 
-# Elements of CalculiX that are expanded or stand for contact, and how many nodes they have.
-WIDTHS = {
-    "S3": 3,
-    "S4": 4,
-    "S4R": 4,
-    "S6": 6,
-    "S8": 8,
-    "S8R": 8,
-    "M3D3": 3,
-    "M3D4": 4,
-    "M3D4R": 4,
-    "M3D6": 6,
-    "M3D8": 8,
-    "M3D8R": 8,
-    "B31": 2,
-    "B31R": 2,
-    "B32": 3,
-    "B32R": 3,
-    "T3D2": 2,
-    "T3D3": 3,
-    "GAPUNI": 2,
-}
-# Types of Abaqus that CalculiX has under another name, in a plain form.
-_PLAIN = {
-    "S3R": "S3",
-    "S3RS": "S3",
-    "STRI3": "S3",
-    "STRI65": "S6",
-    "S4RS": "S4R",
-    "S4R5": "S4R",
-    "S8R5": "S8R",
-    "B31H": "B31",
-    "B31OS": "B31",
-    "B32H": "B32",
-    "B32OS": "B32",
-    "B33": "B31",
-    "PIPE31": "B31",
-    "PIPE32": "B32",
-    "T3D2H": "T3D2",
-    "T3D3H": "T3D3",
-}
 # Elements without stiffness and mass.
 _EMPTY = ("SFM3D",)
 _PLANE = ("CPE", "CPS", "CAX", "SAX", "MAX", "B21", "B22", "T2D", "CGAX", "PIPE21", "PIPE22")
@@ -108,7 +77,7 @@ def _refuse_others(deck: EngineDeck) -> None:
     if not wrong:
         return
     listed = ", ".join(f"{count} of the type {code!r}" for code, count in wrong.items())
-    why = f"expected solids, {', '.join(WIDTHS)}"
+    why = f"expected solids, {', '.join(STRUCTURES)}"
     if all(code.startswith(_PLANE) for code in wrong):
         why = "they are plane or axisymmetric, no body in space"
     elif all(code.startswith(_FLOW) or code == "D" for code in wrong):
@@ -125,7 +94,7 @@ def _refuse_others(deck: EngineDeck) -> None:
 
 
 def _known(code: str) -> bool:
-    return code in SOLIDS or code in WIDTHS or code in DISCRETE or code.startswith(_EMPTY)
+    return code in SOLIDS or code in STRUCTURES or code in DISCRETE or code.startswith(_EMPTY)
 
 
 _TABLES = (*GENERATING, "NODE", "NSET", "ELSET", "MATERIAL", "SURFACE", "COUPLING", "KINEMATIC", "DISTRIBUTING")
@@ -163,12 +132,12 @@ class _Keeping(DeckReader):
 
     def _elements(self, card: Card, pieces: Iterator[bytes]) -> None:
         code = card.options.get("TYPE", "").upper()
-        plain = _PLAIN.get(code, code)
-        width = WIDTHS.get(plain, NODES[SOLIDS[plain]] if plain in SOLIDS else 0)
+        plain = PLAIN.get(code, code)
+        width = NODES[SOLIDS[plain]] if plain in SOLIDS else width_of(plain)
         if not width:
             super()._elements(card, pieces)
             return
-        rows = _records(card, pieces, plain, width)
+        rows = line_records(card, pieces, plain, width)
         self.deck.counts[plain] = self.deck.counts.get(plain, 0) + len(rows)
         if plain in SOLIDS:
             self.scope.elements.setdefault(plain, []).append(rows)
@@ -177,29 +146,3 @@ class _Keeping(DeckReader):
         join(self.scope.element_sets, card.options.get("ELSET", ""), Members(rows[:, 0].copy(), [], [], ""))
         if plain != code:
             self.deck.replaced[code, plain] = self.deck.replaced.get((code, plain), 0) + len(rows)
-
-
-def _records(card: Card, pieces: Iterator[bytes], code: str, width: int) -> Ints:
-    """Label and nodes (k, 1 + width) of elements; data may go on in further lines, and lines may name more nodes."""
-    values, first = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=bool)]
-    for piece in pieces:
-        if piece:
-            own, begins = element_numbers(piece, card)
-            values.append(own)
-            first.append(begins)
-    numbers, starts = np.concatenate(values), np.flatnonzero(np.concatenate(first))
-    if len(numbers) % (width + 1) == 0 and np.isin(np.arange(0, len(numbers), width + 1), starts).all():
-        return numbers.reshape(-1, width + 1)
-    rows, row = [], list[int]()
-    for line in np.split(numbers, starts[1:]):
-        row += line.tolist()
-        if len(row) > width:
-            # As CalculiX does: what a line has beyond the last node is passed over.
-            rows.append(row[: width + 1])
-            row = []
-    if row:
-        raise InputError(
-            f"{card}, TYPE={code}: the element {row[0]} has {len(row) - 1} nodes, expected {width}; the file may be "
-            "cut off"
-        )
-    return np.array(rows, dtype=np.int64).reshape(-1, width + 1)
