@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from morembs.base.errors import InputError, nearest
-from morembs.base.types import Ints
+from morembs.base.errors import InputError
 from morembs.fem.material import Material
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.constraints import Constraints, refuse_sector
@@ -19,12 +18,11 @@ from morembs.importers.abaqus.names import Placed
 from morembs.importers.abaqus.points import point_value
 from morembs.importers.abaqus.ties import is_sector
 from morembs.importers.abaqus.words import LEFT_OUT
-from morembs.importers.decks.options import MATERIAL, DeckOptions
-from morembs.importers.decks.problems import Problem
+from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.writers.calculix_mesh import numeral
-from morembs.importers.decks.writers.calculix_sections import elastic_lines
 from morembs.importers.engines.calculix.deck import CARDS, FlatDeck
 from morembs.importers.engines.calculix.read import EngineDeck
+from morembs.importers.engines.calculix.sections import SECTIONS, Sections
 from morembs.importers.engines.calculix.ties import Flat, Ties
 from morembs.importers.imported import PointMass
 
@@ -40,8 +38,6 @@ _PLAIN = set(CARDS) - {
     "DISTRIBUTION",
     "DISTRIBUTING COUPLING",
 }
-_SECTIONS = ("SOLID SECTION", "SHELL SECTION", "BEAM SECTION", "BEAM GENERAL SECTION", "MEMBRANE SECTION")
-_REDUCED_PROFILES = ("PIPE", "BOX")
 _IN_STEPS = ("STATIC", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE")
 
 
@@ -79,8 +75,8 @@ def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
     held = (("BOUNDARY", int(node), True) for node in np.flatnonzero(flat.deck.held.any(axis=1)))
     constraints.refuse_references(held, cure="[[interface]] with nodes = 'coupling:NAME'")
     writer.cuts()
-    writer.sections()
-    writer.materials()
+    writer.sections.complete()
+    writer.sections.materials()
     deck.problems.refuse()
     return flat
 
@@ -92,9 +88,8 @@ class _Writer:
         top = assembly.top
         self.places = [*assembly.placed.values(), top]
         self._expanded = {node for _, _, nodes in assembly.others for node in nodes.ravel().tolist()}
-        self._given = {material.set.upper(): material for material in choices.materials}
-        self._set_of: dict[str, str] = {}
-        self._has_section = np.zeros(len(flat.deck.labels), dtype=bool)
+        materials, expands = choices.materials, bool(choices.preload)
+        self.sections = Sections(deck, assembly, flat, materials, expands=expands)
 
     def cards(self) -> Iterator[tuple[Placed, Card, Rows]]:
         """Every card in every place that it has."""
@@ -133,8 +128,10 @@ class _Writer:
             self.ties.kinematic_coupling(placed, card, rows)
         elif word == "DISTRIBUTING COUPLING":
             self.ties.distributing(placed, card, rows)
-        elif word in _SECTIONS:
-            self._section(placed, card, rows)
+        elif word in SECTIONS:
+            section = self.sections.take(placed, card)
+            if section is not None:
+                self._plain(placed, section, rows)
         elif word in _PLAIN and word not in _IN_STEPS:
             self._plain(placed, card, rows)
         elif word in LEFT_OUT or word == "DASHPOT":
@@ -192,57 +189,6 @@ class _Writer:
             own = out.new_set("e", np.array(left))
             out.body.append((0, f"*MASS, ELSET={own}\n{numeral(value[0, 0])}"))
 
-    def _section(self, placed: Placed, card: Card, rows: Rows) -> None:
-        """A section of elements that are there, with the material that was given for its set."""
-        elset, out = card.need("ELSET"), self.flat.deck
-        numbers = out.written(self.assembly.elements_of(placed, elset))
-        if not len(numbers):
-            return
-        self._has_section[numbers] = True
-        if card.options.get("SECTION", "").upper() in _REDUCED_PROFILES:
-            self._reduce(numbers)
-        scope, rest = self.assembly.split(placed, elset)
-        is_set = rest.upper() in scope.sets("element")
-        name = self.assembly.final_name("element", placed, elset) if is_set else elset
-        own = card.options.get("MATERIAL", "")
-        given = next((key for key in (name.upper(), elset.upper()) if key in self._given), "")
-        if given and (not own or self._lack(own.upper())):
-            card = Card(card.keyword, {**card.options, "MATERIAL": _key(given)}, card.file, card.line)
-        self._set_of.setdefault(own.upper(), name)
-        self._plain(placed, card, rows)
-
-    def _reduce(self, numbers: Ints) -> None:
-        """Take beams B32 for B32R, which alone have the profile in CalculiX (CrunchiX User's Manual, *BEAM SECTION)."""
-        start = self.assembly.solids + len(self.assembly.discrete)
-        for code, ids, _ in self.assembly.others:
-            own = numbers[(numbers >= start) & (numbers < start + len(ids))]
-            start += len(ids)
-            if code == "B32" and len(own):
-                self.flat.deck.reduced[own] = True
-                self.deck.replaced[code, "B32R"] = self.deck.replaced.get((code, "B32R"), 0) + len(own)
-
-    def sections(self) -> None:
-        """Sections of solids that the deck gives none, of the materials that were given for their sets or for all."""
-        solids, named = self.assembly.solids, self.assembly.named("element")
-        sets = {name.upper(): place for name, place in named.items()}
-        for key in sorted(self._given, key=lambda key: key == "ALL"):
-            if key != "ALL" and key not in sets:
-                name = self._given[key].set
-                raise InputError(f"--material was given for the set {name!r}; {nearest(name, named)}")
-            numbers = np.arange(solids) if key == "ALL" else self.assembly.members("element", *sets[key])
-            own = numbers[numbers < solids]
-            own = own[~self._has_section[own]]
-            if len(own):
-                self._has_section[own] = True
-                out = self.flat.deck
-                name = out.name("m", self.assembly.top, _key(key))
-                out.body.append((0, f"*SOLID SECTION, ELSET={out.new_set('e', own)}, MATERIAL={name}"))
-        bare = np.flatnonzero(~self._has_section[:solids])
-        if len(bare):
-            first = self.flat.deck.labels[bare[0]]
-            what = f"{len(bare)} solid elements have no section and so no material (first: {first})"
-            self._problem(f"{what}; {MATERIAL}all", f"{MATERIAL}all")
-
     def _orientation(self, placed: Placed, card: Card, rows: Rows) -> None:
         turned = not np.array_equal(placed.rotation, np.eye(3))
         if turned and card.keyword == "ORIENTATION" and rows:
@@ -288,78 +234,6 @@ class _Writer:
         for node in self.flat.cuts:
             said = LOCKED if self.flat.deck.held[node, 0] else CUT
             self.flat.notes.append(said.format(f" of node {self.assembly.ids[node]}"))
-
-    def materials(self) -> None:
-        """Materials that sections name, with their stiffness and density only."""
-        out, unused = self.flat.deck, dict(self._given)
-        for (kind, _, key), name in list(out.names.items()):
-            if kind != "m":
-                continue
-            is_given = key.startswith(_key(""))
-            lack = "" if is_given else self._lack(key)
-            of_set = key.removeprefix(_key("")) if is_given else "ALL"
-            given = self._given.get(of_set)
-            if given is not None and (is_given or lack):
-                unused.pop(of_set, None)
-                elastic = elastic_lines(given.stiffness)
-                out.body.append(
-                    (-2, "\n".join([f"*MATERIAL, NAME={name}", *elastic, "*DENSITY", numeral(given.density)]))
-                )
-            elif lack:
-                flag = f"{MATERIAL}{self._set_of.get(key, 'all')}"
-                self._problem(f"{lack}; {flag}", flag)
-            else:
-                self._material(key, name)
-        for material in unused.values():
-            what = f"--material was given for {material.set!r}, where nothing lacks a material; leave it out"
-            self._problem(what)
-
-    def _lack(self, key: str) -> str:
-        """In which way a material of the deck is none, a sentence; empty where it has a stiffness."""
-        if key not in self.deck.materials:
-            return f"a section names the material {key!r}, which is not defined"
-        words = [card.keyword for card, _ in self.deck.materials[key]]
-        if "ELASTIC" not in words:
-            listed = ", ".join(f"*{word}" for word in words) or "empty"
-            return f"material {key} is {listed} only, which is not linear elastic; expected *ELASTIC"
-        return ""
-
-    def _material(self, key: str, name: str) -> None:
-        """A material of the deck, with the density that was given where it has none."""
-        out, given = self.flat.deck, {card.keyword: (card, rows) for card, rows in self.deck.materials[key]}
-        lines = [f"*MATERIAL, NAME={name}"]
-        for word in ["ELASTIC", "DENSITY"] + (["EXPANSION"] if self.choices.preload else []):
-            if word in given:
-                card, rows = given[word]
-                lines.append(out.lines(self.assembly.top, card, [row for row in rows if row], "."))
-        if "DENSITY" not in given:
-            density = self._density(key)
-            if density is None:
-                self._problem(f"the material {key} has no *DENSITY; --density X", "--density X")
-                return
-            lines.append(f"*DENSITY\n{numeral(density)}")
-            self.flat.warnings.append(
-                f"the material {key} has no *DENSITY; {density:g} was given and taken [density-given]"
-            )
-        out.body.append((-2, "\n".join(lines)))
-
-    def _density(self, material: str) -> float | None:
-        """The density that was given for a material: of one of the sets that it is for, or of all."""
-        given = {name.upper(): value for name, value in self.options.density.items()}
-        for _, card, _ in self.deck.cards:
-            if card.options.get("MATERIAL", "").upper() == material:
-                own = given.get(card.options.get("ELSET", "").upper())
-                if own is not None:
-                    return own
-        return given.get(material, given.get("ALL"))
-
-    def _problem(self, what: str, *flags: str) -> None:
-        self.deck.problems.add(Problem(what=what, file=self.deck.name, keyword="MATERIAL", flags=flags))
-
-
-def _key(name: str) -> str:
-    """The key of the material that was given for a set, which is no name of a deck: these have no commas."""
-    return f"GIVEN,{name}"
 
 
 def _plain_card(card: Card) -> Card:
