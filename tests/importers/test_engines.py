@@ -99,6 +99,7 @@ def test_expanded_shells_and_a_rigid_body_are_on_their_places(run):
     assert_free(model, 0.05 * 4 * 7850)
     # Two nodes for each of those that follow nothing, one for those of the edge, three modes for each element.
     assert model.size == 2 * 3 * 6 + 3 * 3 + 9 * 4 + 6
+    assert not any("left out" in note for note in model.notes)
     edge = model.nodes.xyz[model.nodes.sets["EDGE"]]
     assert np.abs(edge[:, 2]) == pytest.approx(0.025, abs=1e-15) and sorted(edge[:, 1]) == [0, 1, 2]
     turns = model.dofs.node[model.dofs.turning]

@@ -165,7 +165,8 @@ class Exported:
             equations=equations,
             masses=masses,
             surfaces=sets_on({name: own.nodes for name, own in flat.constraints.surfaces.named.items()}, row),
-            notes=(*notes, *deck.notes, *solids.notes),
+            # Nodes of shells and beams became others, so that nothing is left out with them.
+            notes=(*notes, *deck.notes, *(solids.notes if mesh is not None else ())),
             warnings=tuple(dict.fromkeys(warnings)),
         )
 
