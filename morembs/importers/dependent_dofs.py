@@ -8,10 +8,12 @@ follows may follow others.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.linalg as sl
 import scipy.sparse as sp
+from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from morembs.base.errors import InputError, nearest
@@ -29,60 +31,123 @@ def dof_table(model: FEModel) -> Ints:
     return model.dofs.table(len(model.nodes))
 
 
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Motions that element ``number`` gives: that of dof ``own[row]`` (of r) is the sum of ``weight`` times that of the
+    dof ``at``, over the entries (t,) of each row."""
+
+    number: int
+    own: Ints
+    row: Ints
+    at: Ints
+    weight: Floats
+
+    def chosen(self, rows: NDArray[np.bool_]) -> _Sums:
+        """Some of the rows."""
+        kept = rows[self.row]
+        number = np.cumsum(rows) - 1
+        return _Sums(self.number, self.own[rows], number[self.row[kept]], self.at[kept], self.weight[kept])
+
+
 def dependent_dofs(
-    model: FEModel, rigid: Sequence[RigidElement], average: Sequence[AverageElement], equations: Sequence[Equations]
+    model: FEModel,
+    rigid: Sequence[RigidElement],
+    average: Sequence[AverageElement],
+    equations: Sequence[Equations],
+    warnings: list[str] | None = None,
 ) -> DependentDofs | None:
     """Dofs that depend on others through elements and equations, None without any.
 
+    A dof may follow several of them: those that say nothing new are left out, by the rank of what they leave of the
+    independent dofs, and the others are solved for further dofs, of which ``warnings`` are added.
+
     Raises:
-        InputError: a dof that follows two of them, some that follow each other in a circle, average elements whose
-            nodes lie on a line, or one of so many nodes that its loads would fill the matrices.
+        InputError: dofs that follow each other in a circle, average elements whose nodes lie on a line, or one of so
+            many nodes that its loads would fill the matrices.
     """
     elements: list[RigidElement | AverageElement | Equations] = [*rigid, *average, *equations]
     if not elements:
         return None
     table, owner = dof_table(model), np.full(model.size, -1, dtype=np.int64)
     names = tuple(element.name for element in elements)
-    rows, columns, values = [], [], []
+    first: list[_Sums] = []
+    later: list[_Sums] = []
     for number, element in enumerate(elements):
-        if isinstance(element, RigidElement):
-            dofs, at, weight = _rigid_rows(model, element, table)
-            own = np.unique(dofs)
-        elif isinstance(element, AverageElement):
-            dofs, at, weight = _mean_rows(model, element, table)
-            own = np.unique(dofs)
-        else:
-            own, weight = table[element.nodes, element.components], element.coefficients
-            dofs, at = own[element.equation], table[element.term_nodes, element.term_components]
-        _own(model, names, owner, own, number)
-        rows.append(dofs)
-        columns.append(at)
-        values.append(weight)
+        given = _sums(model, element, table, number)
+        is_first = np.zeros(len(given.own), dtype=bool)
+        is_first[np.unique(given.own, return_index=True)[1]] = True
+        is_first &= owner[given.own] < 0
+        first.append(given.chosen(is_first))
+        if not is_first.all():
+            later.append(given.chosen(~is_first))
+        owner[first[-1].own] = number
     free = np.flatnonzero(owner < 0)
-    data = np.concatenate([np.ones(len(free)), *values])
-    where = (np.concatenate([free, *rows]), np.concatenate([free, *columns]))
-    S = sp.csr_array(sp.coo_array((data, where), shape=(model.size, model.size)))
+    data = np.concatenate([np.ones(len(free)), *(part.weight for part in first)])
+    rows = np.concatenate([free, *(part.own[part.row] for part in first)])
+    columns = np.concatenate([free, *(part.at for part in first)])
+    S = sp.csr_array(sp.coo_array((data, (rows, columns)), shape=(model.size, model.size)))
     S.eliminate_zeros()
     _refuse_circles(model, S, owner, names)
-    return DependentDofs(S=_resolved(S, owner), owner=owner, names=names)
+    S = _resolved(S, owner)
+    if later:
+        S = _with_later(model, S, owner, later, names, [] if warnings is None else warnings)
+    return DependentDofs(S=S, owner=owner, names=names)
 
 
-def _own(model: FEModel, names: Sequence[str], owner: Ints, dofs: Ints, number: int) -> None:
-    """``dofs`` (n,) depend on the element ``number`` from now on.
+def _sums(model: FEModel, element: RigidElement | AverageElement | Equations, table: Ints, number: int) -> _Sums:
+    if isinstance(element, Equations):
+        own, at = table[element.nodes, element.components], table[element.term_nodes, element.term_components]
+        return _Sums(number, own, element.equation, at, element.coefficients)
+    of = _rigid_rows if isinstance(element, RigidElement) else _mean_rows
+    dofs, at, weight = of(model, element, table)  # type: ignore[arg-type]
+    own, row = np.unique(dofs, return_inverse=True)
+    return _Sums(number, own, row.ravel(), at, weight)
+
+
+def _with_later(
+    model: FEModel, S: sp.csr_array, owner: Ints, later: Sequence[_Sums], names: Sequence[str], warnings: list[str]
+) -> sp.csr_array:
+    """S where motions of dofs that follow something else already hold too; ``owner`` gets the dofs that follow them.
 
     Raises:
-        InputError: one is there twice, or follows another element already.
+        InputError: so many that what they leave would fill the memory.
     """
-    taken = dofs[owner[dofs] >= 0]
-    first = owner[taken]
-    owner[dofs] = number
-    twice = np.sort(dofs)
-    twice = twice[1:][twice[1:] == twice[:-1]]
-    for dof in [*taken, *twice][:1]:
-        pair = f"both {names[first[0]]!r} and {names[number]!r}" if len(first) else f"{names[number]!r} twice"
-        raise InputError(
-            f"{_dof_name(model, dof)} follows {pair}; a node can follow one element only, a dof one equation"
-        )
+    counts = np.array([len(part.own) for part in later])
+    start = np.cumsum(counts) - counts
+    rows = np.concatenate([np.arange(counts.sum()), *(part.row + a for part, a in zip(later, start, strict=True))])
+    columns = np.concatenate([*(part.own for part in later), *(part.at for part in later)])
+    values = np.concatenate([np.ones(counts.sum()), *(-part.weight for part in later)])
+    residual = sp.csr_array(sp.coo_array((values, (rows, columns)), shape=(counts.sum(), model.size)))
+    scale = abs(residual).max(axis=1).toarray().ravel()
+    left = sp.csc_array(sp.diags_array(1.0 / scale) @ residual @ S)
+    used = np.flatnonzero(np.diff(left.indptr))
+    example, first = later[0].own[0], names[owner[later[0].own[0]]]
+    both = f"{_dof_name(model, example)} follows both {first!r} and {names[later[0].number]!r}"
+    if left.shape[0] * len(used) > TOL.max_spread_entries:
+        raise InputError(f"{both}, as {left.shape[0]} dofs do, too many to be told apart; leave one of the two out")
+    A = left[:, used].toarray()
+    R, pivot = sl.qr(A, mode="r", pivoting=True)
+    size = np.abs(np.diagonal(R)) if A.size else np.empty(0)
+    rank = int(np.count_nonzero(size > TOL.dependent_pivot))
+    if not rank:
+        return S
+    dependent, others = used[pivot[:rank]], used[pivot[rank:]]
+    mix = -sl.solve_triangular(R[:rank, :rank], R[:rank, rank:])
+    own = np.repeat([part.number for part in later], counts)
+    # The last of the elements is named; which of them a dof follows is a choice among all of them.
+    owner[dependent] = own[-1]
+    keep = np.ones(model.size)
+    keep[dependent] = 0.0
+    i, j = np.nonzero(np.abs(mix) > TOL.no_part)
+    more = sp.coo_array((mix[i, j], (dependent[i], others[j])), shape=S.shape)
+    warnings.append(
+        f"{both}; {rank} further motions follow, so that all of them hold (CalculiX leaves out the later ones) "
+        "[over-constraint]"
+    )
+    S = sp.csr_array(S @ sp.csr_array(sp.diags_array(keep) + more))
+    S.eliminate_zeros()
+    S.sort_indices()
+    return S
 
 
 def _dof_name(model: FEModel, dof: int) -> str:

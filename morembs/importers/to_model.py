@@ -65,6 +65,8 @@ def model_of(imported: Imported, units: Units | None = None, *, mass_integration
     model = with_dofs(model, ties)
     refuse_loose(model, ties)
     model, said = with_discrete(with_masses(model, masses), discrete)
+    repeated: list[str] = []
+    dependent = dependent_dofs(model, rigid, average, equations, repeated)
     return FEModel(
         K=model.K,
         M=model.M,
@@ -79,11 +81,11 @@ def model_of(imported: Imported, units: Units | None = None, *, mass_integration
         rigid=rigid,
         average=average,
         equations=equations,
-        dependent=dependent_dofs(model, rigid, average, equations),
+        dependent=dependent,
         inputs=forces_in_si("B", imported.inputs, imported, model.dofs, units),
         outputs=forces_in_si("C", imported.outputs, imported, model.dofs, units),
         notes=(*imported.notes, *base.notes, *said),
-        warnings=tuple(dict.fromkeys((*imported.warnings, *model.warnings))),
+        warnings=tuple(dict.fromkeys((*imported.warnings, *model.warnings, *repeated))),
     )
 
 
