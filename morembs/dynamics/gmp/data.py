@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.chebyshev import ChebyshevTable
 from morembs.dynamics.gmp.fields import Fields
+from morembs.storage.table import dataset, table_of
 
 Formulation = Literal["linear", "foreshortened", "membrane", "tangent"]
+FORMULATIONS: tuple[str, ...] = get_args(Formulation)
+_COEFFICIENTS = "coefficients of Chebyshev polynomials: "
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -27,19 +30,32 @@ class Parameterised:
     ``errors`` (2,) of the derivatives of the tables against constraint modes and reactions, 0 without a manifold.
     """
 
-    formulation: Formulation
-    reach: float
-    length: float
-    count: int
-    table: ChebyshevTable
-    energy: ChebyshevTable
-    fields: Fields
-    Psi: Floats
-    peaks: Floats
-    squares: Floats
-    H0: Floats
-    excluded: Floats
-    errors: Floats
+    formulation: Formulation = dataset("text", "", f"one of {', '.join(FORMULATIONS)}", known=FORMULATIONS)
+    reach: float = dataset(
+        "real", "", "largest angle t1, t2 of an end to the chord; beyond it the tables are no more than extended", "rad"
+    )
+    length: float = dataset("real", "", "distance of the frames without load", "m")
+    count: int = dataset(
+        "whole", "", "bending modes in use; the others only tell what they would have answered", most="k"
+    )
+    fields: Fields = dataset(table_of(Fields), inline=True)
+    Psi: Floats = dataset("real", "p k", "amplitudes of the bending modes, Psi' M Psi = 1")
+    peaks: Floats = dataset("real", "k", "largest deflection of each mode")
+    squares: Floats = dataset("real", "k", "their angular frequencies squared", "1/s2")
+    H0: Floats = dataset("real", "k", "diagonal of H at the straight shape")
+    excluded: Floats = dataset(
+        "real", "any", "angular frequencies squared of modes of stretching that were left out", "1/s2"
+    )
+    errors: Floats = dataset("real", "2", "of derivatives of the tables: against constraint modes, against reactions")
+    table: ChebyshevTable = dataset(
+        "real",
+        "c c s",
+        f"{_COEFFICIENTS}[i, j] times T_i(t1 / reach) T_j(t2 / reach): X, A, d0, k, c, H in a row",
+        write=lambda data: data.table.coefficients,
+    )
+    energy: ChebyshevTable = dataset(
+        "real", "ce ce", f"{_COEFFICIENTS}the same for W, in J", write=lambda data: data.energy.coefficients
+    )
 
     def at(self, t: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats, Floats]]:
         """Numbers (s,) of the table and their derivatives (2, s); W with its first two derivatives."""

@@ -16,6 +16,7 @@ from morembs.base.types import Floats, Ints
 from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.component import NonlinearComponent
 from morembs.linalg.columns import fix_signs
+from morembs.storage.table import dataset
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,13 +27,13 @@ class Fields:
     amplitudes of a unit translation and rotation, ``M`` (p, p) the mass matrix.
     """
 
-    U: Floats
-    Ur: Floats
-    translations: Ints
-    turning: Ints
-    one: Floats
-    turn: Floats
-    M: Floats
+    U: Floats = dataset("real", "n r", "functions over the nodes, of the x and of the y of positions")
+    Ur: Floats = dataset("real", "nr rr", "functions over the nodes, of rotations")
+    translations: Ints = dataset("whole", "n 2", "per node: coordinates of the component that are its x and y")
+    turning: Ints = dataset("whole", "nr", "per node: coordinate of the component that is its rotation")
+    one: Floats = dataset("real", "r", "amplitudes of U for a unit translation")
+    turn: Floats = dataset("real", "rr", "amplitudes of Ur for a unit turn")
+    M: Floats = dataset("real", "p p", "mass matrix of the amplitudes: x, y, rotations", "kg, kg m2")
 
     @property
     def size(self) -> int:

@@ -7,15 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from morembs.base.errors import InputError
 from morembs.dynamics.gmp.chebyshev import ChebyshevTable
-from morembs.dynamics.gmp.data import Formulation, Parameterised
-from morembs.dynamics.gmp.fields import Fields
+from morembs.dynamics.gmp.data import Parameterised
 from morembs.storage.checksums import Checksums
 from morembs.storage.hdf5 import is_format, reading, refuse_newer
-from morembs.storage.table import Row, Table, read_rows
+from morembs.storage.table import Row, Table, read_rows, table_of
 from morembs.storage.table_check import TableCheck
 from morembs.storage.writer import writing
 
@@ -27,66 +26,16 @@ class MemberFormat:
     VERSION = 1
 
 
-_FORMULATIONS = ", ".join(get_args(Formulation))
-_FIELDS = (
-    Row("U", "real", "n r", "functions over the nodes, of the x and of the y of positions"),
-    Row("Ur", "real", "nr rr", "functions over the nodes, of rotations"),
-    Row("translations", "whole", "n 2", "per node: coordinates of the component that are its x and y"),
-    Row("turning", "whole", "nr", "per node: coordinate of the component that is its rotation"),
-    Row("one", "real", "r", "amplitudes of U for a unit translation"),
-    Row("turn", "real", "rr", "amplitudes of Ur for a unit turn"),
-    Row("M", "real", "p p", "mass matrix of the amplitudes: x, y, rotations", "kg, kg m2"),
-)
-_COEFFICIENTS = "coefficients of Chebyshev polynomials: "
-
-
-def _member(formulation: Formulation, reach: float, table: Any, energy: Any, **values: Any) -> Parameterised:
-    fields = Fields(**{row.name: values.pop(row.name) for row in _FIELDS})
+def _member(reach: float, table: Any, energy: Any, **own: Any) -> Parameterised:
     return Parameterised(
-        formulation=formulation,
         reach=reach,
-        fields=fields,
         table=ChebyshevTable(reach=reach, coefficients=table),
         energy=ChebyshevTable(reach=reach, coefficients=energy, curved=True),
-        **values,
+        **own,
     )
 
 
-def _member_parts(data: Parameterised) -> Mapping[str, object]:
-    tables = {"table": data.table.coefficients, "energy": data.energy.coefficients}
-    return vars(data) | vars(data.fields) | tables
-
-
-MEMBER = Table(
-    (
-        Row("formulation", "text", "", f"one of {_FORMULATIONS}"),
-        Row(
-            "reach",
-            "real",
-            "",
-            "largest angle t1, t2 of an end to the chord; beyond it the tables are no more than extended",
-            "rad",
-        ),
-        Row("length", "real", "", "distance of the frames without load", "m"),
-        Row("count", "whole", "", "bending modes in use; the others only tell what they would have answered"),
-        *_FIELDS,
-        Row("Psi", "real", "p k", "amplitudes of the bending modes, Psi' M Psi = 1"),
-        Row("peaks", "real", "k", "largest deflection of each mode"),
-        Row("squares", "real", "k", "their angular frequencies squared", "1/s2"),
-        Row("H0", "real", "k", "diagonal of H at the straight shape"),
-        Row("excluded", "real", "any", "angular frequencies squared of modes of stretching that were left out", "1/s2"),
-        Row("errors", "real", "2", "of derivatives of the tables: against constraint modes, against reactions"),
-        Row(
-            "table",
-            "real",
-            "c c s",
-            f"{_COEFFICIENTS}[i, j] times T_i(t1 / reach) T_j(t2 / reach): X, A, d0, k, c, H in a row",
-        ),
-        Row("energy", "real", "ce ce", f"{_COEFFICIENTS}the same for W, in J"),
-    ),
-    build=_member,
-    parts=_member_parts,
-)
+MEMBER = table_of(Parameterised, build=_member)
 _MEMBERS = Table(
     (
         Row("format", "text", when="files of 0.1.0 lack it"),
@@ -105,11 +54,7 @@ def _checked(path: Path, group: Any) -> Parameterised:
     check, at = TableCheck(path, group.file, "member"), f"{group.name.lstrip('/')}/"
     check.table(at, MEMBER, {})
     data: Parameterised = read_rows(group, MEMBER)
-    if data.formulation not in get_args(Formulation):
-        raise check.refuse(f"{at}formulation", f"is {data.formulation!r}", f"one of {_FORMULATIONS}")
     size, every = data.fields.size, len(data.squares)
-    if not 0 <= data.count <= every:
-        raise check.refuse(f"{at}count", f"is {data.count}", f"0 to {every}, the length of squares")
     for name, columns in (("M", size), ("table", 2 * size + 2 + every + data.count**2)):
         if group[name].shape[-1] != columns:
             raise check.refuse(f"{at}{name}", f"has the shape {group[name].shape}", f"{columns} along the last axis")
