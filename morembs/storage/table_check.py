@@ -119,10 +119,10 @@ class TableCheck:
         if row.most:
             self.at_most(name, *self._most(row.most, sizes))
         if row.known:
-            known, where = self._known(row.known, sizes)
+            (known, where), verb = self._known(row.known, sizes), "has" if row.many else "is"
             for text in list(item) if row.many else KINDS["text"].decode(np.atleast_1d(item[()])):
                 if text not in known:
-                    raise self.refuse(name, f"has {text!r}", f"one of {', '.join(known) or 'none'}{where}")
+                    raise self.refuse(name, f"{verb} {text!r}", f"one of {', '.join(known) or 'none'}{where}")
 
     def at_most(self, name: str, most: int, why: str = "", where: Any = slice(None), least: int = 0) -> None:
         """Whole numbers from ``least`` to ``most``, those that ``where`` picks.

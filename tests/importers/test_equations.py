@@ -110,8 +110,8 @@ def test_equations_come_back_and_older_readers_are_kept_away(tmp_path):
 @pytest.mark.parametrize(
     ("name", "change", "words"),
     [
-        ("nodes", lambda v: v + 99, "names rows that do not exist"),
-        ("term_components", lambda v: v + 7, "components beyond 0 to"),
+        ("nodes", lambda v: v + 99, "expected 0 to .*, places in /nodes/ids"),
+        ("term_components", lambda v: v + 7, "term_components holds .*; expected 0 to 6"),
         ("offsets", lambda v: v[::-1].copy(), "different lengths"),
         ("coefficients", lambda v: v * np.nan, "holds nan"),
     ],

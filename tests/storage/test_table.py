@@ -177,7 +177,7 @@ def test_files_before_a_dataset_are_read(chain_file: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
-        ("solver", np.bytes_("magic"), "/solver has 'magic'; expected one of direct, iterative; the file is damaged"),
+        ("solver", np.bytes_("magic"), "/solver is 'magic'; expected one of direct, iterative; the file is damaged"),
         ("mass", 0.0, "/mass is 0; expected more than zero"),
         ("first", 4, "/first holds 4; expected 0 to 3"),
         ("springs/spring_1/ends", [1, 3], "/springs/spring_1/ends holds 3; expected 0 to 2, places in /line/x"),
