@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Self, final
 
 import numpy as np
@@ -21,8 +21,8 @@ from morembs.fem.fe_model import STRUCTURAL, WITHOUT_MASS
 from morembs.linalg.columns import fix_signs, symmetric, without_rigid_motion
 from morembs.linalg.complex_modes import small_complex_modes
 from morembs.linalg.eigen import accurate_eigh
-from morembs.problem import SOFTER, Problem
-from morembs.problem.tolerances import TOL as PROBLEM
+from morembs.problem import Problem
+from morembs.reducers.checks import refuse_singular_mass, refuse_wrong_stiffness
 from morembs.reducers.problem_summary import ProblemSummary, ShiftedFactorisations
 from morembs.reducers.tolerances import TOL
 from morembs.responses.massless import massless_motions, massless_words
@@ -297,7 +297,7 @@ class Reducer(ABC):
             V_velocity = V if basis.V_velocity is None else basis.V_velocity
             M, K = space.project(V_velocity, problem.M, basis.W), basis.K
             B = np.asarray((problem.B.T @ basis.W).T)
-        _refuse_wrong_stiffness(self.method, replace(basis, K=K), M, problem)
+        refuse_wrong_stiffness(self.method, problem, basis.rigid, V=V, W=basis.W, K=K, M=M)
         # Velocities see the stiffness through their own basis.
         slow = K if basis.V_velocity is None else space.project(basis.V_velocity, problem.K, basis.W)
         D = problem.damping.matrix(M, slow, basis.rigid, basis.W is None)
@@ -330,81 +330,10 @@ class Reducer(ABC):
         )
 
 
-def refuse_singular_mass(method: str, M: Floats, kinds: Sequence[str]) -> None:
-    """Refuse motions of the basis that have no mass, such as rotations of interfaces beside lumped masses.
-
-    Raises:
-        InputError: as said.
-    """
-    try:
-        np.linalg.cholesky(M)
-    except np.linalg.LinAlgError as error:
-        d = np.sqrt(np.abs(np.diag(M)))
-        values, Y = np.linalg.eigh(M / np.outer(d, d) if (d > 0).all() else M)
-        worst = int(np.argmax(np.abs(Y[:, 0])))
-        what = f"{kinds[worst]} coordinate {1 + kinds[:worst].count(kinds[worst])}"
-        raise InputError(
-            f'method "{method}" gives a body with motions that have no mass ({values[0]:.1e} of the others, most of it '
-            f"in its {what}), which no simulation takes: interfaces move dofs without mass (rotations beside lumped "
-            "masses); give these dofs mass, leave them out of the interface (components = [...]), or take "
-            'method = "modal"'
-        ) from error
-
-
 def _skew_projected(space: Space, V: Floats, A: sp.csr_array) -> Floats:
     """V' A V (n, n) of a skew-symmetric ``A``, skew to the last bit."""
     P = space.project(V, A, V)
     return np.asarray(0.5 * (P - P.T))
-
-
-def _refuse_wrong_stiffness(method: str, basis: Basis, M: Floats, problem: Problem) -> None:
-    """Compare ``basis.K`` with W' K V for one combination of its modes, and its round-off with each of them.
-
-    Modes count alike, each at the scale of its stiffness, rigid motion at that of the lowest mode. Where W is not V,
-    and where K does not couple them, coordinates stand for modes.
-
-    Raises:
-        SolverError: they differ, or K in double precision does not hold a mode or a rigid motion.
-    """
-    V, W, K = basis.V, basis.V if basis.W is None else basis.W, basis.K
-    n, r, eps = len(K), basis.rigid.shape[1], float(np.finfo(float).eps)
-    if n == r:
-        # Nothing but rigid motion, whose stiffness is zero and has no size.
-        return
-    coupled = basis.W is None and np.count_nonzero(K) > np.count_nonzero(np.diag(K))
-    values, Y = accurate_eigh(K, M) if coupled else (np.abs(np.diag(K)), np.eye(n))
-    # Round-off in K V y, at most: the norms of columns add up.
-    noise = (np.sqrt(problem.system.roundoff(V)) @ np.abs(Y)) ** 2 / TOL.stiffness_error
-    lowest = values[r]
-    scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.maximum(values, lowest), noise), np.finfo(float).tiny))
-    # Signs that no structure of a basis has.
-    x = Y @ (scale * np.where(np.arange(1, n + 1) ** 2 * 0.6180339887 % 1 < 0.5, -1.0, 1.0))
-    Vx = problem.space.multiply_into(V, x[:, None], np.empty((len(V), 1)))
-    given = K @ x
-    true = problem.space.dot(W, problem.K @ Vx)[:, 0]
-    off = float(np.linalg.norm(scale * (Y.T @ (true - given))))
-    if not off <= TOL.stiffness_error * max(np.linalg.norm(scale * (Y.T @ given)), np.sqrt(n)):
-        raise SolverError(
-            f"method {method!r} gave a reduced stiffness that is not W' K V of its basis: {off / np.sqrt(n):.1e} of "
-            "it is missing or too much; take another method, and report this with the model"
-        )
-    if not coupled:
-        return
-    lost = PROBLEM.usual_roundoff * eps * np.einsum("ij,ij->j", np.abs(Y), np.abs(K) @ np.abs(Y))
-    # Rigid motion has no stiffness: what is there is lost.
-    lost[:r] = np.maximum(lost[:r], np.abs(values[:r]))
-    size = np.maximum(values, TOL.rigid_frequency**2 * lowest)
-    if not (lost <= PROBLEM.lost_digits * size).all():
-        k = int(np.argmax(lost / size))
-        what = (
-            f"its mode {k - r + 1}"
-            if k >= r
-            else f"its rigid motion at {TOL.rigid_frequency:g} of its lowest frequency"
-        )
-        raise SolverError(
-            f"round-off in the reduced stiffness hides {what}: it amounts to {lost[k]:.1e} (rad/s)2 of {size[k]:.1e} "
-            f"(allowed {PROBLEM.lost_digits:.0e} of it); {SOFTER}"
-        )
 
 
 def _interface_motions(basis: Basis, problem: Problem) -> Floats:

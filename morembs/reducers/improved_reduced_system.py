@@ -18,7 +18,8 @@ import scipy.linalg as sl
 from morembs.base.limits import PositiveCount
 from morembs.linalg.columns import without_rigid_motion
 from morembs.problem import Problem
-from morembs.reducers.base import Basis, Reducer, refuse_singular_mass
+from morembs.reducers.base import Basis, Reducer
+from morembs.reducers.checks import refuse_singular_mass
 
 
 @dataclass(frozen=True, kw_only=True)
