@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import gzip
 import re
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -33,6 +32,8 @@ DENSITY, MODES, COMPARED, SECONDS = 7.8e-9, 40, 10, 60
 # Digits that ccx writes of a stiffness; part of the largest eigenvalue that one of a rigid motion has; part of the
 # largest reciprocal below which one is that of an infinite eigenvalue.
 DIGITS, RIGID, TOLD = 1e-14, 1e-10, 1e-12
+# The first eigenvalue of a held body, of the largest one that is looked at, at least.
+HELD = 1e-9
 # Rows up to which eigenvalues are those of whole matrices.
 _DENSE = 400
 
@@ -55,7 +56,10 @@ _NASTRAN_MODEL = re.compile(
     re.IGNORECASE,
 )
 _ANSYS_SOLID = {"45", "73", "92", "95", "185", "186", "187", "285"}
-_PACKED, _ENDINGS = ".gz", {".inp": "abaqus", ".bdf": "nastran", ".nas": "nastran", ".fem": "nastran", ".cdb": "ansys"}
+_PACKED, _ENDINGS = (
+    ".gz",
+    {".inp": "abaqus", ".bdf": "nastran", ".nas": "nastran", ".fem": "nastran", ".cdb": "ansys"},
+)
 _CONTACT = {
     *("*CONTACTPAIR", "*SURFACEINTERACTION", "*SURFACEBEHAVIOR", "*FRICTION", "*CLEARANCE", "*CONTACTDAMPING"),
     *("*GAPCONDUCTANCE", "*CYCLICSYMMETRYMODEL", "*SELECTCYCLICSYMMETRYMODES"),
@@ -155,17 +159,22 @@ def _ansys(path: Path, text: str) -> Holds:
     return Holds(format="ansys", structure=known, solids=solids, complete=known and materials and bool(types))
 
 
-def as_free_frequency(text: str, kind: str) -> str:
-    """An Abaqus deck that is free, without contact and sectors, its steps replaced by *FREQUENCY of a ``kind`` and
-    densities filled in."""
-    blocks, in_step = [], False
+def as_frequency(text: str, kind: str, *, held: bool = False) -> str:
+    """An Abaqus deck without contact and sectors, its steps replaced by *FREQUENCY of a ``kind``, densities filled in;
+    free, or ``held`` by what *BOUNDARY of the model and of the first step holds."""
+    blocks, boundary, in_step, steps = [], [], False, 0
     for block in re.split(r"(?m)^(?=\*[A-Za-z])", re.sub(r"(?m)^\*\*.*(\n|$)", "", text)):
         word = re.sub(r"\s", "", block.split("\n", 1)[0].split(",")[0]).upper()
+        steps += word == "*STEP"
         in_step = in_step or word == "*STEP"
-        if not in_step and word not in _CONTACT | _SUPPORT:
+        if held and word == "*BOUNDARY" and steps < 2:
+            rows = [row for row in block.split("\n")[1:] if row.strip()]
+            boundary.append("\n".join(["*BOUNDARY", *(",".join(row.split(",")[:3]) for row in rows)]) + "\n")
+        elif not in_step and word not in _CONTACT | _SUPPORT:
             blocks.append(block if block.endswith("\n") else block + "\n")
         in_step = in_step and word != "*ENDSTEP"
-    return f"{_with_densities(blocks)}*STEP\n*FREQUENCY{kind}\n{MODES}\n*END STEP\n"
+    modes = COMPARED if held else MODES
+    return f"{_with_densities(blocks)}{''.join(boundary)}*STEP\n*FREQUENCY{kind}\n{modes}\n*END STEP\n"
 
 
 def _with_densities(blocks: list[str]) -> str:
@@ -187,17 +196,43 @@ def of_ccx(path: Path) -> Spectrum:
     Raises:
         InputError: it makes none.
     """
+    with _by_ccx(path, ", SOLVER=MATRIXSTORAGE", held=False) as (stem, said):
+        if not (stem.with_suffix(".sti").is_file() and stem.with_suffix(".sti").stat().st_size):
+            raise InputError(f"ccx makes no matrices: {said}")
+        read = read_calculix_matrices(stem, several=True)
+        return spectrum(read.K, read.M)
+
+
+def of_held_ccx(path: Path) -> Spectrum:
+    """Eigenvalues that ccx prints for an Abaqus deck that its boundary holds.
+
+    Raises:
+        InputError: it prints none, or rigid motion is left.
+    """
+    with _by_ccx(path, "", held=True) as (stem, said):
+        values: list[float] = []
+        for line in stem.with_suffix(".dat").read_text(errors="replace").splitlines():
+            fields = line.split()
+            if len(fields) == 5 and fields[0].isdigit():
+                values.append(float(fields[1]))
+            elif values and "P A R T I C" in line:
+                break
+        if not values or min(values) <= HELD * max(values):
+            raise InputError(f"ccx prints no frequencies of a held body: {said}")
+        return Spectrum(values=np.array(values), error=0.0)
+
+
+@contextmanager
+def _by_ccx(path: Path, kind: str, *, held: bool) -> Iterator[tuple[Path, str]]:
+    """The files of a run of ccx on a deck with one step *FREQUENCY, and what it says at last."""
     with tempfile.TemporaryDirectory() as folder:
         for other in path.parent.iterdir():
             if other.is_file() and other.suffix.lower() in (".inp", ".msh", ".nam", ".dat", ".sur", ".mpc"):
                 (Path(folder) / other.name).symlink_to(other.resolve())
-        deck = Path(folder) / "own_of_deck.inp"
-        deck.write_text(as_free_frequency(path.read_text(encoding="latin-1"), ", SOLVER=MATRIXSTORAGE"), "latin-1")
-        said = _run([find_ccx().path, deck.stem], folder)
-        if not (deck.with_suffix(".sti").is_file() and deck.with_suffix(".sti").stat().st_size):
-            raise InputError(f"ccx makes no matrices: {said}")
-        read = read_calculix_matrices(deck.with_suffix(""), several=True)
-        return spectrum(read.K, read.M)
+        stem = Path(folder) / "own_of_deck"
+        text = as_frequency(path.read_text(encoding="latin-1"), kind, held=held)
+        stem.with_suffix(".inp").write_text(text, "latin-1")
+        yield stem, _run([find_ccx().path, stem.name], folder)
 
 
 def of_mystran(path: Path) -> Spectrum:
@@ -300,22 +335,12 @@ def _shifted(K: sp.csc_array, M: sp.csc_array, shift: float) -> np.ndarray:
 
 
 def difference(ours: Spectrum, theirs: Spectrum) -> float:
-    """The largest relative difference of the first frequencies beyond what digits leave; 1 where one has none."""
+    """The largest relative difference of the first frequencies beyond what digits leave."""
     count = min(len(ours.values), len(theirs.values))
     error = max(ours.error, theirs.error)
     a, b = ours.values[:count], theirs.values[:count]
     rigid = int((np.maximum(a, b) <= error).sum())
     a, b = (np.maximum(values, error)[rigid : rigid + COMPARED] for values in (a, b))
     if not len(a):
-        return 1.0
+        return 0.0
     return float((np.maximum(np.abs(a - b) - error, 0.0) / (2 * b)).max())
-
-
-def programs() -> dict[str, bool]:
-    """Which of the programs are there."""
-    result = {"calculix": shutil.which("ccx") is not None, "mystran": True}
-    try:
-        mystran_path()
-    except InputError:
-        result["mystran"] = False
-    return result
