@@ -40,7 +40,7 @@ from benchmarks.deck_programs import (
     spectrum_of,
     unpacked,
 )
-from morembs.app.jobs.import_job import ImportJob, run_import
+from morembs.app.jobs.import_job import import_model
 from morembs.base.errors import InputError, MorembsError
 from morembs.fem import FEModel, rigid_motion
 from morembs.fem.material import Material, isotropic
@@ -83,7 +83,8 @@ class Cures:
         if isinstance(error, DeckError) and all(problem.flags for problem in error.problems):
             flags = [flag for problem in error.problems for flag in problem.flags]
         else:
-            flags = [found[0] for found in _FLAG.finditer(str(error))]
+            # In prose the name of a set may go on behind a blank.
+            flags = [re.sub(r",set=.*", "", found[0]) for found in _FLAG.finditer(str(error))]
         named = [(name, value.strip("'\"")) for name, _, value in (flag[2:].partition(" ") for flag in flags)]
         # A message that names both leaves the choice; a density leaves the deck its own stiffness.
         other = "material" if not self.density and any(name == "density" for name, _ in named) else ""
@@ -137,19 +138,18 @@ def imported(path: Path, format: str, engine: str | None, boundary: str = "drop"
     cures = Cures(format=None if format == "abaqus" and path.suffix == ".inp" else format)
     for _ in range(ROUNDS):
         try:
-            job = ImportJob(
-                out=Path("deck.model.h5"),
-                file=path,
-                format=cures.format,
+            model = import_model(
+                path,
                 materials=tuple(cures.materials.values()),
-                density=cures.density,
+                format=cures.format,
+                density=cures.density or None,
                 contact=cures.contact,
-                skip=tuple(cures.skip),
+                skip=cures.skip,
                 engine=engine,
-                engine_options={} if boundary == "drop" else {"boundary": boundary},
+                boundary=boundary,
                 dialect="calculix" if format == "abaqus" and engine != "calculix" else "auto",
             )
-            return run_import(job, dry=True).model, cures.words
+            return model, cures.words
         except MorembsError as error:
             reason = str(error)
             if not cures.learn(error):
