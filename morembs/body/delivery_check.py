@@ -18,6 +18,7 @@ from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.body.curve_check import curve_findings
 from morembs.body.delivered import Delivered, delivered
 from morembs.body.diagnostics.findings import Diagnosis, Finding, sentences
+from morembs.body.effective_mass import effective_masses
 from morembs.body.frame_check import frame_findings
 from morembs.body.rigid_check import eigh, rigid_findings, scale
 from morembs.body.stored import StoredBodies
@@ -210,19 +211,10 @@ def _frequencies(given: Delivered, values: Floats, Y: Floats, findings: list[Fin
 
 def _effective(given: Delivered, rigid: Floats, findings: list[Finding], facts: dict[str, Any]) -> None:
     """Effective masses of the modes with all interface degrees of freedom fixed (Clough and Penzien 1975)."""
-    s = np.maximum(np.abs(given.C).max(axis=1, keepdims=True), np.finfo(float).tiny)
-    _, sizes, rows = np.linalg.svd(given.C / s)
-    N = rows[np.count_nonzero(sizes > TOL.dependent_motion * sizes.max()) :].T
-    if not N.shape[1]:
-        facts |= {"fixed_hz": np.zeros(0), "effective_mass": np.zeros((0, 6)), "effective_mass_share": np.zeros(6)}
-        return
-    values, phi = eigh(N.T @ given.K @ N, N.T @ given.M @ N)
-    taken = (N @ phi).T @ given.M @ rigid
-    whole = np.diag(rigid.T @ given.M @ rigid)
-    share = (taken**2).sum(axis=0) / whole
-    facts["fixed_hz"] = eigenvalue_in_hz(values)
-    facts["effective_mass"], facts["effective_mass_share"] = taken**2, share
-    if share[:3].min() < TOL.effective_mass:
+    found = effective_masses(given.M, given.K, given.C, rigid)
+    hz, share = found.frequencies_hz, found.share
+    facts |= {"fixed_hz": hz, "effective_mass": found.masses, "effective_mass_share": share}
+    if len(hz) and share[:3].min() < TOL.effective_mass:
         words = ", ".join(f"{value:.0%}" for value in share[:3])
         sentence = f"modes with fixed interfaces carry {words} of the mass along x, y, z"
         cure = "if loads come from moving interfaces, keep more modes; mass at the interfaces is not in this sum"
