@@ -5,6 +5,7 @@ from __future__ import annotations
 from morembs.app.jobs.stages.body import Deliver
 from morembs.app.jobs.stages.certificate import Certify
 from morembs.app.jobs.stages.couple import Couple
+from morembs.app.jobs.stages.effective_mass import EffectiveMass
 from morembs.app.jobs.stages.factor import FactorCost
 from morembs.app.jobs.stages.full_modes import FullModes
 from morembs.app.jobs.stages.model import Assemble, ReadMesh, ReadModel
@@ -41,5 +42,6 @@ STAGES |= {
     "full modes": FullModes(),
     "picture": Picture(),
     "state space": StateSpace(),
+    "effective masses": EffectiveMass(),
     "steps": ParameterSteps(),
 }
