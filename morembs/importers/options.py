@@ -16,13 +16,13 @@ from morembs.base.key_tables import Table, described, read_table
 from morembs.base.limits import Count, Positive, one_of, text
 from morembs.base.units import Units, parse_units
 from morembs.importers.decks.formulations import DIALECTS
-from morembs.importers.decks.options import Boundary, Contact
+from morembs.importers.decks.options import Boundary, Contact, Pretension
 from morembs.importers.tolerances import TOL
 
 FilePath = Annotated[str, text("the path of a file")]
 ROLES = {"K": "stiffness", "M": "mass", "D": "damping", "G": "gyroscopic", "N": "circulatory"}
 # Names of the options in the functions of importers and engines, where they differ.
-OF_DECKS = ("dialect", "density", "contact", "skip", "allow_includes_outside")
+OF_DECKS = ("dialect", "density", "contact", "skip", "pretension", "allow_includes_outside")
 OF_ENGINES = {"boundary": "boundary", "preload": "preload", "engine_timeout": "timeout", "keep_files": "keep_files"}
 
 
@@ -79,6 +79,11 @@ class ImportOptions(Table):
         "keywords, cards or element types to leave out, although stiffness or mass may depend on them",
         [],
         expected='words such as ["CONTACT PAIR", "S4"]',
+    )
+    pretension: Pretension = option(
+        "bolts with `*PRE-TENSION SECTION`: locked, as one piece, or cut, so that the faces part along the normal by "
+        "one dof; by default own assembly refuses them and CalculiX cuts them",
+        "auto",
     )
     engine: str | None = option(
         "who assembles a deck: calculix or mystran (NAME:PATH with a path of its own), or auto: whoever takes it"

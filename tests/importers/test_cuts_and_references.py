@@ -65,9 +65,12 @@ def test_a_cut_bolt_is_refused_and_the_cure_locks_it(tmp_path):
     (tmp_path / "deck.inp").write_text(BOLT)
     line = ["import", str(tmp_path / "deck.inp"), "--units", "m-kg-s", "-o", str(tmp_path / "a.h5")]
     refused = CliRunner().invoke(app, line)
-    assert refused.exit_code == 2 and "--engine calculix" in refused.output
-    done = CliRunner().invoke(app, [*line, "--skip", "PRE-TENSION SECTION"])
-    assert done.exit_code == 0 and "is locked" in " ".join(done.output.split())
+    assert refused.exit_code == 2 and "--pretension locked" in refused.output and "--pretension cut" in refused.output
+    for option in (["--skip", "PRE-TENSION SECTION"], ["--pretension", "locked"]):
+        done = CliRunner().invoke(app, [*line, *option])
+        assert done.exit_code == 0 and "is locked" in " ".join(done.output.split())
+    done = CliRunner().invoke(app, [*line, "--pretension", "cut"])
+    assert done.exit_code == 0 and "of node 90 is cut" in " ".join(done.output.split())
 
 
 @needs_ccx
@@ -77,6 +80,11 @@ def test_both_roads_say_whether_a_bolt_is_cut(frequencies, ccx_frequencies):
     assert np.abs(cut[:8] / locked[:8] - 1).max() > 0.1
     for deck, options, wanted, said in (
         (BOLT, SKIP, locked, "is locked"),
+        (BOLT, {"pretension": "locked"}, locked, "of node 90 is locked"),
+        (BOLT, {"pretension": "cut"}, cut, "of node 90 is cut"),
+        (BOLT.replace("0., 0., 1.\n", ""), {"pretension": "cut"}, cut, "of node 90 is cut"),
+        (BOLT, {"engine": "calculix", "pretension": "locked"}, locked, "of node 90 is locked"),
+        (BOLT, {"engine": "calculix", "pretension": "cut"}, cut, "of node 90 is cut"),
         (BOLT, {"engine": "calculix"}, cut, "of node 90 is cut"),
         (BOLT + HELD, {"engine": "calculix"}, cut, "of node 90 is cut"),
         (BOLT + HELD, {"engine": "calculix", "boundary": "keep"}, locked, "of node 90 is locked"),

@@ -155,7 +155,7 @@ def test_supports_and_loads_are_named_with_what_the_model_loses(where, deck_of):
         ("*IMPERFECTION\n1, 0.1\n", "it moves the nodes"),
         ("*MODEL CHANGE, REMOVE\nBODY\n", "elements and contact come and go"),
         ("*FIXED MASS SCALING, FACTOR=2.\n", "mass of elements"),
-        ("*PRE-TENSION SECTION, SURFACE=LOW, NODE=1\n", "--skip 'PRE-TENSION SECTION' joins the faces"),
+        ("*PRE-TENSION SECTION, SURFACE=LOW, NODE=1\n", "--pretension locked joins the faces; --pretension cut"),
     ],
 )
 def test_keywords_that_change_the_model_are_refused_with_their_cure(lines, said, deck_of):

@@ -346,6 +346,12 @@ def test_a_run_that_fails_ends_the_others(tmp_path):
         ("CQUAD8,90,1,1,2,3,4,5,6\n,7,8\n", "CQUAD8"),
         ("CBAR,90,9,1,2,0.,0.,1.\n", "CBAR 90 names the property 9; expected one PBAR or PBARL"),
         ("CBAR,90,9,1,2\nPBAR,9,1,1.-3\n", "CBAR 90 has no orientation"),
+        # The flag of COSMIC NASTRAN where others have OFFT.
+        (
+            "CBAR,90,9,1,2,0.,0.,1.,2\nPBAR,9,1,1.-3\n",
+            "CBAR 90 has the flag F = 2 and an orientation of the other kind",
+        ),
+        ("CBAR,90,9,1,2,3,,,3\nPBAR,9,1,1.-3\n", "CBAR 90 gives its orientation or offsets along '3'"),
         ("CBAR,90,9,1,2,0.,0.,1.\nPBARL,9,1,,HAT\n,.1,.01,.1,.05\n", "section 'HAT'; MYSTRAN has BAR, BOX"),
         ("CBEAM,90,9,1,2,0.,0.,1.\nPBEAM,9,1,1.-3,1.-7,1.-7,,1.-7\n,,,,,,,,\n,NO,1.,2.-3\n", "PBEAM 9 is not constant"),
         ("CQUAD4,90,9,1,2,3,4\nPSHELL,9,1,.01,1,,,,\n,,,1\n", "PSHELL 9 couples membrane and bending"),

@@ -180,6 +180,12 @@ class Assembly(Names):
             used[block.nodes] = True
         return used
 
+    def copied(self, rows: Ints) -> Ints:
+        """Rows of nodes that the deck does not have, at the places of others (k,)."""
+        self.ids = np.append(self.ids, self.ids.max() + 1 + np.arange(len(rows)))
+        self.xyz = np.vstack([self.xyz, self.xyz[rows]])
+        return np.arange(len(self.ids) - len(rows), len(self.ids))
+
     def new_node(self, xyz: Floats) -> int:
         """Row of a node that the deck does not have."""
         self.ids = np.append(self.ids, self.ids.max() + 1)

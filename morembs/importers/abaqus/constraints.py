@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.fem.constraints import AverageElement, Equations, RigidElement, Term
+from morembs.fem.constraints import AverageElement, Equations, RigidElement, Term, solved_for_first
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.data import number
-from morembs.importers.abaqus.deck import Contents, Rows
+from morembs.importers.abaqus.deck import Contents, Rows, values
 from morembs.importers.abaqus.equations import Axes, equations_of, mpc_sums, solved
 from morembs.importers.abaqus.keywords import Card
+from morembs.importers.abaqus.left_out import CUT, LOCKED, PRETENSION
 from morembs.importers.abaqus.names import Placed
 from morembs.importers.abaqus.points import Points
 from morembs.importers.abaqus.references import problems_of_references
@@ -26,6 +27,7 @@ from morembs.importers.decks.tables import Tie
 from morembs.importers.imported import DiscreteElement, PointMass
 
 _ALL = (0, 1, 2, 3, 4, 5)
+_NONE = np.empty(0, dtype=np.int64)
 SECTOR = "CYCLIC SYMMETRY MODEL"
 _NONLINEAR_MPC = ("PLANE", "STRAIGHT", "MEANROT", "DIST")
 
@@ -63,6 +65,7 @@ class Constraints:
         """All of them, ties last: they leave alone what follows something else."""
         self.surfaces.read()
         self.axes.read()
+        self._cut_bolts()
         self.ties.notes += self.surfaces.notes
         points = Points(self.deck, self.assembly, self.axes)
         points.read()
@@ -73,6 +76,8 @@ class Constraints:
             for scope in placed.contents:
                 for card, rows, kind, kind_rows in scope.constraints:
                     rows = [row for row in rows if row]
+                    if card.keyword == PRETENSION:
+                        continue
                     if is_sector(card):
                         refuse_sector(card, self.deck)
                         continue
@@ -95,6 +100,53 @@ class Constraints:
         self.ties.notes += glue.notes
         self.ties.warnings += glue.warnings
         return self.ties
+
+    def _cut_bolts(self) -> None:
+        """*PRE-TENSION SECTION, before anything else names the nodes of the cut."""
+        for placed in (*self.assembly.placed.values(), self.assembly.top):
+            for scope in placed.contents:
+                for card, rows, *_ in scope.constraints:
+                    if card.keyword == PRETENSION:
+                        with self.problems.collected(card, ("--pretension locked",)):
+                            self._pretension(placed, card, [row for row in rows if row])
+
+    def _pretension(self, placed: Placed, card: Card, rows: Rows) -> None:
+        """A bolt that is locked, or cut: u of one face = u of the other + normal * u_1 of the node of the section
+        (CalculiX CrunchiX User's Manual, *PRE-TENSION SECTION).
+
+        Raises:
+            InputError: no faces, a normal of no length, or no elements on one of the sides.
+        """
+        assembly, reference = self.assembly, self.assembly.one_node(placed, card.need("NODE"))
+        of = f" of node {assembly.ids[reference]}"
+        if self.options.pretension == "locked":
+            self.ties.notes.append(LOCKED.format(of))
+            return
+        surface = self.surfaces.of(placed, card.need("SURFACE"), card)
+        cut = np.unique(np.concatenate([_NONE, *(faces.ravel() for _, faces in surface.faces)]))
+        normal = placed.rotation @ np.array(values(rows[0], card)[:3]) if rows else _normal(assembly.xyz[cut])
+        if not len(cut) or len(normal) != 3 or not np.linalg.norm(normal) > 0:
+            raise InputError(f"{card} names no faces, or gives no normal; expected a surface of faces and a direction")
+        normal = normal / np.linalg.norm(normal)
+        other = assembly.copied(cut)
+        row = np.arange(len(assembly.ids))
+        row[cut] = other
+        counts = np.zeros(2, dtype=np.int64)
+        for i, block in enumerate(assembly.blocks):
+            touching = np.isin(block.nodes, cut).any(axis=1)
+            middle = assembly.xyz[block.nodes].mean(axis=1) - assembly.xyz[cut].mean(axis=0)
+            above = touching & (middle @ normal > 0)
+            counts += [above.sum(), (touching & ~above).sum()]
+            assembly.blocks[i] = replace(block, nodes=np.where(above[:, None], row[block.nodes], block.nodes))
+        if not counts.all():
+            raise InputError(f"{card} has elements on one side of its surface only; expected a cut through a bolt")
+        sums = [
+            (f"{card}", [(int(new), c, 1.0), (int(old), c, -1.0), (reference, 0, -float(normal[c]))])
+            for old, new in zip(cut, other, strict=True)
+            for c in range(3)
+        ]
+        self.ties.equations.append(solved_for_first(f"*{PRETENSION}{of}", sums))
+        self.ties.notes.append(CUT.format(of))
 
     def refuse_references(self, named: Iterable[tuple[str, int, bool]], *, cure: str) -> None:
         """What acts on references of distributing couplings becomes a problem of the deck, as of the function below."""
@@ -275,6 +327,11 @@ class Constraints:
         """Rows of the nodes of a surface, and their weights."""
         surface = self.surfaces.of(placed, name, card)
         return surface.nodes, surface.weights
+
+
+def _normal(xyz: Floats) -> Floats:
+    """The normal of the plane next to points (n, 3)."""
+    return np.linalg.svd(xyz - xyz.mean(axis=0))[2][2] if len(xyz) else np.zeros(3)
 
 
 def refuse_sector(card: Card, deck: Contents) -> None:

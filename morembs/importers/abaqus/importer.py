@@ -55,6 +55,7 @@ def read_abaqus_deck(
     density: float | dict[str, float] | None = None,
     contact: str = "refuse",
     skip: list[str] | str = "",
+    pretension: str = "auto",
     allow_includes_outside: bool = False,
 ) -> Deck:
     """All of an input deck as tables by labels of the whole, in the deck's own units.
@@ -68,6 +69,8 @@ def read_abaqus_deck(
         density: of materials with *ELASTIC and without *DENSITY, or set -> density, "all" standing for all.
         contact: "refuse" contact pairs, "skip" them, or "tie" them: glue their surfaces.
         skip: keywords and element types to leave out, although stiffness or mass may depend on them.
+        pretension: bolts with *PRE-TENSION SECTION are "locked", as one piece, or "cut", so that the faces part along
+            the normal by one dof; "auto" refuses them.
 
     Peak memory: the numbers of the mesh about twice, besides a piece of the file of a few MB.
 
@@ -75,7 +78,7 @@ def read_abaqus_deck(
         DeckError: it makes no sense; what else keeps it from becoming a model is among the ``problems`` of the deck.
         InputError: options that are not known.
     """
-    options = deck_options(density, contact, skip)
+    options = deck_options(density, contact, skip, pretension)
     return deck_of(read_deck(Path(path), outside=allow_includes_outside, dialect=_known(dialect), options=options))
 
 

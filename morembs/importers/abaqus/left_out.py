@@ -11,7 +11,7 @@ PRETENSION = "PRE-TENSION SECTION"
 LOCKED = "The *PRE-TENSION SECTION{} is locked: the faces of its cut are joined."
 CUT = (
     "The *PRE-TENSION SECTION{} is cut: its faces part along the normal by one dof, a scalar of the model, so the bolt "
-    "carries no force there; --skip 'PRE-TENSION SECTION' locks it."
+    "carries no force there; --pretension locked joins them."
 )
 
 

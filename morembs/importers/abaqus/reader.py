@@ -27,7 +27,7 @@ from morembs.importers.abaqus.deck import (
 )
 from morembs.importers.abaqus.generate import GENERATING, generate
 from morembs.importers.abaqus.keywords import Card, cards
-from morembs.importers.abaqus.left_out import refusal_of
+from morembs.importers.abaqus.left_out import PRETENSION, refusal_of
 from morembs.importers.abaqus.words import (
     CONSTRAINTS,
     CONTACT,
@@ -272,17 +272,15 @@ class DeckReader:
             scope.transforms.append((card, rows))
         elif word in CONTACT:
             self._contact(card, rows)
-        elif word in CONSTRAINTS:
+        elif word in CONSTRAINTS or (word == PRETENSION and self.deck.options.pretension != "auto"):
             scope.constraints.append((card, rows, None, []))
         elif word in ("KINEMATIC", "DISTRIBUTING"):
             if not scope.constraints or scope.constraints[-1][0].keyword != "COUPLING" or scope.constraints[-1][2]:
                 raise InputError(f"{card} has no *COUPLING before it; expected one for each")
             scope.constraints[-1] = (*scope.constraints[-1][:2], card, rows)
         else:
-            what = refusal_of(card)
-            self.deck.problems.add(
-                Problem(what=what, file=card.file, line=card.line, keyword=word, flags=(f"--skip {word}",))
-            )
+            what, flag = refusal_of(card), "--pretension locked" if word == PRETENSION else f"--skip {word}"
+            self.deck.problems.add(Problem(what=what, file=card.file, line=card.line, keyword=word, flags=(flag,)))
 
     def _contact(self, card: Card, rows: Rows) -> None:
         """Contact is refused, left out, or glued."""

@@ -144,10 +144,7 @@ WHY_REFUSED = {
     "VARIABLE MASS SCALING": "it changes the mass of elements",
 }
 # What cures a word that is refused, where it is more than to leave the word out.
-CURES = {
-    "PRE-TENSION SECTION": "--skip 'PRE-TENSION SECTION' joins the faces (the bolt is locked); --engine calculix takes "
-    "the cut"
-}
+CURES = {"PRE-TENSION SECTION": "--pretension locked joins the faces; --pretension cut parts them by this dof"}
 # Keywords that are left out with a warning, because of an option ("": always): what a model may lose.
 WARNED = {
     "HOURGLASS STIFFNESS": ("", "it changes the stiffness of elements with reduced integration"),

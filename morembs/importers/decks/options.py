@@ -14,6 +14,8 @@ from morembs.importers.decks.problems import Problem, Problems
 from morembs.importers.imported import Lacking
 
 Contact = Annotated[str, one_of("refuse", "skip", "tie")]
+# What becomes of bolts with a pre-tension section: "auto" refuses them in own assembly and cuts them in CalculiX.
+Pretension = Annotated[str, one_of("auto", "locked", "cut")]
 # What becomes of supports where a program assembles.
 Boundary = Annotated[str, one_of("drop", "keep")]
 
@@ -21,11 +23,13 @@ Boundary = Annotated[str, one_of("drop", "keep")]
 @dataclass(frozen=True, kw_only=True)
 class DeckOptions:
     """``density`` of element sets ("all": of all) whose materials have stiffness only, in the units of the deck; what
-    becomes of ``contact``, one of refuse, skip, tie; keywords, cards or element types to ``skip``, in capitals."""
+    becomes of ``contact``, one of refuse, skip, tie; keywords, cards or element types to ``skip``, in capitals;
+    ``pretension`` whether bolts are locked or cut at their pre-tension sections."""
 
     density: Mapping[str, float] = field(default_factory=dict)
     contact: str = "refuse"
     skip: frozenset[str] = frozenset()
+    pretension: str = "auto"
 
     @property
     def flags(self) -> tuple[str, ...]:
@@ -35,6 +39,7 @@ class DeckOptions:
             *given,
             *([f"--contact {self.contact}"] if self.contact != "refuse" else []),
             *(f"--skip {word}" for word in sorted(self.skip)),
+            *([f"--pretension {self.pretension}"] if self.pretension != "auto" else []),
         )
 
     def skips(self, *words: str) -> bool:
@@ -102,19 +107,22 @@ def density_of(texts: Sequence[str]) -> dict[str, float]:
     return given
 
 
-def deck_options(density: float | Mapping[str, float] | None, contact: str, skip: Sequence[str] | str) -> DeckOptions:
+def deck_options(
+    density: float | Mapping[str, float] | None, contact: str, skip: Sequence[str] | str, pretension: str = "auto"
+) -> DeckOptions:
     """The options as they are given in Python.
 
     Raises:
         InputError: another word for contact, or densities that are not positive.
     """
     check_value("contact", contact, Contact)
+    check_value("pretension", pretension, Pretension)
     given = dict(density) if isinstance(density, Mapping) else {} if density is None else {"all": density}
     for name, value in given.items():
         check_value(f"density of {name!r}", value, Positive)
     words = skip.split(",") if isinstance(skip, str) else skip
     plain = frozenset(" ".join(word.upper().split()).lstrip("*") for word in words if word)
-    return DeckOptions(density=given, contact=contact, skip=plain)
+    return DeckOptions(density=given, contact=contact, skip=plain, pretension=pretension)
 
 
 def left_out(what: str, count: int, *, contact: bool = False) -> str:

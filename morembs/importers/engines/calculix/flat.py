@@ -101,9 +101,12 @@ class _Writer:
     def take(self, placed: Placed, card: Card, rows: Rows) -> None:
         """Write a card, or say why not."""
         word, out = card.keyword, self.flat.deck
+        locked = [LOCKED.format(f" of node {card.options.get('NODE', '')}")] if word == PRETENSION else []
         if self.options.skips(word):
             self.deck.skip(card)
-            self.flat.notes += [LOCKED.format(f" of node {card.options.get('NODE', '')}")] if word == PRETENSION else []
+            self.flat.notes += locked
+        elif locked and self.options.pretension == "locked":
+            self.flat.notes += locked
         elif word in ("ORIENTATION", "DISTRIBUTION"):
             self._orientation(placed, card, rows)
         elif word == "BOUNDARY":

@@ -33,6 +33,7 @@ def import_with_calculix(
     density: float | dict[str, float] | None = None,
     contact: str = "refuse",
     skip: list[str] | str = "",
+    pretension: str = "auto",
     boundary: str = "drop",
     preload: int = 0,
     timeout: float = TOL.engine_seconds,
@@ -51,6 +52,7 @@ def import_with_calculix(
         executable: the path of ccx; "" looks for it.
         density: of materials with *ELASTIC and without *DENSITY, or set -> density, "all" standing for all.
         contact: "refuse" contact pairs, "skip" them, or "tie" them: glue their surfaces.
+        pretension: bolts with *PRE-TENSION SECTION are "cut", as CalculiX has them ("auto" too), or "locked".
         skip: keywords and element types to leave out, although stiffness or mass may depend on them.
         boundary: "drop" what *BOUNDARY holds, for a free body, or "keep" it.
         preload: steps that run first; the matrices are those of small motions after them.
@@ -69,7 +71,7 @@ def import_with_calculix(
     """
     program = find_ccx(executable)
     check_value("dialect", dialect, Annotated[str, one_of(*DIALECTS)])
-    choices = _choices(deck_options(density, contact, skip), boundary, preload, timeout, materials)
+    choices = _choices(deck_options(density, contact, skip, pretension), boundary, preload, timeout, materials)
     if format in FORMATS:
         if preload:
             raise InputError(
@@ -110,6 +112,7 @@ def readable_by_calculix(
     density: dict[str, float] | None = None,
     contact: str = "refuse",
     skip: list[str] | str = "",
+    pretension: str = "auto",
     allow_includes_outside: bool = False,
     materials: tuple[Material, ...] = (),
     format: str = "abaqus",
@@ -119,7 +122,7 @@ def readable_by_calculix(
     Raises:
         InputError: it cannot.
     """
-    choices = Choices(options=deck_options(density, contact, skip), materials=materials)
+    choices = Choices(options=deck_options(density, contact, skip, pretension), materials=materials)
     if format in FORMATS:
         other = read_other(path, format, choices.options, materials, outside=allow_includes_outside)
         with closing(ScratchFolder(None)) as scratch:
