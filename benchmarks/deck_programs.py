@@ -288,7 +288,8 @@ class Spectrum:
     @property
     def frequencies(self) -> list[float]:
         """The first ten that are no rigid motion, in Hz of the units of the deck."""
-        return np.sqrt(self.values[self.values > self.error][:COMPARED] / (4 * np.pi**2)).tolist()
+        elastic = self.values[self.values > self.error][:COMPARED]
+        return [float(f"{hz:.8g}") for hz in np.sqrt(elastic) / (2 * np.pi)]
 
 
 def spectrum_of(model: FEModel) -> Spectrum:

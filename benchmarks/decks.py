@@ -175,7 +175,7 @@ def examine(path: Path, rows: int, ways: Sequence[str]) -> dict[str, Any]:
         row: dict[str, Any] = {"taken": not isinstance(model, str), "cures": cures}
         row["seconds"] = round(time.perf_counter() - start, 2)
         if isinstance(model, str):
-            row["reason"] = model[:600]
+            row["reason"] = model[:300]
         else:
             models[name] = model
             row |= {"rows": model.size, "codes": sorted(set(_CODE.findall(" ".join(model.warnings))))} | _rigid(model)
@@ -212,8 +212,9 @@ def _compare(path: Path, held: Holds, models: dict[str, FEModel], result: dict[s
             found = spectrum_of(model)
             own = of_held_ccx(path) if name == "held" else wanted
             if name != "held" or found.values[0] > HELD * found.values[: 2 * COMPARED].max():
-                row = {"difference": difference(found, own), "frequencies": found.frequencies}
-                result["ways"][name] |= row
+                row = {"difference": difference(found, own)}
+                apart = {"frequencies": found.frequencies} if row["difference"] > SAME else {}
+                result["ways"][name] |= row | apart
 
 
 def failures(result: dict[str, Any]) -> list[str]:
@@ -302,7 +303,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         wrong = failures(results[-1]) if results[-1]["structure"] else []
         failed += bool(wrong)
         print(_line(results[-1]), *wrong, sep="\n    ", flush=True)
-        given.json.write_text(json.dumps(results, indent=1))
+        given.json.write_text("[\n" + ",\n".join(map(json.dumps, results)) + "\n]\n")
     print(table(results), reasons(results), f"{failed} of {len(results)} decks failed", sep="\n\n")
     return int(failed > 0)
 
