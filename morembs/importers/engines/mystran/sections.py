@@ -18,7 +18,7 @@ from morembs.importers.imported import Lacking
 from morembs.importers.nastran.bulk import Bulk
 from morembs.importers.nastran.cards import integer, real
 from morembs.importers.nastran.importer import is_full
-from morembs.importers.nastran.properties import padded
+from morembs.importers.nastran.properties import by_number, padded
 from morembs.importers.nastran.text_of_cards import Field, card
 from morembs.importers.tolerances import TOL
 
@@ -69,8 +69,10 @@ class Sections:
         self.warnings: list[str] = []
         self._numbers: dict[tuple[str, int], int] = {}
         self._rows: list[tuple[str, list[str], str]] = []
-        self._properties = {kind: {name: self._by_number(name) for name in names} for kind, names in CARDS.items()}
-        self._materials = {name: self._by_number(name) for name in _MATERIALS}
+        self._properties = {
+            kind: {name: by_number(self.file, name, bulk.rows[name]) for name in names} for kind, names in CARDS.items()
+        }
+        self._materials = {name: by_number(self.file, name, bulk.rows[name]) for name in _MATERIALS}
 
     def number(self, kind: str, pid: int, what: str, own: Sequence[str] = (), element: str = "") -> int:
         """The number of a property of a ``kind``; ``own`` are its fields where an element has none but itself."""
@@ -129,15 +131,6 @@ class Sections:
         what, row = f"{self.file}: {name.replace('_', ' ')}", padded(row, 5)
         density = self.densities.get(name, self._density(integer(row[1], what), name))
         return density * real(row[2], what) + real(row[3], what)
-
-    def _by_number(self, name: str) -> dict[int, list[str]]:
-        of: dict[int, list[str]] = {}
-        for row in self.bulk.rows[name]:
-            number = integer(padded(row, 1)[0], f"{self.file}: {name}")
-            if number in of or number < 1:
-                raise InputError(f"{self.file}: {name} {number} is defined twice, or below 1")
-            of[number] = row
-        return of
 
     def _is_there(self, mid: int, name: str) -> bool:
         return any(mid in rows for rows in self._materials.values()) or name in self._given or "all" in self._given
