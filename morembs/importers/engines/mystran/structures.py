@@ -95,8 +95,8 @@ class _Structures:
         ]
         return replace(
             deck,
-            elements=(*(part for part in deck.elements if part.kind != "none"), *parts),
-            sections=(*deck.sections, *self.sections),
+            elements=(*(part for part in deck.elements if part.kind in ("solid", "point")), *parts),
+            sections=(*(section for section in deck.sections if section.kind == "solid"), *self.sections),
             element_sets={**deck.element_sets, **self.sets},
             materials={**deck.materials, **self.materials},
             problems=(),
