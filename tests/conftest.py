@@ -24,6 +24,15 @@ for name in ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_M
 typer.testing._get_command = cache(typer.main.get_command)  # noqa: SLF001
 
 
+# Files with a test or a fixture of half a minute, which would leave other workers idle if it came last.
+LONG = ("test_site.py", "test_cluster.py", "test_slurm.py", "test_attack.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long tests come first."""
+    items.sort(key=lambda item: item.path.name not in LONG)
+
+
 def pytest_collection_finish() -> None:
     """What the tests themselves hold is left out of collections of garbage, of which each command makes one."""
     gc.collect()
@@ -43,3 +52,11 @@ def shared_data() -> Path:
 def small_meshes() -> Path:
     """Folder of the small meshes of the project."""
     return ROOT / "data" / "small_meshes"
+
+
+@pytest.fixture
+def forked_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Jobs of a batch run in forks, which import nothing anew; tests of a batch itself start whole processes."""
+    from tests.support.processes import fork_jobs
+
+    fork_jobs(monkeypatch)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from typer.testing import CliRunner
 
 from morembs.app.cli import app
@@ -11,6 +12,8 @@ from morembs.app.jobs.job import load_job
 from morembs.app.jobs.order import order_of
 from morembs.body.file import read_body
 from tests.support import decks
+
+pytestmark = pytest.mark.usefixtures("forked_jobs")
 
 ARM = """
 [[substructure]]

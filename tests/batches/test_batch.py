@@ -119,6 +119,7 @@ def on_terminal(work: Callable[[], object], folder: Path) -> tuple[int, str, str
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="terminals are POSIX")
+@pytest.mark.usefixtures("forked_jobs")
 def test_a_terminal_shows_each_job_above_a_bar(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "200")
@@ -177,6 +178,7 @@ def test_jobs_take_no_more_memory_than_they_ask_for(tmp_path: Path) -> None:
     assert len(took) == 2 and max(took[name] / asked[name] for name in took) < 0.92
 
 
+@pytest.mark.usefixtures("forked_jobs")
 def test_one_job_alone_is_remembered_with_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Within the working directory; a manifest above that belongs to others."""
     folder = jobs(tmp_path, {"a": {}, "b": {}})

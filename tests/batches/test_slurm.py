@@ -34,11 +34,12 @@ log_directory = "{folder}/logs"
 """
 
 
+@pytest.mark.usefixtures("forked_jobs")
 def test_slurm_runs_a_batch(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     tmp_path = tmp_path_factory.mktemp("slurm")
-    here = jobs(tmp_path / "here", 4)
-    batch([here], workers=2)
-    folder, place = jobs(tmp_path / "there", 4), tmp_path / "cluster.toml"
+    here = jobs(tmp_path / "here", 2)
+    batch([here])
+    folder, place = jobs(tmp_path / "there", 2), tmp_path / "cluster.toml"
     place.write_text(CLUSTER.format(root=Path(__file__).parents[2], folder=tmp_path))
     (tmp_path / "queue").mkdir()
     with slurm(tmp_path / "queue") as environment:
@@ -46,9 +47,9 @@ def test_slurm_runs_a_batch(tmp_path_factory: pytest.TempPathFactory, monkeypatc
             monkeypatch.setenv(name, value)
         done = CliRunner().invoke(app, ["batch", str(folder), "--cluster", str(place)])
         accounts = subprocess.run(["squeue", "-h"], capture_output=True, text=True, check=True).stdout
-    assert done.exit_code == 0 and "4 done" in done.stdout, done.stderr
-    assert sums(folder) == sums(here) and len(sums(folder)) == 4 and strays(folder) == []
+    assert done.exit_code == 0 and "2 done" in done.stdout, done.stderr
+    assert sums(folder) == sums(here) and len(sums(folder)) == 2 and strays(folder) == []
     events = [json.loads(line) for line in (folder / "batch.manifest").read_text().splitlines()]
-    assert sum(event["event"] == "ended" for event in events) == 4
+    assert sum(event["event"] == "ended" for event in events) == 2
     # Workers that are not needed any more have been sent away, or are on their way out.
     assert all(line.split()[4] == "CG" for line in accounts.splitlines()), accounts

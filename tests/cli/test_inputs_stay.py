@@ -133,6 +133,7 @@ def test_the_first_job_of_a_mesh_spares_its_companion(tmp_path: Path) -> None:
     assert files(tmp_path).items() >= before.items()
 
 
+@pytest.mark.usefixtures("forked_jobs")
 def test_a_batch_spares_what_its_jobs_read_and_what_jobs_that_are_done_have_read(tmp_path: Path) -> None:
     for name in "ab":
         (tmp_path / name).mkdir()
@@ -171,6 +172,7 @@ def test_an_export_spares_the_files_that_come_later(tmp_path: Path) -> None:
     assert {body.read_bytes() for body in bodies} == {(tmp_path / "part.h5").read_bytes()}
 
 
+@pytest.mark.usefixtures("forked_jobs")
 def test_a_batch_sees_where_links_lead(tmp_path: Path) -> None:
     """The mesh, and a folder on the way to it."""
     for name, count in (("one", 8), ("two", 12)):
@@ -220,6 +222,7 @@ def test_a_file_of_the_same_size_and_times_is_another(tmp_path: Path) -> None:
     assert not settled.still_in(link)
 
 
+@pytest.mark.usefixtures("forked_jobs")
 def test_a_manifest_of_an_older_version_is_read_and_its_jobs_are_due(tmp_path: Path) -> None:
     decks.folder(tmp_path, None, decks.deck(decks.BEAM[:8]))
     path = tmp_path / "batch.manifest"

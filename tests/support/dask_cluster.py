@@ -111,7 +111,8 @@ def until(true: Callable[[], Any], patience: float = PATIENCE) -> Any:
     while not (said := true()):
         if time.monotonic() > end:
             raise TimeoutError
-        time.sleep(0.02)
+        # Each look at all processes takes milliseconds of those that are waited for.
+        time.sleep(0.1)
     return said
 
 
