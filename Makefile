@@ -17,9 +17,12 @@ demo: setup
 	@$(RUN)/python data/make_connecting_rod.py
 	@$(RUN)/morembs reduce pipelines/connecting_rod.toml
 
-# As many workers as cores, so one thread for each.
-test: test-setup lint
-	@OPENBLAS_NUM_THREADS=1 $(RUN)/python -m pytest --numprocesses auto --dist worksteal
+# As many workers as cores, so one thread for each. The linters run beside the tests, which leave cores idle while they
+# are collected and at their end; what linters say comes last.
+test: test-setup
+	@words=$$(mktemp); $(MAKE) --no-print-directory lint >$$words 2>&1 & linters=$$!; \
+	OPENBLAS_NUM_THREADS=1 $(RUN)/python -m pytest --numprocesses auto --dist worksteal; tests=$$?; \
+	wait $$linters; lint=$$?; cat $$words; rm -f $$words; exit $$((tests | lint))
 
 lint: setup
 	@$(RUN)/ruff check .
