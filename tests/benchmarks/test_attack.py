@@ -39,8 +39,8 @@ def _loaded() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_killed_runs_leave_nothing_half_done(tmp_path: Path, kind: str) -> None:
-    # A batch is three runs.
-    count = 1 if kind == "batch" else 2
+    # Each is a whole run, one that is killed and one that follows; make attack draws thousands.
+    count = 2 if kind == "import" else 1
     outcomes = list(kill.attacks(tmp_path, count=count, seed=1, kinds=[kind]))
     assert len(outcomes) == count
     assert [(outcome.trial, outcome.failures) for outcome in outcomes if outcome.failures] == []
@@ -56,13 +56,13 @@ def test_a_whole_process_is_killed_as_a_forked_one(tmp_path: Path) -> None:
 
 
 def test_damaged_inputs_are_refused_or_the_differ_knows_why(tmp_path: Path) -> None:
-    outcomes = list(damage.attacks(tmp_path, count=24, seed=1, kinds=FORMATS, seconds=PATIENCE))
-    assert len(outcomes) == 24
+    outcomes = list(damage.attacks(tmp_path, count=2 * len(FORMATS), seed=1, kinds=FORMATS, seconds=PATIENCE))
+    assert len(outcomes) == 2 * len(FORMATS)
     bad = [outcome for outcome in outcomes if outcome.result in damage.FAILURES]
     silent = [outcome for outcome in outcomes if outcome.result == "silent"]
     bad += [outcome for outcome in silent if mutations.reason(outcome.kind, outcome.format) is None]
     assert [(outcome.format, outcome.number, outcome.result, outcome.words, outcome.detail) for outcome in bad] == []
-    assert sum(outcome.result == "refused" for outcome in outcomes) > 10
+    assert sum(outcome.result == "refused" for outcome in outcomes) > len(FORMATS) / 2
 
 
 # The attacks themselves: a program that does what it must not do is found out.

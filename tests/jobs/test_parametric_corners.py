@@ -109,11 +109,9 @@ def test_a_wide_range_of_a_modulus_has_a_body(tmp_path):
     assert words.exit_code == 0 and f"note: frequencies {count + 1} lie above the band" in words.stdout
 
 
-@pytest.mark.parametrize("stiff", [1e-2, 1e-4])
-def test_a_soft_ground_spring_beside_a_morph_has_a_proven_bound(tmp_path, stiff):
+def test_a_soft_ground_spring_beside_a_morph_has_a_proven_bound(tmp_path):
     """Rigid motion of the longer bar strains elements of the shorter one, a thousand times as much as the spring."""
-    values = [float(f"{stiff * k:.3g}") for k in (3e7, 2e7, 2e7, 4e3, 5e3, 6e3)]
-    spring = SPRING.replace("[3e7, 2e7, 2e7, 4e3, 5e3, 6e3]", str(values))
+    spring = SPRING.replace("[3e7, 2e7, 2e7, 4e3, 5e3, 6e3]", "[3e3, 2e3, 2e3, 0.4, 0.5, 0.6]")
     done = reduced(tmp_path, spring + MORPH, high=BAND)
     assert done.exit_code == 0, done.stderr
     at = read_body(tmp_path / "bar.h5").bodies["parametric"].parametric.at(k=0.7, t=0.04)
