@@ -21,13 +21,17 @@ MODULES = (
 
 
 def everything() -> None:
-    """Load them; libraries that are not installed are passed over."""
+    """Load them, and measure the machine; libraries that are not installed are passed over."""
     for name in MODULES:
         try:
             importlib.import_module(name)
         except ImportError:
             if name.startswith("morembs."):
                 raise
+    from morembs.linalg.sparse.threads import measured_speed
+
+    # Each check would measure it anew, which takes as long as a small job.
+    measured_speed()
 
 
 def package() -> None:

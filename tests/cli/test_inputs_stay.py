@@ -10,20 +10,17 @@ from pathlib import Path
 
 import meshio
 import pytest
-from typer.testing import CliRunner
 
 from morembs.app.batches.manifest import Manifest
 from morembs.app.batches.run import batch
-from morembs.app.cli import app
 from morembs.base.errors import OutputError, OverwriteError
 from morembs.body.file import read_body
 from morembs.importers import read_mesh
 from morembs.storage.contents import Content, keeping_ledger, own_files
 from morembs.storage.safefile import check_writable, copy_into, replacing, replacing_all
-from tests.support import decks
+from tests.support import commands, decks
 from tests.support.batches import remember
 
-RUNNER = CliRunner()
 MATERIAL = ("--material", "young=210e3,poisson=0.3,density=7.85e-9")
 XDMF = {
     "model": 'mesh = "part.xdmf"\nunits = "mm-t-s"',
@@ -38,9 +35,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 def run(*arguments: object, code: int = 0) -> str:
     """What a command says, on one line."""
-    result = RUNNER.invoke(app, [str(argument) for argument in arguments])
-    assert result.exit_code == code and isinstance(result.exception, SystemExit | None), (result.output, result.stderr)
-    return (result.stderr if code else result.stdout).replace("\n", " ")
+    return commands.run(*arguments, code=code).replace("\n", " ")
 
 
 def xdmf(folder: Path, output: str = "part.h5") -> Path:

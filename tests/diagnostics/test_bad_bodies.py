@@ -26,6 +26,7 @@ from morembs.importers import import_file
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, Krylov
 from morembs.storage.checksums import seal
+from tests.support import commands
 from tests.support.meshes import box, steel, where
 from tests.support.stored import datasets
 
@@ -334,10 +335,9 @@ def motion(n, **other):
 
 
 def run(*arguments):
-    done = CliRunner().invoke(app, [*map(str, arguments)])
-    assert done.exit_code == 2 and isinstance(done.exception, SystemExit), (done.stdout, done.exception)
-    assert done.stderr.startswith("error: ") and len(done.stderr.strip().splitlines()) == 1
-    return done.stderr
+    said = commands.run(*arguments, code=2)
+    assert said.startswith("error: ") and len(said.strip().splitlines()) == 1
+    return said
 
 
 @pytest.mark.parametrize(

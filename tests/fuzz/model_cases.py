@@ -93,36 +93,6 @@ def short_beam_clamped_at_both_ends(place: Folder) -> None:
 
 
 @case
-def parameter_beta_from_zero(place: Folder) -> None:
-    solid = bar()
-    end = (
-        write_mesh(place, "part.vtk", solid)
-        + END.format(labels="1").replace('"end"', '"corner"')
-        + 'coupling = "direct"\n'
-    )
-    table = '[[parameter]]\nname = "b"\nproperty = "beta"\nnominal = 2e-7\nrange = [0.0, 3e-7]\n'
-    method = '[[reduce]]\nmethod = "parametric"\nband_hz = [0.0, 9000.0]\ntolerance = 1e-4\ntraining = 8\n'
-    write_job(place, MESH.format(name="part.vtk"), end, table, method, OUTPUT)
-    gives(place, "reduce", "job.toml")
-
-
-@case
-def spring_beside_a_morph(place: Folder) -> None:
-    solid = bar()
-    end = write_mesh(place, "part.vtk", solid)
-    rows = [f"{k},{0.1 * x[0]!r},0,0" for k, x in enumerate(solid.xyz.tolist(), 1)]
-    (place.place / "longer.csv").write_text("id,dx,dy,dz\n" + "\n".join(rows) + "\n")
-    tables = '[[parameter]]\nname = "t"\nproperty = "morph"\ndisplacement = "longer.csv"\nrange = [-1.0, 1.0]\n'
-    tables += (
-        '[[parameter]]\nname = "k"\nproperty = "spring"\ninterface = "end"\nrange = [0.5, 2.0]\n'
-        "stiffness = [1e6, 1e6, 1e6, 1e3, 1e3, 1e3]\n"
-    )
-    method = '[[reduce]]\nmethod = "parametric"\nband_hz = [0.0, 2000.0]\ntolerance = 1e-2\ntraining = 8\n'
-    write_job(place, MESH.format(name="part.vtk"), end, tables, method, OUTPUT)
-    gives(place, "reduce", "job.toml")
-
-
-@case
 def hinge_between_two_free_bodies(place: Folder) -> None:
     solid = bar()
     end = write_mesh(place, "part.vtk", solid)
@@ -146,14 +116,6 @@ def hinge_between_two_free_bodies(place: Folder) -> None:
             "hinge" in ended.errors or "component" in ended.errors,
             f"the refusal does not say what is held where: {reason(ended.errors)}",
         )
-
-
-@case
-def many_modes_of_a_free_block(place: Folder) -> None:
-    end = write_mesh(place, "part.vtk", bar(cells=(7, 7, 7), size=(0.1, 0.11, 0.123)))
-    modes = '[[reduce]]\nmethod = "modal"\nmodes = 300\n'
-    write_job(place, MESH.format(name="part.vtk"), end, modes, OUTPUT, "[check]\nfull_modes = 0\n")
-    gives(place, "reduce", "job.toml")
 
 
 @case

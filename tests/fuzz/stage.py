@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import h5py
 import meshio
 import numpy as np
 
@@ -88,11 +87,6 @@ def expect(place: Folder, holds: bool, words: str) -> None:
 def write_model(place: Folder, K: np.ndarray, M: np.ndarray, **more: object) -> None:
     """The model file of matrices."""
     model_file.write_model(place.place / "part.model.h5", from_matrices(K, M, name="part", **more))
-
-
-def mass_of(place: Folder, name: str = "body.h5") -> float:
-    with h5py.File(place.place / name) as file:
-        return float(file["mass_properties/mass"][()])
 
 
 def judged(place: Folder, truth: Truth, **kinds: str) -> None:

@@ -14,6 +14,7 @@ from typing import IO, Any, ClassVar
 import pytest
 
 from benchmarks.attack.forked import Ended, begin, program, run
+from morembs.linalg.sparse.threads import measured_speed
 
 
 def apart(work: Callable[[], object], folder: Path, logs: Path | None = None) -> Ended:
@@ -73,6 +74,8 @@ class ForkedCommand:
 def fork_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fork the commands that a batch starts, which would be processes of their own."""
     started = subprocess.Popen
+    # Once for all of them.
+    measured_speed()
 
     def begun(words: Any, **options: Any) -> Any:
         of_batch = "--attached" in words
