@@ -144,10 +144,10 @@ def deck_text(settings: Settings) -> None:
         wanted = {"file": str(path), "name": name, "quick": settings.quick}
         child("deck", settings, **wanted)
         measures[name] = lambda wanted=wanted: child("deck", settings, **wanted)  # type: ignore[misc]
-    report = Report("decks", settings)
+    report = Report("deck-text", settings)
     report.add(in_rounds(measures, settings.repeat if settings.quick else max(settings.repeat, ROUNDS)))
     report.table("decks: text to mesh", _COLUMNS)
     report.write()
 
 
-CASES = {"decks": deck_text}
+CASES = {"deck-text": deck_text}

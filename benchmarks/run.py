@@ -32,7 +32,7 @@ MODULES = {
     "frames": ("frames",),
     "jobs": ("million", "forecast"),
     "switching": ("switching",),
-    "deck_text": ("decks",),
+    "deck_text": ("deck-text",),
     "budgets": ("budgets",),
     "certify": ("certify",),
     "fmus": ("fmu",),

@@ -177,6 +177,13 @@ TABLES: dict[str, Table] = {
          ("MB a second", lambda row: 1e-6 * row["file_bytes"] / row["cpu_seconds"], "n")),
         (("hex8", "read_deck"),),
     ),
+    "deck text": Table(
+        "deck-text", "decks of nearly one block, from text to mesh and materials",
+        (("text, MB", "file_bytes", "MB"), ("processor seconds", "cpu_seconds", "s"), ("MB a second", "speed", "n")),
+        _same("abaqus, nine digits: nodes", "abaqus, 17 digits: nodes", "abaqus: elements",
+              "nastran, small fields: nodes", "nastran, large fields: nodes", "nastran, free fields: nodes",
+              "nastran, small fields: elements", "nastran, free fields: elements", "ansys: nodes", "ansys: elements"),
+    ),
     "switching": Table(
         "switching", "tables of static modes",
         (
