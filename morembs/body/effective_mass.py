@@ -25,7 +25,7 @@ class EffectiveMasses:
     sqrt(kg) and sqrt(kg) m; their squares are the effective ``masses`` (k, 6) in kg and kg m2. ``total`` (6,) are mass
     and inertia of the whole body, of which the modes have the rest of what moves with the held coordinates.
 
-    Source: Clough and Penzien (1975), chapter 27; Girard and Roy (2008), chapter 5.
+    Source: Clough and Penzien (1975); Girard and Roy (2008).
     """
 
     frequencies_hz: Floats
