@@ -17,7 +17,15 @@ from morembs.importers.to_model import model_of
 from tests.importers.test_engines import BEAM, PLATE, SHELL
 from tests.importers.test_nastran_deck import FULL
 from tests.importers.test_unv import universal
-from tests.support.calculix import STEEL, elements_text, needs_ccx, nodes_text, on_plane, own_frequencies
+from tests.support.calculix import (
+    STEEL,
+    elements_text,
+    needs_ccx,
+    nodes_text,
+    on_plane,
+    own_frequencies,
+    stored_matrices,
+)
 from tests.support.mesh_decks import ansys_archive, nastran_mesh
 from tests.support.meshes import box
 from tests.support.mystran import needs_mystran
@@ -39,7 +47,7 @@ WHOLE = (
     "*ELEMENT, TYPE=SPRINGA, ELSET=AXIAL\n991, 902, I.1\n*SPRING, ELSET=AXIAL\n\n3.1e6\n"
     "*ELEMENT, TYPE=SPRING2, ELSET=PAIR\n992, 901, I.2\n*SPRING, ELSET=PAIR\n2, 2\n1.7e6\n"
     "*ELEMENT, TYPE=SPRING1, ELSET=GROUND\n993, I.3\n*SPRING, ELSET=GROUND\n3\n\n2.e5\n"
-    "*ELEMENT, TYPE=DASHPOT2, ELSET=DAMPER\n994, 901, I.2\n*DASHPOT, ELSET=DAMPER\n1, 1\n40.\n"
+    "*ELEMENT, TYPE=DASHPOTA, ELSET=DAMPER\n994, 901, I.2\n*DASHPOT, ELSET=DAMPER\n\n40.\n"
     "*NSET, NSET=TOP, INSTANCE=J\nSIX\n*SURFACE, NAME=TOP, TYPE=NODE\nTOP, 2.\n"
     "*SURFACE, NAME=FOOT, TYPE=NODE\nI.SIX, 1.\n*COUPLING, REF NODE=900, SURFACE=FOOT, CONSTRAINT NAME=FOOT\n"
     "*KINEMATIC\n1, 3\n"
@@ -166,6 +174,15 @@ def test_archives_and_universal_files_become_decks_of_each_program(kind, format,
     first, second, _ = again(universal(mesh), "unv", format)
     assert np.array_equal(first.imported().mesh.blocks[0].nodes, second.imported().mesh.blocks[0].nodes)
     assert np.allclose(second.xyz, first.xyz, rtol=1e-10)
+
+
+@needs_ccx
+@pytest.mark.parametrize(("code", "word"), [("SPRINGA", "SPRING"), ("DASHPOTA", "DASHPOT")])
+def test_springs_and_dashpots_along_a_line_are_read_by_ccx(code, word, tmp_path):
+    text = deck_text("C3D8") + f"*NODE\n99, 0., 0., -1.\n*ELEMENT, TYPE={code}, ELSET=A\n99, 99, 1\n"
+    (tmp_path / "deck.inp").write_text(f"{text}*{word}, ELSET=A\n2.e6\n")
+    read(tmp_path / "deck.inp", dialect="calculix").write(tmp_path / "flat.inp", "calculix")
+    assert stored_matrices((tmp_path / "flat.inp").read_text(), tmp_path)[0] is not None
 
 
 @needs_ccx

@@ -115,15 +115,24 @@ class CalculixText(SectionText):
                 )
             code, nodes, dofs, value = found
             elset = self._point(f"{word}{code}", nodes)
-            yield "\n".join([f"*{word}, ELSET={elset}", ", ".join(map(str, dofs)), numeral(value)])
+            # Along a line there is no direction: Abaqus has a blank line in its place, CalculiX none.
+            directions = [", ".join(map(str, dofs))] if dofs or self.dialect == "abaqus" else []
+            yield "\n".join([f"*{word}, ELSET={elset}", *directions, numeral(value)])
 
     def _spring(self, element: DiscreteElement) -> tuple[str, list[int], list[int], float] | None:
         """Ending of its code, nodes, dofs (from 1) and constant; None where it is no spring of the program."""
         A, nodes, dofs = element.values, element.nodes.tolist(), (element.components + 1).tolist()
+        # CalculiX has dashpots along lines only.
+        is_free = element.matrix == "K" or self.dialect == "abaqus"
         if len(nodes) == 1:
-            return "1", nodes, dofs, float(A[0, 0])
+            return ("1", nodes, dofs, float(A[0, 0])) if is_free else None
         value = float(A[0, 0])
-        if len(nodes) == 2 and np.array_equal(A, value * np.array([[1.0, -1.0], [-1.0, 1.0]])) and nodes[0] != nodes[1]:
+        if (
+            is_free
+            and len(nodes) == 2
+            and np.array_equal(A, value * np.array([[1.0, -1.0], [-1.0, 1.0]]))
+            and nodes[0] != nodes[1]
+        ):
             return "2", nodes, dofs, value
         ends = list(dict.fromkeys(nodes))
         if len(ends) != 2 or max(dofs) > 3:
