@@ -181,12 +181,7 @@ def _by_content(path: Path, format: str) -> str:
         with path.open("rb") as file:
             return format if file.read(14).lower().startswith(b"%%matrixmarket") else "abaqus-matrix"
     if format in ("hdf5", "native"):
-        kind = _hdf5_kind(path)
-        if kind == "morembs-body":
-            raise InputError(
-                f"{path} is a body file, the result of a reduction; expected a model: a mesh, deck or matrices"
-            )
-        return {"morembs-model": "native", "FEMinterface": "exudyn"}.get(kind, "hdf5")
+        return {"morembs-model": "native", "FEMinterface": "exudyn"}.get(_hdf5_kind(path), "hdf5")
     return format
 
 
