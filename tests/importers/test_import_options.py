@@ -134,7 +134,7 @@ def test_a_body_file_is_no_model(tmp_path):
 
 
 def test_the_examples_of_the_documents(tmp_path, monkeypatch):
-    (toml,), (python,) = blocks("toml", "bracket.inp"), blocks("python", "bracket.inp")
+    (toml,), (python,) = blocks("toml", "bracket.inp"), blocks("python", "import_model")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "bracket.inp").write_text(INCOMPLETE.replace("EVERY", "BODY"))
     job = folder(tmp_path, {"model": toml.replace("[model]\n", ""), "material": None})
