@@ -548,6 +548,8 @@ def test_damaged_archives(tmp_path):
         ("      102 ", "      101 ", "the node 101 twice"),
         ("1.0000000000000E+000", "1.0000000000000E+00x", "not as its format says"),
         ("1.0000000000000E+000", "                 nan", "not finite"),
+        ("1.0000000000000E+000", "                 1_5", "not as its format says"),
+        ("      101 ", "      1_1 ", "not as its format says"),
         ("(19i10)", "(2i10)", "longer than its format|2 columns"),
         ("        -1\nEN", "EN", "ends within EBLOCK"),
         ("SOLID,2,2", "SOLID,2,3", "EBLOCK holds 2 elements where it announces 3"),
@@ -560,6 +562,13 @@ def test_damaged_archives(tmp_path):
         import_ansys_cdb(write(tmp_path, text[: text.index("        -1\nEN")]))
     with pytest.raises(InputError, match="does not exist"):
         import_ansys_cdb(tmp_path / "no.cdb")
+
+
+def test_exponents_of_coordinates_need_no_letter(tmp_path):
+    """As Fortran writes those of three digits, and reads all."""
+    text = hex_deck()
+    path = write(tmp_path, text.replace("1.0000000000000E+000", "   1000000000000.-12"))
+    assert np.array_equal(import_ansys_cdb(path).nodes.xyz, import_ansys_cdb(write(tmp_path, text)).nodes.xyz)
 
 
 def test_edges_without_middle_nodes_are_linear(tmp_path):

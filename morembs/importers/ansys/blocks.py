@@ -117,7 +117,7 @@ def _integers(part: NDArray[np.uint8], rows: BlockText, block: str, name: str) -
 
 def _reals(part: NDArray[np.uint8], rows: BlockText, block: str, name: str) -> Floats:
     words = _words(part)
-    values = None if words is None else words.reals(implied=False)
+    values = None if words is None else words.reals()
     return _odd_numbers(part, np.float64, rows, block, name) if values is None else values.reshape(part.shape[:2])
 
 
@@ -140,6 +140,8 @@ def _odd_numbers(part: NDArray[np.uint8], kind: type, rows: BlockText, block: st
     words = np.where((part == ord(" ")).all(axis=2), b"0", words)
     for row, line in enumerate(words):
         try:
+            if b"_" in b"".join(line):
+                raise ValueError("digits in groups, which only Python reads")
             line.astype(kind)
         except (ValueError, OverflowError) as error:
             bad = _shown(rows[row])
