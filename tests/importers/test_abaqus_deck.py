@@ -326,6 +326,14 @@ def test_forms_of_numbers_and_lines(deck):
     )
 
 
+@pytest.mark.parametrize("other", ["2,1,0,0", "2,1"])
+def test_exponents_have_a_letter_whatever_the_other_lines(deck, other):
+    with pytest.raises(InputError, match=r"'1\+3' cannot be read as a number"):
+        deck(f"*NODE\n1,1+3,2,3\n{other}\n")
+    with pytest.raises(InputError, match=r"'1\+3' cannot be read as a label"):
+        deck(SOLID + "*ELEMENT, TYPE=C3D8\n5,1+3,2,3,4,5,6,7,8\n")
+
+
 def test_ranges_say_what_they_lack(deck):
     imported = deck(SOLID + "*NSET, NSET=A, GENERATE\n10, 100000000000, 10\n")
     assert len(imported.nodes.sets["A"]) == 8 and any("do not exist" in note for note in imported.notes)

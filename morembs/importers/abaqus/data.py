@@ -15,6 +15,8 @@ from morembs.importers.matrices.text import integers, numbers
 from morembs.importers.tolerances import TOL
 
 _GAP = re.compile(rb"[0-9.][ \t]+[0-9.+\-]")
+# An exponent without a letter, which only Nastran has.
+_IMPLIED = re.compile(rb"[0-9.][+\-][^,\n]*")
 
 
 def fields(lines: bytes, *, ends: bool = False) -> list[list[str]]:
@@ -73,7 +75,7 @@ def _plain_nodes(piece: bytes) -> tuple[Ints, Floats] | None:
         return None
     ids = words.integers(slice(0, None, width))
     given = np.arange(len(words)).reshape(-1, width)[:, 1:4]
-    values = words.reals(given.ravel())
+    values = words.reals(given.ravel(), implied=False)
     if ids is None or values is None or (ids < 0).any() or (np.abs(values) >= TOL.largest_number).any():
         return None
     xyz = np.zeros((len(ids), 3))
@@ -95,6 +97,14 @@ def element_numbers(piece: bytes, card: Card) -> tuple[Ints, NDArray[np.bool_]]:
     if gap:
         line = piece[piece.rfind(b"\n", 0, gap.start()) + 1 :].split(b"\n")[0]
         raise InputError(f"{card}: {line.decode('latin-1')[:60]!r} has a blank within a field; expected commas")
+    implied = _IMPLIED.search(piece)
+    if implied:
+        word = piece[
+            max(piece.rfind(b",", 0, implied.start()), piece.rfind(b"\n", 0, implied.start())) + 1 : implied.end()
+        ]
+        raise InputError(
+            f"{card}: {word.decode('latin-1').strip()[:60]!r} cannot be read as a label; expected an integer"
+        )
     values = integers(numbers(piece, card.file), "a label", card.file)
     codes = np.frombuffer(piece, dtype=np.uint8)
     # Digits, signs and dots are above the comma or are the comma's neighbours; separators are few.
