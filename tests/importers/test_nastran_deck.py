@@ -243,6 +243,7 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
         ("PSOLID,1,1\nMAT1,1,,1.,,1.\n", "gives 1 of E, G and NU"),
         ("GRID,11,,0.,zero,0.\n", "GRID card"),
         ("GRID    11              0.5 1   0.      0.\n", "not one number"),
+        ("GRID    11              +       0.      0.\n", r"a GRID card: .*'\+' cannot be read as a number"),
         ("=,*(1),=\n", "line 11: cards with continuations"),
         ("GRID,90,,1.,2.,3.\n=(3)\n", "repeats no line"),
         ("CORD2R,x\n=,*1,==\n", "cannot be counted up"),

@@ -201,11 +201,11 @@ def _separated(block: bytes, name: str) -> bytes:
     if any(pair in pairs for pair in _SIGN_BEHIND_DIGIT):
         text = _IMPLIED.sub(rb"\1E\2", text)
         pairs = _neighbours(text)
-    if b"+" in text and (b"\n+" in text or text.startswith(b"+")):
-        text = text.replace(b"\n+", b"\n").removeprefix(b"+")
     marks = text.translate(None, b"0123456789+-")
     if pairs.translate(None, _PAIRS) or b".." in marks or b"E." in marks or b"EE" in marks:
         raise InputError(f"{name}: {_first_fault(text)!r} cannot be read as a number; check the file")
+    if b"+" in text and (b"\n+" in text or text.startswith(b"+")):
+        text = text.replace(b"\n+", b"\n").removeprefix(b"+")
     return text
 
 
