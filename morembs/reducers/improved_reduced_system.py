@@ -11,11 +11,11 @@ frequencies converge to frequencies of the full model: the lowest ones, or the l
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import scipy.linalg as sl
 
-from morembs.base.limits import PositiveCount
+from morembs.base.limits import number
 from morembs.linalg.columns import without_rigid_motion
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, Reducer
@@ -35,7 +35,8 @@ class ImprovedReducedSystem(Reducer):
     """
 
     method: ClassVar[str] = "irs"
-    steps: PositiveCount = 1
+    # Frequencies settle within 20 or so; each step is a solution for all interface dofs.
+    steps: Annotated[int, number("an integer from 1 to 100", ge=1, le=100)] = 1
 
     def _basis(self, problem: Problem) -> Basis:
         Psi, condensed = problem.constraint_modes()
