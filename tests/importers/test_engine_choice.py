@@ -90,6 +90,21 @@ def test_what_keeps_supports_goes_to_a_program(tmp_path, monkeypatch):
     assert "CalculiX, as own assembly refuses the deck: own assembly has no --boundary" in imported.notes[0]
 
 
+@pytest.mark.parametrize(
+    ("name", "deck", "options", "message"),
+    [
+        ("sheet.bdf", SHEET, {"boundary": "keep", "preload": 1}, "MYSTRAN has no --preload"),
+        ("sheet.inp", SHELL, {"pretension": "cut"}, "MYSTRAN has no --pretension"),
+    ],
+)
+def test_a_program_without_an_option_does_not_assemble_by_leaving_it_out(
+    tmp_path, no_programs, monkeypatch, name, deck, options, message
+):
+    monkeypatch.setenv("MOREMBS_MYSTRAN", str(calculix.program(tmp_path, "raise SystemExit(1)")))
+    with pytest.raises(InputError, match=message):
+        import_file(written(tmp_path, name, deck), options=options, engine="auto")
+
+
 def test_an_option_that_nobody_has_is_refused(tmp_path):
     with pytest.raises(InputError, match="has no option 'colour'"):
         import_file(written(tmp_path, "box.inp", BOX), options={"colour": 1}, engine="auto")

@@ -53,6 +53,11 @@ def import_by_choice(
         return _noted(imported, "own assembly, which takes all elements of the deck")
     errors, said = [refused], list[str]()
     for name, engine in engines.items():
+        lacked = sorted(set(plain) - set(engine.options))
+        if lacked:
+            # Left out, the option would not reach the model.
+            said.append(f"{engine.program} has no --{lacked[0]}")
+            continue
         its_options = {key: value for key, value in options.items() if key in engine.options}
         try:
             executable = engine.find("")
