@@ -20,7 +20,7 @@ from morembs.importers.matrices.dof_map import read_dof_map
 from morembs.importers.matrices.files import abaqus_matrices
 from morembs.importers.matrices.named import square_csr
 from morembs.importers.options import OF_ENGINES, ROLES, ImportOptions
-from morembs.importers.to_model import rows_of_labels
+from morembs.importers.to_model import refuse_mass_integration, rows_of_labels
 
 # Options that name inputs and outputs.
 INPUTS = ("B", "C", "B_names", "C_names")
@@ -81,6 +81,7 @@ def _assembled(options: ImportOptions, engine: str, materials: Sequence[Material
     if options.file is None or options.nodes or options.dofs:
         raise InputError(f"--engine {name} takes one deck; leave --nodes, --dofs out")
     if engine != AUTO:
+        refuse_mass_integration(options.mass_integration, f"a deck whose masses are those of --engine {name}")
         known = {*engine_of(engine)[0].options, "allow_includes_outside"}
         wrong = next((word for word in options.of_decks if word not in known), None)
         if wrong:

@@ -33,6 +33,16 @@ from morembs.importers.nodes_and_dofs import nodes_and_dofs
 from morembs.importers.point_masses import refuse_loose, si_mass, with_dofs, with_masses
 
 
+def refuse_mass_integration(rule: str, what: str) -> None:
+    """Refuse a rule other than that of the elements for what is not assembled here.
+
+    Raises:
+        InputError: as said.
+    """
+    if rule != "element":
+        raise InputError(f"--mass-integration {rule} was given for {what}; leave it out")
+
+
 def model_of(imported: Imported, units: Units | None = None, *, mass_integration: str = "element") -> FEModel:
     """Model in SI units of what a file holds in ``units`` (None: SI).
 
@@ -44,9 +54,12 @@ def model_of(imported: Imported, units: Units | None = None, *, mass_integration
 
     Raises:
         InputError: neither K and M nor a mesh with materials, matrices that do not fit the nodes, nodes without
-            coordinates, numbers that are not finite, or elements that contradict each other.
+            coordinates, numbers that are not finite, elements that contradict each other, or ``mass_integration``
+            for matrices.
     """
     units = units or Units()
+    if imported.K is not None:
+        refuse_mass_integration(mass_integration, f"{imported.source}, whose matrices are ready")
     imported = _completed(imported)
     touched = nodes_of(imported.ties)
     _refuse_incomplete(imported)

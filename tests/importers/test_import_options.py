@@ -109,12 +109,19 @@ def test_a_job_names_the_keys_that_answer_its_deck(tmp_path):
         ({"engine_timeout": 0}, "engine_timeout"),
         ({"units": "mm"}, "units"),
         ({"boundary": "keep"}, "--engine"),
+        ({"engine": "calculix", "mass_integration": "exact"}, "are those of --engine calculix; leave it out"),
     ],
 )
 def test_options_of_python_are_checked(given, named, tmp_path):
     (tmp_path / "part.inp").write_text(deck(BEAM) + MATERIAL)
     with pytest.raises(InputError, match=re.escape(named)):
         import_model(tmp_path / "part.inp", **given)
+
+
+def test_a_rule_for_masses_is_refused_where_matrices_are_ready(tmp_path):
+    morembs.write_model(tmp_path / "steel.model.h5", import_model_of_steel(tmp_path))
+    with pytest.raises(InputError, match=r"--mass-integration exact was given for steel.* matrices are ready"):
+        import_model(tmp_path / "steel.model.h5", mass_integration="exact")
 
 
 def test_keys_of_whole_models_are_refused_beside_a_mesh(tmp_path):
