@@ -42,7 +42,16 @@ def test_toml_syntax(tmp_path: Path) -> None:
     job = folder(tmp_path)
     job.write_text("[model]\nmesh = = 3\n")
     message = refused(job)
-    assert "not valid TOML" in message and "line 2" in message
+    assert "not valid TOML" in message and "line 2" in message and "mend that line" in message
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("part.inp", b"*NODE\n1, 0.0, 0.0, 0.0\n"), ("part.model.h5", b"\x89HDF\r\n")]
+)
+def test_mesh_in_place_of_a_job(tmp_path: Path, name: str, text: bytes) -> None:
+    (tmp_path / name).write_bytes(text)
+    message = refused(tmp_path / name)
+    assert f"morembs init {tmp_path / name} writes one" in message and "mend" not in message
 
 
 @pytest.mark.parametrize(

@@ -60,10 +60,12 @@ def load_job(path: str | Path, changes: Sequence[str] = ()) -> Job:
         reason = error.strerror or type(error).__name__
         raise InputError(f"job file {str(path)!r} cannot be read ({reason}); check the path") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"job file {str(path)!r} is not UTF-8 text; expected a TOML file") from error
+        raise InputError(f"job file {str(path)!r} is not UTF-8 text; {_cure(path, 'expected a TOML file')}") from error
     except (ValueError, RecursionError) as error:
         # TOMLDecodeError among them; numbers of thousands of digits and endless nesting are others.
-        raise InputError(f"job file {str(path)!r} is not valid TOML: {error}; mend that line") from error
+        raise InputError(
+            f"job file {str(path)!r} is not valid TOML: {error}; {_cure(path, 'mend that line')}"
+        ) from error
     for key, value in pairs(changes).items():
         _change(data, key, value)
     wrong = next((word for word in _words_in(data) if "\0" in word), None)
@@ -75,6 +77,17 @@ def load_job(path: str | Path, changes: Sequence[str] = ()) -> Job:
     return Job(
         path=path, text=text, tables=tables, reducers=make_reducers(tables), memory=memory, changes=tuple(changes)
     )
+
+
+def _cure(path: Path, otherwise: str) -> str:
+    """What to do about a job that is no TOML file: a mesh, a deck or a model file may have been given in its place."""
+    # Not at the top: sound jobs are read without.
+    from morembs.importers import IMPORTERS, READERS
+
+    endings = (*READERS, *IMPORTERS["mesh"].endings, *IMPORTERS["native"].endings)
+    if not path.name.lower().endswith(endings):
+        return otherwise
+    return f"a mesh, a deck or a model file was given, expected a job: morembs init {path} writes one for it"
 
 
 def _words_in(value: Any) -> Iterator[str]:
