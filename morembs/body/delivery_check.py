@@ -23,7 +23,7 @@ from morembs.body.frame_check import frame_findings
 from morembs.body.rigid_check import eigh, rigid_findings, scale
 from morembs.body.stored import StoredBodies
 from morembs.body.tolerances import TOL
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 
 if TYPE_CHECKING:
     from morembs.body import Body, Part

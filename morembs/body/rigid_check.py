@@ -22,7 +22,7 @@ from morembs.body.diagnostics.findings import MOTIONS, Finding, listed
 from morembs.body.tolerances import TOL
 from morembs.fem import skew
 from morembs.fem.mass import mass_properties
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 
 
 def scale(A: Floats) -> Floats:

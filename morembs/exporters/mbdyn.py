@@ -19,7 +19,7 @@ from morembs.base.types import Floats
 from morembs.body.floating.frame import FloatingFrame, InterfaceMarker
 from morembs.exporters.base import ExportContext, Exported, Exporter, in_two_digits, names_without_blanks
 from morembs.exporters.tolerances import TOL
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.storage.safefile import replacing
 
 _REVISION = "REV0"

@@ -18,7 +18,7 @@ from morembs.exporters.base import ExportContext
 from morembs.exporters.read_back import SecondOrder
 from morembs.exporters.tolerances import TOL
 from morembs.fem.fe_model import Component
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 
 _ADVICE = 'reduce with method "craig-bampton" or keep more modes, or export to "op4" or "matrix-market"'
 

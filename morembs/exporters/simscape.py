@@ -27,7 +27,7 @@ from morembs.exporters.ports import COMPONENTS
 from morembs.exporters.read_back import ReadBack
 from morembs.exporters.reduced import body_transfer, held_and_free, interface_transfer
 from morembs.exporters.tolerances import TOL
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.storage.safefile import replacing
 
 BLOCK = "the Simscape block"

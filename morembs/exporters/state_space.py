@@ -21,7 +21,7 @@ from morembs.body.stored import StoredBodies, choose_body
 from morembs.exporters.ports import Port, parts_of, ports_of_body, ports_of_file, refuse_loose
 from morembs.exporters.reduced import held_and_free
 from morembs.exporters.tolerances import TOL
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.linalg.eigen import accurate_eigh
 from morembs.problem.damping import frequency_domain_only
 from morembs.reducers.base import ReducedModel

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from morembs.base.types import Floats
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 
 if TYPE_CHECKING:
     import scipy.sparse as sp

@@ -27,7 +27,8 @@ import scipy.sparse as sp
 from morembs.base import progress
 from morembs.base.errors import SolverError
 from morembs.base.types import Floats, Values
-from morembs.linalg.columns import orthonormal, symmetric
+from morembs.linalg.columns import orthonormal
+from morembs.linalg.dense import symmetric
 from morembs.linalg.space import Space
 from morembs.linalg.tolerances import TOL
 

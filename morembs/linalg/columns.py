@@ -1,4 +1,4 @@
-"""Columns N x k in memory: norms, orthonormalisation, symmetric parts. ``space`` has what works a block at a time.
+"""Columns N x k in memory: norms, orthonormalisation. ``space`` has what works a block at a time.
 
 Columns are real or complex, and orthonormal in x^H M y (M None: the identity). Ranks are decided explicitly.
 """
@@ -31,11 +31,6 @@ def fix_signs(V: Floats) -> Floats:
             # Not np.negative with out: NumPy 2.4 gives wrong values for strided columns.
             column *= -1.0
     return V
-
-
-def symmetric(A: Floats) -> Floats:
-    """The symmetric part of ``A`` (n, n)."""
-    return np.asarray(0.5 * (A + A.T))
 
 
 def orthonormal(

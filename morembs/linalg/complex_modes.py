@@ -17,7 +17,8 @@ import scipy.sparse as sp
 from morembs.base import progress
 from morembs.base.errors import InputError, SingularMatrixError, SolverError
 from morembs.base.types import Complexes, Floats
-from morembs.linalg.columns import m_norms, orthonormal, symmetric
+from morembs.linalg.columns import m_norms, orthonormal
+from morembs.linalg.dense import symmetric
 from morembs.linalg.space import Space
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Factorization, LinearSolver

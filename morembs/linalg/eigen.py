@@ -14,7 +14,8 @@ import scipy.sparse as sp
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz
-from morembs.linalg.columns import dense, fix_signs, m_norms, symmetric
+from morembs.linalg.columns import dense, fix_signs, m_norms
+from morembs.linalg.dense import symmetric
 from morembs.linalg.lanczos import BlockLanczos, largest
 from morembs.linalg.second_shift import first_look, keeps_two_factors, modes_below
 from morembs.linalg.slicing import sliced_modes

@@ -16,7 +16,8 @@ import scipy.linalg as sl
 from morembs.base import progress
 from morembs.base.errors import SolverError
 from morembs.base.types import Floats
-from morembs.linalg.columns import m_norms, orthonormal_pair, symmetric
+from morembs.linalg.columns import m_norms, orthonormal_pair
+from morembs.linalg.dense import symmetric
 from morembs.linalg.space import Space
 from morembs.linalg.tolerances import TOL
 

@@ -15,7 +15,8 @@ import scipy.sparse as sp
 
 from morembs.base.budget import Budget, current_budget
 from morembs.base.types import Floats, Values
-from morembs.linalg.columns import dense, fix_signs, m_norms, orthonormal, symmetric
+from morembs.linalg.columns import dense, fix_signs, m_norms, orthonormal
+from morembs.linalg.dense import symmetric
 from morembs.linalg.tolerances import TOL
 
 

@@ -21,7 +21,8 @@ from morembs.base.budget import Budget
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats, Ints
-from morembs.linalg.columns import m_norms, symmetric
+from morembs.linalg.columns import m_norms
+from morembs.linalg.dense import symmetric
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, spring_stiffness
 from morembs.linalg.space import Columns
 from morembs.linalg.tolerances import TOL

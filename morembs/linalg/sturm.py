@@ -19,7 +19,8 @@ from morembs.base.closing import Closing
 from morembs.base.errors import BudgetError, SingularMatrixError, SolverError, enough_megabytes
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz
-from morembs.linalg.columns import dense, symmetric
+from morembs.linalg.columns import dense
+from morembs.linalg.dense import symmetric
 from morembs.linalg.dynamic_stiffness import with_fixed_rows
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Forecast, LinearSolver

@@ -18,7 +18,7 @@ from morembs.base import progress
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.base.units import angular_band, eigenvalue_in_hz, in_hz
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.linalg.lanczos import BlockLanczos
 from morembs.parametric.bound import ParametricBound, ratio
 from morembs.parametric.bound_at import BoundAt, ritz_pairs

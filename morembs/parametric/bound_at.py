@@ -9,7 +9,7 @@ import scipy.linalg as sl
 
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.problem.damping import Damping
 from morembs.responses.residual_bound import numerator, slope
 from morembs.storage.lemma import PROVEN, Lemma, kind_of

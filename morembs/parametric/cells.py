@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from morembs.base import progress
 from morembs.base.errors import InputError, SingularMatrixError
 from morembs.base.types import Floats, Ints
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.linalg.dynamic_stiffness import with_fixed_rows
 from morembs.linalg.space import Columns
 from morembs.linalg.sparse.select import select_solver

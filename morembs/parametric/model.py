@@ -133,7 +133,8 @@ class ParametricModel:
         # Not at the top: files are shown without what evaluates them.
         import scipy.linalg as sl
 
-        from morembs.linalg.columns import symmetric, without_rigid_motion
+        from morembs.linalg.columns import without_rigid_motion
+        from morembs.linalg.dense import symmetric
         from morembs.linalg.eigen import accurate_eigh
 
         p = self.box.checked(p)

@@ -10,8 +10,8 @@ import scipy.sparse as sp
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.linalg.columns import symmetric
 from morembs.linalg.congruence import weighted_row_sums
+from morembs.linalg.dense import symmetric
 from morembs.linalg.statics import ConstrainedStatics
 from morembs.linalg.tolerances import TOL as LINALG
 from morembs.parametric.bound import ParametricBound, ratio

@@ -18,8 +18,8 @@ from morembs.base.types import Floats
 from morembs.fem import FEModel, skew
 from morembs.fem.assembly import mass_matrix
 from morembs.fem.interface import Interface, couple
-from morembs.linalg.columns import symmetric
 from morembs.linalg.congruence import congruence
+from morembs.linalg.dense import symmetric
 from morembs.parametric.added import with_springs
 from morembs.parametric.law import Law
 from morembs.parametric.parameter import DAMPING

@@ -18,8 +18,9 @@ from morembs.base.summary import hertz, kinds_words, summarised
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz
 from morembs.fem.fe_model import STRUCTURAL, WITHOUT_MASS
-from morembs.linalg.columns import fix_signs, symmetric, without_rigid_motion
+from morembs.linalg.columns import fix_signs, without_rigid_motion
 from morembs.linalg.complex_modes import small_complex_modes
+from morembs.linalg.dense import symmetric
 from morembs.linalg.eigen import accurate_eigh
 from morembs.problem import Problem
 from morembs.reducers.checks import refuse_singular_mass, refuse_wrong_stiffness

@@ -23,7 +23,7 @@ from morembs.base.closing import Closing
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.base.units import eigenvalue_in_hz
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.eigen import Modes, lowest_modes
 from morembs.linalg.lanczos import BlockLanczos, largest

@@ -20,7 +20,8 @@ from morembs.base import progress
 from morembs.base.errors import SolverError
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import in_hz
-from morembs.linalg.columns import orthonormal, symmetric
+from morembs.linalg.columns import orthonormal
+from morembs.linalg.dense import symmetric
 from morembs.linalg.eigen import accurate_eigh
 from morembs.linalg.second_order_arnoldi import SecondOrderArnoldi
 from morembs.problem import SOFTER, Problem

@@ -8,7 +8,8 @@ import numpy as np
 import scipy.linalg as sl
 
 from morembs.base.types import Floats
-from morembs.linalg.columns import m_norms, orthonormal, symmetric
+from morembs.linalg.columns import m_norms, orthonormal
+from morembs.linalg.dense import symmetric
 from morembs.linalg.eigen import Modes
 from morembs.problem import Problem
 from morembs.responses.reference import ReferenceSpace

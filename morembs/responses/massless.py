@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.linalg.null_space import groups_of, null_space
 from morembs.problem import Problem
 from morembs.responses.loads import static_response

@@ -148,3 +148,16 @@ def test_the_examples_of_the_documents(tmp_path, monkeypatch):
     commands.run("reduce", job)
     exec(python, {})
     assert same(read_model("bracket.model.h5"), import_model("bracket.inp", **OPTIONS))
+
+
+def test_init_keeps_the_materials_of_a_deck(tmp_path):
+    """A deck with materials is proposed as a whole; of another one the job says what its mesh leaves out."""
+    (tmp_path / "part.inp").write_text(deck(BEAM) + MATERIAL)
+    commands.run("init", tmp_path / "part.inp", "--units", "mm-t-s", "-o", tmp_path / "job.toml")
+    text = (tmp_path / "job.toml").read_text()
+    assert 'file = "part.inp"' in text and "[[material]]" not in text
+    commands.run("check", tmp_path / "job.toml")
+    (tmp_path / "other.inp").write_text(deck(BEAM))
+    commands.run("init", tmp_path / "other.inp", "-o", tmp_path / "other.toml")
+    text = (tmp_path / "other.toml").read_text()
+    assert 'mesh = "other.inp"' in text and "reads all that the deck holds" in text and "[[material]]" in text

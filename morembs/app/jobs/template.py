@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +15,23 @@ from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
 from morembs.base.units import Units, parse_units
 from morembs.fem import FEModel, Mesh
-from morembs.importers import read_mesh
+from morembs.importers import format_of, import_file, read_mesh
+from morembs.importers.decks.problems import DeckError
 from morembs.importers.model_file import is_model_file, read_model
 from morembs.storage.contents import keeping_ledger, same_place
 
+# Formats whose files hold materials beside a mesh.
+DECKS = ("abaqus", "nastran", "ansys")
 Selections = tuple[list[str], list[str]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WholeDeck:
+    """A deck that becomes a model by itself: its mesh, how many materials it has, the names of its couplings."""
+
+    mesh: Mesh
+    materials: int
+    couplings: tuple[str, ...]
 
 
 def job_text(file: Path, folder: Path, units: Units | None = None) -> str:
@@ -43,25 +57,49 @@ def job_text(file: Path, folder: Path, units: Units | None = None) -> str:
                 else _node_sets(model)
             )
         else:
-            mesh = read_mesh(file)
-            head, choices = _mesh(path, mesh, units), _node_sets(mesh)
+            deck = _whole_deck(file)
+            mesh = read_mesh(file) if deck is None else deck.mesh
+            head = _mesh(path, mesh, units, deck)
+            if deck is None and format_of(file) in DECKS:
+                head[1:1] = ["# Nodes and elements alone; the key file in place of mesh reads all that the deck holds."]
+            names = [] if deck is None else [f"coupling:{name}" for name in deck.couplings]
+            chosen, others = _node_sets(mesh)
+            choices = (names[: TOL.template_interfaces], [*chosen, *others]) if names else (chosen, others)
     name = file.name.removesuffix(".gz").removesuffix(".h5").removesuffix(".model").partition(".")[0]
     while any(same_place(folder / f"{name}.h5", opened) for opened in ledger.opened):
         name += "-body"  # a companion of the mesh, or the mesh itself, has the name
     return "\n".join([*head, *_interfaces(*choices), *_rest(name), ""])
 
 
-def _mesh(path: str, mesh: Mesh, given: Units | None) -> list[str]:
+def _whole_deck(file: Path) -> WholeDeck | None:
+    """What a deck holds that has its materials; None for other decks, and for files that are no deck."""
+    if format_of(file) not in DECKS:
+        return None
+    with suppress(DeckError):
+        found = import_file(file)
+        if found.mesh is not None and found.materials and not found.incomplete:
+            couplings = (*(tie.name for tie in found.rigid), *(tie.name for tie in found.average))
+            return WholeDeck(mesh=found.mesh, materials=len(found.materials), couplings=couplings)
+    return None
+
+
+def _mesh(path: str, mesh: Mesh, given: Units | None, deck: WholeDeck | None) -> list[str]:
     size = np.ptp(mesh.nodes.xyz, axis=0)
     extent = " x ".join(f"{length:.4g}" for length in size)
     units = given or parse_units("m-kg-s" if size.max() <= TOL.longest_in_metres else "mm-t-s")
     guessed = "" if given else ": guessed from its size"
     sets = ", ".join(mesh.element_sets) or "none"
-    return [
+    key, holder = ("mesh", "mesh") if deck is None else ("file", "deck")
+    head = [
         "[model]",
-        f"mesh = {_quoted(path)}",
-        f"units = {_quoted(units.name)}        # of all numbers here and in the mesh ({extent}){guessed}",
+        f"{key} = {_quoted(path)}",
+        f"units = {_quoted(units.name)}        # of all numbers here and in the {holder} ({extent}){guessed}",
         "",
+    ]
+    if deck is not None:
+        return [*head[:-1], f"# The deck brings its materials ({deck.materials}), masses, springs and couplings.", ""]
+    return [
+        *head,
         f"[[material]]                # steel; one table for each material. Element sets of the mesh: {sets}",
         'set = "all"',
         f"young = {TOL.steel_young / units.stress:.6g}",

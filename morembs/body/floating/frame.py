@@ -22,7 +22,7 @@ from morembs.body.floating.stiffening import STIFFENING, Stiffening
 from morembs.body.floating.tolerances import TOL
 from morembs.fem import frozen_numbers, rigid_motion, skew
 from morembs.fem.fe_model import has_places
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.storage.table import dataset, table_of
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.body.floating.tolerances import TOL
 from morembs.fem import FEModel, frozen_numbers, rigid_motion, skew
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.storage.table import dataset, derived
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from morembs.body.floating.frame import FloatingFrame, InterfaceMarker, frame_ab
 from morembs.body.floating.integrals import PERMUTATION, ShapeIntegrals
 from morembs.body.floating.tolerances import TOL
 from morembs.fem import skew
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.storage.table import dataset
 
 if TYPE_CHECKING:

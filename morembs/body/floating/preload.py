@@ -32,7 +32,7 @@ from morembs.body.floating.tolerances import TOL
 from morembs.fem import FEModel, rigid_motion
 from morembs.fem.geometric_stiffness import StressedMesh
 from morembs.fem.interface import Interface
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.linalg.statics import support_dofs
 from morembs.problem import Problem
 

@@ -12,7 +12,7 @@ from morembs.base.arguments import refuse_out_of_range
 from morembs.base.errors import InputError
 from morembs.base.types import Complexes, Floats
 from morembs.body.floating.tolerances import TOL
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.storage.table import dataset
 
 

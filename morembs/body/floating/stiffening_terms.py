@@ -25,7 +25,7 @@ from morembs.body.floating.stiffening import Envelope, Stiffening
 from morembs.body.floating.tolerances import TOL
 from morembs.fem import FEModel
 from morembs.fem.geometric_stiffness import StressedMesh
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 

@@ -17,7 +17,7 @@ from morembs.dynamics.assembly.tolerances import TOL
 from morembs.exporters.ports import ports_of_file
 from morembs.exporters.reduced import to_interfaces
 from morembs.fem.fe_model import Component, rigid_motion
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.problem import STRUCTURAL, Problem
 
 

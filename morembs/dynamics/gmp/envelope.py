@@ -14,7 +14,7 @@ from morembs.dynamics.gmp.equilibria import Equilibrium
 from morembs.dynamics.gmp.plan import AngleRange
 from morembs.dynamics.gmp.symmetry import Symmetry
 from morembs.dynamics.gmp.tolerances import TOL
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 
 
 class Loaded(Protocol):

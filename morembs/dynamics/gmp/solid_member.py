@@ -38,7 +38,7 @@ from morembs.dynamics.gmp.solid_manifold import (
 )
 from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.solid import NonlinearSolid
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.linalg.sparse.solver import LinearSolver
 
 

@@ -26,7 +26,7 @@ from morembs.dynamics.nonlinear.rotation_vectors import curvature, shortened, ta
 from morembs.dynamics.nonlinear.total_lagrangian import SaintVenantKirchhoff
 from morembs.fem import FEModel, skew
 from morembs.fem.interface import COUPLINGS, Interface
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from morembs.exporters.fmu.system import (
 )
 from morembs.exporters.reduced import refuse_two_sided, to_interfaces
 from morembs.exporters.tolerances import TOL
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.linalg.eigen import accurate_eigh
 
 _REACTIONS = (("reaction_force", "N"), ("reaction_moment", "N.m"))

@@ -31,7 +31,7 @@ from morembs.dynamics.multibody.contact.tolerances import TOL
 from morembs.fem.elements import FACES
 from morembs.fem.selection import select_nodes
 from morembs.fem.surface import outer_faces
-from morembs.linalg.columns import symmetric
+from morembs.linalg.dense import symmetric
 from morembs.problem import Problem
 
 log = logging.getLogger(__name__)
