@@ -10,14 +10,20 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from morembs.base import progress
-from morembs.base.errors import InputError
+from morembs.base.arguments import check_value
+from morembs.base.errors import InputError, OverwriteError
 from morembs.base.former_names import with_budget_argument, with_progress_argument
 from morembs.fem import FEModel
 from morembs.importers.native import FORMAT, MODEL, ModelFile, import_native
 from morembs.importers.to_model import model_of
 from morembs.importers.tolerances import TOL
+from morembs.storage.contents import own_files
 from morembs.storage.hdf5 import holds_format
 from morembs.storage.writer import writing
+
+
+# What makes a model of something else.
+_MODELS = {"Deck": "deck.to_model(units)", "Mesh": "assemble(mesh, materials)"}
 
 
 @with_progress_argument
@@ -32,16 +38,40 @@ def write_model(
 ) -> Path:
     """Write a model (SI); an interrupted or failed run leaves the old file or none.
 
+    A model file of that name is replaced, any other file is kept.
+
     Args:
         files: those that the model came from; their names and SHA-256 are kept.
         importer: the name of the format they were read as, ``units`` those that they had.
         findings: sentences of the examination.
 
     Raises:
-        InputError: a source file cannot be read.
+        InputError: something else than a model, or a source file that cannot be read.
+        OverwriteError: ``path`` is a file of another kind, such as the deck that the model was read from.
         OutputError: the file cannot be written.
     """
+    check_value("write_model: path", path, str | Path)
+    if not isinstance(model, FEModel):
+        kind = type(model).__name__
+        raise InputError(f"a {kind} was given; expected a model: {_MODELS.get(kind, 'import_model(path)')}")
     target = Path(path)
+    with own_files():
+        is_other = target.is_file() and target.stat().st_size > 0 and not is_model_file(target)
+    if is_other:
+        raise OverwriteError(f"{path} is there and is no model file, so it was kept; give the model another name")
+    return save_model(target, model, files=files, importer=importer, units=units, findings=findings)
+
+
+def save_model(
+    target: Path,
+    model: FEModel,
+    *,
+    files: Sequence[Path] = (),
+    importer: str = "",
+    units: str = "",
+    findings: Sequence[str] = (),
+) -> Path:
+    """As ``write_model``, in place of whatever file is there."""
     progress.stage(f"writing {target.name}")
     content = ModelFile(
         model=model,
@@ -63,6 +93,7 @@ def read_model(path: str | Path) -> FEModel:
     Raises:
         InputError: no such file, another kind of file, one of a newer version, or one that is damaged.
     """
+    check_value("read_model: path", path, str | Path)
     if holds_format(Path(path), "morembs-body"):
         raise InputError(
             f"{path} is a body file, the result of a reduction; expected a model file: give what morembs import wrote"

@@ -22,7 +22,7 @@ from morembs.fem import FEModel
 from morembs.fem.material import Material
 from morembs.fem.parts import parts_of
 from morembs.importers.from_files import read_files
-from morembs.importers.model_file import write_model
+from morembs.importers.model_file import save_model
 from morembs.importers.options import ImportOptions, read_import_options
 from morembs.importers.to_model import model_of
 from morembs.storage.contents import keeping_ledger
@@ -167,7 +167,7 @@ def _finished(
     """The model in its file, with what its examination found."""
     findings = () if diagnosis is None else tuple(map(str, diagnosis.findings))
     if not dry:
-        write_model(path, model, files=options.files, importer=format, units=units.name, findings=findings)
+        save_model(path, model, files=options.files, importer=format, units=units.name, findings=findings)
     real = not any(np.iscomplexobj(A.data) for A in (model.K, model.M))
     seen = None
     if real and np.ptp(model.nodes.xyz, axis=0).any():
