@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
 from morembs.base.options import Text, known, read_options
 from morembs.base.plugins import Registry
@@ -35,6 +36,7 @@ from morembs.importers.meshes import import_mesh, read_with_meshio
 from morembs.importers.nastran.importer import read_nastran
 from morembs.importers.native import import_native
 from morembs.importers.unv import read_unv
+from morembs.storage.contents import keeping_ledger
 from morembs.storage.hdf5 import reading
 
 # Endings with a mesh reader of their own; every other mesh goes through meshio.
@@ -228,13 +230,16 @@ def read_deck(path: str | Path, format: str | None = None, **options: Any) -> De
     >>> deck.node_sets["SET1_5"].tolist(), deck.materials["MAT1 1"].density
     ([[1, 4]], 7850.0)
     """
+    check_value("read_deck: path", path, str | Path)
     path = Path(path)
     name = format_of(path, format)
-    if not isinstance(deck := _read(path, name, options), Deck):
+    with keeping_ledger() as ledger:
+        deck = _read(path, name, options)
+    if not isinstance(deck, Deck):
         raise InputError(
             f"{path.name} is a file of the format {name!r}, which is no deck; expected abaqus, nastran, ansys or unv"
         )
-    return deck
+    return replace(deck, files=tuple(ledger.names()))
 
 
 def import_file(

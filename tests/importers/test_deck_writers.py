@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from morembs import InputError
+from morembs import InputError, read_deck
+from morembs.base.errors import OverwriteError
 from morembs.fem import FEModel
 from morembs.fem.material import isotropic
 from morembs.importers import IMPORTERS, import_file
 from morembs.importers.decks.model import Deck
+from morembs.importers.decks.problems import DeckError
 from morembs.importers.decks.tables import ElasticMaterial, Elements, Section, Supports
 from morembs.importers.to_model import model_of
 from tests.importers.test_engines import BEAM, PLATE, SHELL
@@ -319,6 +321,12 @@ def test_bulk_data_that_are_written_have_the_matrices_of_mystran(kind, tmp_path)
             "ansys",
             "the format 'ansys' of a deck was given; known: abaqus, calculix, nastran",
         ),
+        (
+            "*NODE\n1,0,0,0\n2,1,0,0\n3,1,1,0\n4,0,1,0\n*ELEMENT,TYPE=S4,ELSET=A\n1,1,2,3,4\n",
+            "abaqus",
+            "nastran",
+            r"S4 elements \(shell\) are in no section; give them one",
+        ),
         (WHOLE, "abaqus", "nastran", "AXIAL:2991 is no spring, damper or mass on one dof or between two"),
         (FULL, "nastran", "calculix", "CONM2_9 is away from its node, which CalculiX cannot say"),
         (
@@ -336,3 +344,73 @@ def test_what_a_format_cannot_say_is_refused_and_the_old_file_stays(text, source
     with pytest.raises(InputError, match=message):
         read(tmp_path / f"first.{ENDINGS[source]}").write(target, format)
     assert target.read_text() == "old"
+
+
+@pytest.mark.parametrize("format", ["calculix", "abaqus", "nastran"])
+@pytest.mark.parametrize(
+    ("card", "keyword"),
+    [
+        ("*CONTACT PAIR, INTERACTION=I\nSB, SA\n", "CONTACT PAIR"),
+        ("*PRE-TENSION SECTION, SURFACE=SA, NODE=18\n", "PRE-TENSION SECTION"),
+        ("*ELEMENT, TYPE=CONN3D2\n9, 1, 11\n*ELEMENT, TYPE=S4\n8, 1, 2, 3, 4\n", "ELEMENT"),
+    ],
+)
+def test_what_keeps_a_deck_from_becoming_a_model_keeps_it_from_being_written(card, keyword, format, tmp_path):
+    (tmp_path / "first.inp").write_text(GLUED.replace("*TIE", f"{card}*TIE"))
+    with pytest.raises(DeckError) as caught:
+        read_deck(tmp_path / "first.inp").write(tmp_path / "second", format)
+    assert keyword in [problem.keyword for problem in caught.value.problems]
+    assert not (tmp_path / "second").exists()
+
+
+def test_a_deck_is_not_written_over_the_files_that_it_came_from(tmp_path):
+    text = deck_text("C3D8")
+    nodes, rest = text[: text.index("*ELEMENT")], text[text.index("*ELEMENT") :]
+    (tmp_path / "nodes.inc").write_text(nodes)
+    (tmp_path / "first.inp").write_text(f"*INCLUDE, INPUT=nodes.inc\n{rest}")
+    (tmp_path / "link.inp").symlink_to(tmp_path / "first.inp")
+    (tmp_path / "other.inp").write_text("old")
+    deck = read_deck(tmp_path / "first.inp")
+    for name in ("first.inp", "nodes.inc", "link.inp"):
+        with pytest.raises(OverwriteError, match="would overwrite a file that the deck was read from"):
+            deck.write(tmp_path / name, "nastran")
+    assert (tmp_path / "nodes.inc").read_text() == nodes and (tmp_path / "first.inp").read_text().endswith(rest)
+    deck.write(tmp_path / "other.inp", "calculix")
+    assert read_deck(tmp_path / "other.inp").to_model().size == deck.to_model().size
+
+
+@pytest.mark.parametrize("format", ["calculix", "abaqus", "nastran"])
+@pytest.mark.parametrize("given", [7850.0, {"body": 7850.0}])
+def test_the_density_that_was_given_with_a_deck_is_written(given, format, again):
+    bare = deck_text("C3D8I").replace("*DENSITY\n7850.\n", "")
+    assert bare != deck_text("C3D8I")
+    first, second, said = again(bare, "abaqus", format, density=given)
+    assert "the material STEEL of the set BODY has no *DENSITY; 7850 was given and taken [density-given]" in said
+    assert second.to_model().M.sum() == pytest.approx(first.to_model().M.sum(), rel=1e-10)
+
+
+@pytest.mark.parametrize(("given", "expected"), [(3.0, [3.0, 3.0]), ({"A": 5.0, "all": 3.0}, [5.0, 3.0])])
+def test_the_density_that_was_given_is_that_of_shells_too(given, expected, tmp_path):
+    (tmp_path / "first.inp").write_text(
+        "*NODE\n1,0,0,0\n2,1,0,0\n3,1,1,0\n4,0,1,0\n5,2,0,0\n6,2,1,0\n*ELEMENT,TYPE=S4,ELSET=A\n1,1,2,3,4\n"
+        "*ELEMENT,TYPE=S4,ELSET=B\n2,2,5,6,3\n*MATERIAL,NAME=STEEL\n*ELASTIC\n2.1e11,.3\n"
+        "*SHELL SECTION,ELSET=A,MATERIAL=STEEL\n.1\n*SHELL SECTION,ELSET=B,MATERIAL=STEEL\n.2\n"
+    )
+    read_deck(tmp_path / "first.inp", density=given).write(tmp_path / "second.inp", "calculix")
+    second = read_deck(tmp_path / "second.inp")
+    assert [second.materials[section.material].density for section in second.sections] == expected
+
+
+def test_a_density_of_a_set_that_is_not_lacking_is_refused_by_the_writer(tmp_path):
+    (tmp_path / "first.inp").write_text(deck_text("C3D8"))
+    with pytest.raises(InputError, match="--density was given for the set 'BODY'"):
+        read_deck(tmp_path / "first.inp", density={"BODY": 1.0}).write(tmp_path / "second.inp", "calculix")
+
+
+@pytest.mark.parametrize("format", ["calculix", "abaqus", "nastran"])
+def test_elements_in_no_section_are_told(format, again):
+    text = deck_text("C3D8I")
+    said = again(text[: text.index("*MATERIAL")], "abaqus", format)[2]
+    assert "2 elements are in no section, so have no material" in said
+    assert not [sentence for sentence in said if "no material:" in sentence]
+    assert "2 elements are in no section, so have no material" not in again(text, "abaqus", format)[2]

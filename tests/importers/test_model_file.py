@@ -12,7 +12,18 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
-from morembs import CraigBampton, InputError, Problem, elastic_body, isotropic, make_interface, make_part, write_body
+from morembs import (
+    CraigBampton,
+    InputError,
+    Problem,
+    elastic_body,
+    isotropic,
+    make_interface,
+    make_part,
+    read_deck,
+    write_body,
+)
+from morembs.base.errors import OverwriteError
 from morembs.base.units import parse_units
 from morembs.body.diagnostics.warnings import examined
 from morembs.certificate.response import full_response
@@ -532,3 +543,39 @@ def test_mass_of_a_native_file(tmp_path):
         mass, _, _ = mass_properties(problem.M, problem.coupling.R, problem.coupling.pole)
     assert mass == pytest.approx(0.004 * 7850 + 2.0, rel=1e-12)
     assert where(model, 0, 0.4).size == 4 and isinstance(model.mesh, Mesh)
+
+
+def test_a_model_replaces_a_model_file_and_no_file_of_another_kind(tmp_path):
+    model, deck = steel(box("hex8", (1, 1, 1), (0.1, 0.1, 0.1))), tmp_path / "part.inp"
+    deck.write_text("*NODE\n1, 0., 0., 0.\n")
+    with h5py.File(tmp_path / "matrices.h5", "w") as file:
+        file["K"] = np.eye(3)
+    for name in ("part.inp", "matrices.h5"):
+        before = (tmp_path / name).read_bytes()
+        with pytest.raises(OverwriteError, match="is no model file, so it was kept; give the model another name"):
+            write_model(tmp_path / name, model)
+        assert (tmp_path / name).read_bytes() == before
+    path = write_model(tmp_path / "a.model.h5", model)
+    assert_same(read_model(write_model(path, read_model(path))), model)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda path, model: write_model(path, model.mesh), r"a Mesh was given; expected a model: assemble\(mesh, mat"),
+        (lambda path, model: write_model(model, path), "write_model: path = FEModel"),
+        (lambda path, model: write_model(path, path), "Path was given; expected a model"),
+        (lambda path, model: read_model(5), "read_model: path = 5 was given; expected a text or Path"),
+        (lambda path, model: read_deck(5), "read_deck: path = 5 was given; expected a text or Path"),
+    ],
+)
+def test_arguments_of_another_kind_are_refused(call, message, tmp_path):
+    with pytest.raises(InputError, match=message):
+        call(tmp_path / "z.model.h5", steel(box("hex8", (1, 1, 1), (0.1, 0.1, 0.1))))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_deck_in_place_of_a_model_is_told_how_to_become_one(tmp_path):
+    (tmp_path / "part.bdf").write_text("GRID,1,,0.,0.,0.\n")
+    with pytest.raises(InputError, match=r"a Deck was given; expected a model: deck.to_model\(units\)"):
+        write_model(tmp_path / "z.model.h5", read_deck(tmp_path / "part.bdf"))

@@ -86,6 +86,7 @@ def mesh_deck(contents: Contents, assembly: Assembly, offsets: Mapping[int, Floa
 def _elements(contents: Contents, assembly: Assembly, offsets: Mapping[int, Floats]) -> Iterator[Elements]:
     """Solids by what they mean, then elements on single nodes, then others."""
     start = assembly.solids + len(assembly.discrete)
+    unsupported = contents.unsupported.flags if contents.unsupported else ()
     codes = {contents.kind(code): code for code in reversed(contents.counts) if code in SOLIDS}
     while assembly.blocks:
         block = assembly.blocks.pop(0)
@@ -106,7 +107,7 @@ def _elements(contents: Contents, assembly: Assembly, offsets: Mapping[int, Floa
             ids=labels,
             nodes=assembly.ids[nodes[:, _ORDER.get(shape, slice(None))]],
             values=_offsets_of(start, len(labels), offsets),
-            problem=contents.unsupported if nodes.shape[1] else None,
+            problem=contents.unsupported if nodes.shape[1] or f"--skip {code}" in unsupported else None,
         )
         start += len(labels)
 

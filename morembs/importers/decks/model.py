@@ -68,12 +68,15 @@ class Deck(DeckTables):
         """Write a flat deck of all that this one holds; sentences on what differs in it.
 
         Labels, and names of sets as far as the format has names, are kept; numbers in "nastran" have 11 digits.
+        Densities that were given with the deck are written.
 
         Args:
             format: "calculix", "abaqus" or "nastran".
 
         Raises:
+            DeckError: the deck has ``problems``, which the written deck would not show.
             InputError: an unknown format, or what it cannot say.
+            OverwriteError: ``path`` is a file that the deck was read from.
             OutputError: the file cannot be written; an old one is kept.
         """
         # Not at the top: few decks are written.

@@ -214,6 +214,8 @@ class DeckTables:
     seams: bool = False
     # What the program calls a node.
     node: str = "node"
+    # Names of the files that it was read from, includes too, which no writer replaces.
+    files: tuple[str, ...] = ()
 
     def _facts(self) -> dict[str, object]:
         counts: dict[str, int] = {}

@@ -123,6 +123,8 @@ class NastranText:
         """The number of the property of elements in a section (-1: in none)."""
         key = number, part.kind, full
         if key not in self._properties:
+            if number < 0 and part.kind != "solid":
+                raise InputError(f"{self.deck.name}: {part.code} elements ({part.kind}) are in no section; give them one")
             pid = self._properties[key] = len(self._properties) + 1
             section = self.deck.sections[number] if number >= 0 else Section(set="", kind=part.kind)
             self.cards += [f"$ {section.set or 'no section'}\n", self._property_card(section, pid, full)]
@@ -132,9 +134,8 @@ class NastranText:
         if section.kind == "solid":
             integration: list[Field] = [0, "TWO", "", "FULL"] if full else []
             if section.stiffness is None:
-                self.warnings.append(
-                    f"the set {section.set!r} has no material: {section.lacks or 'no section names it'}"
-                )
+                if section.set:
+                    self.warnings.append(f"the set {section.set} has no material: {section.lacks}")
                 return card("PSOLID", [pid, 0, *integration])
             return card("PSOLID", [pid, self._material(section.stiffness, section.density), *integration])
         given = self.deck.materials.get(section.material)

@@ -82,7 +82,11 @@ def _with_materials(deck: Deck, materials: Sequence[Material], problems: Problem
         what = f"{int(bare.sum())} solid elements have no section and so no material (first: {solids[bare][0]})"
         flag = f"{MATERIAL}all"
         problems.add(Problem(what=f"{what}; {flag}", file=deck.name, keyword="MATERIAL", flags=(flag,)))
-    return replace(deck, sections=tuple(sections), element_sets=more, warnings=(*deck.warnings, *said))
+    # Densities that were given are in the sections now.
+    options = replace(deck.options, density={})
+    return replace(
+        deck, sections=tuple(sections), element_sets=more, warnings=(*deck.warnings, *said), options=options
+    )
 
 
 def write_other(deck: Deck, folder: Path) -> tuple[Path, tuple[str, ...]]:
