@@ -21,7 +21,6 @@ from morembs.storage.contents import own_files
 from morembs.storage.hdf5 import holds_format
 from morembs.storage.writer import writing
 
-
 # What makes a model of something else.
 _MODELS = {"Deck": "deck.to_model(units)", "Mesh": "assemble(mesh, materials)"}
 

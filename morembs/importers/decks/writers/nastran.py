@@ -124,7 +124,9 @@ class NastranText:
         key = number, part.kind, full
         if key not in self._properties:
             if number < 0 and part.kind != "solid":
-                raise InputError(f"{self.deck.name}: {part.code} elements ({part.kind}) are in no section; give them one")
+                raise InputError(
+                    f"{self.deck.name}: {part.code} elements ({part.kind}) are in no section; give them one"
+                )
             pid = self._properties[key] = len(self._properties) + 1
             section = self.deck.sections[number] if number >= 0 else Section(set="", kind=part.kind)
             self.cards += [f"$ {section.set or 'no section'}\n", self._property_card(section, pid, full)]

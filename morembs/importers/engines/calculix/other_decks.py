@@ -84,9 +84,7 @@ def _with_materials(deck: Deck, materials: Sequence[Material], problems: Problem
         problems.add(Problem(what=f"{what}; {flag}", file=deck.name, keyword="MATERIAL", flags=(flag,)))
     # Densities that were given are in the sections now.
     options = replace(deck.options, density={})
-    return replace(
-        deck, sections=tuple(sections), element_sets=more, warnings=(*deck.warnings, *said), options=options
-    )
+    return replace(deck, sections=tuple(sections), element_sets=more, warnings=(*deck.warnings, *said), options=options)
 
 
 def write_other(deck: Deck, folder: Path) -> tuple[Path, tuple[str, ...]]:
