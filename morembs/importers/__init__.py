@@ -22,6 +22,7 @@ from morembs.fem.middle_nodes import mesh_in_order
 from morembs.importers.abaqus.importer import read_abaqus, read_abaqus_deck
 from morembs.importers.ansys.cdb import read_ansys
 from morembs.importers.decks.model import Deck
+from morembs.importers.decks.options import refuse_both
 from morembs.importers.decks.problems import DeckError
 from morembs.importers.imported import Imported
 from morembs.importers.matrices.ansys_full import import_ansys_full
@@ -260,8 +261,10 @@ def import_file(
         materials: of element sets of a mesh that lack one ("all": of all), in the units of the file.
 
     Raises:
-        InputError: the file is missing or cannot be used, or an option that its format does not have.
+        InputError: the file is missing or cannot be used, an option that its format does not have, or a material and
+            ``density`` for one set.
     """
+    refuse_both((options or {}).get("density"), materials)
     path = Path(path)
     importer = IMPORTERS[format_of(path, format)]
     # Not at the top: other imports do without programs.
@@ -283,6 +286,9 @@ def import_file(
         return import_with_engine(path, format_of(path, format), engine, options or {}, materials)
     try:
         found = _read(path, format_of(path, format), options or {})
+        if isinstance(found, Deck):
+            given = frozenset(material.set.upper() for material in materials)
+            found = replace(found, options=replace(found.options, replaced=given))
         return _with_materials(found.imported() if isinstance(found, Deck) else found, materials)
     except DeckError as error:
         # Materials that are given count before the problems of a deck are told.

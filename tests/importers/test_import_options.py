@@ -124,6 +124,17 @@ def test_a_rule_for_masses_is_refused_where_matrices_are_ready(tmp_path):
         import_model(tmp_path / "steel.model.h5", mass_integration="exact")
 
 
+def test_a_material_is_whole_where_a_density_is_given_for_all_others(tmp_path):
+    path = tmp_path / "part.inp"
+    path.write_text(re.sub(r"\*DENSITY\n.*\n", "", deck(BEAM) + MATERIAL))
+    soft = morembs.isotropic(set="EVERY", young=1e3, poisson=0.1, density=1.0)
+    alone, both = (import_model(path, materials=[soft], **given) for given in ({}, {"density": 7850.0}))
+    assert abs(alone.K - both.K).max() == 0 and abs(alone.M - both.M).max() == 0
+    for engine in (None, "auto", "calculix", "mystran"):
+        with pytest.raises(InputError, match="--density and --material were both given for 'EVERY'"):
+            import_model(path, materials=[soft], density={"every": 7850.0}, engine=engine)
+
+
 def test_keys_of_whole_models_are_refused_beside_a_mesh(tmp_path):
     job = folder(tmp_path, {"model": 'mesh = "part.inp"\nunits = "mm-t-s"\ncontact = "skip"'})
     assert "contact was given beside mesh" in commands.refused(job)

@@ -13,7 +13,6 @@ from morembs.fem import ElementBlock, Mesh, Nodes
 from morembs.fem.material import Material
 from morembs.importers.decks.labels import Labels, distinct, find
 from morembs.importers.decks.missing_middles import with_middles
-from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problem, Problems
 from morembs.importers.decks.tables import DeckTables, Elements
 from morembs.importers.imported import Imported, Lacking, first_nodes, nodes_of, sets_on
@@ -59,7 +58,8 @@ def import_deck(deck: DeckTables) -> Imported:
         solids = join(deck, nodes_of(tied.ties))
         mesh = _mesh(deck, solids)
         given, lacking = _materials(deck)
-    options = DeckOptions(density={name: deck.mass_scale * value for name, value in deck.options.density.items()})
+    scaled = {name: deck.mass_scale * value for name, value in deck.options.density.items()}
+    options = replace(deck.options, density=scaled)
     whole, rest, said = options.all_materials(problems, given, lacking)
     surfaces = {
         name: solids.labels.rows(surface.nodes, f"the surface {name} names") for name, surface in deck.surfaces.items()

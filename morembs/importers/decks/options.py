@@ -24,12 +24,14 @@ Boundary = Annotated[str, one_of("drop", "keep")]
 class DeckOptions:
     """``density`` of element sets ("all": of all) whose materials have stiffness only, in the units of the deck; what
     becomes of ``contact``, one of refuse, skip, tie; keywords, cards or element types to ``skip``, in capitals;
-    ``pretension`` whether bolts are locked or cut at their pre-tension sections."""
+    ``pretension`` whether bolts are locked or cut at their pre-tension sections; ``replaced``: sets, in capitals, whose
+    whole material is given, which a density of all does not complete."""
 
     density: Mapping[str, float] = field(default_factory=dict)
     contact: str = "refuse"
     skip: frozenset[str] = frozenset()
     pretension: str = "auto"
+    replaced: frozenset[str] = frozenset()
 
     @property
     def flags(self) -> tuple[str, ...]:
@@ -60,7 +62,7 @@ class DeckOptions:
             density = next((self.density[key] for key in self.density if key.upper() == name.upper()), None)
             unused.pop(name.upper(), None)
             density = self.density.get("all") if density is None else density
-            if lack.stiffness is None or density is None:
+            if lack.stiffness is None or density is None or name.upper() in self.replaced:
                 rest[name] = lack
                 continue
             done.append(Material(set=name, stiffness=lack.stiffness, density=density))
@@ -85,6 +87,22 @@ class DeckOptions:
             problems.entries += lacking_problems(problems.source, rest)
         problems.refuse()
         return done, rest, warnings
+
+
+def refuse_both(density: float | Mapping[str, float] | None, materials: Sequence[Material]) -> None:
+    """Refuse a density and a material for one set: a material that is given is whole, and its density counts.
+
+    Raises:
+        InputError: as said.
+    """
+    keys = [] if density is None else density if isinstance(density, Mapping) else ["all"]
+    named = {name.upper() for name in keys}
+    for material in materials:
+        if material.set.upper() in named:
+            raise InputError(
+                f"--density and --material were both given for {material.set!r}; a material has a density of its own: "
+                "leave one out"
+            )
 
 
 def density_of(texts: Sequence[str]) -> dict[str, float]:
