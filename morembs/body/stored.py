@@ -19,7 +19,7 @@ from morembs.base.types import Floats, Ints
 from morembs.body.body import BODY, Body
 from morembs.fem.fe_model import Component
 from morembs.fem.interface import Interface
-from morembs.storage.checksums import GROUP, Checksums
+from morembs.storage.checksums import GROUP, Checksums, unsealed
 from morembs.storage.hdf5 import reading_format
 from morembs.storage.kinds import refuse_not_finite
 from morembs.storage.lemma import read_lemmas
@@ -200,6 +200,7 @@ class BodyFile:
         """Everything in the open file, which ``check_file`` has seen, but what bodies read later."""
         values = read_rows(file, FILE)
         names, interfaces, kinds = (values.pop(name) for name in ("body_names", "interface_names", "mode_kinds"))
+        values["warnings"] = (*values.get("warnings", ()), *unsealed(self.path, file, "check/warnings"))
         shown = {name: _interface(name, file[f"interfaces/{name}"], values["node_ids"]) for name in interfaces}
         self.content = StoredBodies(
             interfaces=ByName("interface", shown),

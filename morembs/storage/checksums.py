@@ -57,6 +57,17 @@ def whole_sum(path: Path | str) -> str:
         return hashlib.sha256(b"\n".join([*file[f"{GROUP}/names"][()], *file[f"{GROUP}/sha256"][()]])).hexdigest()
 
 
+def unsealed(path: Path | str, file: Any, mark: str) -> tuple[str, ...]:
+    """A warning where an open file has no checksums, but the dataset ``mark``, which came to its format with 0.2 as
+    they did."""
+    if GROUP in file or mark not in file:
+        return ()
+    return (
+        f"{Path(path).name} has no group {GROUP}, which morembs writes since 0.2: damage that leaves numbers plausible "
+        "is not seen; write it again, or if they were left out on purpose, call morembs.storage.checksums.seal",
+    )
+
+
 class Checksums:
     """Those of an open HDF5 ``group``, none where it has no group ``checksums``; ``path`` is for messages.
 

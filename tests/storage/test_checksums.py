@@ -91,6 +91,19 @@ def test_sums_are_those_of_the_documentation(body: Path, model: Path) -> None:
     assert "checksums" not in read_body(body).provenance
 
 
+def test_files_without_their_checksums_are_read_with_a_warning(body: Path, model: Path, tmp_path: Path) -> None:
+    """Files of 0.1, which had none, are read without a word."""
+    for source, read, mark in ((body, read_body, "check/warnings"), (model, read_model, "source/warnings")):
+        path = Path(shutil.copy(source, tmp_path))
+        assert not any("checksums" in warning for warning in read(path).warnings)
+        with h5py.File(path, "r+") as file:
+            del file["checksums"]
+        assert [f"{path.name} has no group checksums" in warning for warning in read(path).warnings][-1:] == [True]
+        with h5py.File(path, "r+") as file:
+            del file[mark]
+        assert not any("checksums" in warning for warning in read(path).warnings)
+
+
 def used(path: Path) -> list[Any]:
     """All that a body file holds."""
     stored = read_body(path)
