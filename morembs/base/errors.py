@@ -81,11 +81,15 @@ def shown(value: object) -> str:
     return text if len(text) <= TOL.quoted_characters else text[: TOL.quoted_characters - 3] + "..."
 
 
+def alike(name: str, known: Iterable[str]) -> str:
+    """The known name most like ``name``, "" where none is."""
+    known = sorted(known)
+    same = [spelling for spelling in known if spelling.lower() == name.lower()]
+    return next(iter(same or difflib.get_close_matches(name, known, n=1, cutoff=0.5)), "")
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Words for an error message: the known name most like ``name``, else the list of all."""
     known = sorted(known)
-    same = [spelling for spelling in known if spelling.lower() == name.lower()]
-    close = same or difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    if close:
-        return f"did you mean {close[0]!r}?"
-    return "known: " + (", ".join(known) if known else "none")
+    close = alike(name, known)
+    return f"did you mean {close!r}?" if close else "known: " + (", ".join(known) if known else "none")

@@ -59,24 +59,31 @@ def _plain(value: Any, without_none: bool) -> Any:
     return [_plain(each, without_none) for each in value] if isinstance(value, list) else value
 
 
-def read_table(kind: type[AnyTable], data: Mapping[str, Any], head: str = "") -> AnyTable:
+def read_table(
+    kind: type[AnyTable], data: Mapping[str, Any], head: str = "", *, besides: Collection[str] = ()
+) -> AnyTable:
     """The table ``kind`` that ``data`` holds; ``head`` is what messages call it, such as "[cluster]".
+
+    Args:
+        besides: names that are taken elsewhere, for advice.
 
     Raises:
         InputError: unknown, missing or wrong keys, one line for each.
     """
     faults: list[str] = []
-    table = _read(kind, data, head, faults)
+    table = _read(kind, data, head, faults, besides)
     if table is None:
         raise InputError("\n".join(faults))
     return table
 
 
-def _read(kind: type[AnyTable], data: Mapping[str, Any], head: str, faults: list[str]) -> AnyTable | None:
+def _read(
+    kind: type[AnyTable], data: Mapping[str, Any], head: str, faults: list[str], besides: Collection[str] = ()
+) -> AnyTable | None:
     """The table, or None with its ``faults``."""
     hints, values, wrong, at = hints_of(kind), dict[str, Any](), list[str](), f"{head}: " if head else ""
     known = kind.further is None
-    unknown = {key: nearest(key, hints) for key in data if known and key not in hints}
+    unknown = {key: nearest(key, [*hints, *besides]) for key in data if known and key not in hints}
     for entry in fields(kind):
         name = entry.name
         if name in data:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from morembs.base.arguments import check_value
-from morembs.base.errors import InputError
+from morembs.base.errors import InputError, nearest
 from morembs.base.options import Text, known, read_options
 from morembs.base.plugins import Registry
 from morembs.base.units import Units, parse_units
@@ -205,7 +205,8 @@ def _read(path: Path, format: str, options: Mapping[str, Any]) -> Imported | Dec
     values = read_options(
         importer.read, given, "the format", where=f"{path.name}: ", hidden=_NO_OPTIONS, cure="; give --set {key}=VALUE"
     )
-    return importer.read(path, **values)
+    found = importer.read(path, **values)
+    return replace(found, warnings=(*found.warnings, *found.options.idle)) if isinstance(found, Deck) else found
 
 
 def read_deck(path: str | Path, format: str | None = None, **options: Any) -> Deck:
@@ -233,6 +234,9 @@ def read_deck(path: str | Path, format: str | None = None, **options: Any) -> De
     """
     check_value("read_deck: path", path, str | Path)
     path = Path(path)
+    of_models = next((name for name in ("units", "materials", "mass_integration") if name in options), None)
+    if of_models:
+        raise InputError(f"{path.name}: {of_models} was given, and a deck is read as it is; give it to deck.to_model")
     name = format_of(path, format)
     with keeping_ledger() as ledger:
         deck = _read(path, name, options)
@@ -287,6 +291,7 @@ def import_file(
     try:
         found = _read(path, format_of(path, format), options or {})
         if isinstance(found, Deck):
+            _refuse_other_sets(materials, found)
             given = frozenset(material.set.upper() for material in materials)
             found = replace(found, options=replace(found.options, replaced=given))
         return _with_materials(found.imported() if isinstance(found, Deck) else found, materials)
@@ -296,7 +301,22 @@ def import_file(
         rest = [p for p in error.problems if not p.element_set or not sets & {p.element_set, "all"}]
         if len(rest) == len(error.problems):
             raise
-        raise DeckError(error.source, rest, error.given) from None
+        raise DeckError(error.source, rest, error.given, hint=error.hint) from None
+
+
+def _refuse_other_sets(materials: Sequence[Material], deck: Deck) -> None:
+    """Refuse materials of sets that a deck does not have.
+
+    Raises:
+        InputError: as said.
+    """
+    known = {"all", *deck.element_sets, *(section.set for section in deck.sections)}
+    for material in materials:
+        if material.set not in known:
+            raise InputError(
+                f"--material was given for the set {material.set!r}, which {deck.name} does not have; "
+                f"{nearest(material.set, known)}"
+            )
 
 
 def _with_materials(imported: Imported, materials: Sequence[Material]) -> Imported:

@@ -108,8 +108,8 @@ def _with_engines(error: DeckError, options: ImportOptions, format: str, materia
     names = engines_for(Path(options.file or ""), format, {**options.of_decks, "materials": materials})
     if not names:
         return error
-    hint = "; ".join(f"{ENGINES[name].program} would read this deck: --engine {name}" for name in names)
-    return DeckError(error.source, error.problems, error.given, hint=hint)
+    hints = [f"{ENGINES[name].program} would read this deck: --engine {name}" for name in names]
+    return DeckError(error.source, error.problems, error.given, hint="; ".join(filter(None, [error.hint, *hints])))
 
 
 def _taken(options: ImportOptions, format: str) -> dict[str, Any]:

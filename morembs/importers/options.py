@@ -6,7 +6,7 @@ docs/formats.md are made from the fields of ``ImportOptions``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,6 +20,7 @@ from morembs.importers.decks.options import Boundary, Contact, Pretension
 from morembs.importers.tolerances import TOL
 
 FilePath = Annotated[str, text("the path of a file")]
+FolderPath = Annotated[str, text("the path of a folder")]
 ROLES = {"K": "stiffness", "M": "mass", "D": "damping", "G": "gyroscopic", "N": "circulatory"}
 # Names of the options in the functions of importers and engines, where they differ.
 OF_DECKS = ("dialect", "density", "contact", "skip", "pretension", "allow_includes_outside")
@@ -91,8 +92,12 @@ class ImportOptions(Table):
     boundary: Boundary = option("with an engine: drop what the deck holds, or keep it", "drop")
     preload: Count = option("with an engine: the steps up to this one run first", 0)
     engine_timeout: Positive = option("with an engine: seconds for each run of it", TOL.engine_seconds)
-    keep_files: FilePath | None = option("with an engine: a folder for the files that it read and wrote")
-    set: dict[str, Any] = option("options of the format: K = NAME names a matrix of the file, M = identity", {})
+    keep_files: FolderPath | None = option("with an engine: a folder for the files that it read and wrote")
+    set: dict[str, Any] = option(
+        "options of the format: K = NAME names a matrix of the file, M = identity",
+        {},
+        expected='a table such as { K = "Kfull" }',
+    )
     allow_includes_outside: bool = option("decks may include files from beyond their folders", False)
 
     @property
@@ -151,14 +156,15 @@ def default_of(entry: Field[Any]) -> Any:
 
 
 # Fields that are paths, which a job sees from its folder.
-PATHS = tuple(name for name, hint in hints_of(ImportOptions).items() if hint == FilePath | None)
+PATHS = tuple(name for name, hint in hints_of(ImportOptions).items() if hint in (FilePath | None, FolderPath | None))
 
 
-def read_import_options(**given: Any) -> ImportOptions:
-    """The options of keyword arguments.
+def read_import_options(*, besides: Collection[str] = (), **given: Any) -> ImportOptions:
+    """The options of keyword arguments; names ``besides`` are arguments that are taken elsewhere, for advice.
 
     Raises:
         InputError: unknown names or wrong values, one line for each.
     """
     plain = {name: str(value) if isinstance(value, Path) else value for name, value in given.items()}
-    return read_table(ImportOptions, {name: value for name, value in plain.items() if value is not None})
+    kept = {name: value for name, value in plain.items() if value is not None}
+    return read_table(ImportOptions, kept, besides=besides)

@@ -547,7 +547,8 @@ def test_hard_limits_of_a_queue_are_kept(tmp_path):
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        (["--engine", "calculx"], "did you mean 'calculix'?, or auto"),
+        (["--engine", "calculx"], "did you mean 'calculix'?"),
+        (["--engine", "nobody"], "known: auto, calculix, mystran"),
         (["--engine", "calculix:/nowhere/ccx"], "no file that can be run"),
         (["--engine", "calculix", "--preload", "1"], "supports carry the load"),
         (["--engine", "calculix", "--boundary", "hold"], 'expected "drop" or "keep"'),

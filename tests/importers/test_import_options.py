@@ -106,6 +106,9 @@ def test_a_job_names_the_keys_that_answer_its_deck(tmp_path):
         ({"contact": "glue"}, "contact"),
         ({"density": -1.0}, "density"),
         ({"densty": 1.0}, "did you mean 'density'"),
+        ({"material": []}, "did you mean 'materials'"),
+        ({"keep_files": 5}, "expected the path of a folder"),
+        ({"set": "K=Kfull"}, 'expected a table such as { K = "Kfull" }'),
         ({"engine_timeout": 0}, "engine_timeout"),
         ({"units": "mm"}, "units"),
         ({"boundary": "keep"}, "--engine"),
@@ -172,3 +175,84 @@ def test_init_keeps_the_materials_of_a_deck(tmp_path):
     commands.run("init", tmp_path / "other.inp", "-o", tmp_path / "other.toml")
     text = (tmp_path / "other.toml").read_text()
     assert 'mesh = "other.inp"' in text and "reads all that the deck holds" in text and "[[material]]" in text
+
+
+STEEL = morembs.isotropic(set="all", young=210e3, poisson=0.3, density=7.85e-9)
+
+
+@pytest.mark.parametrize("given", [STEEL, [{"young": 1.0}], "steel"])
+def test_other_things_than_materials_are_refused_in_one_message(given, tmp_path):
+    path = tmp_path / "part.inp"
+    path.write_text(deck(BEAM))
+    for call in (
+        lambda: import_model(path, materials=given),
+        lambda: morembs.read_deck(path).to_model(materials=given),
+        lambda: morembs.assemble(morembs.read_mesh(path), given),
+    ):
+        with pytest.raises(InputError, match=r"^materials = .* was given; expected a list, materials=\[isotropic"):
+            call()
+
+
+def test_a_word_to_skip_that_is_nowhere_is_told(tmp_path):
+    path = tmp_path / "part.inp"
+    path.write_text(INCOMPLETE)
+    given = {**OPTIONS, "skip": ["CONTACT PAIR", "FOO"]}
+    told = [text for text in import_model(path, **given).warnings if "skip-unused" in text]
+    assert told == ["--skip 'FOO' leaves nothing out [skip-unused]"]
+    assert told[0] in morembs.read_deck(path, density=7.85e-9, skip="FOO,CONTACT PAIR").warnings
+    with pytest.raises(InputError, match=r"'CONTACTPAIR' leaves nothing out; did you mean 'CONTACT PAIR'\?"):
+        import_model(path, **{**OPTIONS, "skip": ["CONTACTPAIR"]})
+    assert "skip-unused" not in " ".join(import_model(path, **OPTIONS).warnings)
+
+
+def test_elements_are_not_to_be_skipped_where_nothing_would_be_left(tmp_path):
+    path = tmp_path / "part.inp"
+    shells = "*ELEMENT, TYPE=S4\n101, 1, 2, 3, 4\n"
+    for text, is_offered in (
+        (deck(BEAM) + shells, True),
+        ("*NODE\n1,0,0,0\n2,1,0,0\n3,1,1,0\n4,0,1,0\n" + shells, False),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"'S4'.*--engine calculix may") as caught:
+            import_model(path, units="mm-t-s", materials=[STEEL])
+        assert ("--skip S4" in str(caught.value)) is is_offered
+
+
+def test_a_deck_that_is_given_materials_is_not_told_to_be_given_them(tmp_path):
+    path = tmp_path / "part.inp"
+    path.write_text(deck(BEAM))
+    notes = import_model(path, units="mm-t-s", materials=[STEEL]).notes
+    assert "The deck has no materials of its own." in notes and "give them" not in " ".join(notes)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"density": {"NOPE": 1.0}}, "the set 'NOPE', which the deck does not have; known: EVERY"),
+        ({"density": {"FIRST": 1.0}}, "the set 'FIRST', which lacks none"),
+        (
+            {"materials": [morembs.isotropic(set="FOO", young=1.0, poisson=0.3, density=1.0)]},
+            "'FOO', which part.inp does",
+        ),
+    ],
+)
+def test_sets_that_the_deck_does_not_have_are_named(given, message, tmp_path):
+    (tmp_path / "part.inp").write_text(INCOMPLETE)
+    with pytest.raises(InputError, match=message):
+        import_model(tmp_path / "part.inp", units="mm-t-s", skip=["CONTACT PAIR"], **given)
+
+
+def test_python_tells_how_options_are_given_there(tmp_path):
+    path = tmp_path / "part.inp"
+    path.write_text(INCOMPLETE)
+    for options in ({}, {"skip": ["CONTACT PAIR"]}):
+        with pytest.raises(InputError, match=r"in Python, .* contact='skip'"):
+            import_model(path, units="mm-t-s", **options)
+    with pytest.raises(InputError, match=r"units was given, .* give it to deck\.to_model"):
+        morembs.read_deck(path, units="mm-t-s")
+
+
+def test_a_material_without_density_is_told_what_is_missing(tmp_path):
+    (tmp_path / "part.inp").write_text(deck(BEAM))
+    given = ("--material", "young=1,poisson=0.3", "-o", tmp_path / "x.model.h5")
+    assert "density is missing: add density=NUMBER" in commands.run("import", tmp_path / "part.inp", *given, code=2)

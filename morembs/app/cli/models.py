@@ -173,9 +173,12 @@ def _material(text: str) -> Material:
                 ",set=NAME"
             )
         given[key.strip()] = value.strip()
+    missing = [key for key in ("young", "poisson", "density") if key not in given]
+    if missing:
+        raise InputError(f"--material {text!r} was given; {' and '.join(missing)} is missing: add {missing[0]}=NUMBER")
     try:
         numbers = {key: float(given[key]) for key in ("young", "poisson", "density")}
-    except (KeyError, ValueError) as error:
+    except ValueError as error:
         raise InputError(f"--material {text!r} was given; expected numbers young, poisson and density") from error
     return isotropic(set=given.get("set", "all"), **numbers)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from morembs.base import progress
-from morembs.base.errors import SolverError
+from morembs.base.errors import InputError, SolverError
 from morembs.base.progress import Progress, listening
 from morembs.base.units import Units
 from morembs.body.diagnostics import repaired
@@ -19,8 +19,9 @@ from morembs.body.diagnostics.findings import Diagnosis
 from morembs.body.diagnostics.units import Outlook, model_outlook
 from morembs.body.diagnostics.warnings import diagnosis_of, imported_warnings
 from morembs.fem import FEModel
-from morembs.fem.material import Material
+from morembs.fem.material import Material, refuse_other_materials
 from morembs.fem.parts import parts_of
+from morembs.importers.decks.problems import DeckError
 from morembs.importers.from_files import read_files
 from morembs.importers.model_file import save_model
 from morembs.importers.options import ImportOptions, read_import_options
@@ -30,6 +31,10 @@ from morembs.storage.safefile import check_writable
 
 # Findings that only a factorisation tells from a small body that is held.
 SUSPECT = ("not-this-geometry", "node-mapping")
+IN_PYTHON = (
+    "in Python, options of the command line are arguments with the same names, such as contact='skip', "
+    "density={'SET': 7.85e-9} or skip=['CONTACT PAIR'], and materials=[isotropic(...)]"
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,7 +115,15 @@ def import_model(path: str | Path | None = None, *, materials: Sequence[Material
     >>> import_model("bar.vtk", materials=[steel])
     FEModel: nodes 20; dofs 60; elements 4 hex8; source bar.vtk
     """
-    return read_files_model(read_import_options(file=path, **options), materials)
+    refuse_other_materials(materials)
+    given = read_import_options(file=path, besides=["materials"], **options)
+    try:
+        return read_files_model(given, materials)
+    except DeckError as error:
+        hint = "; ".join(filter(None, [error.hint, IN_PYTHON]))
+        raise DeckError(error.source, error.problems, error.given, hint=hint) from error
+    except InputError as error:
+        raise (InputError(f"{error}; {IN_PYTHON}") if " --" in str(error) else error) from error
 
 
 def read_files_model(options: ImportOptions, materials: Sequence[Material] = ()) -> FEModel:

@@ -67,7 +67,7 @@ def materials_of(deck: Contents, assembly: Assembly) -> SectionMaterials:
             with deck.problems.collected(card):
                 _section(deck, assembly, placed, scope, card, result, owner == number)
     if not deck.materials:
-        result.notes.append("The deck has no materials; give them when the model is built.")
+        result.notes.append("The deck has no materials of its own.")
     result.notes[:] = dict.fromkeys(result.notes)
     result.warnings[:] = dict.fromkeys(result.warnings)
     return result

@@ -100,10 +100,14 @@ def _others(deck: Contents) -> None:
     listed = ", ".join(f"{n} of the type {code!r}" for code, n in unknown.items())
     gaps = set(unknown) <= GAPS
     flags = ("--contact skip",) if gaps else tuple(f"--skip {code}" for code in unknown)
+    flag = "--contact skip" if gaps else f"--skip {','.join(unknown)}"
+    cure = f"; leave the others out with {flag} if the model is right without them"
+    if not any(count for code, count in deck.counts.items() if code in SOLIDS):
+        # Without them nothing would be left.
+        flags, cure = (), ""
     deck.unsupported = Problem(
         what=f"{deck.name} has elements that are not supported: {listed}; expected solids ({', '.join(KINDS)} and "
-        f"their variants), {', '.join(DISCRETE)}; leave the others out with "
-        f"{'--contact skip' if gaps else '--skip ' + ','.join(unknown)} if the model is right without them"
+        f"their variants), {', '.join(DISCRETE)}{cure}"
         f"{'; --engine calculix may assemble them' if all(map(_OF_ENGINE.match, unknown)) else ''}",
         file=deck.name,
         keyword="ELEMENT",

@@ -60,7 +60,7 @@ def import_deck(deck: DeckTables) -> Imported:
         given, lacking = _materials(deck)
     scaled = {name: deck.mass_scale * value for name, value in deck.options.density.items()}
     options = replace(deck.options, density=scaled)
-    whole, rest, said = options.all_materials(problems, given, lacking)
+    whole, rest, said = options.all_materials(problems, given, lacking, deck.element_sets)
     surfaces = {
         name: solids.labels.rows(surface.nodes, f"the surface {name} names") for name, surface in deck.surfaces.items()
     }
@@ -98,7 +98,7 @@ def mesh_of(deck: DeckTables) -> Mesh:
 
 def _problems(deck: DeckTables) -> Problems:
     """Those of the deck, and of elements that own assembly does not have."""
-    problems = Problems(deck.name, deck.options.flags)
+    problems = Problems(deck.name, deck.options.flags, hint="; ".join(deck.options.idle))
     of_elements = dict.fromkeys(part.problem for part in deck.elements if part.problem)
     problems.entries = [*deck.problems, *(own for own in of_elements if own not in deck.problems)]
     return problems

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from morembs.base.units import Units, parse_units
 from morembs.fem import FEModel, Mesh
-from morembs.fem.material import Material
+from morembs.fem.material import Material, refuse_other_materials
 from morembs.importers.decks.join import import_deck, mesh_of
 from morembs.importers.decks.tables import DeckTables
 from morembs.importers.imported import Imported
@@ -59,6 +59,7 @@ class Deck(DeckTables):
         Raises:
             DeckError: all that keeps the deck from becoming a model: an ``InputError`` with ``problems``.
         """
+        refuse_other_materials(materials)
         given = parse_units(units) if isinstance(units, str) else units
         imported = self.imported()
         whole = replace(imported, materials=(*imported.materials, *materials))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
 from morembs.base.arguments import check_value
-from morembs.base.errors import InputError, nearest
+from morembs.base.errors import InputError, alike, nearest
 from morembs.base.limits import Positive, one_of
 from morembs.fem.material import Material
 from morembs.importers.decks.problems import Problem, Problems
@@ -32,6 +32,8 @@ class DeckOptions:
     skip: frozenset[str] = frozenset()
     pretension: str = "auto"
     replaced: frozenset[str] = frozenset()
+    # Words of the deck that could be left out, as far as it was read.
+    asked: set[str] = field(default_factory=set, compare=False, repr=False)
 
     @property
     def flags(self) -> tuple[str, ...]:
@@ -46,15 +48,28 @@ class DeckOptions:
 
     def skips(self, *words: str) -> bool:
         """Whether one of ``words`` is to be left out."""
+        self.asked.update(word.upper() for word in words)
         return any(word.upper() in self.skip for word in words)
 
+    @property
+    def idle(self) -> tuple[str, ...]:
+        """A sentence for each word to skip that is nowhere in the deck, which was read."""
+        close = {word: alike(word, self.asked) for word in sorted(self.skip - self.asked)}
+        return tuple(
+            f"--skip {word!r} leaves nothing out{f'; did you mean {name!r}?' if name else ''} [skip-unused]"
+            for word, name in close.items()
+        )
+
     def completed(
-        self, materials: Sequence[Material], lacking: Mapping[str, Lacking]
+        self, materials: Sequence[Material], lacking: Mapping[str, Lacking], sets: Collection[str] | None = None
     ) -> tuple[tuple[Material, ...], dict[str, Lacking], list[str]]:
         """Materials with those that the given densities complete, what is lacking still, and warnings.
 
+        Args:
+            sets: those of elements in the deck, where they are known.
+
         Raises:
-            InputError: a density for a set that lacks none.
+            InputError: a density for a set that lacks none, or that is not there.
         """
         done, rest, warnings = list(materials), dict[str, Lacking](), []
         unused = {name.upper(): name for name in self.density if name != "all"}
@@ -67,22 +82,21 @@ class DeckOptions:
                 continue
             done.append(Material(set=name, stiffness=lack.stiffness, density=density))
             warnings.append(f"{lack.sentence}; {density:g} was given and taken [density-given]")
-        if unused:
-            raise InputError(
-                f"--density was given for the set {next(iter(unused.values()))!r}, which lacks none; "
-                f"{nearest(next(iter(unused.values())), lacking)}"
-            )
+        for key, name in unused.items():
+            is_there = sets is None or key in {own.upper() for own in sets}
+            why = "which lacks none" if is_there else "which the deck does not have"
+            raise InputError(f"--density was given for the set {name!r}, {why}; {nearest(name, lacking)}")
         return tuple(done), rest, warnings
 
     def all_materials(
-        self, problems: Problems, materials: Sequence[Material], lacking: Mapping[str, Lacking]
+        self, problems: Problems, materials: Sequence[Material], lacking: Mapping[str, Lacking], sets: Collection[str]
     ) -> tuple[tuple[Material, ...], dict[str, Lacking], list[str]]:
         """As ``completed``, at the end of a deck: where it has ``problems``, what is lacking still is one of them.
 
         Raises:
             DeckError: there are problems.
         """
-        done, rest, warnings = self.completed(materials, lacking)
+        done, rest, warnings = self.completed(materials, lacking, sets)
         if problems.entries:
             problems.entries += lacking_problems(problems.source, rest)
         problems.refuse()

@@ -98,10 +98,11 @@ class Problems:
     Args:
         source: the name of its file.
         given: options that the deck is read with, as the command line has them, for the advice.
+        hint: what the message ends with.
     """
 
-    def __init__(self, source: str, given: Sequence[str] = ()) -> None:
-        self.source, self.given = source, tuple(given)
+    def __init__(self, source: str, given: Sequence[str] = (), *, hint: str = "") -> None:
+        self.source, self.given, self.hint = source, tuple(given), hint
         self.entries: list[Problem] = []
 
     def add(self, problem: Problem) -> None:
@@ -148,7 +149,7 @@ class Problems:
             DeckError: anything was.
         """
         if self.entries:
-            raise DeckError(self.source, self.entries, self.given)
+            raise DeckError(self.source, self.entries, self.given, hint=self.hint)
 
 
 def in_lines(sentence: str) -> list[str]:

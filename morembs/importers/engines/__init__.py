@@ -90,7 +90,7 @@ def engine_of(text: str) -> tuple[Engine, str]:
     """
     name, _, path = text.partition(":")
     if name not in ENGINES:
-        raise InputError(f"--engine {text!r} was given; {ENGINES.advice(name)}, or {AUTO}")
+        raise InputError(f"--engine {text!r} was given; {ENGINES.advice(name, AUTO)}")
     return ENGINES[name], path
 
 

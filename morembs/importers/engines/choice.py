@@ -73,10 +73,10 @@ def import_by_choice(
         else:
             return _noted(imported, f"{engine.program}, as own assembly refuses the deck: {_first(refused)}")
     least = min(errors, key=_needs)
-    hint = "; ".join(said)
     if isinstance(least, DeckError):
+        hint = "; ".join(filter(None, [least.hint, *said]))
         raise DeckError(least.source, least.problems, least.given, hint=hint) from least
-    raise InputError(f"{least}{hint and '; '}{hint}") from least
+    raise InputError("; ".join([str(least), *said])) from least
 
 
 def _noted(imported: Imported, who: str) -> Imported:

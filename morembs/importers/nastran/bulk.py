@@ -54,7 +54,7 @@ class Bulk:
 
     def _take(self, table: Table, refused: dict[str, list[Table]]) -> None:
         name, count = table.name, len(table)
-        if self.options.skips(name) and name not in ("GRID", *SOLIDS):
+        if name not in ("GRID", *SOLIDS) and self.options.skips(name):
             self.skipped[name] = self.skipped.get(name, 0) + count
         elif name == "GRID":
             self.grids.add(table)

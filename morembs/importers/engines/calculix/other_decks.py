@@ -61,7 +61,7 @@ def _with_materials(deck: Deck, materials: Sequence[Material], problems: Problem
             else:
                 section = replace(section, stiffness=material.stiffness, density=material.density)
         sections.append(section)
-    done, rest, said = deck.options.completed((), lacking)
+    done, rest, said = deck.options.completed((), lacking, deck.element_sets)
     problems.entries += lacking_problems(deck.name, rest)
     whole = {material.set: deck.mass_scale * material.density for material in done}
     sections = [replace(own, density=whole[own.set]) if own.set in whole else own for own in sections]
