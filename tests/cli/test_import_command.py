@@ -677,7 +677,7 @@ def test_a_dry_run_tells_all_and_writes_nothing(tmp_path):
     [
         (["--density", "-1"], "--density '-1' was given; expected X or X,set=NAME"),
         (["--density", "1", "--density", "2"], "a positive number once a set"),
-        (["--density", "1,set=NO"], "--density was given for the set 'NO', which lacks none"),
+        (["--density", "1,set=NO"], "--density was given for the set 'NO', which the deck does not have"),
         (["--contact", "melt"], "contact = 'melt' was given"),
     ],
 )
