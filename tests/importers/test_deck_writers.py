@@ -128,6 +128,40 @@ def test_parts_couplings_springs_and_materials_with_axes_come_back(dialect, agai
     assert [element.name for element in second.rigid + second.average] == ["FOOT", "HEAD"]
 
 
+@pytest.mark.parametrize("program", ["Abaqus", "CalculiX"])
+def test_a_written_deck_tells_its_program(program, tmp_path):
+    (tmp_path / "first.inp").write_text(deck_text("C3D8"))
+    first = read(tmp_path / "first.inp", dialect="abaqus")
+    said = first.write(tmp_path / "second.inp", program.lower())
+    second = read(tmp_path / "second.inp")
+    assert second.program == program and not second.mesh_warnings
+    if program == "Abaqus":
+        assert said == ()
+        assert_same(first.to_model(), second.to_model(), 1e-13)
+    else:
+        assert len(said) == 1 and "2 elements C3D8 of Abaqus are written as C3D8 of CalculiX, which" in said[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "source", "what"),
+    [
+        (deck_text("C3D8") + "*BOUNDARY\n1, 1, 3\n", "abaqus", "*BOUNDARY (1)"),
+        (deck_text("C3D8") + "*STEP\n*STATIC\n*BOUNDARY\n1, 1, 3\n*END STEP\n", "abaqus", "*BOUNDARY (1)"),
+        (
+            ansys_archive(box("hex8", (1, 1, 1), (1.0, 1.0, 1.0))).replace("FINISH\n", "D,1,UX,0.\nFINISH\n"),
+            "ansys",
+            "D (1)",
+        ),
+    ],
+    ids=["model", "step", "ansys"],
+)
+@pytest.mark.parametrize("format", ["calculix", "abaqus", "nastran"])
+def test_supports_that_were_not_read_are_named_where_a_deck_is_written(format, text, source, what, again):
+    _, _, said = again(text, source, format)
+    (sentence,) = (line for line in said if "[not-written]" in line)
+    assert f"has more that is not written: {what}" in sentence
+
+
 @pytest.mark.parametrize("option", ["", "ADJUST=NO,"])
 @pytest.mark.parametrize("dialect", ["abaqus", "calculix"])
 def test_surfaces_are_glued_again(dialect, option, again):

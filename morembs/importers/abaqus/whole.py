@@ -14,12 +14,12 @@ from morembs.importers.abaqus.deck import SOLIDS, STRUCTURES, Contents
 from morembs.importers.abaqus.left_out import LOCKED, PRETENSION, notes_of
 from morembs.importers.abaqus.materials import SectionMaterials, materials_of
 from morembs.importers.abaqus.structures import structures_of
-from morembs.importers.abaqus.words import of_kind
+from morembs.importers.abaqus.words import EFFECTS, LEFT_OUT, WORDS, of_kind
 from morembs.importers.decks.formulations import Meaning, deck_warnings, program_of
 from morembs.importers.decks.labels import ranges_of
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import left_out
-from morembs.importers.decks.tables import Elements, Surface
+from morembs.importers.decks.tables import Elements, LeftOut, Surface
 from morembs.importers.imported import on_rows
 
 # Nodes of lines in VTK order.
@@ -58,6 +58,7 @@ def deck_of(contents: Contents) -> Deck:
         remarks=(*(f"The instance {name} was moved to its place." for name in moved), *sections.notes, *ties.notes),
         warnings=(*skipped_warnings(contents), *contents.warnings, *ties.warnings, *sections.warnings),
         problems=tuple(contents.problems.entries),
+        left_out=_left_out(contents),
     )
 
 
@@ -128,6 +129,13 @@ def skipped_warnings(contents: Contents) -> list[str]:
     """What was left out as asked, a sentence each."""
     contact = ("*CONTACT PAIR", "*CONTACT")
     return [left_out(kind, count, contact=kind in contact) for kind, count in contents.skipped.items()]
+
+
+def _left_out(contents: Contents) -> dict[str, LeftOut]:
+    """Supports and loads, in steps and outside of them."""
+    counted = {word: contents.noted.get(word, 0) + contents.in_steps.get(word, 0) for word in LEFT_OUT}
+    acting = set(of_kind("support", "load"))
+    return {f"*{word}": LeftOut(n, EFFECTS[WORDS[word].kind]) for word, n in counted.items() if n and word in acting}
 
 
 def _notes(contents: Contents) -> list[str]:

@@ -24,6 +24,8 @@ from morembs.importers.imported import Lacking
 from morembs.storage.contents import same_place
 from morembs.storage.safefile import replacing
 
+# Ends sentences on what a written deck lacks and K and M of its model do not.
+NOT_WRITTEN = "[not-written]"
 WRITERS: dict[str, Callable[[DeckTables], tuple[Iterator[str], list[str]]]] = {
     "calculix": calculix_lines,
     "abaqus": partial(calculix_lines, dialect="abaqus"),
@@ -50,6 +52,9 @@ def write_deck(deck: DeckTables, path: str | Path, format: str) -> tuple[str, ..
     _refuse_problems(deck)
     deck, said = _with_densities(deck)
     lines, warnings = WRITERS[format](deck)
+    if deck.left_out:
+        listed = ", ".join(f"{name} ({own.count})" for name, own in deck.left_out.items())
+        warnings.append(f"{deck.name} has more that is not written: {listed} {NOT_WRITTEN}")
     with replacing(Path(path)) as file:
         for line in lines:
             file.write(line.encode() if line.endswith("\n") else f"{line}\n".encode())

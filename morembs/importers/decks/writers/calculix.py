@@ -170,7 +170,8 @@ class CalculixText(SectionText):
             *self.coupling_lines(),
         ]
         supports = [*self.support_lines()]
-        yield f"*HEADING\n{self.deck.name}"
+        # By which a reader knows whose element types are meant.
+        yield f"** Written for {self.program}\n*HEADING\n{self.deck.name}"
         yield from self.mesh_lines()
         yield from (*self.more_elements, *self.sets, *self.surfaces, *sections, *body, *supports)
 

@@ -204,9 +204,9 @@ class MeshText:
                 return code
         code = next((own for own, meaning in theirs.items() if meaning.formulation == meant[0]), codes[0])
         self.warnings.append(
-            f"{len(part.ids)} elements {part.code} are written as {code}, which has the formulation "
-            f"{theirs[code].formulation!r} and the mass {theirs[code].mass!r} in place of {meant[0]!r} and "
-            f"{meant[1]!r} [formulation-differs]"
+            f"{len(part.ids)} elements {part.code} of {self.deck.program} are written as {code} of {self.program}, "
+            f"which has the formulation {theirs[code].formulation!r} and the mass {theirs[code].mass!r} in place of "
+            f"{meant[0]!r} and {meant[1]!r} [formulation-differs]"
         )
         return code
 

@@ -113,9 +113,9 @@ class NastranText:
         full = meant[0] == "full" and part.shape == "hex8"
         own = theirs[full]
         self.warnings.append(
-            f"{len(part.ids)} elements {part.code} are written as {name}, which has the formulation "
-            f"{own.formulation!r} and the mass {own.mass!r} in place of {meant[0]!r} and {meant[1]!r} "
-            "[formulation-differs]"
+            f"{len(part.ids)} elements {part.code} of {self.deck.program} are written as {name} of Nastran, which "
+            f"has the formulation {own.formulation!r} and the mass {own.mass!r} in place of {meant[0]!r} and "
+            f"{meant[1]!r} [formulation-differs]"
         )
         return name, nodes, full
 

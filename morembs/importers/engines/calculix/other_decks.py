@@ -17,6 +17,7 @@ from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import MATERIAL, DeckOptions, lacking_problems
 from morembs.importers.decks.problems import DeckError, Problem, Problems
 from morembs.importers.decks.tables import Section
+from morembs.importers.decks.writers import NOT_WRITTEN
 from morembs.importers.imported import Imported, Lacking, nodes_of, on_rows
 from morembs.importers.nastran.importer import read_nastran
 from morembs.importers.unv import read_unv
@@ -94,7 +95,8 @@ def write_other(deck: Deck, folder: Path) -> tuple[Path, tuple[str, ...]]:
         InputError: what CalculiX cannot say.
     """
     path = folder / f"{Path(deck.name).stem}.inp"
-    return path, replace(deck, average=(), masses=(), discrete=()).write(path, "calculix")
+    said = replace(deck, average=(), masses=(), discrete=()).write(path, "calculix")
+    return path, tuple(sentence for sentence in said if NOT_WRITTEN not in sentence)
 
 
 def with_others(imported: Imported, deck: Deck, said: Sequence[str]) -> Imported:

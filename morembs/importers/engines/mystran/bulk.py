@@ -15,6 +15,7 @@ from morembs.base.scratch import ScratchFolder
 from morembs.importers.abaqus.importer import read_abaqus_deck
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.problems import DeckError
+from morembs.importers.decks.writers import NOT_WRITTEN
 from morembs.importers.engines.mystran.structures import with_structures
 from morembs.importers.imported import Imported
 
@@ -73,4 +74,5 @@ def as_bulk(path: Path, format: str, options: Mapping[str, Any]) -> Iterator[Sou
         raise DeckError(deck.name, problems, deck.options.flags)
     with closing(ScratchFolder(None)) as scratch:
         bulk = scratch.path / f"{path.stem}.bdf"
-        yield Source(bulk=bulk, deck=deck, warnings=deck.write(bulk, "nastran"))
+        said = (sentence for sentence in deck.write(bulk, "nastran") if NOT_WRITTEN not in sentence)
+        yield Source(bulk=bulk, deck=deck, warnings=tuple(said))
