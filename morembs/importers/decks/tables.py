@@ -22,6 +22,9 @@ from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problem
 from morembs.importers.imported import DiscreteElement, PointMass
 
+# Ends sentences on what a written deck lacks and K and M of its model do not.
+NOT_WRITTEN = "[not-written]"
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Elements:

@@ -17,15 +17,13 @@ from morembs.base.errors import InputError, OverwriteError, nearest
 from morembs.importers.decks.labels import in_ranges
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problems
-from morembs.importers.decks.tables import DeckTables, Section
+from morembs.importers.decks.tables import NOT_WRITTEN, DeckTables, Section
 from morembs.importers.decks.writers.calculix import calculix_lines
 from morembs.importers.decks.writers.nastran import nastran_lines
 from morembs.importers.imported import Lacking
 from morembs.storage.contents import same_place
 from morembs.storage.safefile import replacing
 
-# Ends sentences on what a written deck lacks and K and M of its model do not.
-NOT_WRITTEN = "[not-written]"
 WRITERS: dict[str, Callable[[DeckTables], tuple[Iterator[str], list[str]]]] = {
     "calculix": calculix_lines,
     "abaqus": partial(calculix_lines, dialect="abaqus"),
@@ -33,6 +31,13 @@ WRITERS: dict[str, Callable[[DeckTables], tuple[Iterator[str], list[str]]]] = {
 }
 # Kinds of elements without cards of their own: what single nodes carry is among masses and springs.
 _NOT_WRITTEN = ("point", "none")
+
+# Values of single elements, by their kind, that are written for each format.
+_WRITTEN_VALUES = {
+    "calculix": {("beam", "offset")},
+    "abaqus": {("beam", "offset")},
+    "nastran": {("beam", "offset"), ("beam", "direction")},
+}
 
 
 def write_deck(deck: DeckTables, path: str | Path, format: str) -> tuple[str, ...]:
@@ -51,6 +56,7 @@ def write_deck(deck: DeckTables, path: str | Path, format: str) -> tuple[str, ..
         raise OverwriteError(f"{path} would overwrite a file that the deck was read from; give the result another name")
     _refuse_problems(deck)
     deck, said = _with_densities(deck)
+    _refuse_values(deck, format)
     lines, warnings = WRITERS[format](deck)
     if deck.left_out:
         listed = ", ".join(f"{name} ({own.count})" for name, own in deck.left_out.items())
@@ -132,3 +138,24 @@ def _without_section(deck: DeckTables) -> list[str]:
         if part.kind not in _NOT_WRITTEN:
             bare += int(np.sum(~in_ranges(part.ids, np.concatenate([np.empty((0, 2), dtype=np.int64), *own]))))
     return [f"{bare} elements are in no section, so have no material"] if bare else []
+
+
+def _refuse_values(deck: DeckTables, format: str) -> None:
+    """Refuse values of single elements that a format does not have here.
+
+    Raises:
+        InputError: there are any.
+    """
+    for part in deck.elements:
+        for name, values in part.values.items():
+            if (part.kind, name) not in _WRITTEN_VALUES[format] and np.isfinite(values).any():
+                raise InputError(
+                    f"{deck.name}: {part.code} elements have {name} of their own, which {format!r} decks written here "
+                    "lack; give it to their section"
+                )
+    for section in deck.sections:
+        if "NODAL THICKNESS" in section.code:
+            raise InputError(
+                f"{deck.name}: {section.code} of the set {section.set} takes the thickness from nodes, which is not "
+                "read; give it to the section"
+            )

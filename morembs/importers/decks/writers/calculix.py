@@ -9,7 +9,7 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.importers.decks.tables import DeckTables, Surface
+from morembs.importers.decks.tables import NOT_WRITTEN, DeckTables, Surface
 from morembs.importers.decks.writers.calculix_mesh import Line, numeral, numerals
 from morembs.importers.decks.writers.calculix_sections import SectionText, unit
 from morembs.importers.imported import DiscreteElement
@@ -31,7 +31,8 @@ class CalculixText(SectionText):
         for tie in self.deck.ties:
             slave, master = (self.surface(self.deck.surfaces[name], name) for name in (tie.slave, tie.master))
             near = f", POSITION TOLERANCE={numeral(tie.tolerance)}" if tie.tolerance else ""
-            yield f"*TIE, NAME={self.name(tie.name)}{near}{'' if tie.moves else ', ADJUST=NO'}\n{slave}, {master}"
+            moves = "" if tie.moves else ", ADJUST=NO"
+            yield f"*TIE, NAME={self.name('CONSTRAINT', stem=tie.name)}{near}{moves}\n{slave}, {master}"
 
     def equation_lines(self) -> Iterator[str]:
         """Equations but those of ties."""
@@ -75,7 +76,7 @@ class CalculixText(SectionText):
             yield "\n".join([*self._coupling(mean.name, mean.reference, nodes), "*DISTRIBUTING", *dofs])
 
     def _coupling(self, text: str, reference: int, nodes: Surface) -> list[str]:
-        surface, name = self.surface(nodes, f"{text}_S"), self.name(text)
+        surface, name = self.surface(nodes), self.name("CONSTRAINT", stem=text)
         node = self.node(np.array([reference]))[0]
         return [f"*COUPLING, REF NODE={node}, SURFACE={surface}, CONSTRAINT NAME={name}"]
 
@@ -98,7 +99,7 @@ class CalculixText(SectionText):
     def _point(self, code: str, nodes: Iterable[int]) -> str:
         """The set of a new element on single nodes."""
         self.next_element += 1
-        name = self.name(f"P{self.next_element}")
+        name = self.name("ELSET", stem=f"P{self.next_element}")
         labels = ", ".join(map(str, self.node(np.array(list(nodes))).tolist()))
         self.more_elements.append(f"*ELEMENT, TYPE={code}, ELSET={name}\n{self.next_element}, {labels}")
         return name
@@ -158,9 +159,20 @@ class CalculixText(SectionText):
         if len(lines) > 1:
             yield "\n".join(lines)
 
+    def surface_lines(self) -> None:
+        """Surfaces of the deck under their names, but those without nodes or on elements that are not written."""
+        for name, surface in self.deck.surfaces.items():
+            try:
+                if not len(surface.nodes):
+                    raise InputError("it is empty")
+                self.surface(surface, name)
+            except InputError as error:
+                self.warnings.append(f"the surface {name} of {self.deck.name} is not written: {error} {NOT_WRITTEN}")
+
     def text(self) -> Iterator[str]:
         """The whole deck."""
         self.set_lines()
+        self.surface_lines()
         sections = [*self.section_lines()]
         body = [
             *self.mass_lines(),
@@ -170,6 +182,10 @@ class CalculixText(SectionText):
             *self.coupling_lines(),
         ]
         supports = [*self.support_lines()]
+        if self.renamed:
+            self.warnings.append(
+                f"names of {self.deck.name} are written otherwise: {', '.join(self.renamed)} {NOT_WRITTEN}"
+            )
         # By which a reader knows whose element types are meant.
         yield f"** Written for {self.program}\n*HEADING\n{self.deck.name}"
         yield from self.mesh_lines()

@@ -14,7 +14,7 @@ from morembs.fem import ElementBlock, Mesh, Nodes
 from morembs.fem.handedness import right_handed
 from morembs.importers.decks.formulations import meaning_of
 from morembs.importers.decks.labels import Labels, in_ranges
-from morembs.importers.decks.tables import DeckTables, Elements, Surface
+from morembs.importers.decks.tables import NOT_WRITTEN, DeckTables, Elements, Surface
 
 
 class Line:
@@ -61,6 +61,8 @@ FACES = {
     "h": ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 4, 5), (1, 2, 5, 6), (2, 3, 6, 7), (0, 3, 4, 7)),
     "w": ((0, 1, 2), (3, 4, 5), (0, 1, 3, 4), (1, 2, 4, 5), (0, 2, 3, 5)),
 }
+# Names that the text needs beside those of the deck, by their kind.
+_OWN_NAMES = {"NSET": "NS", "ELSET": "ES", "SURFACE": "S", "MATERIAL": "M", "ORIENTATION": "O", "CONSTRAINT": "C"}
 _NAME = re.compile(r"[^A-Za-z0-9_.-]")
 
 
@@ -103,8 +105,11 @@ class MeshText:
         self.next_element = int(
             max(self.numbers.max(initial=0), *(part.ids.max(initial=0) for part in deck.elements), 0)
         )
-        self._names: dict[str, str] = {}
-        self._sets: dict[tuple[str, bytes], str] = {}
+        # Names in capitals by their kind, each of which has names of its own.
+        self._names: dict[str, set[str]] = {}
+        self._sets: dict[tuple[str, str, bytes], str] = {}
+        self.renamed: list[str] = []
+        self._surfaces: dict[tuple[str, bytes, bytes, bool], str] = {}
         self._materials: dict[tuple[bytes, float | None], str] = {}
         self.more_nodes: list[str] = []
         self.more_elements: list[str] = []
@@ -114,34 +119,39 @@ class MeshText:
 
     # Names and labels
 
-    def name(self, text: str) -> str:
-        """A name that the programs take, and that nothing else has."""
-        plain = _NAME.sub("_", text)[: Line.NAME_CHARACTERS - 4] or "X"
+    def name(self, kind: str, text: str = "", stem: str = "") -> str:
+        """A name that the programs take, and that nothing else of its kind has: ``text`` of the deck, which is said
+        where it has to change, or one that begins like ``stem``."""
+        plain = _NAME.sub("_", text or stem or _OWN_NAMES[kind])[: Line.NAME_CHARACTERS - 4]
         plain = plain if plain[:1].isalpha() else f"N{plain}"
-        taken = {own.upper() for own in self._names.values()}
+        taken = self._names.setdefault(kind, set())
         name, count = plain, 1
         while name.upper() in taken:
             count += 1
             name = f"{plain}_{count}"
-        self._names[f"{len(self._names)} {text}"] = name
+        taken.add(name.upper())
+        if text and name != text:
+            self.renamed.append(f"{kind} {text!r} as {name!r}")
         return name
 
     def node(self, labels: Ints) -> Ints:
         """What nodes are called in the text, by their labels (any shape) in the deck."""
         return np.asarray(self.named[self.nodes.rows(labels, "the deck names")])
 
-    def node_set(self, labels: Ints, text: str = "NS") -> str:
+    def node_set(self, labels: Ints, text: str = "") -> str:
         """The name of a set of nodes by their labels in the deck."""
         return self._set("NSET", np.unique(self.node(labels)), text)
 
-    def element_set(self, rows: Ints, text: str = "ES") -> str:
+    def element_set(self, rows: Ints, text: str = "") -> str:
         """The name of a set of elements by their rows among all that are written."""
         return self._set("ELSET", np.unique(self.numbers[rows]), text)
 
     def _set(self, word: str, members: Ints, text: str) -> str:
-        key = word, members.tobytes()
-        if key not in self._sets or text not in ("NS", "ES"):
-            self._sets[key] = self.name(text)
+        """The set of the deck with these members and that name, for no name the first one with these members."""
+        key = word, text, members.tobytes()
+        if key not in self._sets:
+            self._sets[key] = self.name(word, text)
+            self._sets.setdefault((word, "", members.tobytes()), self._sets[key])
             self.sets.append("\n".join([f"*{word}, {word}={self._sets[key]}", *sixteen(members)]))
         return self._sets[key]
 
@@ -212,21 +222,38 @@ class MeshText:
 
     def set_lines(self) -> None:
         """Sets of the deck under their names, as far as their members are written."""
+        others = [part.ids for part in self.deck.elements if part.kind in ("point", "none")]
+        unwritten, lost = np.concatenate([np.empty(0, dtype=np.int64), *others]), list[str]()
         for name, ranges in self.deck.node_sets.items():
             rows = self.nodes.members(ranges, f"the set {name} names")
-            self.node_set(self.deck.ids[rows], name)
-        for name in self.deck.element_sets:
+            if len(rows):
+                self.node_set(self.deck.ids[rows], name)
+            else:
+                lost.append(name)
+        for name, ranges in self.deck.element_sets.items():
             rows = self.rows_of_set(name)
             if len(rows):
                 self.element_set(rows, name)
+            if not len(rows) or in_ranges(unwritten, ranges).any():
+                lost.append(name)
+        if lost:
+            self.warnings.append(
+                f"the sets {', '.join(lost)} of {self.deck.name} lack what is empty or stands for masses, springs and "
+                f"dashpots, whose labels are new {NOT_WRITTEN}"
+            )
 
     # Surfaces
 
-    def surface(self, surface: Surface, text: str = "S") -> str:
-        """The name of a surface: of sides of elements where it has faces, else of nodes with weights."""
-        name = self.name(text)
+    def surface(self, surface: Surface, text: str = "") -> str:
+        """The name of a surface, of sides of elements where it has faces, else of nodes with weights; written once."""
+        key = text, surface.nodes.tobytes(), surface.weights.tobytes(), bool(surface.faces)
+        if key in self._surfaces:
+            return self._surfaces[key]
+        sides = self._sides(surface, text) if surface.faces else []
+        name = self._surfaces[key] = self.name("SURFACE", text)
+        self._surfaces.setdefault(("", *key[1:]), name)
         if surface.faces:
-            lines = [f"*SURFACE, NAME={name}, TYPE=ELEMENT", *self._sides(surface, text)]
+            lines = [f"*SURFACE, NAME={name}, TYPE=ELEMENT", *sides]
         else:
             pairs = zip(self.node(surface.nodes).tolist(), surface.weights.tolist(), strict=True)
             lines = [f"*SURFACE, NAME={name}, TYPE=NODE", *(f"{node}, {numeral(w)}" for node, w in pairs)]

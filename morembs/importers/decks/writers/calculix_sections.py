@@ -40,7 +40,7 @@ class SectionText(MeshText):
         key = np.asarray(stiffness).tobytes(), density
         if key in self._materials:
             return self._materials[key], []
-        name = self._materials[key] = self.name(text or "M")
+        name = self._materials[key] = self.name("MATERIAL", stem=text)
         mass = [] if density is None else ["*DENSITY", numeral(density)]
         return name, [f"*MATERIAL, NAME={name}", *elastic_lines(stiffness), *mass]
 
@@ -138,10 +138,10 @@ class SectionText(MeshText):
 
     def _axes(self, axes: Floats) -> tuple[str, list[str]]:
         """Name of an orientation along the rows of ``axes`` (3, 3), and the lines that define it unless it has been."""
-        key = "ORIENTATION", axes.tobytes()
+        key = "ORIENTATION", "", axes.tobytes()
         if key in self._sets:
             return self._sets[key], []
-        name = self._sets[key] = self.name("O")
+        name = self._sets[key] = self.name("ORIENTATION")
         return name, [f"*ORIENTATION, NAME={name}", numerals(axes[:2].ravel())]
 
     def _offsets(self, section: Section, rows: Ints) -> list[str]:

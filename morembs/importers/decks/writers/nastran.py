@@ -11,7 +11,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.importers.decks.formulations import nastran_meaning
 from morembs.importers.decks.labels import Labels, in_ranges, ranges_of
-from morembs.importers.decks.tables import DeckTables, Elements, Section
+from morembs.importers.decks.tables import NOT_WRITTEN, DeckTables, Elements, Section
 from morembs.importers.nastran.geometry import SOLIDS, card_of
 from morembs.importers.nastran.text_of_cards import Field, card
 from morembs.importers.tolerances import TOL
@@ -69,6 +69,11 @@ class NastranText:
         for label, x in zip(self.deck.ids.tolist(), self.deck.xyz.tolist(), strict=True):
             yield card("GRID", [label, "", *x])
         yield from (*elements, *self.cards, *ties, *self.set_cards(), "ENDDATA\n")
+        properties = {section.set for section in self.deck.sections}
+        loose = [name for name in self.deck.element_sets if name not in properties]
+        for kind, names in (("sets of elements", loose), ("surfaces", [*self.deck.surfaces])):
+            if names:
+                self.warnings.append(f"Nastran has no {kind}: {', '.join(names)} are not written {NOT_WRITTEN}")
 
     # Elements, properties and materials
 

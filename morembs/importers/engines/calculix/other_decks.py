@@ -16,8 +16,7 @@ from morembs.importers.decks.labels import Labels, in_ranges, ranges_of
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import MATERIAL, DeckOptions, lacking_problems
 from morembs.importers.decks.problems import DeckError, Problem, Problems
-from morembs.importers.decks.tables import Section
-from morembs.importers.decks.writers import NOT_WRITTEN
+from morembs.importers.decks.tables import NOT_WRITTEN, Section
 from morembs.importers.imported import Imported, Lacking, nodes_of, on_rows
 from morembs.importers.nastran.importer import read_nastran
 from morembs.importers.unv import read_unv

@@ -15,7 +15,7 @@ from morembs.base.scratch import ScratchFolder
 from morembs.importers.abaqus.importer import read_abaqus_deck
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.problems import DeckError
-from morembs.importers.decks.writers import NOT_WRITTEN
+from morembs.importers.decks.tables import NOT_WRITTEN
 from morembs.importers.engines.mystran.structures import with_structures
 from morembs.importers.imported import Imported
 
