@@ -355,7 +355,7 @@ def test_density_is_asked_for_only_where_only_it_is_missing(read):
         model_of(bare)
     for density in (7850.0, {"all": 7850.0}, {"all": 1.0, "all ": 2.0, "ALL": 7850.0}):
         if isinstance(density, dict) and "all " in density:
-            with pytest.raises(InputError, match="'all ', which lacks none"):
+            with pytest.raises(InputError, match="'all ', which the deck does not have"):
                 read(text, density=density)
             continue
         imported = read(text, density=density)
