@@ -119,6 +119,28 @@ def test_a_material_is_given_whoever_assembles(tmp_path):
     assert abs(models[2].K - models[0].K).max() < 1e-12 * abs(models[0].K).max()
 
 
+@pytest.mark.parametrize("there", [True, False])
+def test_a_material_that_a_deck_does_not_need_is_refused_whoever_could_assemble(
+    tmp_path, no_programs, monkeypatch, there
+):
+    """A mistake of the user is no reason to take another program, or to advise one."""
+    for name in ("MOREMBS_CCX", "MOREMBS_MYSTRAN") if there else ():
+        monkeypatch.setenv(name, str(calculix.program(tmp_path, "sys.exit()")))
+    iron = isotropic(set="all", young=7e10, poisson=0.3, density=1.0)
+    with pytest.raises(InputError) as told:
+        import_file(written(tmp_path, "box.inp", BOX), engine="auto", materials=[iron])
+    assert str(told.value) == "box.inp brings its own materials or matrices; leave --material out"
+
+
+def test_the_answer_to_a_deck_names_the_program(tmp_path, no_programs, monkeypatch):
+    path = written(tmp_path, "plate.inp", PLATE.replace("*DENSITY\n7850.\n", ""))
+    monkeypatch.setenv("MOREMBS_CCX", str(calculix.program(tmp_path, "sys.exit()")))
+    for engine in ("auto", "calculix"):
+        with pytest.raises(DeckError) as told:
+            import_file(path, engine=engine)
+        assert told.value.answer == f"morembs import plate.inp --engine {engine} --density X"
+
+
 @needs_mystran
 def test_nastran_shells_go_to_mystran(tmp_path):
     imported = import_file(written(tmp_path, "sheet.bdf", SHEET), engine="auto")

@@ -17,6 +17,7 @@ from morembs.fem.material import isotropic, orthotropic
 from morembs.importers import import_file
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.decks.options import deck_options
+from morembs.importers.decks.problems import DeckError
 from morembs.importers.decks.writers.calculix_mesh import FACES
 from morembs.importers.engines.calculix.flat import Choices, flat_deck
 from morembs.importers.engines.calculix.read import read_for_engine
@@ -387,6 +388,30 @@ def test_what_lacks_a_material_is_told_before_a_run(tmp_path, lines, sets, messa
     given = [isotropic(set=name, young=1.0, poisson=0.3, density=1.0) for name in sets]
     with pytest.raises(InputError, match=message):
         flat_text(tmp_path, TIED + lines, *given)
+
+
+def test_a_material_takes_the_place_of_one_without_density(tmp_path):
+    """As own assembly has it: the stiffness of the deck goes, too."""
+    bare = TIED.replace("*DENSITY\n7850.\n", "")
+    with pytest.raises(DeckError) as told:
+        flat_text(tmp_path, bare)
+    assert [problem.flags for problem in told.value.problems] == [("--density X",)]
+    for names in (("all",), ("A", "B")):
+        given = [isotropic(set=name, young=7e10, poisson=0.3, density=2700.0) for name in names]
+        text = flat_text(tmp_path, bare, *given)
+        assert text.count("2700") == len(names) and "2.1e11" not in text
+
+
+def test_the_cure_gives_no_element_two_materials(tmp_path):
+    """Sets of the other elements, not all."""
+    bare = TIED.replace("*SOLID SECTION,ELSET=A,MATERIAL=STEEL\n", "").replace(
+        "*SOLID SECTION,ELSET=B,MATERIAL=STEEL\n", ""
+    )
+    steel = isotropic(set="A", young=2.1e11, poisson=0.3, density=7850.0)
+    for given, sets in (((), "all"), ((steel,), "B")):
+        with pytest.raises(DeckError) as told:
+            flat_text(tmp_path, bare, *given)
+        assert told.value.problems[0].flags == (f"--material young=..,poisson=..,density=..,set={sets}",)
 
 
 def test_sections_of_elements_that_are_left_out_are_left_out(tmp_path):

@@ -19,7 +19,7 @@ from morembs.importers.decks.problems import DeckError
 from morembs.importers.model_file import read_model
 from morembs.importers.to_model import model_of
 from tests.support import mystran
-from tests.support.calculix import independent, program
+from tests.support.calculix import independent, program, solids
 from tests.support.meshes import box
 from tests.support.mystran import HEAD, STEEL, eigenvalues, grids, needs_mystran, plate, turned
 
@@ -377,6 +377,53 @@ def test_a_material_is_given_to_properties_without_one(tmp_path, owner):
     given = model_of(import_file(tmp_path / "deck.bdf", engine="mystran", materials=[steel]))
     for A, B in ((given.K, whole.K), (given.M, whole.M)):
         assert abs(A - B).max() < 1e-12 * abs(B).max()
+
+
+@pytest.mark.parametrize(
+    ("name", "owner", "message"),
+    [
+        ("a.bdf", "NOPE", "--material was given for the set 'NOPE'; known: PSHELL_1"),
+        ("a.bdf", "all", "--material was given for 'all', where nothing lacks a material; leave it out"),
+        ("a.inp", "NOPE", "--material was given for the set 'NOPE'; known: E"),
+        ("a.inp", "E", "--material was given for 'E', where nothing lacks a material; leave it out"),
+    ],
+)
+def test_a_material_that_nothing_needs_is_refused(tmp_path, name, owner, message):
+    shells = abaqus_plate("S4R", "*SHELL SECTION,ELSET=E,MATERIAL=S\n.01\n")
+    (tmp_path / name).write_text(shells if name == "a.inp" else f"{SHEET}ENDDATA\n")
+    steel = isotropic(set=owner, young=2.1e11, poisson=0.3, density=7850.0)
+    with pytest.raises(DeckError, match=message):
+        import_file(tmp_path / name, engine=f"mystran:{program(tmp_path, 'sys.exit()')}", materials=[steel])
+
+
+@needs_mystran
+def test_a_material_takes_the_place_of_one_without_density(tmp_path):
+    """Of bulk data and of an Abaqus deck, whose sets and materials are told by their own names."""
+    whole = imported(tmp_path, SHEET)
+    section = "*SHELL SECTION,ELSET=E,MATERIAL=S\n.01\n"
+    bare = abaqus_plate("S4R", section).replace("*DENSITY\n7850.\n", "")
+    (tmp_path / "a.inp").write_text(bare.replace("2.1e11", "1e9"))
+    (tmp_path / "a.bdf").write_text(SHEET.replace("2.1+11,,.3,7850.", "1.+9,,.3") + "ENDDATA\n")
+    for name, told_set in (("a.bdf", "PSHELL_1"), ("a.inp", "E")):
+        with pytest.raises(DeckError, match=f"set {told_set} has no .*--density X,set={told_set}"):
+            import_file(tmp_path / name, engine="mystran")
+        for owner in ("all", told_set):
+            steel = isotropic(set=owner, young=2.1e11, poisson=0.3, density=7850.0)
+            model = model_of(import_file(tmp_path / name, engine="mystran", materials=[steel]))
+            assert abs(model.K - whole.K).max() < 1e-9 * abs(whole.K).max()
+            assert abs(model.M - whole.M).max() < 1e-9 * abs(whole.M).max()
+            assert any("the material that was given took its place" in warning for warning in model.warnings)
+            assert not any("case control" in note for note in model.notes) or name == "a.bdf"
+
+
+@needs_mystran
+def test_a_density_that_is_given_for_a_set_of_an_abaqus_deck_is_taken(tmp_path):
+    body = solids("C3D8", (2, 1, 1), (2.0, 1.0, 1.0)).replace("*DENSITY\n7850.\n", "")
+    (tmp_path / "a.inp").write_text(body)
+    with pytest.raises(DeckError, match=r"of the set BODY has no .DENSITY; --density X,set=BODY"):
+        import_file(tmp_path / "a.inp", engine="mystran")
+    model = model_of(import_file(tmp_path / "a.inp", options={"density": {"BODY": 100.0}}, engine="mystran"))
+    assert masses(model)[0, 0] == pytest.approx(200.0) and model.source == "a.inp"
 
 
 @needs_mystran

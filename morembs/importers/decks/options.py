@@ -6,9 +6,12 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
+import numpy as np
+
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError, alike, nearest
 from morembs.base.limits import Positive, one_of
+from morembs.base.types import Ints
 from morembs.fem.material import Material
 from morembs.importers.decks.problems import Problem, Problems
 from morembs.importers.imported import Lacking
@@ -175,6 +178,22 @@ def lacking_problems(source: str, lacking: Mapping[str, Lacking]) -> list[Proble
         )
         for name, lack in lacking.items()
     ]
+
+
+def material_flags(bare: Ints, sets: Mapping[str, Ints]) -> tuple[str, ...]:
+    """Options that give the ``bare`` elements a material and no other a second one: for ``sets`` of members that are
+    all bare, the largest first; for "all" where these are not enough, or there are no sets."""
+    left, names = bare, list[str]()
+    for name, members in sorted(sets.items(), key=lambda item: -len(item[1])):
+        if len(members) and np.isin(members, left).all():
+            names.append(name)
+            left = np.setdiff1d(left, members)
+    return tuple(f"{MATERIAL}{name}" for name in (names if names and not len(left) else ["all"]))
+
+
+def unused_material(name: str) -> str:
+    """The sentence on a material that was given for a set where it is not needed."""
+    return f"--material was given for {name!r}, where nothing lacks a material; leave it out"
 
 
 MATERIAL = "--material young=..,poisson=..,density=..,set="

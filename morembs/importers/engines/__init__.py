@@ -16,6 +16,7 @@ from morembs.base.errors import InputError
 from morembs.base.options import Text, known, read_options
 from morembs.base.plugins import Registry
 from morembs.fem.material import Material
+from morembs.importers.decks.problems import DeckError
 from morembs.importers.engines.calculix.importer import import_with_calculix, readable_by_calculix
 from morembs.importers.engines.calculix.other_decks import FORMATS
 from morembs.importers.engines.calculix.program import find_ccx
@@ -131,7 +132,10 @@ def import_with_engine(
         cure="; give --set {key}=VALUE",
     )
     given_format = format_argument(engine.read, format)
-    return engine.read(path, executable=executable, materials=tuple(materials), **given_format, **values)
+    try:
+        return engine.read(path, executable=executable, materials=tuple(materials), **given_format, **values)
+    except DeckError as error:
+        raise DeckError(error.source, error.problems, (f"--engine {text}", *error.given), hint=error.hint) from error
 
 
 def format_argument(function: Callable[..., object], format: str) -> dict[str, str]:

@@ -10,7 +10,7 @@ from typing import Any
 from morembs.base.errors import InputError
 from morembs.base.options import known
 from morembs.importers.decks.problems import DeckError, Problem
-from morembs.importers.engines import ENGINES, Engine, format_argument, import_with_engine
+from morembs.importers.engines import AUTO, ENGINES, Engine, format_argument, import_with_engine
 from morembs.importers.imported import Imported
 
 # Options of programs that say nothing of the model: own assembly does without them.
@@ -62,7 +62,7 @@ def import_by_choice(
         try:
             executable = engine.find("")
         except InputError:
-            said += _would_read(path, format, engine, options)
+            said += _would_read(path, format, engine, {**options, **given})
             continue
         try:
             imported = import_with_engine(path, format, f"{name}:{executable.path}", its_options, **given)
@@ -75,7 +75,8 @@ def import_by_choice(
     least = min(errors, key=_needs)
     if isinstance(least, DeckError):
         hint = "; ".join(filter(None, [least.hint, *said]))
-        raise DeckError(least.source, least.problems, least.given, hint=hint) from least
+        given_flags = [flag for flag in least.given if not flag.startswith("--engine ")]
+        raise DeckError(least.source, least.problems, (f"--engine {AUTO}", *given_flags), hint=hint) from least
     raise InputError("; ".join([str(least), *said])) from least
 
 

@@ -31,6 +31,8 @@ from morembs.importers.nastran.springs import Springs
 # Values of PARAM COUPMASS that leave the mass lumped.
 OFF = ("-1", "NO", "")
 _SET = re.compile(r"^[ \t]*SET[ \t]+(\d{1,9})[ \t]*=((?:[^\n]*,[ \t]*\n)*[^\n]*)", re.MULTILINE | re.IGNORECASE)
+# Of bulk data behind an executive and case control.
+HEAD_NOTE = "Executive and case control are not carried over, sets of labels excepted."
 
 
 def read_nastran(
@@ -251,7 +253,7 @@ def notes_of(bulk: Bulk, scale: float, *, is_held: bool = False) -> list[str]:
     """What was left out, a sentence each; of a model that ``is_held`` nothing on restraints."""
     notes = []
     if bulk.text.head.strip():
-        notes.append("Executive and case control are not carried over, sets of labels excepted.")
+        notes.append(HEAD_NOTE)
     for name, count in bulk.noted.items():
         if not (is_held and name in RESTRAINTS[:3]):
             notes.append(f"{count} {name}: {_why(name)}.")

@@ -12,7 +12,7 @@ from morembs.fem.material import Material
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
-from morembs.importers.decks.options import MATERIAL
+from morembs.importers.decks.options import MATERIAL, material_flags, unused_material
 from morembs.importers.decks.problems import Problem
 from morembs.importers.decks.writers.calculix_mesh import numeral
 from morembs.importers.decks.writers.calculix_sections import elastic_lines
@@ -53,7 +53,10 @@ class Sections:
         name = self.assembly.final_name("element", placed, elset) if is_set else elset
         own = card.options.get("MATERIAL", "")
         given = next((key for key in (name.upper(), elset.upper()) if key in self._given), "")
-        if given and (not own or self._lack(own.upper())):
+        lack = self._lack(own.upper()) if given and own else ""
+        if given and (lack or not own):
+            if lack:
+                self._replaced(lack)
             card = Card(card.keyword, {**card.options, "MATERIAL": _key(given)}, card.file, card.line)
         self._set_of.setdefault(own.upper(), name)
         return card
@@ -88,7 +91,10 @@ class Sections:
         if len(bare):
             first = self.flat.deck.labels[bare[0]]
             what = f"{len(bare)} solid elements have no section and so no material (first: {first})"
-            self._problem(f"{what}; {MATERIAL}all", f"{MATERIAL}all")
+            members = {name: self.assembly.members("element", *place) for name, place in named.items()}
+            of_solids = {name: own[own < solids] for name, own in members.items()} if self._given else {}
+            flags = material_flags(bare, of_solids)
+            self._problem(f"{what}; {' '.join(flags)}", *flags)
 
     def materials(self) -> None:
         """Materials that sections name, with their stiffness and density only."""
@@ -106,24 +112,31 @@ class Sections:
                 out.body.append(
                     (-2, "\n".join([f"*MATERIAL, NAME={name}", *elastic, "*DENSITY", numeral(given.density)]))
                 )
+                if not is_given:
+                    self._replaced(lack)
             elif lack:
-                flag = f"{MATERIAL}{self._set_of.get(key, 'all')}"
+                flag = "--density X" if self._is_elastic(key) else f"{MATERIAL}{self._set_of.get(key, 'all')}"
                 self._problem(f"{lack}; {flag}", flag)
             else:
                 self._material(key, name)
         for material in unused.values():
-            what = f"--material was given for {material.set!r}, where nothing lacks a material; leave it out"
-            self._problem(what)
+            self._problem(unused_material(material.set))
 
     def _lack(self, key: str) -> str:
-        """In which way a material of the deck is none, a sentence; empty where it has a stiffness."""
+        """In which way a material of the deck is none, a sentence; empty where it has a stiffness and a density."""
         if key not in self.deck.materials:
             return f"a section names the material {key!r}, which is not defined"
         words = [card.keyword for card, _ in self.deck.materials[key]]
         if "ELASTIC" not in words:
             listed = ", ".join(f"*{word}" for word in words) or "empty"
             return f"material {key} is {listed} only, which is not linear elastic; expected *ELASTIC"
-        return ""
+        return "" if "DENSITY" in words or self._density(key) is not None else f"the material {key} has no *DENSITY"
+
+    def _replaced(self, lack: str) -> None:
+        self.flat.warnings.append(f"{lack}; the material that was given took its place")
+
+    def _is_elastic(self, key: str) -> bool:
+        return any(card.keyword == "ELASTIC" for card, _ in self.deck.materials.get(key, ()))
 
     def _material(self, key: str, name: str) -> None:
         """A material of the deck, with the density that was given where it has none."""
@@ -133,11 +146,8 @@ class Sections:
             if word in given:
                 card, rows = given[word]
                 lines.append(out.lines(self.assembly.top, card, [row for row in rows if row], "."))
-        if "DENSITY" not in given:
-            density = self._density(key)
-            if density is None:
-                self._problem(f"the material {key} has no *DENSITY; --density X", "--density X")
-                return
+        density = self._density(key)
+        if "DENSITY" not in given and density is not None:
             lines.append(f"*DENSITY\n{numeral(density)}")
             self.flat.warnings.append(
                 f"the material {key} has no *DENSITY; {density:g} was given and taken [density-given]"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,22 +12,27 @@ import numpy as np
 
 from morembs.base.options import known
 from morembs.base.scratch import ScratchFolder
+from morembs.fem.material import Material
 from morembs.importers.abaqus.importer import read_abaqus_deck
 from morembs.importers.decks.model import Deck
-from morembs.importers.decks.problems import DeckError
+from morembs.importers.decks.options import lacking_problems
+from morembs.importers.decks.problems import Problems
 from morembs.importers.decks.tables import NOT_WRITTEN
+from morembs.importers.engines.calculix.other_decks import gives_no_mass, with_materials
 from morembs.importers.engines.mystran.structures import with_structures
-from morembs.importers.imported import Imported
+from morembs.importers.imported import Imported, Lacking
+from morembs.importers.nastran.importer import HEAD_NOTE
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Source:
-    """Where the bulk data lie; the ``deck`` that they were written of, None where they are the file itself, and what
-    is to be said of the writing."""
+    """Where the bulk data lie; the ``deck`` that they were written of, None where they are the file itself, what is
+    to be said of the writing, and the ``materials`` that are given for sets of the bulk data."""
 
     bulk: Path
     deck: Deck | None = None
     warnings: tuple[str, ...] = ()
+    materials: tuple[Material, ...] = ()
 
     def density(self, given: float | Mapping[str, float] | None) -> float | dict[str, float] | None:
         """Densities for properties of the bulk data: those of sets of another deck are in these already."""
@@ -47,32 +52,56 @@ class Source:
             rows = sorted(row[label] for label in labels if label in row)
             if rows:
                 sets[name] = np.array(rows)
+        # What lacks a density is told by the names of the deck.
+        warnings = [said for said in imported.warnings if not said.endswith("[no-density]")]
         return replace(
             imported,
             source=deck.name,
             nodes=replace(imported.nodes, sets=sets),
-            notes=(*imported.notes, *deck.notes, *deck.remarks),
-            warnings=tuple(dict.fromkeys((*deck.warnings, *self.warnings, *imported.warnings))),
+            notes=(*(note for note in imported.notes if note != HEAD_NOTE), *deck.notes, *deck.remarks),
+            warnings=tuple(dict.fromkeys((*deck.warnings, *self.warnings, *warnings))),
         )
 
 
 @contextmanager
-def as_bulk(path: Path, format: str, options: Mapping[str, Any]) -> Iterator[Source]:
+def as_bulk(path: Path, format: str, options: Mapping[str, Any], materials: Sequence[Material]) -> Iterator[Source]:
     """The bulk data of a deck of a format, in a folder of their own where they have to be written.
+
+    Args:
+        materials: given ones of sets of the deck, which bulk data that are written have as their own.
 
     Raises:
         DeckError: what keeps the deck from becoming a model, whoever assembles it.
         InputError: what bulk data cannot say.
     """
     if format == "nastran":
-        yield Source(bulk=path)
+        yield Source(bulk=path, materials=tuple(materials))
         return
     deck = read_abaqus_deck(path, **{key: value for key, value in options.items() if key in known(read_abaqus_deck)})
     deck = with_structures(deck, path, deck.options, outside=options.get("allow_includes_outside", False))
-    problems = [*deck.problems, *(part.problem for part in deck.elements if part.problem)]
-    if problems:
-        raise DeckError(deck.name, problems, deck.options.flags)
+    problems = Problems(deck.name, deck.options.flags)
+    problems.entries = [*deck.problems, *(part.problem for part in deck.elements if part.problem)]
+    problems.refuse()
+    with problems.ending():
+        deck = with_materials(deck, materials, problems)
+        said = _without_mass(deck, problems)
+    problems.refuse()
     with closing(ScratchFolder(None)) as scratch:
-        bulk = scratch.path / f"{path.stem}.bdf"
-        said = (sentence for sentence in deck.write(bulk, "nastran") if NOT_WRITTEN not in sentence)
+        # Messages name the deck of the user.
+        bulk = scratch.path / path.name
+        said += [sentence for sentence in deck.write(bulk, "nastran") if NOT_WRITTEN not in sentence]
         yield Source(bulk=bulk, deck=deck, warnings=tuple(said))
+
+
+def _without_mass(deck: Deck, problems: Problems) -> list[str]:
+    """Sections of shells, beams and trusses without any mass: problems where nothing else has one, else warnings."""
+    lacking = {own.set: own for own in deck.sections if own.kind != "solid" and gives_no_mass(deck.materials, own)}
+    heavy = len(lacking) < len(deck.sections) or deck.masses or any(own.matrix == "M" for own in deck.discrete)
+    sentences = {
+        name: f"the material {own.material} of the set {name} has no *DENSITY" for name, own in lacking.items()
+    }
+    if heavy:
+        return [f"{said} and gives no mass; --density fills it in [no-density]" for said in sentences.values()]
+    lacks = {name: Lacking(sentence=said, stiffness=np.eye(6)) for name, said in sentences.items()}
+    problems.entries += lacking_problems(deck.name, lacks)
+    return []

@@ -19,6 +19,7 @@ from morembs.fem.material import Material
 from morembs.importers.decks.join import couplings_of, join
 from morembs.importers.decks.missing_middles import with_middles
 from morembs.importers.decks.options import Boundary, DeckOptions, deck_options, lacking_problems
+from morembs.importers.decks.problems import Problem
 from morembs.importers.decks.tables import DeckTables, Supports
 from morembs.importers.engines.mystran.bulk import as_bulk
 from morembs.importers.engines.mystran.elements import STRUCTURES, Structures, solid_cards
@@ -94,14 +95,14 @@ def import_with_mystran(
     if format == "nastran" and other:
         raise InputError(f"--{other} was given with --engine mystran, and bulk data have none; leave it out")
     reading = {"density": density, "skip": skip, "allow_includes_outside": allow_includes_outside}
-    with as_bulk(Path(path), format, {**reading, "dialect": dialect, "contact": contact}) as source:
+    with as_bulk(Path(path), format, {**reading, "dialect": dialect, "contact": contact}, materials) as source:
         if boundary == "keep" and source.deck is not None and not len(source.deck.supports.nodes):
             raise InputError(
                 f"--boundary keep was given for {Path(path).name}, whose supports are not read; leave it out, and hold "
                 "the model by [[interface]] of a job"
             )
         options = deck_options(source.density(density), "refuse", skip if format == "nastran" else "")
-        deck = _Deck(source.bulk, options, boundary == "keep", allow_includes_outside, materials)
+        deck = _Deck(source.bulk, options, boundary == "keep", allow_includes_outside, source.materials)
         return source.whole(_assembled(deck, program, timeout, jobs, keep, grids))
 
 
@@ -139,9 +140,9 @@ def readable_by_mystran(
         InputError: it cannot.
     """
     reading = {"density": density, "skip": skip, "allow_includes_outside": allow_includes_outside}
-    with as_bulk(path, format, {**reading, "dialect": dialect, "contact": contact}) as source:
+    with as_bulk(path, format, {**reading, "dialect": dialect, "contact": contact}, materials) as source:
         options = deck_options(source.density(density), "refuse", skip if format == "nastran" else "")
-        _Deck(source.bulk, options, False, allow_includes_outside, materials)
+        _Deck(source.bulk, options, False, allow_includes_outside, source.materials)
 
 
 class _Deck:
@@ -215,6 +216,8 @@ class _Deck:
         ]
         cards = self.sections.cards({material.set: material.density for material in filled}, without=soft)
         self.warnings += self.sections.warnings
+        for sentence in self.sections.misgiven():
+            bulk.problems.add(Problem(what=sentence, file=bulk.file, keyword="MATERIAL"))
         return cards
 
     def imported(self, K: sp.csr_array, M: sp.csr_array, version: str) -> Imported:

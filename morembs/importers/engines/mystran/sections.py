@@ -11,8 +11,9 @@ from math import pi
 
 import numpy as np
 
-from morembs.base.errors import InputError
+from morembs.base.errors import InputError, nearest
 from morembs.fem.material import Material, isotropic
+from morembs.importers.decks.options import unused_material
 from morembs.importers.engines.mystran.cards import system_card
 from morembs.importers.imported import Lacking
 from morembs.importers.nastran.bulk import Bulk
@@ -67,6 +68,9 @@ class Sections:
         self._given = {material.set: _isotropic_row(material, scale) for material in materials}
         self.sets: list[str] = []
         self.warnings: list[str] = []
+        # Names of the given materials that were needed, and of sets whose own ones give no mass and are replaced.
+        self._used: set[str] = set()
+        self._replaced: set[str] = set()
         self._numbers: dict[tuple[str, int], int] = {}
         self._rows: list[tuple[str, list[str], str]] = []
         self._properties = {
@@ -105,7 +109,11 @@ class Sections:
                 bare[name] = Lacking(sentence=f"the set {name} {what}")
             elif mids and not self._nsm(kind, row) and not any(self._density(mid, name) for mid in mids):
                 sentence = f"{self.material(mids[0], self.file, name)[0]} {mids[0]} of the set {name} has no density"
-                bare[name] = Lacking(sentence=sentence, stiffness=np.eye(6))
+                if self._given.keys() & {name, "all"}:
+                    self._replaced.add(name)
+                    self.warnings.append(f"{sentence}; the material that was given took its place")
+                else:
+                    bare[name] = Lacking(sentence=sentence, stiffness=np.eye(6))
         return bare
 
     def cards(self, densities: Mapping[str, float], without: Collection[str]) -> list[tuple[str, ...]]:
@@ -138,12 +146,23 @@ class Sections:
     def material(self, mid: int, what: str, name: str) -> tuple[str, list[str]]:
         """Name and fields of a material card, of the set ``name`` the one that was given where there is none."""
         for card_, rows in self._materials.items():
-            if mid in rows:
+            if mid in rows and name not in self._replaced:
                 return card_, padded(rows[mid], _MATERIALS[card_][1])
-        given = self._given.get(name, self._given.get("all"))
-        if given is None:
+        owner = name if name in self._given else "all"
+        if owner not in self._given:
             raise InputError(f"{what} names the material {mid}; expected one of {', '.join(_MATERIALS)}")
-        return "MAT1", given
+        self._used.add(owner)
+        return "MAT1", self._given[owner]
+
+    def misgiven(self) -> list[str]:
+        """A sentence on each given material of a set that is not there, or that nothing needed."""
+        return [
+            unused_material(name)
+            if name in (*self.sets, "all")
+            else f"--material was given for the set {name!r}; {nearest(name, self.sets)}"
+            for name in self._given
+            if name not in self._used
+        ]
 
     def _density(self, mid: int, name: str) -> float:
         card_, row = self.material(mid, self.file, name)

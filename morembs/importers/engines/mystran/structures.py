@@ -13,7 +13,7 @@ from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.deck import Rows, values
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
-from morembs.importers.decks.labels import ranges_of
+from morembs.importers.decks.labels import in_ranges, ranges_of
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.tables import ElasticMaterial, Elements, Section
@@ -80,6 +80,8 @@ class _Structures:
 
     def into(self, deck: Deck) -> Deck:
         """The deck with all of it."""
+        solids = np.concatenate([self.labels[:0], *(part.ids for part in deck.elements if part.kind == "solid")])
+        self.taken = {name for name, own in deck.element_sets.items() if in_ranges(solids, own).any()}
         places = [*self.assembly.placed.values(), self.assembly.top]
         first = self.assembly.solids + len(self.assembly.discrete)
         for scope, card, rows in self.read.cards:
@@ -113,7 +115,9 @@ class _Structures:
         elset = card.need("ELSET")
         if "COMPOSITE" in card.options or not rows:
             raise InputError(f"{card} of {elset!r} has layers or no data, which MYSTRAN is not given here")
-        name = f"section {len(self.sections) + 1} of {elset}"
+        name = self.assembly.final_name("element", placed, elset)
+        if name in self.taken or name in self.sets:
+            name = f"section {len(self.sections) + 1} of {name}"
         self.sets[name] = ranges_of(self.labels[numbers])
         kind, data = _SECTIONS[card.keyword], values([text for text in rows[0] if text], card)
         made = Section(set=name, kind=kind, code=f"*{card.keyword}", material=self._material(card))
