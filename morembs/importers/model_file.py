@@ -48,6 +48,9 @@ def write_model(
         InputError: something else than a model, or a source file that cannot be read.
         OverwriteError: ``path`` is a file of another kind, such as the deck that the model was read from.
         OutputError: the file cannot be written.
+
+    >>> write_model("bar.model.h5", model).name
+    'bar.model.h5'
     """
     check_value("write_model: path", path, str | Path)
     if not isinstance(model, FEModel):
@@ -91,6 +94,9 @@ def read_model(path: str | Path) -> FEModel:
 
     Raises:
         InputError: no such file, another kind of file, one of a newer version, or one that is damaged.
+
+    >>> read_model(write_model("bar.model.h5", model)).size == model.size
+    True
     """
     check_value("read_model: path", path, str | Path)
     if holds_format(Path(path), "morembs-body"):

@@ -113,7 +113,7 @@ def import_model(path: str | Path | None = None, *, materials: Sequence[Material
     >>> import meshio
     >>> meshio.Mesh(nodes.xyz, [("hexahedron", cells)]).write("bar.vtk")
     >>> import_model("bar.vtk", materials=[steel])
-    FEModel: nodes 20; dofs 60; elements 4 hex8; source bar.vtk
+    FEModel: dofs 60; nodes 20; elements 4; matrices K, M; source bar.vtk
     """
     refuse_other_materials(materials)
     given = read_import_options(file=path, besides=["materials"], **options)
