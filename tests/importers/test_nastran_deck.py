@@ -469,6 +469,9 @@ def test_replicated_cards(bulk):
     )
     rows = [np.flatnonzero(chain.nodes.ids == label)[0] for label in range(1, 6)]
     assert np.array_equal(chain.nodes.xyz[rows], [[k / 10, 0, -k / 10] for k in range(5)])
+    # A card with a name and number of its own copies the further fields.
+    copied = bulk(CUBE.replace("CHEXA,7,1", "CHEXA,7,2") + "PSOLID,1,1\nPSOLID,2,==\nMAT1,1,2.1+11,,.3,7850.\n")
+    assert [material.set for material in copied.materials] == ["PSOLID_2"] and not copied.incomplete
 
 
 def test_edges_without_middle_nodes_are_linear(bulk):

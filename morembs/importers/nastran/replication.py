@@ -1,7 +1,7 @@
 """Replicated cards of Nastran: fields that are copied or counted up from the card above, as often as asked.
 
 ``=`` copies a field and ``==`` all further ones, ``*x`` adds x, and a line ``=n`` or ``=(n)`` applies the line above n
-times more (Quick Reference Guide, replication).
+times more (Quick Reference Guide, replication). A line that begins with a name of its own may copy the further fields.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from decimal import Decimal
 from morembs.base.errors import InputError
 from morembs.importers.tolerances import TOL
 
-BLOCK = re.compile(rb"(?:^[ \t]*=[^\n]*\n(?:[ \t]*\n)*)+", re.MULTILINE)
+BLOCK = re.compile(rb"(?:^(?:[ \t]*=[^\n]*|[A-Za-z][^\n=]*,[ \t]*==?[ \t]*(?:,[^\n]*)?)\n(?:[ \t]*\n)*)+", re.MULTILINE)
 _AGAIN = re.compile(r"=\(?(\d{1,6})\)?")
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[EDed]?([+-]\d+)|[EDed](\d+))?")
 
