@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gzip
 import importlib
 import subprocess
 import sys
@@ -89,3 +90,17 @@ def test_a_basis_is_made_by_the_old_keywords() -> None:
     assert dataclasses.replace(basis, V_velocity=V).V_velocity is V
     with pytest.raises(TypeError, match="right"):
         Basis(V=V, kinds=(), K=V, rigid=V, right=W)
+
+
+def test_keys_of_the_certificate_of_a_file_warn_and_give_its_datasets(tmp_path: Path) -> None:
+    path = tmp_path / "body.h5"
+    path.write_bytes(gzip.decompress((Path(__file__).parent / "data" / "0.1.0" / "symmetric.h5.gz").read_bytes()))
+    certificate = morembs.read_body(path).bodies["rail"].certificate
+    with pytest.warns(DeprecationWarning, match="keys of a Certificate are now its attributes"):
+        assert certificate["error"] is certificate.error
+    with pytest.warns(DeprecationWarning, match="they go with 1.0"):
+        assert certificate.get("limits", 3) == 3 and "limits" not in certificate
+    with pytest.warns(DeprecationWarning, match="they go with 1.0"):
+        assert dict(certificate)["bound_kind"] == certificate.bound_kind == "bound"
+    with pytest.warns(DeprecationWarning, match="they go with 1.0"):
+        assert set(certificate.keys()) == set(dict(certificate.items())) == set(certificate.datasets)

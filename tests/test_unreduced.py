@@ -92,8 +92,8 @@ def certificate(path: Path) -> tuple[StoredBodies, Mapping[str, np.ndarray]]:
     run("reduce", str(path), "--quiet")
     stored = read_body(path.with_suffix(".h5"))
     (body,) = stored.bodies.values()
-    assert ("against the unreduced parts" in body.certificate["notes"]) == ('job = "' in path.read_text())
-    return stored, body.certificate
+    assert ("against the unreduced parts" in "; ".join(body.certificate.notes)) == ('job = "' in path.read_text())
+    return stored, body.certificate.datasets
 
 
 def whole(jobs: list[Path], joints: list[Joint], *, turned: bool = False, damping: list[dict] | None = None, **same):

@@ -7,7 +7,7 @@ import importlib
 import inspect
 import sys
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, ItemsView, KeysView, Mapping, Sequence
 from functools import wraps
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -118,6 +118,36 @@ class FormerMethod:
         text = f"the {type(self).__name__} is there without a call now; brackets behind it go with 1.0"
         warnings.warn(text, DeprecationWarning, 2)
         return self
+
+
+class FormerMapping:
+    """What was a mapping of names to ``datasets`` in 0.1, where it was read from a file, and is an object now: keys
+    warn, and give the same."""
+
+    @property
+    def datasets(self) -> Mapping[str, Any]:
+        """Names to values as a file keeps them."""
+        raise NotImplementedError
+
+    def _former(self) -> Mapping[str, Any]:
+        text = f"keys of a {type(self).__name__} are now its attributes, or keys of its datasets; they go with 1.0"
+        warnings.warn(text, DeprecationWarning, 3)
+        return self.datasets
+
+    def __getitem__(self, name: str) -> Any:
+        return self._former()[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._former()
+
+    def get(self, name: str, default: Any = None) -> Any:
+        return self._former().get(name, default)
+
+    def keys(self) -> KeysView[str]:
+        return self._former().keys()
+
+    def items(self) -> ItemsView[str, Any]:
+        return self._former().items()
 
 
 def with_progress_argument(function: Callable[P, R]) -> Callable[P, R]:

@@ -12,7 +12,7 @@ import numpy as np
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
 from morembs.base.limits import PositiveCount
-from morembs.base.summary import error_words, hertz, kinds_words, summarised
+from morembs.base.summary import hertz, kinds_words, summarised
 from morembs.base.types import Floats, Ints
 from morembs.body.floating.frame import FloatingFrame
 from morembs.body.floating.ranking import RankedTerm
@@ -21,7 +21,7 @@ from morembs.body.parametric_parts import ParametricParts
 from morembs.body.recovery_shapes import RECOVERY, Recovery, recovery_parts
 from morembs.body.tolerances import TOL
 from morembs.body.view import Viewed
-from morembs.certificate.record import CERTIFICATE
+from morembs.certificate.record import CERTIFICATE, Certificate
 from morembs.fem.fe_model import STRUCTURAL
 from morembs.responses.static_mode_tables import StaticModeTables
 from morembs.storage.table import Later, Row, Table, dataset, listed, table_of
@@ -80,7 +80,7 @@ class Body(Viewed):
     Matrices (n, n), ``input_matrix`` (n, m), ``output_matrix`` (m, n), which is its transpose unless the body is not
     symmetric; ``frequencies_hz`` (n,) eigenfrequencies of the reduced pencil in ascending order and
     ``full_frequencies_hz`` those of the full coupled model where they were computed, rigid ones zero; ``certificate``
-    says how wrong the body is, if that was asked for: a ``Certificate``, or names to values where it was read;
+    says how wrong the body is, if that was asked for;
     ``floating`` is what a simulator with large rotations needs, None for a body that is held or not symmetric;
     ``ranking`` says which of its terms matter, ``spin`` has the matrices of a frame that turns with the body.
 
@@ -145,8 +145,8 @@ class Body(Viewed):
         when="only where it is not B', and then the format version is 2",
         write=lambda body: None if body.reduced.symmetric else body.output_matrix,
     )
-    certificate: Any = dataset(
-        CERTIFICATE, default=None, read=False, doc="how wrong the body is, if that was asked for: see below", when="if"
+    certificate: Certificate | None = dataset(
+        CERTIFICATE, default=None, doc="how wrong the body is, if that was asked for: see below", when="if"
     )
     floating: FloatingFrame | None = dataset(
         table_of(FloatingFrame), name="floating_frame", default=None, when="free bodies with symmetric matrices"
@@ -209,21 +209,11 @@ class Body(Viewed):
             "name": self.name,
             "order": len(self.stiffness_matrix),
             "elastic frequencies": hertz(self.frequencies_hz[self.rigid_count :]),
-            "error": self._error(),
+            "error": "not certified" if self.certificate is None else self.certificate.words,
             "coordinates": kinds_words(self.mode_kind),
             "mass": None if self.part is None else f"{self.part.mass:.4g} kg",
             "frame": None if self.floating is None else self.floating.kind,
         }
-
-    def _error(self) -> str:
-        known = self.certificate
-        if not isinstance(known, Mapping):
-            return "not certified" if known is None else known.words
-        if "limits" not in known:  # of version 0.1
-            return f"{float(np.max(known['error'])):.1e} at samples"
-        kinds = {"bound": "proven", "estimate": "estimate", "none": "sampled"}
-        measure, kind = (str(known[key]) for key in ("measure", "bound_kind"))
-        return error_words(measure, known["limits"][measure][1], known["error"], known["band_hz"], kinds[kind])
 
     @property
     def has_recovery(self) -> bool:

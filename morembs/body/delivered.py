@@ -20,6 +20,7 @@ from morembs.fem.fe_model import STRUCTURAL, WITHOUT_MASS, Component
 
 if TYPE_CHECKING:
     from morembs.body.part import Part
+    from morembs.certificate.record import Certificate
     from morembs.reducers.base import ReducedModel
 
 
@@ -76,7 +77,6 @@ def delivered(body: ReducedModel | Body, part: Part | StoredBodies | None) -> De
 
 def _of_body(body: Body, part: Part) -> Delivered:
     r = body.reduced
-    certificate = body.certificate
     frame, motion = np.full((r.B.shape[1], 6), np.nan), np.full(r.B.shape[1], Component.SCALAR)
     names = [""] * r.B.shape[1]
     place = {int(label): row for row, label in enumerate(part.nodes.ids.tolist())}
@@ -109,17 +109,7 @@ def _of_body(body: Body, part: Part) -> Delivered:
         inertia=part.inertia,
         floating=body.floating,
         without_mass=str(r.recipe.get(WITHOUT_MASS, "")),
-        curve=None
-        if certificate is None
-        else _curve(
-            certificate.frequencies_hz,
-            certificate.reduced,
-            certificate.damping_floor,
-            motion,
-            r.structural,
-            part.mass,
-            part.inertia,
-        ),
+        curve=_curve(body.certificate, motion, r.structural, part.mass, part.inertia),
         markers={
             interface.name: np.arange(r.B.shape[1])[part.columns[interface.name]]
             for interface in part.interfaces
@@ -130,7 +120,7 @@ def _of_body(body: Body, part: Part) -> Delivered:
 
 def _of_stored(body: Body, file: StoredBodies) -> Delivered:
     place = {int(label): row for row, label in enumerate(file.node_ids.tolist())}
-    kept, known = list(file.interfaces.items()), body.certificate
+    kept = list(file.interfaces.items())
     points, names = [], []
     for which, motion, label in zip(
         file.input_interface.tolist(), file.input_component.tolist(), file.input_node_id.tolist(), strict=True
@@ -160,16 +150,8 @@ def _of_stored(body: Body, file: StoredBodies) -> Delivered:
         inertia=file.inertia,
         floating=body.floating,
         without_mass=str(body.recipe.get(WITHOUT_MASS, "")),
-        curve=None
-        if known is None or not {"reduced", "damping_floor"} <= set(known)
-        else _curve(
-            known["frequencies_hz"],
-            known["reduced"],
-            float(known["damping_floor"]),
-            file.input_component,
-            float(body.recipe.get(STRUCTURAL, 0.0)),
-            file.mass,
-            file.inertia,
+        curve=_curve(
+            body.certificate, file.input_component, float(body.recipe.get(STRUCTURAL, 0.0)), file.mass, file.inertia
         ),
         markers={
             name: np.flatnonzero(file.input_interface == which)
@@ -187,14 +169,21 @@ def _meant_symmetric(body: Body, file: StoredBodies) -> bool:
 
 
 def _curve(
-    hz: Floats, size: Floats, floor: float, motion: Ints, structural: float, mass: float, inertia: Floats
+    certificate: Certificate | None, motion: Ints, structural: float, mass: float, inertia: Floats
 ) -> Curve | None:
-    """The curve of a certificate with the damping ``floor``; None where it is not known what lengths rotations have."""
+    """The curve of a certificate; None where there is none, or it is not known what lengths rotations have."""
+    if certificate is None or certificate.reduced is None or certificate.damping_floor is None:
+        return None
     turning, square = (motion > 2) & (motion < Component.SCALAR), float(np.trace(inertia)) / (2 * mass)
     if turning.any() and not square > 0:
         return None
     scale = np.where(turning, np.sqrt(max(square, 0.0)), 1.0)
-    return Curve(frequencies_hz=hz, size=size, scale=scale, structural=structural + 2 * floor)
+    return Curve(
+        frequencies_hz=certificate.frequencies_hz,
+        size=certificate.reduced,
+        scale=scale,
+        structural=structural + 2 * certificate.damping_floor,
+    )
 
 
 def _points(labels: Ints, place: Mapping[int, int], xyz: Floats) -> Floats:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -22,7 +21,6 @@ from morembs.fem.interface import Interface
 from morembs.storage.checksums import GROUP, Checksums, unsealed
 from morembs.storage.hdf5 import reading_format
 from morembs.storage.kinds import refuse_not_finite
-from morembs.storage.lemma import read_lemmas
 from morembs.storage.table import Later, Row, Table, dataset, derived, read_rows, table_of
 
 if TYPE_CHECKING:
@@ -214,10 +212,7 @@ class BodyFile:
         values = read_rows(group, BODY, later=partial(self._later, name))
         values.setdefault("output_matrix", values["input_matrix"].T)
         values["mode_kind"] = tuple(kinds[code] for code in values["mode_kind"])
-        certificate = _tree(group["certificate"], np.asarray) if "certificate" in group else None
-        if certificate is not None and "proof" in certificate:
-            certificate["proof"] = [asdict(lemma) for lemma in read_lemmas(json.loads(certificate["proof"]))]
-        return Body(name=name, certificate=certificate, file=self, **values)
+        return Body(name=name, file=self, **values)
 
     def _later(self, body: str, row: Row) -> Callable[..., Any]:
         """What reads a dataset of a body, or a group of them, at each call."""
@@ -267,19 +262,13 @@ def _interface(name: str, group: Any, kept: Ints) -> Interface:
     return Interface(name=name, nodes=rows, **values)
 
 
-def _tree(group: Any, array: Callable[[Any], Any] = np.ndarray.tolist) -> dict[str, Any]:
-    """Nested mapping of a group; text as str, numbers as Python numbers, arrays as ``array`` makes them."""
-    result: dict[str, Any] = {}
-    for name, item in group.items():
-        if hasattr(item, "shape"):
-            value = item[()]
-            if isinstance(value, bytes):
-                result[name] = value.decode()
-            else:
-                result[name] = array(value) if item.shape else value.item()
-        else:
-            result[name] = _tree(item, array)
-    return result
+def _tree(group: Any) -> dict[str, Any]:
+    """Nested mapping of a group; text as str, numbers as Python numbers, arrays as lists."""
+    return {name: _tree(item) if hasattr(item, "items") else _plain(item[()]) for name, item in group.items()}
+
+
+def _plain(value: Any) -> Any:
+    return value.decode() if isinstance(value, bytes) else value.tolist()
 
 
 def basis_columns(data: Any, columns: slice) -> Floats:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
 
+import numpy as np
+
+from morembs.base.former_names import FormerMapping
 from morembs.base.optional import optional
 from morembs.base.summary import error_words, summarised, upwards
 from morembs.base.types import Floats
-from morembs.storage.lemma import Lemma, proof_json
+from morembs.responses.measures import MEASURES, Limit
+from morembs.storage.lemma import Lemma, proof_json, read_lemmas
 from morembs.storage.table import dataset, derived, table_of
-
-if TYPE_CHECKING:
-    from morembs.responses.measures import Limit
 
 OLD_KINDS = {"proven": "bound", "estimate": "estimate", "sampled": "none"}
 _MAYBE = "may be absent"
@@ -43,7 +45,10 @@ class ErrorLimits:
         name="limits/*",
         doc="`envelope`, `peak`, `pointwise`: largest error over the band: a value that is reached, one that is not "
         "exceeded (infinite where there is none), and the frequency of the former in Hz",
-        write=lambda own: {name: (limit.lower, limit.upper, limit.at_hz) for name, limit in own.limits.items()},
+        known=MEASURES,
+        write=lambda own: {
+            name: np.array([limit.lower, limit.upper, limit.at_hz]) for name, limit in own.limits.items()
+        },
     )
     block_limit: Floats = dataset(
         "any",
@@ -63,7 +68,7 @@ class ErrorLimits:
 
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Certificate(ErrorLimits):
+class Certificate(ErrorLimits, FormerMapping):
     """Errors of the elastic transfer matrix H over ``band_hz``, forces and moments scaled by the radius of gyration.
 
     ``limits`` hold at every frequency of the band where ``kind`` is "proven"; it is "estimate" where they rest on an
@@ -85,6 +90,8 @@ class Certificate(ErrorLimits):
     whole cluster where modes are close. No mode is missing below ``verified_below_hz``. ``proof`` is the chain of
     lemmas that the limits rest on: ``kind`` is "proven" where all of them are; there is none without limits.
 
+    One of a file of 0.1 holds at samples: it has no ``limits``, and None for what its file lacks.
+
     >>> [certificate] = certify(problem, [reduced], [0.0, 3000.0])
     >>> certificate.limit.lower <= certificate.limit.upper
     True
@@ -99,7 +106,6 @@ class Certificate(ErrorLimits):
     damping_floor: float = dataset(
         "real", "", "ratio of critical damping assumed in the full model and the body", since="0.2"
     )
-    kind: str
     frequencies_hz: Floats = dataset("any", "nf", "of the curves", "Hz")
     full: Floats = dataset("any", "nf", "size of the transfer matrix of the full model", "m/N", when=_MAYBE)
     reduced: Floats = dataset("any", "nf", "size of that of the body", "m/N", when=_MAYBE)
@@ -188,9 +194,9 @@ class Certificate(ErrorLimits):
     )
 
     @derived("whole", "", "2: limits on every frequency of the band", name="version", since="0.2")
-    def format_version(self) -> int:
-        """What the datasets of a file mean."""
-        return CertificateFormat.LIMITS
+    def format_version(self) -> int | None:
+        """What the datasets of a file mean; those of 0.1 do not say it."""
+        return CertificateFormat.LIMITS if self.limits else None
 
     @derived(
         "any",
@@ -204,23 +210,47 @@ class Certificate(ErrorLimits):
         return self.reference_error
 
     @derived("any", "", "largest difference over the largest size, at the samples", when=_MAYBE)
-    def absolute_error(self) -> float:
+    def absolute_error(self) -> float | None:
         """Largest error of H at the sampled frequencies, relative to the largest norm of H there."""
-        return float((self.error * self.full).max() / self.full.max())
+        return None if self.full is None else float((self.error * self.full).max() / self.full.max())
 
-    @derived("text", doc="`bound` (proven in exact arithmetic), `estimate` or `none`")
+    kind: str = dataset(
+        "text",
+        doc="`bound` (proven in exact arithmetic), `estimate` or `none`",
+        name="bound_kind",
+        known=tuple(OLD_KINDS.values()),
+        write=lambda own: own.bound_kind,
+    )
+
+    @property
     def bound_kind(self) -> str:
-        """``kind`` by its old names: "bound", "estimate" or "none"."""
+        """``kind`` by its names in files: "bound", "estimate" or "none"."""
         return OLD_KINDS[self.kind]
 
     @property
+    def datasets(self) -> Mapping[str, Any]:
+        """Names to values as a body file keeps them, without those that it lacks."""
+        values = {row.place.rstrip("/"): row.of(self) for row in CERTIFICATE}
+        values |= {
+            "band_hz": np.array(self.band_hz) if self.limits else None,
+            "limits": values["limits"] or None,
+            "notes": "; ".join(self.notes) or " ",
+            "proof": [asdict(lemma) for lemma in self.proof] or None,
+        }
+        return {name: value for name, value in values.items() if value is not None}
+
+    @property
     def limit(self) -> Limit:
-        """The limit of ``measure``."""
-        return self.limits[self.measure]
+        """The limit of ``measure``; infinite where the certificate holds at samples alone, as in files of 0.1."""
+        worst = int(np.argmax(self.error))
+        at_samples = Limit(lower=float(self.error[worst]), upper=np.inf, at_hz=float(self.frequencies_hz[worst]))
+        return self.limits.get(self.measure, at_samples)
 
     @property
     def words(self) -> str:
         """The largest error, in words."""
+        if not self.limits:
+            return f"{float(np.max(self.error)):.1e} at samples"
         return error_words(self.measure, self.limit.upper, self.error, self.band_hz, self.kind)
 
     def to_xarray(self) -> Any:
@@ -238,11 +268,24 @@ class Certificate(ErrorLimits):
     def _facts(self) -> dict[str, object]:
         return {
             "error": self.words,
-            "static error": f"{self.static_error:.1e}",
-            "modes in the band": len(self.mode_frequencies_hz),
+            "static error": None if self.static_error is None else f"{self.static_error:.1e}",
+            "modes in the band": None if self.mode_frequencies_hz is None else len(self.mode_frequencies_hz),
             "damping floor": self.damping_floor or None,
             "notes": "; ".join(self.notes),
         }
 
 
-CERTIFICATE = table_of(Certificate)
+KINDS = {stored: kind for kind, stored in OLD_KINDS.items()}
+
+
+def _read(*, kind: str, limits: Mapping[str, Any], **values: Any) -> Certificate:
+    """The certificate that datasets of a file tell."""
+    lacking: dict[str, Any] = dict.fromkeys(row.key for row in CERTIFICATE if row.read) | {"notes": (), "proof": ()}
+    low, high = values.pop("band_hz", values["frequencies_hz"][[0, -1]]).tolist()
+    if "proof" in values:
+        values["proof"] = read_lemmas(values["proof"])
+    given = {name: Limit(lower=low, upper=up, at_hz=hz) for name, (low, up, hz) in limits.items()}
+    return Certificate(**lacking | values | {"kind": KINDS[kind], "limits": given, "band_hz": (low, high)})
+
+
+CERTIFICATE = table_of(Certificate, build=_read)

@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import h5py
@@ -112,16 +112,15 @@ def test_proofs_are_stored_printed_and_documented(tmp_path):
         body = FreeInterface(modes=8).reduce(problem)
         (certificate,) = certify(problem, [body], BAND)
         write_body(path, [elastic_body(problem, body, make_part(problem), certificate)])
-    stored = read_body(path).bodies[body.name].certificate["proof"]
-    assert [lemma["name"] for lemma in stored] == CHAIN
-    assert stored[0]["numbers"] == dict(certificate.proof[0].numbers)
+    stored = read_body(path).bodies[body.name].certificate
+    assert [lemma.name for lemma in stored.proof] == CHAIN and stored.proof == certificate.proof
     shown = RUNNER.invoke(cli.app, ["info", str(path), "--proof"])
     assert shown.exit_code == 0, shown.output
     for lemma in certificate.proof:
         assert f"{lemma.name} (proven): {lemma.statement}" in shown.stdout
     assert CHAIN[0] not in RUNNER.invoke(cli.app, ["info", str(path)]).stdout
     (document,) = json.loads(RUNNER.invoke(cli.app, ["info", str(path), "--json"]).stdout)
-    assert document["bodies"][body.name]["certificate"]["proof"] == stored
+    assert document["bodies"][body.name]["certificate"]["proof"] == [asdict(lemma) for lemma in stored.proof]
     headings = set(re.findall(r"(?m)^### (\S+)$", METHODS.read_text(encoding="utf-8")))
     assert {"sturm-count", *CHAIN} <= headings
     # A file of an earlier version has none.

@@ -253,7 +253,7 @@ def test_the_connecting_rod_of_the_demo(tmp_path):
     assert certificate["limits"]["envelope"]["upper"] <= 1e-4 and certificate["measure"] == "envelope"
     # The other body is certified over the same band, and stored with it.
     body = read_body(tmp_path / "connecting_rod.h5").bodies["cb30"]
-    assert body.certificate["error"].tolist() == result["bodies"]["cb30"]["certificate"]["error"]
+    assert body.certificate.error.tolist() == result["bodies"]["cb30"]["certificate"]["error"]
     assert body.frequencies_hz.tolist() == result["frequencies_hz"]
     assert np.abs(body.stiffness_matrix - body.stiffness_matrix.T).max() == 0
     # Its interface degrees of freedom are its first coordinates.

@@ -60,8 +60,10 @@ def test_certificates_of_the_first_version(unpacked: Path, capsys: pytest.Captur
     """They were errors at samples, and are told as such beside those that hold at every frequency."""
     stored = read_body(unpacked / "symmetric.h5")
     for body in stored.bodies.values():
-        values = body.certificate
-        assert values is not None and "version" not in values and "limits" not in values
+        certificate = body.certificate
+        assert certificate is not None and not certificate.limits and certificate.limit.upper == np.inf
+        values = certificate.datasets
+        assert "version" not in values and "limits" not in values and "damping_floor" not in values
         assert values["bound_kind"] == "bound" and (values["error"] <= values["bound"]).all()
         known = Certified(name=body.name, order=8, values=values)
         print_sections(Console(width=200), certificate_sections([known], []))

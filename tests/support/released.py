@@ -166,6 +166,9 @@ def body_file(path: Path, read_body: Any, read_recovery: Any) -> dict[str, Any]:
     # Properties now, fields then.
     flags = ("has_recovery", "has_switching")
     found = {f"/bodies/{name}/{flag}": getattr(body, flag) for name, body in stored.bodies.items() for flag in flags}
+    for name, body in stored.bodies.items():
+        if body.certificate is not None:
+            found |= described(body.certificate.datasets, f"/bodies/{name}/certificate")
     content = described(stored) | described(more, "/read") | found
     # Times and memory of the run, and the version of the program.
     return {name: value for name, value in content.items() if not name.startswith("/provenance")}

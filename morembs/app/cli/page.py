@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from morembs.app.report.certificates import KINDS, MEASURES
+from morembs.app.report.certificates import MEASURES
 from morembs.app.report.style import STYLE
 from morembs.app.report.words import bytes_words
 from morembs.base.errors import InputError, MorembsError
@@ -165,17 +165,14 @@ def _body(name: str, stored: StoredBodies) -> dict[str, Any]:
     known = body.certificate
     if known is None:
         return said
-    said["kind"] = KINDS[str(known["bound_kind"])]
-    low, high = known["band_hz"] if "band_hz" in known else known["frequencies_hz"][[0, -1]]
-    said["band"] = f"{low:,.6g} to {high:,.6g} Hz"
-    floor = float(known.get("damping_floor", 0.0))
-    assumed = f"damping of {100 * floor:.3g} % of critical assumed beside its own" if floor else ""
-    said["notes"] = "; ".join(filter(None, (assumed, str(known.get("notes") or "").strip())))
-    if "limits" in known:
-        said["measure"] = str(known["measure"])
-        upper = {name: float(known["limits"][name][1]) for name in MEASURES}
-        said["value"] = upper[said["measure"]]
-        said["limits"] = {name: upwards(value) for name, value in upper.items()}
+    said["kind"] = known.kind
+    said["band"] = "{:,.6g} to {:,.6g} Hz".format(*known.band_hz)
+    floor = known.damping_floor
+    assumed = [f"damping of {100 * floor:.3g} % of critical assumed beside its own"] if floor else []
+    said["notes"] = "; ".join([*assumed, *known.notes])
+    if known.limits:
+        said |= {"measure": known.measure, "value": known.limit.upper}
+        said["limits"] = {name: upwards(known.limits[name].upper) for name in MEASURES}
     return said
 
 
@@ -188,13 +185,13 @@ def _recommended(bodies: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def _pictures(stored: StoredBodies, shown: str) -> dict[str, Any]:
     """The first mode for the row; four modes and the response with its certificates for the section."""
-    from morembs.app.jobs.compare import stored_response
+    from morembs.app.jobs.compare import certified_response
     from morembs.app.jobs.picture import draw_response
     from morembs.body.drawing import draw_first, draw_shapes
     from morembs.body.shapes import shapes_on
 
     shapes = shapes_on(stored.bodies[shown].view(BODY.drawn_modes)) if len(stored.node_ids) else None
-    response = stored_response(stored)
+    response = certified_response(list(stored.bodies.values()))
     pictures = []
     if shapes is not None:
         pictures.append((f"modes of {shown}", _png(STYLE.shapes_picture, lambda figure: draw_shapes(figure, shapes))))

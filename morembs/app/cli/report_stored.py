@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from morembs.body import Body
+    from morembs.storage.lemma import Lemma
 PROOFS = "docs/methods.md"
 
 
@@ -39,7 +40,7 @@ def show(file: str | Path, documents: list[dict[str, Any]] | None, proof: bool =
     if documents is not None:
         documents.append(stored_json(str(file), stored, diagnoses))
         for name, body in stored.bodies.items() if proof else ():
-            documents[-1]["bodies"][name]["bound_proof"] = bound_lemmas_of(body)
+            documents[-1]["bodies"][name]["bound_proof"] = [asdict(lemma) for lemma in bound_lemmas_of(body)]
     else:
         with printing():
             print_stored(console(), str(file), stored, diagnoses)
@@ -104,7 +105,7 @@ def stored_json(path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnos
                 "stress_recovery": body.has_recovery,
                 "switching": body.has_switching,
                 "parameters": body.has_parameters,
-                "certificate": None if body.certificate is None else without_nan(body.certificate),
+                "certificate": None if body.certificate is None else without_nan(body.certificate.datasets),
                 "findings": findings_json(diagnoses[name]),
             }
             for name, body in stored.bodies.items()
@@ -121,12 +122,6 @@ def findings_json(diagnosis: Diagnosis | None) -> list[dict[str, str]]:
     return [] if diagnosis is None else [{key: getattr(each, key) for key in keys} for each in diagnosis.findings]
 
 
-def flat(certificate: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of a stored certificate by the names of their datasets."""
-    limits = {f"limits/{name}": value for name, value in certificate.get("limits", {}).items()}
-    return {**{name: value for name, value in certificate.items() if name != "limits"}, **limits}
-
-
 def print_proofs(console: Console, stored: StoredBodies) -> None:
     """The lemmas that the limits of each body rest on, and where their proofs are."""
 
@@ -135,7 +130,10 @@ def print_proofs(console: Console, stored: StoredBodies) -> None:
 
     for name, body in stored.bodies.items():
         known = body.certificate
-        proofs = {f"limits of {name}": lemmas_of(body), f"bounds of {name} at all values": bound_lemmas_of(body)}
+        proofs = {
+            f"limits of {name}": () if known is None else known.proof,
+            f"bounds of {name} at all values": bound_lemmas_of(body),
+        }
         if known is None and not body.has_parameters:
             say(f"proof: {name} has no certificate")
         elif known is not None and not proofs[f"limits of {name}"]:
@@ -147,18 +145,13 @@ def print_proofs(console: Console, stored: StoredBodies) -> None:
             if lemmas:
                 say(f"proof: {what}, each lemma by its section in {PROOFS}")
             for lemma in lemmas:
-                numbers = ", ".join(f"{key} = {value:.6g}" for key, value in lemma["numbers"].items())
-                say(f"  {lemma['name']} ({lemma['kind']}): {lemma['statement']}\n    {numbers}".rstrip())
+                numbers = ", ".join(f"{key} = {value:.6g}" for key, value in lemma.numbers.items())
+                say(f"  {lemma.name} ({lemma.kind}): {lemma.statement}\n    {numbers}".rstrip())
 
 
-def lemmas_of(body: Body) -> list[dict[str, Any]]:
-    """The lemmas of the certificate of a body."""
-    return [] if body.certificate is None else list(body.certificate.get("proof", []))
-
-
-def bound_lemmas_of(body: Body) -> list[dict[str, Any]]:
+def bound_lemmas_of(body: Body) -> Sequence[Lemma]:
     """The lemmas that bounds of a body with parameters rest on at all values."""
-    return [asdict(lemma) for lemma in body.parameters().model.proof] if body.has_parameters else []
+    return body.parameters().model.proof if body.has_parameters else ()
 
 
 def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: Mapping[str, Diagnosis]) -> None:
@@ -201,7 +194,7 @@ def print_stored(console: Console, path: str, stored: StoredBodies, diagnoses: M
         for finding in diagnoses[name].warnings:
             console.print(f"    {escape(str(finding))}", highlight=False, soft_wrap=True)
     known = [
-        Certified(name=name, order=len(body.stiffness_matrix), values=flat(body.certificate))
+        Certified(name=name, order=len(body.stiffness_matrix), values=body.certificate.datasets)
         for name, body in stored.bodies.items()
         if body.certificate is not None
     ]

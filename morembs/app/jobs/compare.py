@@ -10,7 +10,6 @@ import numpy as np
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.body import Body
-from morembs.body.stored import StoredBodies
 from morembs.certificate.response import full_response, reduced_response
 from morembs.problem import Problem
 from morembs.responses.measures import MEASURES
@@ -80,8 +79,8 @@ def frequency_response(problem: Problem, bodies: Sequence[Body], frequencies_hz:
     )
 
 
-def certified_response(problem: Problem, bodies: Sequence[Body]) -> FrequencyResponse | None:
-    """The response that certificates were made with; None if no body has one."""
+def certified_response(bodies: Sequence[Body], length: float = np.nan) -> FrequencyResponse | None:
+    """The response that certificates were made with, of rotations scaled by ``length``; None if no body has one."""
     known = {body.name: body.certificate for body in bodies if body.certificate is not None}
     if not known:
         return None
@@ -89,13 +88,13 @@ def certified_response(problem: Problem, bodies: Sequence[Body]) -> FrequencyRes
     return FrequencyResponse(
         frequencies_hz=first.frequencies_hz,
         full=first.full,
-        length=problem.length,
+        length=length,
         reduced={name: certificate.reduced for name, certificate in known.items()},
         error={name: certificate.error for name, certificate in known.items()},
         bound={
             name: _steps(certificate.cells_hz, certificate.cell_limit)
             for name, certificate in known.items()
-            if len(certificate.cells_hz)
+            if certificate.limits and len(certificate.cells_hz)
         },
         # Of a tolerance in another measure a line would tell nothing.
         tolerance={
@@ -109,23 +108,3 @@ def certified_response(problem: Problem, bodies: Sequence[Body]) -> FrequencyRes
 def _steps(cells_hz: Floats, limit: Floats) -> Floats:
     """(2, 2 nc) ends of the cells and their pointwise limits, as the error that is drawn beside them."""
     return np.stack([cells_hz.ravel(), np.repeat(limit[:, MEASURES.index("pointwise")], 2)])
-
-
-def stored_response(stored: StoredBodies) -> FrequencyResponse | None:
-    """The response that the certificates of a body file were made with, None without one."""
-    known = {name: body.certificate for name, body in stored.bodies.items() if body.certificate is not None}
-    if not known:
-        return None
-    first = next(iter(known.values()))
-    return FrequencyResponse(
-        frequencies_hz=first["frequencies_hz"],
-        full=first["full"],
-        length=float("nan"),
-        reduced={name: values["reduced"] for name, values in known.items()},
-        error={name: values["error"] for name, values in known.items()},
-        bound={
-            name: _steps(values["cells_hz"], values["cell_limit"])
-            for name, values in known.items()
-            if "cell_limit" in values
-        },
-    )

@@ -81,7 +81,7 @@ def _section(low: float, high: float, floor: float, known: Sequence[Certified], 
 def _row(certified: Certified) -> tuple[str, ...]:
     values = certified.values
     kind = KINDS[certified.text("bound_kind")]
-    limits = [np.asarray(values[f"limits/{name}"], dtype=float) for name in MEASURES]
+    limits = [np.asarray(values["limits"][name], dtype=float) for name in MEASURES]
     worst = limits[MEASURES.index(certified.text("measure"))]
     residue = np.asarray(values["residue_deviation"], dtype=float)
     # Modes that no load excites have no residue; what resembles them in a body says nothing.
@@ -112,7 +112,7 @@ def _largest(deviations: Any) -> str:
 def _does_not_serve(certified: Certified, interfaces: Sequence[str]) -> list[str]:
     """That a body is wrong by more than all of its response, and what is most wrong."""
     values = certified.values
-    least, _, at_hz = np.asarray(values["limits/envelope"], dtype=float)
+    least, _, at_hz = np.asarray(values["limits"]["envelope"], dtype=float)
     if not least > 1:
         return []
     reached = np.isfinite(np.asarray(values["residue_deviation"], dtype=float))
@@ -129,7 +129,7 @@ def _does_not_serve(certified: Certified, interfaces: Sequence[str]) -> list[str
 
 
 def _notes(certified: Certified) -> list[str]:
-    infinite = [name for name in MEASURES if not np.isfinite(certified.values[f"limits/{name}"][1])]
+    infinite = [name for name in MEASURES if not np.isfinite(certified.values["limits"][name][1])]
     notes = []
     if KINDS[certified.text("bound_kind")] == "sampled":
         hz, error = (np.asarray(certified.values[key], dtype=float) for key in ("frequencies_hz", "error"))
@@ -137,7 +137,7 @@ def _notes(certified: Certified) -> list[str]:
         notes.append(f"error at most {error[at]:.1e} (pointwise) at {len(hz)} frequencies, worst at {hz[at]:,.6g} Hz")
     # Files of earlier versions do not name the cause.
     if infinite == ["pointwise"] and certified.text("bound_kind") != "none" and not certified.text("notes"):
-        at_hz = float(certified.values["limits/pointwise"][2])
+        at_hz = float(certified.values["limits"]["pointwise"][2])
         notes.append(f"pointwise: unbounded (zero of H at {at_hz:,.6g} Hz)")
     return [*notes, *([certified.text("notes")] if certified.text("notes") else []), *certified.notes]
 

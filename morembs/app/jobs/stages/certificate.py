@@ -101,11 +101,9 @@ class Certify(JobStage):
         known = []
         for name, body in document["bodies"].items():
             if body["certificate"] is not None:
-                limits = {
-                    f"limits/{measure}": list(each.values()) for measure, each in body["certificate"]["limits"].items()
-                }
+                limits = {measure: list(each.values()) for measure, each in body["certificate"]["limits"].items()}
                 notes = [str(body["recipe"]["choice"])] if "choice" in body["recipe"] else []
-                values = {"version": 2, **body["certificate"], **limits}
+                values = {"version": 2, **body["certificate"], "limits": limits}
                 known.append(Certified(name=name, order=body["order"], values=values, notes=notes))
         return certificate_sections(known, list(document["interfaces"]))
 

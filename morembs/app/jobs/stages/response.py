@@ -75,7 +75,7 @@ class Response(JobStage):
 
     def run(self, work: Work) -> None:
         job, problem, bodies, parts = work.job, work[PROBLEM], work[BODIES], work.get(PARTS)
-        response = certified_response(problem, bodies)
+        response = certified_response(bodies, problem.length)
         drawn = job.picture is not None and 0 < problem.B.shape[1] <= TOL.max_interface_dofs
         if ResponseTable.of(job) is not None or (response is None and drawn):
             with work.watch.stage("response"):
