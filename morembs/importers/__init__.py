@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from morembs.base.arguments import check_value
-from morembs.base.errors import InputError, nearest
+from morembs.base.errors import InputError
 from morembs.base.options import Text, known, read_options
 from morembs.base.plugins import Registry
 from morembs.base.units import Units, parse_units
@@ -23,7 +23,6 @@ from morembs.importers.abaqus.importer import read_abaqus, read_abaqus_deck
 from morembs.importers.ansys.cdb import read_ansys
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import refuse_both
-from morembs.importers.decks.problems import DeckError
 from morembs.importers.imported import Imported
 from morembs.importers.matrices.ansys_full import import_ansys_full
 from morembs.importers.matrices.ansys_text import import_ansys_matrices
@@ -288,46 +287,9 @@ def import_file(
         from morembs.importers.engines import import_with_engine
 
         return import_with_engine(path, format_of(path, format), engine, options or {}, materials)
-    try:
-        found = _read(path, format_of(path, format), options or {})
-        if isinstance(found, Deck):
-            _refuse_other_sets(materials, found)
-            given = frozenset(material.set.upper() for material in materials)
-            found = replace(found, options=replace(found.options, replaced=given))
-        return _with_materials(found.imported() if isinstance(found, Deck) else found, materials)
-    except DeckError as error:
-        # Materials that are given count before the problems of a deck are told.
-        sets = {material.set for material in materials}
-        rest = [p for p in error.problems if not p.element_set or not sets & {p.element_set, "all"}]
-        if len(rest) == len(error.problems):
-            raise
-        raise DeckError(error.source, rest, error.given, hint=error.hint) from None
-
-
-def _refuse_other_sets(materials: Sequence[Material], deck: Deck) -> None:
-    """Refuse materials of sets that a deck does not have.
-
-    Raises:
-        InputError: as said.
-    """
-    known = {"all", *deck.element_sets, *(section.set for section in deck.sections)}
-    for material in materials:
-        if material.set not in known:
-            raise InputError(
-                f"--material was given for the set {material.set!r}, which {deck.name} does not have; "
-                f"{nearest(material.set, known)}"
-            )
-
-
-def _with_materials(imported: Imported, materials: Sequence[Material]) -> Imported:
-    """With materials of sets that lack one.
-
-    Raises:
-        InputError: the file brings its own.
-    """
-    if not materials:
-        return imported
-    are_open = {material.set for material in materials} <= set(imported.incomplete)
-    if imported.K is not None or (imported.materials and not are_open):
-        raise InputError(f"{imported.source} brings its own materials or matrices; leave --material out")
-    return replace(imported, materials=(*imported.materials, *materials))
+    found = _read(path, format_of(path, format), options or {})
+    if isinstance(found, Deck):
+        return found.imported(materials)
+    if materials and (found.K is not None or found.materials):
+        raise InputError(f"{found.source} brings its own materials or matrices; leave --material out")
+    return replace(found, materials=(*found.materials, *materials))

@@ -14,7 +14,7 @@ from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
 from morembs.body.file import read_body
 from morembs.fem import FEModel, rigid_motion
-from morembs.fem.material import isotropic
+from morembs.fem.material import Material, isotropic
 from morembs.importers import import_file
 from morembs.importers.decks.problems import DeckError
 from morembs.importers.to_model import model_of
@@ -129,7 +129,55 @@ def test_a_material_that_a_deck_does_not_need_is_refused_whoever_could_assemble(
     iron = isotropic(set="all", young=7e10, poisson=0.3, density=1.0)
     with pytest.raises(InputError) as told:
         import_file(written(tmp_path, "box.inp", BOX), engine="auto", materials=[iron])
-    assert str(told.value) == "box.inp brings its own materials or matrices; leave --material out"
+    assert str(told.value) == "--material was given for 'all', where nothing lacks a material; leave it out"
+
+
+# Two bricks: of A without density, and of B in no section.
+HALVES = BOX.split("*MATERIAL")[0] + (
+    "*ELSET,ELSET=A\n1\n*ELSET,ELSET=B\n2\n*MATERIAL,NAME=M\n*ELASTIC\n2.1e11,.3\n*SOLID SECTION,ELSET=A,MATERIAL=M\n"
+)
+
+
+def iron(*sets: str) -> list[Material]:
+    return [isotropic(set=name, young=1e11, poisson=0.3, density=2.0 ** (i + 1)) for i, name in enumerate(sets)]
+
+
+@needs_ccx
+@pytest.mark.parametrize("engine", [None, "calculix"])
+@pytest.mark.parametrize(
+    ("sets", "density", "expected"),
+    [
+        (("all",), {}, 2.0 + 2.0),
+        (("A", "B"), {}, 2.0 + 4.0),
+        (("B", "all"), {}, 2.0 + 4.0),
+        (("A", "B"), {"all": 1000.0}, 2.0 + 4.0),
+        (("B",), {"all": 1000.0}, 1000.0 + 2.0),
+        (("all",), {"A": 1000.0}, 1000.0 + 2.0),
+        (("all",), {"M": 1000.0}, 1000.0 + 2.0),
+    ],
+)
+def test_materials_and_densities_are_taken_alike_whoever_assembles(tmp_path, engine, sets, density, expected):
+    path = written(tmp_path, "halves.inp", HALVES)
+    imported = import_file(path, engine=engine, options={"density": density}, materials=iron(*sets))
+    assert mass(model_of(imported)) == pytest.approx(expected)
+
+
+@needs_ccx
+@pytest.mark.parametrize("engine", [None, "calculix"])
+@pytest.mark.parametrize(
+    ("sets", "message"), [(("A", "B", "C"), "'C', where nothing lacks"), (("A", "D"), "for 'D', where nothing")]
+)
+def test_materials_that_are_not_clear_are_refused_whoever_assembles(tmp_path, engine, sets, message):
+    path = written(tmp_path, "halves.inp", HALVES + "*ELSET,ELSET=C\n1\n*ELSET,ELSET=D\n1\n")
+    with pytest.raises(InputError, match=message):
+        import_file(path, engine=engine, materials=iron(*sets))
+
+
+def test_sets_that_share_elements_are_not_given_two_materials(tmp_path):
+    path = written(tmp_path, "bare.inp", BOX.split("*MATERIAL")[0] + "*ELSET,ELSET=A\n1\n*ELSET,ELSET=B\n1,2\n")
+    with pytest.raises(InputError, match="for 'B' and for a set that shares elements"):
+        import_file(path, materials=iron("A", "B"))
+    assert mass(model_of(import_file(path, materials=iron("A", "all")))) == pytest.approx(2.0 + 4.0)
 
 
 def test_the_answer_to_a_deck_names_the_program(tmp_path, no_programs, monkeypatch):

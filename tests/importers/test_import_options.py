@@ -68,7 +68,7 @@ def test_materials_of_a_job_go_to_its_deck(tmp_path):
     job = folder(tmp_path, {"model": JOB}, deck(BEAM))
     assert "cb" in commands.run("reduce", job)
     job = folder(tmp_path, {"model": JOB}, deck(BEAM) + MATERIAL)
-    assert "brings its own materials" in commands.refused(job)
+    assert "where nothing lacks a material" in commands.refused(job)
 
 
 def test_a_job_reads_matrices_by_themselves(tmp_path):

@@ -382,9 +382,9 @@ def test_a_material_is_given_to_properties_without_one(tmp_path, owner):
 @pytest.mark.parametrize(
     ("name", "owner", "message"),
     [
-        ("a.bdf", "NOPE", "--material was given for the set 'NOPE'; known: PSHELL_1"),
+        ("a.bdf", "NOPE", "--material was given for the set 'NOPE', which the deck does not have; known: PSHELL_1"),
         ("a.bdf", "all", "--material was given for 'all', where nothing lacks a material; leave it out"),
-        ("a.inp", "NOPE", "--material was given for the set 'NOPE'; known: E"),
+        ("a.inp", "NOPE", "--material was given for the set 'NOPE', which a.inp does not have; known: E"),
         ("a.inp", "E", "--material was given for 'E', where nothing lacks a material; leave it out"),
     ],
 )

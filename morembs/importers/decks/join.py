@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,9 @@ from morembs.base.types import Ints
 from morembs.fem import ElementBlock, Mesh, Nodes
 from morembs.fem.material import Material
 from morembs.importers.decks.labels import Labels, distinct, find
+from morembs.importers.decks.materials import complete
 from morembs.importers.decks.missing_middles import with_middles
+from morembs.importers.decks.options import lacking_problems
 from morembs.importers.decks.problems import Problem, Problems
 from morembs.importers.decks.tables import DeckTables, Elements
 from morembs.importers.imported import Imported, Lacking, first_nodes, nodes_of, sets_on
@@ -45,8 +47,8 @@ class SolidMesh:
         return np.asarray(self.row[self.labels.rows(labels, "couplings name")])
 
 
-def import_deck(deck: DeckTables) -> Imported:
-    """All that own assembly has of a deck.
+def import_deck(deck: DeckTables, materials: Sequence[Material] = ()) -> Imported:
+    """All that own assembly has of a deck with ``materials`` of its sets, as ``complete`` has them.
 
     Raises:
         DeckError: all that keeps the deck from becoming a model.
@@ -54,13 +56,15 @@ def import_deck(deck: DeckTables) -> Imported:
     problems = _problems(deck)
     with problems.ending():
         deck = with_middles(deck)
+        # Without solids that is what is told.
+        deck = complete(deck, materials) if any(part.kind == "solid" for part in deck.elements) else deck
         tied = couplings_of(deck)
         solids = join(deck, nodes_of(tied.ties))
         mesh = _mesh(deck, solids)
-        given, lacking = _materials(deck)
-    scaled = {name: deck.mass_scale * value for name, value in deck.options.density.items()}
-    options = replace(deck.options, density=scaled)
-    whole, rest, said = options.all_materials(problems, given, lacking, deck.element_sets)
+    whole, rest = _materials(deck)
+    if problems.entries:
+        problems.entries += lacking_problems(deck.name, rest)
+    problems.refuse()
     surfaces = {
         name: solids.labels.rows(surface.nodes, f"the surface {name} names") for name, surface in deck.surfaces.items()
     }
@@ -68,10 +72,10 @@ def import_deck(deck: DeckTables) -> Imported:
         tied.on_rows(solids.rows),
         nodes=solids.nodes,
         mesh=mesh,
-        materials=whole,
+        materials=tuple(whole),
         surfaces=sets_on(surfaces, solids.row),
         notes=(*deck.notes, *solids.notes, *deck.remarks),
-        warnings=(*deck.warnings, *said),
+        warnings=deck.warnings,
         incomplete=rest,
         seams=deck.seams,
     )

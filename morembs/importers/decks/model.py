@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 from morembs.base.units import Units, parse_units
 from morembs.fem import FEModel, Mesh
 from morembs.fem.material import Material, refuse_other_materials
 from morembs.importers.decks.join import import_deck, mesh_of
+from morembs.importers.decks.materials import complete
 from morembs.importers.decks.tables import DeckTables
 from morembs.importers.imported import Imported
 from morembs.importers.to_model import model_of
@@ -30,13 +32,30 @@ class Deck(DeckTables):
     (60, 60)
     """
 
-    def imported(self) -> Imported:
+    def with_materials(self, materials: Sequence[Material] = ()) -> Self:
+        """The deck with what a user gives in its sections: ``materials``, and densities of the options of its reading.
+
+        Args:
+            materials: of element sets that lack stiffness or density, or that are in no section ("all": of all such),
+                in the units of the deck. Each is whole: its density is that of the elements.
+
+        Raises:
+            InputError: a material or density for a set that is not there or lacks none, or both for one set.
+        """
+        refuse_other_materials(materials)
+        return complete(self, materials)
+
+    def imported(self, materials: Sequence[Material] = ()) -> Imported:
         """All that own assembly has of it: solids with their materials, couplings, masses and springs.
+
+        Args:
+            materials: as of ``with_materials``.
 
         Raises:
             DeckError: all that keeps the deck from becoming a model: an ``InputError`` with ``problems``.
         """
-        return import_deck(self)
+        refuse_other_materials(materials)
+        return import_deck(self, materials)
 
     def mesh(self) -> Mesh:
         """The mesh of its solids with its sets.
@@ -53,17 +72,14 @@ class Deck(DeckTables):
 
         Args:
             units: of the deck, as ``parse_units`` gives them or takes them ("mm-t-s"); m-kg-s unless given.
-            materials: of element sets that have none in the deck ("all": all), in the units of the deck.
+            materials: as of ``with_materials``.
             mass_integration: as of ``assemble``.
 
         Raises:
             DeckError: all that keeps the deck from becoming a model: an ``InputError`` with ``problems``.
         """
-        refuse_other_materials(materials)
         given = parse_units(units) if isinstance(units, str) else units
-        imported = self.imported()
-        whole = replace(imported, materials=(*imported.materials, *materials))
-        return model_of(whole, given, mass_integration=mass_integration)
+        return model_of(self.imported(materials), given, mass_integration=mass_integration)
 
     def write(self, path: str | Path, format: str) -> tuple[str, ...]:
         """Write a flat deck of all that this one holds; sentences on what differs in it.

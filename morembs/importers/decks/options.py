@@ -13,7 +13,7 @@ from morembs.base.errors import InputError, alike, nearest
 from morembs.base.limits import Positive, one_of
 from morembs.base.types import Ints
 from morembs.fem.material import Material
-from morembs.importers.decks.problems import Problem, Problems
+from morembs.importers.decks.problems import Problem
 from morembs.importers.imported import Lacking
 
 Contact = Annotated[str, one_of("refuse", "skip", "tie")]
@@ -27,14 +27,14 @@ Boundary = Annotated[str, one_of("drop", "keep")]
 class DeckOptions:
     """``density`` of element sets ("all": of all) whose materials have stiffness only, in the units of the deck; what
     becomes of ``contact``, one of refuse, skip, tie; keywords, cards or element types to ``skip``, in capitals;
-    ``pretension`` whether bolts are locked or cut at their pre-tension sections; ``replaced``: sets, in capitals, whose
-    whole material is given, which a density of all does not complete."""
+    ``pretension`` whether bolts are locked or cut at their pre-tension sections; ``are_taken``: the densities are in
+    the sections of the deck already."""
 
     density: Mapping[str, float] = field(default_factory=dict)
     contact: str = "refuse"
     skip: frozenset[str] = frozenset()
     pretension: str = "auto"
-    replaced: frozenset[str] = frozenset()
+    are_taken: bool = False
     # Words of the deck that could be left out, as far as it was read.
     asked: set[str] = field(default_factory=set, compare=False, repr=False)
 
@@ -80,7 +80,7 @@ class DeckOptions:
             density = next((self.density[key] for key in self.density if key.upper() == name.upper()), None)
             unused.pop(name.upper(), None)
             density = self.density.get("all") if density is None else density
-            if lack.stiffness is None or density is None or name.upper() in self.replaced:
+            if lack.stiffness is None or density is None:
                 rest[name] = lack
                 continue
             done.append(Material(set=name, stiffness=lack.stiffness, density=density))
@@ -90,20 +90,6 @@ class DeckOptions:
             why = "which lacks none" if is_there else "which the deck does not have"
             raise InputError(f"--density was given for the set {name!r}, {why}; {nearest(name, lacking)}")
         return tuple(done), rest, warnings
-
-    def all_materials(
-        self, problems: Problems, materials: Sequence[Material], lacking: Mapping[str, Lacking], sets: Collection[str]
-    ) -> tuple[tuple[Material, ...], dict[str, Lacking], list[str]]:
-        """As ``completed``, at the end of a deck: where it has ``problems``, what is lacking still is one of them.
-
-        Raises:
-            DeckError: there are problems.
-        """
-        done, rest, warnings = self.completed(materials, lacking, sets)
-        if problems.entries:
-            problems.entries += lacking_problems(problems.source, rest)
-        problems.refuse()
-        return done, rest, warnings
 
 
 def refuse_both(density: float | Mapping[str, float] | None, materials: Sequence[Material]) -> None:
@@ -174,7 +160,6 @@ def lacking_problems(source: str, lacking: Mapping[str, Lacking]) -> list[Proble
             file=source,
             keyword="DENSITY" if lack.stiffness is not None else "MATERIAL",
             flags=(("--density X",) if lack.stiffness is not None else (MATERIAL + name,)),
-            element_set=name,
         )
         for name, lack in lacking.items()
     ]

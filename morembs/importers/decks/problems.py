@@ -21,8 +21,7 @@ class Problem:
     """One thing that keeps a deck from being read.
 
     ``what`` is the sentence that says it, with its cure; ``file``, ``line`` (0: not known) and ``keyword`` say where;
-    ``flags`` are the options of the command line that answer it, such as ("--contact skip",), empty if none does;
-    ``element_set`` is the set whose material is not complete.
+    ``flags`` are the options of the command line that answer it, such as ("--contact skip",), empty if none does.
     """
 
     what: str
@@ -30,7 +29,6 @@ class Problem:
     line: int = 0
     keyword: str = ""
     flags: tuple[str, ...] = ()
-    element_set: str = ""
 
     @property
     def placed(self) -> str:

@@ -82,7 +82,7 @@ class Ply:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Section:
-    """What elements of the set ``set`` of a deck are made of; the last section of an element holds.
+    """What elements of the set ``set`` of a deck, or "all", are made of; the last section of an element holds.
 
     Solids have ``stiffness`` (6, 6) along the global axes and ``density``; ``lacks`` says in a sentence what either
     lacks (stiffness without density: the density alone). Other kinds have their ``material`` along ``axes``.
@@ -219,6 +219,11 @@ class DeckTables:
     node: str = "node"
     # Names of the files that it was read from, includes too, which no writer replaces.
     files: tuple[str, ...] = ()
+
+    def ranges(self, name: str) -> Ints:
+        """Ranges (k, 2) of the labels of a set of elements, "all" of these where it is none of the deck."""
+        whole = np.array([[0, np.iinfo(np.int64).max]])
+        return np.asarray(self.element_sets.get(name, whole if name == "all" else whole[:0]))
 
     def _facts(self) -> dict[str, object]:
         counts: dict[str, int] = {}

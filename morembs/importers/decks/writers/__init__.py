@@ -6,7 +6,6 @@ A writer takes a deck and gives the lines of its text, and sentences on what dif
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -15,12 +14,11 @@ import numpy as np
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError, OverwriteError, nearest
 from morembs.importers.decks.labels import in_ranges
-from morembs.importers.decks.options import DeckOptions
+from morembs.importers.decks.materials import complete
 from morembs.importers.decks.problems import Problems
-from morembs.importers.decks.tables import NOT_WRITTEN, DeckTables, Section
+from morembs.importers.decks.tables import NOT_WRITTEN, DeckTables
 from morembs.importers.decks.writers.calculix import calculix_lines
 from morembs.importers.decks.writers.nastran import nastran_lines
-from morembs.importers.imported import Lacking
 from morembs.storage.contents import same_place
 from morembs.storage.safefile import replacing
 
@@ -55,7 +53,8 @@ def write_deck(deck: DeckTables, path: str | Path, format: str) -> tuple[str, ..
     if any(same_place(path, file) for file in deck.files):
         raise OverwriteError(f"{path} would overwrite a file that the deck was read from; give the result another name")
     _refuse_problems(deck)
-    deck, said = _with_densities(deck)
+    said = len(deck.warnings)
+    deck = complete(deck)
     _refuse_values(deck, format)
     lines, warnings = WRITERS[format](deck)
     if deck.left_out:
@@ -64,7 +63,7 @@ def write_deck(deck: DeckTables, path: str | Path, format: str) -> tuple[str, ..
     with replacing(Path(path)) as file:
         for line in lines:
             file.write(line.encode() if line.endswith("\n") else f"{line}\n".encode())
-    return tuple(dict.fromkeys([*said, *_without_section(deck), *warnings]))
+    return tuple(dict.fromkeys([*deck.warnings[said:], *_without_section(deck), *warnings]))
 
 
 def _refuse_problems(deck: DeckTables) -> None:
@@ -80,61 +79,11 @@ def _refuse_problems(deck: DeckTables) -> None:
     problems.refuse()
 
 
-def _with_densities(deck: DeckTables) -> tuple[DeckTables, list[str]]:
-    """The deck with the densities that were given for materials without one, and sentences on these.
-
-    Raises:
-        InputError: a density for a set that lacks none.
-    """
-    lacking = {section.set: lack for section in deck.sections if (lack := _lacking(deck, section))}
-    options = DeckOptions(density={name: deck.mass_scale * value for name, value in deck.options.density.items()})
-    done, _, said = options.completed((), lacking)
-    density, materials = {material.set: material.density for material in done}, dict(deck.materials)
-
-    def completed(name: str, section: Section) -> str:
-        """The name of the material of a section with its density: its own where all sections have the same."""
-        given, value = deck.materials.get(name), density[section.set]
-        if given is None or given.density is not None:
-            return name
-        own = name if value == options.density.get("all") else f"{name}_{section.set}"
-        materials[own] = replace(given, name=own, density=value)
-        return own
-
-    sections = []
-    for section in deck.sections:
-        if section.set in density:
-            plies = tuple(replace(ply, material=completed(ply.material, section)) for ply in section.plies)
-            is_solid = section.kind == "solid"
-            section = replace(
-                section,
-                density=density[section.set] if is_solid and section.density is None else section.density,
-                material=section.material if is_solid else completed(section.material, section),
-                plies=plies,
-            )
-        sections.append(section)
-    return replace(deck, sections=tuple(sections), materials=materials), said
-
-
-def _lacking(deck: DeckTables, section: Section) -> Lacking | None:
-    """What a section lacks to have stiffness and density."""
-    if section.kind == "solid":
-        if section.stiffness is not None and section.density is not None:
-            return None
-        sentence = section.lacks or f"the section of the set {section.set} has no density"
-        return Lacking(sentence=sentence, stiffness=section.stiffness)
-    for name in [ply.material for ply in section.plies] or [section.material]:
-        given = deck.materials.get(name)
-        if given is not None and given.density is None:
-            sentence = f"the material {name} of the set {section.set} has no density"
-            return Lacking(sentence=sentence, stiffness=given.stiffness)
-    return None
-
-
 def _without_section(deck: DeckTables) -> list[str]:
     """A sentence on elements that have no material, as they are in no section."""
     bare = 0
     for part in deck.elements:
-        own = [deck.element_sets[section.set] for section in deck.sections if section.kind == part.kind]
+        own = [deck.ranges(section.set) for section in deck.sections if section.kind == part.kind]
         if part.kind not in _NOT_WRITTEN:
             bare += int(np.sum(~in_ranges(part.ids, np.concatenate([np.empty((0, 2), dtype=np.int64), *own]))))
     return [f"{bare} elements are in no section, so have no material"] if bare else []

@@ -157,7 +157,7 @@ class MeshText:
 
     def rows_of_set(self, name: str) -> Ints:
         """Rows of the elements of a set of the deck among those that are written."""
-        return np.flatnonzero(in_ranges(self.elements.ids, self.deck.element_sets[name]))
+        return np.flatnonzero(in_ranges(self.elements.ids, self.deck.ranges(name)))
 
     # Mesh
 

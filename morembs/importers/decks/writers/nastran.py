@@ -83,7 +83,7 @@ class NastranText:
             owner = np.full(len(part.ids), -1)
             for number, section in enumerate(self.deck.sections):
                 if section.kind == part.kind:
-                    owner[in_ranges(part.ids, self.deck.element_sets[section.set])] = number
+                    owner[in_ranges(part.ids, self.deck.ranges(section.set))] = number
             name, nodes, full = self._card(part)
             for i, (label, row) in enumerate(zip(part.ids.tolist(), nodes.tolist(), strict=True)):
                 number = int(owner[i])

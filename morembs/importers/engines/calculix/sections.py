@@ -53,7 +53,7 @@ class Sections:
         name = self.assembly.final_name("element", placed, elset) if is_set else elset
         own = card.options.get("MATERIAL", "")
         given = next((key for key in (name.upper(), elset.upper()) if key in self._given), "")
-        lack = self._lack(own.upper()) if given and own else ""
+        lack = self._lack(own.upper(), of_all=False) if given and own else ""
         if given and (lack or not own):
             if lack:
                 self._replaced(lack)
@@ -122,15 +122,20 @@ class Sections:
         for material in unused.values():
             self._problem(unused_material(material.set))
 
-    def _lack(self, key: str) -> str:
-        """In which way a material of the deck is none, a sentence; empty where it has a stiffness and a density."""
+    def _lack(self, key: str, *, of_all: bool = True) -> str:
+        """In which way a material of the deck is none, a sentence; empty where it has a stiffness and a density, which
+        may be that ``of_all``."""
         if key not in self.deck.materials:
             return f"a section names the material {key!r}, which is not defined"
         words = [card.keyword for card, _ in self.deck.materials[key]]
         if "ELASTIC" not in words:
             listed = ", ".join(f"*{word}" for word in words) or "empty"
             return f"material {key} is {listed} only, which is not linear elastic; expected *ELASTIC"
-        return "" if "DENSITY" in words or self._density(key) is not None else f"the material {key} has no *DENSITY"
+        return (
+            ""
+            if "DENSITY" in words or self._density(key, of_all=of_all) is not None
+            else f"the material {key} has no *DENSITY"
+        )
 
     def _replaced(self, lack: str) -> None:
         self.flat.warnings.append(f"{lack}; the material that was given took its place")
@@ -154,7 +159,7 @@ class Sections:
             )
         out.body.append((-2, "\n".join(lines)))
 
-    def _density(self, material: str) -> float | None:
+    def _density(self, material: str, *, of_all: bool = True) -> float | None:
         """The density that was given for a material: of one of the sets that it is for, or of all."""
         given = {name.upper(): value for name, value in self.deck.options.density.items()}
         for _, card, _ in self.deck.cards:
@@ -162,7 +167,7 @@ class Sections:
                 own = given.get(card.options.get("ELSET", "").upper())
                 if own is not None:
                     return own
-        return given.get(material, given.get("ALL"))
+        return given.get(material, given.get("ALL") if of_all else None)
 
     def _problem(self, what: str, *flags: str) -> None:
         self.deck.problems.add(Problem(what=what, file=self.deck.name, keyword="MATERIAL", flags=flags))

@@ -14,13 +14,13 @@ from morembs.base.options import known
 from morembs.base.scratch import ScratchFolder
 from morembs.fem.material import Material
 from morembs.importers.abaqus.importer import read_abaqus_deck
+from morembs.importers.decks.materials import lacking_of, problems_of_solids
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import lacking_problems
 from morembs.importers.decks.problems import Problems
 from morembs.importers.decks.tables import NOT_WRITTEN
-from morembs.importers.engines.calculix.other_decks import gives_no_mass, with_materials
 from morembs.importers.engines.mystran.structures import with_structures
-from morembs.importers.imported import Imported, Lacking
+from morembs.importers.imported import Imported
 from morembs.importers.nastran.importer import HEAD_NOTE
 
 
@@ -83,8 +83,9 @@ def as_bulk(path: Path, format: str, options: Mapping[str, Any], materials: Sequ
     problems.entries = [*deck.problems, *(part.problem for part in deck.elements if part.problem)]
     problems.refuse()
     with problems.ending():
-        deck = with_materials(deck, materials, problems)
-        said = _without_mass(deck, problems)
+        deck = deck.with_materials(materials)
+    problems.entries += problems_of_solids(deck, materials)
+    said = _without_mass(deck, problems)
     problems.refuse()
     with closing(ScratchFolder(None)) as scratch:
         # Messages name the deck of the user.
@@ -95,13 +96,10 @@ def as_bulk(path: Path, format: str, options: Mapping[str, Any], materials: Sequ
 
 def _without_mass(deck: Deck, problems: Problems) -> list[str]:
     """Sections of shells, beams and trusses without any mass: problems where nothing else has one, else warnings."""
-    lacking = {own.set: own for own in deck.sections if own.kind != "solid" and gives_no_mass(deck.materials, own)}
+    solid = {own.set for own in deck.sections if own.kind == "solid"}
+    lacking = {name: lack for name, lack in lacking_of(deck).items() if name not in solid}
     heavy = len(lacking) < len(deck.sections) or deck.masses or any(own.matrix == "M" for own in deck.discrete)
-    sentences = {
-        name: f"the material {own.material} of the set {name} has no *DENSITY" for name, own in lacking.items()
-    }
     if heavy:
-        return [f"{said} and gives no mass; --density fills it in [no-density]" for said in sentences.values()]
-    lacks = {name: Lacking(sentence=said, stiffness=np.eye(6)) for name, said in sentences.items()}
-    problems.entries += lacking_problems(deck.name, lacks)
+        return [f"{own.sentence} and gives no mass; --density fills it in [no-density]" for own in lacking.values()]
+    problems.entries += lacking_problems(deck.name, lacking)
     return []

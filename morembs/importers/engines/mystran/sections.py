@@ -159,7 +159,7 @@ class Sections:
         return [
             unused_material(name)
             if name in (*self.sets, "all")
-            else f"--material was given for the set {name!r}; {nearest(name, self.sets)}"
+            else f"--material was given for the set {name!r}, which the deck does not have; {nearest(name, self.sets)}"
             for name in self._given
             if name not in self._used
         ]

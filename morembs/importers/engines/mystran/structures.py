@@ -147,10 +147,7 @@ class _Structures:
         if "ELASTIC" not in given or not given["ELASTIC"][0].options.get("TYPE", "ISO").upper().startswith("ISO"):
             raise InputError(f"{card}: the material {name!r} has no isotropic *ELASTIC, which MYSTRAN is given here")
         young, poisson = values(given["ELASTIC"][1][0][:2], given["ELASTIC"][0])
-        densities = {key.upper(): value for key, value in self.options.density.items()}
-        density = densities.get(card.need("ELSET").upper(), densities.get(name.upper(), densities.get("ALL")))
-        if "DENSITY" in given:
-            density = values(given["DENSITY"][1][0][:1], given["DENSITY"][0])[0]
+        density = values(given["DENSITY"][1][0][:1], given["DENSITY"][0])[0] if "DENSITY" in given else None
         C = isotropic(set=name, young=young, poisson=poisson, density=density or 1.0).stiffness
         self.materials[name] = ElasticMaterial(name=name, stiffness=C, density=density)
         return name
