@@ -40,11 +40,12 @@ from benchmarks.deck_programs import (
     spectrum_of,
     unpacked,
 )
-from morembs.app.jobs.import_job import import_model
+from morembs.app.jobs.import_job import read_files_model
 from morembs.base.errors import InputError, MorembsError
 from morembs.fem import FEModel, rigid_motion
 from morembs.fem.material import Material, isotropic
-from morembs.importers.decks.problems import DeckError
+from morembs.importers.decks.problems import DeckError, Form
+from morembs.importers.options import read_import_options
 
 RESULTS = Path(__file__).parent / "results" / "decks.json"
 # The decks that Debian's package calculix-ccx-test brings.
@@ -138,9 +139,8 @@ def imported(path: Path, format: str, engine: str | None, boundary: str = "drop"
     cures = Cures(format=None if format == "abaqus" and path.suffix == ".inp" else format)
     for _ in range(ROUNDS):
         try:
-            model = import_model(
-                path,
-                materials=tuple(cures.materials.values()),
+            options = read_import_options(
+                file=path,
                 format=cures.format,
                 density=cures.density or None,
                 contact=cures.contact,
@@ -149,7 +149,7 @@ def imported(path: Path, format: str, engine: str | None, boundary: str = "drop"
                 boundary=boundary,
                 dialect="calculix" if format == "abaqus" and engine != "calculix" else "auto",
             )
-            return model, cures.words
+            return read_files_model(options, tuple(cures.materials.values()), Form()), cures.words
         except MorembsError as error:
             reason = str(error)
             if not cures.learn(error):

@@ -34,6 +34,9 @@ class InputError(MorembsError, ValueError):
     material of set 'all': young in Pa = -1.0 was given; expected a positive number
     """
 
+    # The message with options as the command line has them, where it was given another form.
+    as_typed: str = ""
+
 
 class SingularMatrixError(MorembsError, ArithmeticError):
     """A matrix that had to be regular is singular, most often a mechanism or an unconnected part."""

@@ -20,6 +20,7 @@ from morembs.fem.handedness import right_handed
 from morembs.fem.material import Material
 from morembs.fem.middle_nodes import mesh_in_order
 from morembs.importers.abaqus.importer import read_abaqus, read_abaqus_deck
+from morembs.importers.advice import PYTHON, advising
 from morembs.importers.ansys.cdb import read_ansys
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import refuse_both
@@ -113,6 +114,7 @@ IMPORTERS: Registry[Importer] = Registry(
 )
 
 
+@advising(PYTHON)
 def read_mesh(
     path: str | Path, units: Units | str | None = None, *, dialect: str = "auto", allow_includes_outside: bool = False
 ) -> Mesh:
@@ -208,6 +210,7 @@ def _read(path: Path, format: str, options: Mapping[str, Any]) -> Imported | Dec
     return replace(found, warnings=(*found.warnings, *found.options.idle)) if isinstance(found, Deck) else found
 
 
+@advising(PYTHON)
 def read_deck(path: str | Path, format: str | None = None, **options: Any) -> Deck:
     """A deck of Abaqus, CalculiX, Nastran or ANSYS, or a universal file, by its labels and in its units.
 
@@ -243,7 +246,20 @@ def read_deck(path: str | Path, format: str | None = None, **options: Any) -> De
         raise InputError(
             f"{path.name} is a file of the format {name!r}, which is no deck; expected abaqus, nastran, ansys or unv"
         )
-    return replace(deck, files=tuple(ledger.names()))
+    return _for_python(replace(deck, files=tuple(ledger.names())))
+
+
+def _for_python(deck: Deck) -> Deck:
+    """The deck whose sentences name options as arguments."""
+    return replace(
+        deck,
+        warnings=tuple(map(PYTHON.phrase, deck.warnings)),
+        problems=tuple(problem.phrased(PYTHON) for problem in deck.problems),
+        elements=tuple(
+            part if part.problem is None else replace(part, problem=part.problem.phrased(PYTHON))
+            for part in deck.elements
+        ),
+    )
 
 
 def import_file(

@@ -155,6 +155,8 @@ def default_of(entry: Field[Any]) -> Any:
     return entry.default if entry.default_factory is MISSING else entry.default_factory()
 
 
+# Fields that are numbers.
+OF_NUMBERS = ("density", "preload", "engine_timeout")
 # Fields that are paths, which a job sees from its folder.
 PATHS = tuple(name for name, hint in hints_of(ImportOptions).items() if hint in (FilePath | None, FolderPath | None))
 

@@ -24,6 +24,8 @@ from morembs.fem.middle_nodes import mesh_in_order
 from morembs.fem.surface import seam_faces
 from morembs.importers.decks.labels import find
 from morembs.importers.decks.missing_middles import LINEAR_EDGES
+from morembs.importers.decks.options import DENSITY, MATERIAL
+from morembs.importers.decks.problems import typed
 from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.importers.discrete import si_discrete, with_discrete
 from morembs.importers.imported import Imported, Ties, nodes_of, picked_nodes
@@ -126,11 +128,12 @@ def _completed(imported: Imported) -> Imported:
     bare = {name: lack for name, lack in imported.incomplete.items() if not given & {name, "all"}}
     if bare and imported.K is None:
         stiff = all(lack.stiffness is not None for lack in bare.values())
-        cure = "a density: --density X" + (f",set={next(iter(bare))}" if len(bare) == 1 else "")
+        first = next(iter(bare))
+        cure = f"a density: {typed(DENSITY + first) if len(bare) == 1 else '--density X'}"
         raise InputError(
             f"{imported.source}: {'; '.join(lack.sentence for lack in bare.values())}; complete them in the file, or "
             f"give {f'{cure}, or ' if stiff else ''}a material for {'each set' if len(bare) > 1 else 'the set'}: "
-            f"--material young=..,poisson=..,density=..,set={next(iter(bare))}"
+            f"{typed(MATERIAL + first)}"
         )
     told = []
     for name, lack in imported.incomplete.items():

@@ -478,7 +478,7 @@ def test_the_density_that_was_given_is_that_of_shells_too(given, expected, tmp_p
 
 def test_a_density_of_a_set_that_is_not_lacking_is_refused_by_the_writer(tmp_path):
     (tmp_path / "first.inp").write_text(deck_text("C3D8"))
-    with pytest.raises(InputError, match="--density was given for the set 'BODY'"):
+    with pytest.raises(InputError, match="density was given for the set 'BODY'"):
         read_deck(tmp_path / "first.inp", density={"BODY": 1.0}).write(tmp_path / "second.inp", "calculix")
 
 

@@ -208,7 +208,7 @@ def test_a_job_reads_a_deck_that_is_assembled_by_whom_it_names(tmp_path, monkeyp
     ("table", "message"),
     [
         ('mesh = "a.inp"\nengine = "auto"', "engine was given beside mesh"),
-        ('file = "a.inp"\nengine = "ansys"', "--engine 'ansys' was given"),
+        ('file = "a.inp"\nengine = "ansys"', 'engine = "ansys" in .model. was given'),
         ('file = "a.inp"\nengine = "auto"\nmesh = "a.inp"', "mesh and file were both given"),
     ],
 )

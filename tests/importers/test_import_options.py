@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 from dataclasses import fields
 from pathlib import Path
@@ -13,6 +14,9 @@ import morembs
 from morembs import InputError, import_model, read_model
 from morembs.app.cli.models import import_command
 from morembs.app.jobs.tables import ModelTable
+from morembs.importers.advice import JOB as JOB_FORM
+from morembs.importers.advice import PYTHON
+from morembs.importers.decks.problems import DeckError
 from morembs.importers.options import ImportOptions, read_import_options
 from tests.support import commands
 from tests.support.decks import BEAM, MATERIAL, deck, folder
@@ -95,9 +99,66 @@ def scaled_deck() -> str:
     return deck(BEAM, size=0.01)
 
 
-def test_a_job_names_the_keys_that_answer_its_deck(tmp_path):
-    message = commands.refused(folder(tmp_path, {"model": JOB, "material": None}, INCOMPLETE))
-    assert "CONTACT PAIR" in message and "keys of [model]" in message and "density = {" in message
+def test_messages_name_options_as_the_user_has_them(tmp_path):
+    """On the command line, in a job and in Python; a job and Python say nothing of the command line."""
+    job = folder(tmp_path, {"model": JOB, "material": None}, INCOMPLETE)
+    deck = tmp_path / "part.inp"
+    told = commands.refused(job)
+    assert 'contact = "skip" in [model] leaves it out; contact = "tie" glues it' in told
+    assert "density = { EVERY = X } in [model]" in told and " --" not in told
+    assert told.endswith('all of it is answered by: contact = "skip", density = X in [model]\n')
+    with pytest.raises(DeckError) as python:
+        import_model(deck)
+    with pytest.raises(DeckError, match=re.escape('contact="skip" leaves it out; contact="tie" glues it')):
+        morembs.read_deck(deck).to_model()
+    assert 'density={"EVERY": X}' in str(python.value) and " --" not in str(python.value)
+    assert python.value.answer == 'contact="skip", density=X'
+    assert str(pickle.loads(pickle.dumps(python.value))) == str(python.value)
+    typed = commands.run("import", deck, "-o", tmp_path / "x.model.h5", code=2)
+    assert "--contact skip leaves it out" in typed and typed.rstrip().endswith("--contact skip --density X")
+
+
+def test_a_mesh_of_a_job_is_refused_with_keys_of_the_job(tmp_path):
+    """``read_mesh`` names arguments of Python, and a job that reads by it names keys."""
+    (tmp_path / "outer.inp").write_text("*INCLUDE, INPUT=../other.inp\n")
+    (tmp_path.parent / "other.inp").write_text(deck(BEAM))
+    job = folder(tmp_path, {"model": 'mesh = "outer.inp"\nunits = "mm-t-s"'})
+    assert "allow_includes_outside = true in [model]" in commands.refused(job)
+    with pytest.raises(InputError, match="allow_includes_outside=True"):
+        morembs.read_mesh(tmp_path / "outer.inp")
+    assert "--allow-includes-outside" in commands.run("init", tmp_path / "outer.inp", code=2)
+
+
+@pytest.mark.parametrize(
+    ("typed", "key", "argument"),
+    [
+        ("--skip 'CONTACT PAIR' if", 'skip = ["CONTACT PAIR"] in [model] if', 'skip=["CONTACT PAIR"] if'),
+        ("--skip CE,CP leaves", 'skip = ["CE", "CP"] in [model] leaves', 'skip=["CE", "CP"] leaves'),
+        ("--density 'X,set=A B'", 'density = { "A B" = X } in [model]', 'density={"A B": X}'),
+        ("--density was given", "density in [model] was given", "density was given"),
+        ("--boundary keep --preload N", 'boundary = "keep" in [model] preload = N', 'boundary="keep" preload=N'),
+        ("name it: --set K=NAME", 'name it: set = { K = "NAME" } in [model]', 'name it: set={"K": "NAME"}'),
+        ("--engine calculix takes", 'engine = "calculix" in [model] takes', 'engine="calculix" takes'),
+        ("--engine-timeout, or", "engine_timeout in [model], or", "engine_timeout, or"),
+        ("--format nastran", 'format = "nastran" in [model]', 'format="nastran"'),
+        ("leave --material out", "leave [[material]] out", "leave materials out"),
+        ("--nodes FILE --dofs", 'nodes = "FILE" in [model] dofs', 'nodes="FILE" dofs'),
+        (
+            "--material young=..,set=A",
+            '[[material]] with set = "A", young = ..',
+            'materials=[isotropic(set="A", young=..)]',
+        ),
+        ("morembs import --list, part--contact", "morembs import --list, part--contact", None),
+    ],
+)
+def test_every_kind_of_option_has_the_form_of_a_key_and_of_an_argument(typed, key, argument):
+    assert JOB_FORM.phrase(typed) == key and PYTHON.phrase(typed) == (argument or typed)
+
+
+def test_every_option_of_an_import_has_both_forms():
+    for name in {field.name for field in fields(ImportOptions)} - {"allow_includes_outside"}:
+        typed = f"leave --{name.replace('_', '-')} out"
+        assert PYTHON.phrase(typed) == f"leave {name} out" and JOB_FORM.phrase(typed) == f"leave {name} in [model] out"
 
 
 @pytest.mark.parametrize(
@@ -111,8 +172,8 @@ def test_a_job_names_the_keys_that_answer_its_deck(tmp_path):
         ({"set": "K=Kfull"}, 'expected a table such as { K = "Kfull" }'),
         ({"engine_timeout": 0}, "engine_timeout"),
         ({"units": "mm"}, "units"),
-        ({"boundary": "keep"}, "--engine"),
-        ({"engine": "calculix", "mass_integration": "exact"}, "are those of --engine calculix; leave it out"),
+        ({"boundary": "keep"}, "boundary was given without engine"),
+        ({"engine": "calculix", "mass_integration": "exact"}, 'are those of engine="calculix"; leave it out'),
     ],
 )
 def test_options_of_python_are_checked(given, named, tmp_path):
@@ -123,7 +184,7 @@ def test_options_of_python_are_checked(given, named, tmp_path):
 
 def test_a_rule_for_masses_is_refused_where_matrices_are_ready(tmp_path):
     morembs.write_model(tmp_path / "steel.model.h5", import_model_of_steel(tmp_path))
-    with pytest.raises(InputError, match=r"--mass-integration exact was given for steel.* matrices are ready"):
+    with pytest.raises(InputError, match=r"mass_integration=.exact. was given for steel.* matrices are ready"):
         import_model(tmp_path / "steel.model.h5", mass_integration="exact")
 
 
@@ -134,7 +195,7 @@ def test_a_material_is_whole_where_a_density_is_given_for_all_others(tmp_path):
     alone, both = (import_model(path, materials=[soft], **given) for given in ({}, {"density": 7850.0}))
     assert abs(alone.K - both.K).max() == 0 and abs(alone.M - both.M).max() == 0
     for engine in (None, "auto", "calculix", "mystran"):
-        with pytest.raises(InputError, match="--density and --material were both given for 'EVERY'"):
+        with pytest.raises(InputError, match="density and materials were both given for 'EVERY'"):
             import_model(path, materials=[soft], density={"every": 7850.0}, engine=engine)
 
 
@@ -198,9 +259,9 @@ def test_a_word_to_skip_that_is_nowhere_is_told(tmp_path):
     path.write_text(INCOMPLETE)
     given = {**OPTIONS, "skip": ["CONTACT PAIR", "FOO"]}
     told = [text for text in import_model(path, **given).warnings if "skip-unused" in text]
-    assert told == ["--skip 'FOO' leaves nothing out [skip-unused]"]
+    assert told == ['skip=["FOO"] leaves nothing out [skip-unused]']
     assert told[0] in morembs.read_deck(path, density=7.85e-9, skip="FOO,CONTACT PAIR").warnings
-    with pytest.raises(InputError, match=r"'CONTACTPAIR' leaves nothing out; did you mean 'CONTACT PAIR'\?"):
+    with pytest.raises(InputError, match=r'"CONTACTPAIR"\] leaves nothing out; did you mean .CONTACT PAIR.\?'):
         import_model(path, **{**OPTIONS, "skip": ["CONTACTPAIR"]})
     assert "skip-unused" not in " ".join(import_model(path, **OPTIONS).warnings)
 
@@ -213,9 +274,9 @@ def test_elements_are_not_to_be_skipped_where_nothing_would_be_left(tmp_path):
         ("*NODE\n1,0,0,0\n2,1,0,0\n3,1,1,0\n4,0,1,0\n" + shells, False),
     ):
         path.write_text(text)
-        with pytest.raises(InputError, match=r"'S4'.*--engine calculix may") as caught:
+        with pytest.raises(InputError, match=r"'S4'.*engine=.calculix. may") as caught:
             import_model(path, units="mm-t-s", materials=[STEEL])
-        assert ("--skip S4" in str(caught.value)) is is_offered
+        assert ('skip=["S4"]' in str(caught.value)) is is_offered
 
 
 def test_a_deck_that_is_given_materials_is_not_told_to_be_given_them(tmp_path):
@@ -242,12 +303,9 @@ def test_sets_that_the_deck_does_not_have_are_named(given, message, tmp_path):
         import_model(tmp_path / "part.inp", units="mm-t-s", skip=["CONTACT PAIR"], **given)
 
 
-def test_python_tells_how_options_are_given_there(tmp_path):
+def test_units_of_a_deck_are_given_to_its_model(tmp_path):
     path = tmp_path / "part.inp"
     path.write_text(INCOMPLETE)
-    for options in ({}, {"skip": ["CONTACT PAIR"]}):
-        with pytest.raises(InputError, match=r"in Python, .* contact='skip'"):
-            import_model(path, units="mm-t-s", **options)
     with pytest.raises(InputError, match=r"units was given, .* give it to deck\.to_model"):
         morembs.read_deck(path, units="mm-t-s")
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from morembs.base import progress
-from morembs.base.errors import InputError, SolverError
+from morembs.base.errors import SolverError
 from morembs.base.progress import Progress, listening
 from morembs.base.units import Units
 from morembs.body.diagnostics import repaired
@@ -21,7 +21,8 @@ from morembs.body.diagnostics.warnings import diagnosis_of, imported_warnings
 from morembs.fem import FEModel
 from morembs.fem.material import Material, refuse_other_materials
 from morembs.fem.parts import parts_of
-from morembs.importers.decks.problems import DeckError
+from morembs.importers.advice import PYTHON, advising
+from morembs.importers.decks.problems import Form
 from morembs.importers.from_files import read_files
 from morembs.importers.model_file import save_model
 from morembs.importers.options import ImportOptions, read_import_options
@@ -31,10 +32,6 @@ from morembs.storage.safefile import check_writable
 
 # Findings that only a factorisation tells from a small body that is held.
 SUSPECT = ("not-this-geometry", "node-mapping")
-IN_PYTHON = (
-    "in Python, options of the command line are arguments with the same names, such as contact='skip', "
-    "density={'SET': 7.85e-9} or skip=['CONTACT PAIR'], and materials=[isotropic(...)]"
-)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -117,18 +114,20 @@ def import_model(path: str | Path | None = None, *, materials: Sequence[Material
     """
     refuse_other_materials(materials)
     given = read_import_options(file=path, besides=["materials"], **options)
-    try:
-        return read_files_model(given, materials)
-    except DeckError as error:
-        hint = "; ".join(filter(None, [error.hint, IN_PYTHON]))
-        raise DeckError(error.source, error.problems, error.given, hint=hint) from error
-    except InputError as error:
-        raise (InputError(f"{error}; {IN_PYTHON}") if " --" in str(error) else error) from error
+    return read_files_model(given, materials, PYTHON)
 
 
-def read_files_model(options: ImportOptions, materials: Sequence[Material] = ()) -> FEModel:
-    """The model that the files of ``options`` hold, in SI units; ``materials`` are in those of the files."""
-    return _read_model(options, materials)[0]
+def read_files_model(options: ImportOptions, materials: Sequence[Material], form: Form) -> FEModel:
+    """The model that the files of ``options`` hold, in SI units; ``materials`` are in those of the files, and its
+    messages have the ``form`` in which options were given.
+
+    Raises:
+        InputError: files that cannot be used or do not fit together.
+    """
+    with advising(form):
+        model, _, _ = _read_model(options, materials)
+    notes, warnings = (tuple(map(form.phrase, sentences)) for sentences in (model.notes, model.warnings))
+    return replace(model, notes=notes, warnings=warnings)
 
 
 def _read_model(options: ImportOptions, materials: Sequence[Material]) -> tuple[FEModel, str, Units]:

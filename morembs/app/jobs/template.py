@@ -16,7 +16,8 @@ from morembs.base.errors import InputError
 from morembs.base.units import Units, parse_units
 from morembs.fem import FEModel, Mesh
 from morembs.importers import format_of, import_file, read_mesh
-from morembs.importers.decks.problems import DeckError
+from morembs.importers.advice import advising
+from morembs.importers.decks.problems import DeckError, Form
 from morembs.importers.model_file import is_model_file, read_model
 from morembs.storage.contents import keeping_ledger, same_place
 
@@ -58,7 +59,8 @@ def job_text(file: Path, folder: Path, units: Units | None = None) -> str:
             )
         else:
             deck = _whole_deck(file)
-            mesh = read_mesh(file) if deck is None else deck.mesh
+            with advising(Form()):
+                mesh = read_mesh(file) if deck is None else deck.mesh
             head = _mesh(path, mesh, units, deck)
             if deck is None and format_of(file) in DECKS:
                 head[1:1] = ["# Nodes and elements alone; the key file in place of mesh reads all that the deck holds."]

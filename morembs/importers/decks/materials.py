@@ -13,7 +13,7 @@ from morembs.base.types import Ints
 from morembs.fem.material import Material
 from morembs.importers.decks.labels import in_ranges, ranges_of
 from morembs.importers.decks.options import lacking_problems, material_flags, refuse_both, unused_material
-from morembs.importers.decks.problems import Problem
+from morembs.importers.decks.problems import Problem, typed
 from morembs.importers.decks.tables import DeckTables, ElasticMaterial, Section
 from morembs.importers.imported import Lacking
 
@@ -86,7 +86,7 @@ def problems_of_solids(deck: DeckTables, materials: Sequence[Material]) -> Itera
         sets = deck.element_sets.items() if materials else ()
         members = {name: solids[in_ranges(solids, own)] for name, own in sets}
         flags = material_flags(solids[bare], members)
-        yield Problem(what=f"{what}; {' '.join(flags)}", file=deck.name, keyword="MATERIAL", flags=flags)
+        yield Problem(what=f"{what}; {' '.join(map(typed, flags))}", file=deck.name, keyword="MATERIAL", flags=flags)
 
 
 def _lack(deck: DeckTables, section: Section) -> Lacking | None:

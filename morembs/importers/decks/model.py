@@ -10,6 +10,7 @@ from typing import Self
 from morembs.base.units import Units, parse_units
 from morembs.fem import FEModel, Mesh
 from morembs.fem.material import Material, refuse_other_materials
+from morembs.importers.advice import PYTHON, advising
 from morembs.importers.decks.join import import_deck, mesh_of
 from morembs.importers.decks.materials import complete
 from morembs.importers.decks.tables import DeckTables
@@ -32,6 +33,7 @@ class Deck(DeckTables):
     (60, 60)
     """
 
+    @advising(PYTHON)
     def with_materials(self, materials: Sequence[Material] = ()) -> Self:
         """The deck with what a user gives in its sections: ``materials``, and densities of the options of its reading.
 
@@ -57,6 +59,7 @@ class Deck(DeckTables):
         refuse_other_materials(materials)
         return import_deck(self, materials)
 
+    @advising(PYTHON)
     def mesh(self) -> Mesh:
         """The mesh of its solids with its sets.
 
@@ -65,6 +68,7 @@ class Deck(DeckTables):
         """
         return mesh_of(self)
 
+    @advising(PYTHON)
     def to_model(
         self, units: Units | str | None = None, *, materials: Sequence[Material] = (), mass_integration: str = "element"
     ) -> FEModel:
@@ -81,6 +85,7 @@ class Deck(DeckTables):
         given = parse_units(units) if isinstance(units, str) else units
         return model_of(self.imported(materials), given, mass_integration=mass_integration)
 
+    @advising(PYTHON)
     def write(self, path: str | Path, format: str) -> tuple[str, ...]:
         """Write a flat deck of all that this one holds; sentences on what differs in it.
 

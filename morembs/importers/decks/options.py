@@ -13,7 +13,7 @@ from morembs.base.errors import InputError, alike, nearest
 from morembs.base.limits import Positive, one_of
 from morembs.base.types import Ints
 from morembs.fem.material import Material
-from morembs.importers.decks.problems import Problem
+from morembs.importers.decks.problems import Problem, typed
 from morembs.importers.imported import Lacking
 
 Contact = Annotated[str, one_of("refuse", "skip", "tie")]
@@ -156,7 +156,7 @@ def lacking_problems(source: str, lacking: Mapping[str, Lacking]) -> list[Proble
     """A problem for each set whose material is not complete, to be listed beside others."""
     return [
         Problem(
-            what=f"{lack.sentence}; {'--density X,set=' + name if lack.stiffness is not None else MATERIAL + name}",
+            what=f"{lack.sentence}; {typed((DENSITY if lack.stiffness is not None else MATERIAL) + name)}",
             file=source,
             keyword="DENSITY" if lack.stiffness is not None else "MATERIAL",
             flags=(("--density X",) if lack.stiffness is not None else (MATERIAL + name,)),
@@ -181,4 +181,5 @@ def unused_material(name: str) -> str:
     return f"--material was given for {name!r}, where nothing lacks a material; leave it out"
 
 
+DENSITY = "--density X,set="
 MATERIAL = "--material young=..,poisson=..,density=..,set="

@@ -6,7 +6,7 @@ import re
 import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from morembs.base.errors import InputError
 from morembs.importers.tolerances import TOL
@@ -37,32 +37,59 @@ class Problem:
             return self.what
         return f"{self.file}, line {self.line}: {self.what.removeprefix(f'{self.file}: ')}"
 
+    def phrased(self, form: Form) -> Problem:
+        """The same with options in another form."""
+        return replace(self, what=form.phrase(self.what))
+
     @property
     def kind(self) -> str:
         """What problems of one kind have in common: the sentence without names and numbers."""
         return f"{self.keyword}: {_OWN_NAMES.sub('#', self.what)}"
 
 
+class Form:
+    """How messages name options: as the command line has them. ``importers.advice`` has those of jobs and of Python."""
+
+    def phrase(self, text: str) -> str:
+        """A text, which names options as the command line has them, in this form."""
+        return text
+
+    def answer(self, source: str, flags: Sequence[str], command: str) -> str:
+        """What answers all problems of ``source``: a command line, keys or arguments with all ``flags``."""
+        plain = " ".join(["morembs import", shlex.quote(source)])
+        return " ".join([command or plain, *_joined(flags)])
+
+
 class DeckError(InputError):
     """A deck with ``problems``, each once; the message lists them by kind, and ends with a ``hint`` at another way.
 
-    ``command`` is the command line that asked for the deck, quoted for a shell, where there is one.
+    ``command`` is the command line that asked for the deck, quoted for a shell, where there is one; ``form`` is how
+    options are named.
     """
 
     def __init__(
         self, source: str, problems: Sequence[Problem], given: Sequence[str] = (), *, hint: str = "", command: str = ""
     ) -> None:
         self.source, self.problems, self.given = source, tuple(dict.fromkeys(problems)), tuple(given)
-        self.hint, self.command = hint, command
+        self.hint, self.command, self.form = hint, command, Form()
         super().__init__("; ".join(self._listed()))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Processes send errors to each other.
+        return _deck_error, (self.source, self.problems, self.given, self.hint, self.command, self.form)
+
+    def take(self, form: Form) -> None:
+        """Name options in another form from now on."""
+        self.form = form
+        self.args = ("; ".join(self._listed()),)
 
     @property
     def answer(self) -> str:
-        """The command line that answers all problems, empty where options do not answer some of them."""
+        """What answers all problems, such as a command line; empty where options do not answer some of them."""
         if not self.problems or not all(problem.flags for problem in self.problems):
             return ""
-        plain = " ".join(["morembs import", shlex.quote(self.source), *_joined(self.given)])
-        return " ".join([self.command or plain, *_joined(f for problem in self.problems for f in problem.flags)])
+        flags = [flag for problem in self.problems for flag in problem.flags]
+        return self.form.answer(self.source, flags if self.command else [*self.given, *flags], self.command)
 
     def asked(self, command: str) -> DeckError:
         """The same of another command line."""
@@ -87,7 +114,9 @@ class DeckError(InputError):
             listed += [f"and {rest} more kinds"] * (rest > 0)
             listed[0] = f"{self.source} has {len(self.problems)} problems: {listed[0]}"
         answer = [f"all of it is answered by: {self.answer}"] if self.answer else []
-        return [*listed, *answer, *([self.hint] if self.hint else [])]
+        told = [*listed, *([self.hint] if self.hint else [])]
+        told = [self.form.phrase(line) for line in told]
+        return [*told[: len(listed)], *answer, *told[len(listed) :]]
 
 
 class Problems:
@@ -150,6 +179,20 @@ class Problems:
             raise DeckError(self.source, self.entries, self.given, hint=self.hint)
 
 
+def _deck_error(
+    source: str, problems: Sequence[Problem], given: Sequence[str], hint: str, command: str, form: Form
+) -> DeckError:
+    error = DeckError(source, problems, given, hint=hint, command=command)
+    error.take(form)
+    return error
+
+
+def typed(flag: str) -> str:
+    """An option of the command line with its value, as a shell takes it."""
+    name, _, value = flag.partition(" ")
+    return f"{name} {shlex.quote(value)}" if value else name
+
+
 def in_lines(sentence: str) -> list[str]:
     """A sentence in lines, each cure (an option of the command line) in one of its own."""
     return _CURE.sub("\n    ", sentence).split("\n")
@@ -170,4 +213,4 @@ def _joined(flags: Iterable[str]) -> list[str]:
         name, _, value = flag.partition(" ")
         values.setdefault(name, []).append(value)
     given = [(name, [",".join(own)] if name == "--skip" else own) for name, own in values.items()]
-    return [f"{name} {shlex.quote(value)}" if value else name for name, own in given for value in own]
+    return [typed(f"{name} {value}".rstrip()) for name, own in given for value in own]

@@ -22,6 +22,7 @@ from morembs.fem import FEModel, Mesh
 from morembs.fem.assembly import assemble
 from morembs.fem.material import Material, isotropic, orthotropic
 from morembs.importers import read_mesh
+from morembs.importers.advice import JOB, advising
 from morembs.importers.model_file import read_model
 from morembs.importers.native import FORMAT
 from morembs.storage.hdf5 import holds_format
@@ -151,15 +152,7 @@ def model_of_files(job: Job) -> FEModel:
     if options.file is not None and options.has_plain_file and holds_format(Path(options.file), FORMAT):
         # Its units are SI; those of the job are of the numbers in the job.
         return read_model(options.file)
-    try:
-        return read_files_model(options, [_material(table, Units()) for table in MaterialTable.of(job)])
-    except InputError as error:
-        if " --" not in str(error):
-            raise
-        raise InputError(
-            f"{error}; in a job, options of the command line are keys of [model] with the same names, such as "
-            'density = { SET = 7.85e-9 } or skip = ["CONTACT PAIR"], and materials are tables [[material]]'
-        ) from error
+    return read_files_model(options, [_material(table, Units()) for table in MaterialTable.of(job)], JOB)
 
 
 def materials_of(job: Job) -> list[Material]:
@@ -189,9 +182,10 @@ def _material(table: MaterialTable, units: Units) -> Material:
 def mesh_of(job: Job) -> Mesh:
     """The mesh of the job, in SI units."""
     given = ModelTable.of(job)
-    return read_mesh(
-        job.resolve(given.mesh or ""),
-        job.units,
-        dialect=given.dialect,
-        allow_includes_outside=given.allow_includes_outside,
-    )
+    with advising(JOB):
+        return read_mesh(
+            job.resolve(given.mesh or ""),
+            job.units,
+            dialect=given.dialect,
+            allow_includes_outside=given.allow_includes_outside,
+        )

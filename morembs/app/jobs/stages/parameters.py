@@ -28,6 +28,7 @@ from morembs.fem.material import Material
 from morembs.fem.mesh import material_of_elements
 from morembs.fem.selection import NUMBERS, select_nodes
 from morembs.importers import read_mesh
+from morembs.importers.advice import JOB, advising
 from morembs.parametric.parameter import NAME as PARAMETER
 from morembs.parametric.parameter import PROPERTIES, Parameter, Spring
 from morembs.parametric.regions import rows_of_set, young_of
@@ -258,7 +259,8 @@ def _displacement(job: Job, mesh: Mesh, table: ParameterTable) -> Floats:
     units = job.units
     if table.mesh is not None:
         path = job.resolve(table.mesh)
-        other = read_mesh(path, units, dialect=ModelTable.of(job).dialect)
+        with advising(JOB):
+            other = read_mesh(path, units, dialect=ModelTable.of(job).dialect)
         _refuse_other(mesh, other, path, job)
         order, theirs = (np.argsort(each.nodes.ids, kind="stable") for each in (mesh, other))
         moved = np.empty_like(mesh.nodes.xyz)

@@ -12,7 +12,7 @@ from morembs.fem import Nodes
 from morembs.fem.material import Material
 from morembs.importers.ansys.cdb import read_ansys
 from morembs.importers.decks.labels import Labels
-from morembs.importers.decks.materials import problems_of_solids
+from morembs.importers.decks.materials import complete, problems_of_solids
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import DeckError, Problem, Problems
@@ -40,7 +40,7 @@ def read_other(path: Path, format: str, options: DeckOptions, materials: Sequenc
     problems = Problems(deck.name, options.flags)
     problems.entries = [*deck.problems, *(part.problem for part in deck.elements if part.problem)]
     with problems.ending():
-        deck = deck.with_materials(materials)
+        deck = complete(deck, materials)
     problems.entries += problems_of_solids(deck, materials)
     problems.refuse()
     return deck

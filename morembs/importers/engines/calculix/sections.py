@@ -13,7 +13,7 @@ from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
 from morembs.importers.decks.options import MATERIAL, material_flags, unused_material
-from morembs.importers.decks.problems import Problem
+from morembs.importers.decks.problems import Problem, typed
 from morembs.importers.decks.writers.calculix_mesh import numeral
 from morembs.importers.decks.writers.calculix_sections import elastic_lines
 from morembs.importers.engines.calculix.read import EngineDeck
@@ -116,7 +116,7 @@ class Sections:
                     self._replaced(lack)
             elif lack:
                 flag = "--density X" if self._is_elastic(key) else f"{MATERIAL}{self._set_of.get(key, 'all')}"
-                self._problem(f"{lack}; {flag}", flag)
+                self._problem(f"{lack}; {typed(flag)}", flag)
             else:
                 self._material(key, name)
         for material in unused.values():

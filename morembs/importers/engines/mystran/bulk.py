@@ -14,7 +14,7 @@ from morembs.base.options import known
 from morembs.base.scratch import ScratchFolder
 from morembs.fem.material import Material
 from morembs.importers.abaqus.importer import read_abaqus_deck
-from morembs.importers.decks.materials import lacking_of, problems_of_solids
+from morembs.importers.decks.materials import complete, lacking_of, problems_of_solids
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import lacking_problems
 from morembs.importers.decks.problems import Problems
@@ -83,7 +83,7 @@ def as_bulk(path: Path, format: str, options: Mapping[str, Any], materials: Sequ
     problems.entries = [*deck.problems, *(part.problem for part in deck.elements if part.problem)]
     problems.refuse()
     with problems.ending():
-        deck = deck.with_materials(materials)
+        deck = complete(deck, materials)
     problems.entries += problems_of_solids(deck, materials)
     said = _without_mass(deck, problems)
     problems.refuse()
