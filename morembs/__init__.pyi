@@ -41,16 +41,19 @@ from .reducers import (
     Automatic,
     AutoReducer,
     Balanced,
+    BalancedTruncation,
     CraigBampton,
     FreeInterface,
     Gramian,
     Guyan,
+    ImprovedReducedSystem,
     Irka,
     Krylov,
     Modal,
     ReducedModel,
     StaticModesSwitching,
 )
+from .reducers.matrices import ReducedSystem, reduce
 from .reducers.pymor import from_pymor, to_pymor
 from .responses.band import band_frequencies
 from .responses.certified import CertifiedReference, certified_reference
@@ -64,6 +67,7 @@ __all__ = [
     "AutoReducer",
     "Automatic",
     "Balanced",
+    "BalancedTruncation",
     "Body",
     "Certificate",
     "CertifiedReference",
@@ -82,6 +86,7 @@ __all__ = [
     "FreeInterface",
     "Gramian",
     "Guyan",
+    "ImprovedReducedSystem",
     "InputError",
     "Interface",
     "Irka",
@@ -95,6 +100,7 @@ __all__ = [
     "Nodes",
     "Problem",
     "ReducedModel",
+    "ReducedSystem",
     "Rotation",
     "StateSpace",
     "StaticModesSwitching",
@@ -136,6 +142,7 @@ __all__ = [
     "read_model",
     "read_trajectory",
     "recover",
+    "reduce",
     "reduced_response",
     "select_nodes",
     "select_solver",

@@ -13,18 +13,19 @@ import operator
 import sys
 import types
 from collections import abc
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from morembs.base.errors import InputError, shown
+from morembs.base.errors import ArgumentError, InputError, nearest, shown
 from morembs.base.limits import Bounded, Domain, alternatives
 
 Target = TypeVar("Target", bound=Callable[..., Any])
 ARRAY_LIKE = frozenset(get_args(ArrayLike))
+_SEVERAL = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 def refuse_out_of_range(what: str, values: Iterable[float]) -> None:
@@ -46,16 +47,19 @@ def checked(target: Target) -> Target:
 
     Raises:
         InputError: (when called) an argument of another type, or beyond its limits.
+        ArgumentError: (when called) an argument that is unknown or missing, or by place where it has a name.
     """
     call: Callable[..., Any] = target.__init__ if isinstance(target, type) else target  # type: ignore[misc]
     signature = inspect.signature(call)
 
     @functools.wraps(call)
     def checking(*args: Any, **kwargs: Any) -> Any:
-        hints, given = hints_of(target), {}
-        # Python says in its own words what is missing.
-        with contextlib.suppress(TypeError):
+        hints = hints_of(target)
+        try:
             given = signature.bind(*args, **kwargs).arguments
+        except TypeError as error:
+            own_args = args[isinstance(target, type) :]
+            raise ArgumentError(_misfit(target, own_args, kwargs) or f"{target.__qualname__}: {error}") from None
         own = target.__qualname__.rpartition("<locals>.")[2]
         if isinstance(given.get("name"), str):
             own += f" {given['name']!r}"
@@ -69,6 +73,46 @@ def checked(target: Target) -> Target:
         target.__init__ = checking  # type: ignore[misc]
         return target
     return checking  # type: ignore[return-value]
+
+
+def tell_arguments(target: type) -> None:
+    """Let ``target``, whose fields are checked elsewhere, say which arguments it has when a call does not fit it."""
+    call = target.__init__  # type: ignore[misc]
+
+    @functools.wraps(call)
+    def telling(self: Any, *args: Any, **kwargs: Any) -> None:
+        reason = _misfit(target, args, kwargs)
+        if reason:
+            raise ArgumentError(reason)
+        call(self, *args, **kwargs)
+
+    target.__init__ = telling  # type: ignore[misc]
+
+
+def _misfit(target: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> str:
+    """Why these arguments cannot be those of ``target``: unknown, by place in place of by name, or missing; "" else."""
+    own = target.__qualname__.rpartition("<locals>.")[2]
+    every = inspect.signature(target).parameters.values()
+    kinds, parameters = {each.kind for each in every}, [each for each in every if each.kind not in _SEVERAL]
+    names = [each.name for each in parameters]
+    hints = hints_of(target)
+    unknown = next((name for name in kwargs if name not in names), None)
+    if unknown is not None and inspect.Parameter.VAR_KEYWORD not in kinds:
+        return f"{own} has no argument {unknown!r}; {nearest(unknown, names) if names else 'it takes none'}"
+    by_place = [each.name for each in parameters if each.kind is not inspect.Parameter.KEYWORD_ONLY]
+    if len(args) > len(by_place) and inspect.Parameter.VAR_POSITIONAL not in kinds:
+        if not names:
+            return f"{own} takes no arguments"
+        left, named = iter(parameters), []
+        for value in args:
+            fitting = next((each.name for each in left if fits(value, hints.get(each.name, Any))), None)
+            named += [f"{fitting}={shown(value)}"] if fitting else []
+        count = f"{', '.join(by_place)} by place and others" if by_place else "arguments"
+        return f"{own} takes {count} by name, as in {own}({', '.join(named)})"
+    for each in parameters[len(args) :]:
+        if each.default is inspect.Parameter.empty and each.name not in kwargs:
+            return f"{own} needs {each.name} = ...: {words(hints.get(each.name, Any))}"
+    return ""
 
 
 def check_options(options: Any, where: str = "") -> None:
@@ -120,9 +164,8 @@ def _annotations(target: Any) -> Iterator[tuple[str, Any, str]]:
                 if name in parameters:
                     yield name, annotation, holder.__module__
         return
-    several = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     for name, parameter in parameters.items():
-        if parameter.kind not in several and parameter.annotation is not parameter.empty:
+        if parameter.kind not in _SEVERAL and parameter.annotation is not parameter.empty:
             yield name, parameter.annotation, call.__module__
 
 
@@ -238,4 +281,5 @@ def words(hint: Any) -> str:
     if isinstance(kind, type) and issubclass(kind, abc.Iterable):
         return f"a sequence (each {words(parts[0])})"
     simple = {float: "a number", int: "an integer", str: "a text", bool: "true or false", type(None): "None"}
-    return simple.get(hint, getattr(hint, "__name__", str(hint)))
+    made_by = getattr(hint, "made_by", "")
+    return simple.get(hint, getattr(hint, "__name__", str(hint))) + (f", which {made_by} makes" if made_by else "")

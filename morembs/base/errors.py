@@ -38,6 +38,10 @@ class InputError(MorembsError, ValueError):
     as_typed: str = ""
 
 
+class ArgumentError(InputError, TypeError):
+    """A call with arguments that a function does not have, or without those that it needs."""
+
+
 class SingularMatrixError(MorembsError, ArithmeticError):
     """A matrix that had to be regular is singular, most often a mechanism or an unconnected part."""
 

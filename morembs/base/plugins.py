@@ -14,12 +14,19 @@ import warnings
 from collections.abc import Callable, Iterator, MutableMapping
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from morembs.base.errors import nearest
+from morembs.base.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 Entry = TypeVar("Entry")
+
+
+class UnknownNameError(InputError, KeyError):
+    """A table has no entry of that name."""
+
+    # KeyError shows its argument in quotes.
+    __str__ = Exception.__str__
 
 
 class Registry(MutableMapping[str, Entry], Generic[Entry]):
@@ -31,13 +38,16 @@ class Registry(MutableMapping[str, Entry], Generic[Entry]):
     def __init__(self, group: str, own: dict[str, Entry], fault: Callable[[str, object], str]) -> None:
         self.group, self._entries, self._fault = group, own, fault
         self.own = tuple(own)
+        # Short forms of names that the field uses: what a message proposes for them.
+        self.nicknames: dict[str, str] = {}
         self._broken: dict[str, str] = {}
         self._loaded = False
 
     def advice(self, name: str, *others: str) -> str:
         """Words for a message about ``name``, which is not in the table: why, or what comes near to it."""
         self._load()
-        return self._broken.get(name) or nearest(name, [*others, *self])
+        meant = self.nicknames.get(name.lower().replace("_", "-"))
+        return self._broken.get(name) or (f"did you mean {meant!r}?" if meant else nearest(name, [*others, *self]))
 
     def take(self, own: dict[str, Entry]) -> None:
         """Add entries of this package, where the table must be there before them."""
@@ -52,6 +62,8 @@ class Registry(MutableMapping[str, Entry], Generic[Entry]):
     def __getitem__(self, name: str) -> Entry:
         if name not in self._entries:
             self._load()
+            if name not in self._entries:
+                raise UnknownNameError(f"{self.group} has no {name!r}; {self.advice(str(name))}")
         return self._entries[name]
 
     def __setitem__(self, name: str, entry: Entry) -> None:

@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from morembs.base import progress
+from morembs.base.arguments import checked
 from morembs.base.budget import current_budget
 from morembs.base.errors import InputError, nearest
 from morembs.base.former_names import with_budget_argument, with_progress_argument
@@ -61,6 +62,7 @@ def stiffness_pattern(graph: sp.csr_array) -> sp.csr_array:
 
 @with_progress_argument
 @with_budget_argument
+@checked
 def assemble(
     mesh: Mesh, materials: Sequence[Material], *, mass_integration: str = "element", seams: bool = False
 ) -> FEModel:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,6 +167,8 @@ class FEModel:
     >>> FEModel(K=springs, M=masses, nodes=two, dofs=DofMap.translations(2)).size
     6
     """
+
+    made_by: ClassVar[str] = "import_model(path), assemble(mesh, materials) or from_matrices(K, M)"
 
     source: str = dataset("words", name="source/name", default="", doc="of the model")
     notes: tuple[str, ...] = dataset("words", "any", name="source/notes", default=(), doc="what was said at the import")

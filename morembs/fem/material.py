@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -27,6 +28,8 @@ class Material:
     >>> steel
     Material: set all; stiffness 6×6 numbers; density 7850
     """
+
+    made_by: ClassVar[str] = "isotropic(set=..., young=..., poisson=..., density=...)"
 
     set: str = dataset("words", "materials", name="sets", doc="sets of elements")
     stiffness: Floats = dataset("real", "materials 6 6", "Voigt order xx, yy, zz, yz, zx, xy, engineering shears", "Pa")

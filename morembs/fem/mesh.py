@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 
@@ -99,6 +100,8 @@ class Mesh:
     >>> mesh
     Mesh: nodes 20; elements 4 hex8; node sets LEFT, RIGHT; source bar
     """
+
+    made_by: ClassVar[str] = "read_mesh(path, units)"
 
     nodes: Nodes
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.arguments import check_value
 from morembs.base.budget import UNLIMITED, Budget, current_budget
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError, MorembsError, SingularMatrixError
@@ -59,6 +60,8 @@ class Problem(Closing):
     ((48, 48), (48, 6))
     """
 
+    made_by: ClassVar[str] = "Problem(model, interfaces)"
+
     @with_progress_argument
     @with_budget_argument
     def __init__(
@@ -70,6 +73,8 @@ class Problem(Closing):
         damping: Damping | None = None,
         workers: int = 1,
     ) -> None:
+        check_value("Problem: model", model, FEModel)
+        check_value("Problem: interfaces", interfaces, Sequence[Interface])
         self.model = model
         self.interfaces = tuple(interfaces)
         self.solver = solver if solver is not None else select_solver()

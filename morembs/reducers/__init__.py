@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from morembs.base.arguments import tell_arguments
 from morembs.base.former_names import renamed
 from morembs.base.plugins import Registry, subclass_fault
 from morembs.reducers.automatic import AutoReducer
-from morembs.reducers.balanced import Balanced
+from morembs.reducers.balanced import BalancedTruncation
 from morembs.reducers.base import MODE_KINDS, Basis, ReducedModel, Reducer
 from morembs.reducers.craig_bampton import CraigBampton
 from morembs.reducers.free_interface import FreeInterface
@@ -29,7 +30,7 @@ _OWN: tuple[type[Reducer], ...] = (
     FreeInterface,
     Krylov,
     Gramian,
-    Balanced,
+    BalancedTruncation,
     Irka,
     StaticModesSwitching,
     ParametricReducer,
@@ -38,11 +39,28 @@ REDUCERS: Registry[type[Reducer]] = Registry(
     "morembs.reducers", {reducer.method: reducer for reducer in _OWN}, subclass_fault(Reducer, "method")
 )
 
+REDUCERS.nicknames = {
+    "bt": "balanced-truncation",
+    "balanced": "balanced-truncation",
+    "cb": "craig-bampton",
+    "cms": "craig-bampton",
+    "hurty": "craig-bampton",
+    "rubin": "free-interface",
+    "macneal": "free-interface",
+    "static-condensation": "guyan",
+    "moment-matching": "krylov",
+    "pod": "gramian",
+    "sms": "static-modes-switching",
+    "eigenmodes": "modal",
+}
+for _reducer in _OWN:
+    tell_arguments(_reducer)
+
 __all__ = [
     "MODE_KINDS",
     "REDUCERS",
     "AutoReducer",
-    "Balanced",
+    "BalancedTruncation",
     "Basis",
     "CraigBampton",
     "FreeInterface",
@@ -59,4 +77,6 @@ __all__ = [
     "StaticModesSwitching",
 ]
 
-__getattr__ = renamed(__name__, {"Automatic": "AutoReducer", "Facts": "ProblemSummary"})
+__getattr__ = renamed(
+    __name__, {"Automatic": "AutoReducer", "Balanced": "BalancedTruncation", "Facts": "ProblemSummary"}
+)

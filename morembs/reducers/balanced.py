@@ -66,7 +66,7 @@ class _Gramian:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Balanced(OfResponses):
+class BalancedTruncation(OfResponses):
     """Coordinates that loads reach and outputs see alike.
 
     Args:
@@ -79,7 +79,7 @@ class Balanced(OfResponses):
         adi_tolerance: part of the loads' static compliance that the Gramian may leave unresolved.
         adi_steps: most shifts, each of which factorises the full dynamic stiffness.
 
-    >>> Balanced(order=8).reduce(held).order
+    >>> BalancedTruncation(order=8).reduce(held).order
     8
     """
 

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg as sl
 from numpy.typing import NDArray
 
-from morembs.base.arguments import check_options
+from morembs.base.arguments import check_options, check_value
 from morembs.base.errors import InputError, SolverError
 from morembs.base.former_names import FormerMethod, accept_progress, with_old_names, with_progress_argument
 from morembs.base.summary import hertz, kinds_words, summarised
@@ -270,6 +270,7 @@ class Reducer(ABC):
             SingularMatrixError: the model has a mechanism.
             SolverError: the stiffness of the basis is not that of the model.
         """
+        check_value("reduce: problem", problem, Problem)
         reason = self.why_not(ProblemSummary.of(problem))
         if reason:
             raise InputError(reason)

@@ -44,7 +44,7 @@ class Irka(OfResponses):
 
     Each pair of shifts takes two coordinates, so with little damping n of them follow n / 2 resonances closely. Where
     the band has more, the n strongest modes are mostly better, and are kept then (``kept`` = "modes"). For the largest
-    error rather than the H2 error take ``Balanced``: half or less with the same order where damping is little.
+    error rather than the H2 error take ``BalancedTruncation``: half or less with the same order and little damping.
 
     The recipe says whether the shifts came to rest (``converged``), the relative H2 error in the band of the first and
     of the kept model, and the shifts of the kept one (real and imaginary parts in 1/s; of each conjugate pair the upper

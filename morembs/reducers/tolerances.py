@@ -37,6 +37,10 @@ class ReducerTolerances:
     stiffness_error: float = 1e-2
     # Part of the lowest elastic frequency down to which rigid motion is to be free of round-off.
     rigid_frequency: float = 0.03
+    # Elastic frequencies of a plot begin at this part of the highest one: below, the root of eps, motion is rigid.
+    shown_frequency: float = 1e-7
+    # Frequencies of a plot: a line of a screen, about 1,000 pixels wide.
+    shown_points: int = 1000
     # Order up to which a summary shows frequencies, which a dense eigensolver has to find for it.
     shown_order: int = 400
 

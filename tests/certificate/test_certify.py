@@ -196,10 +196,10 @@ def methods():
         "free-interface": lambda low, high, m: FreeInterface(modes=8),
         "auto": lambda low, high, m: AutoReducer(band_hz=[low, high], tolerance=1e-4),
     }
-    Krylov, Gramian, Balanced = (
+    Krylov, Gramian, BalancedTruncation = (
         _optional("krylov", "Krylov"),
         _optional("gramian", "Gramian"),
-        _optional("balanced", "Balanced"),
+        _optional("balanced", "BalancedTruncation"),
     )
     if Krylov:
         reducers["krylov"] = lambda low, high, m: Krylov(shifts_hz=[0.0, 0.9 * high])
@@ -209,9 +209,9 @@ def methods():
         )
     if Gramian:
         reducers["gramian"] = lambda low, high, m: Gramian(band_hz=[low, high], order=20)
-    if Balanced:
-        known = {field.name for field in fields(Balanced)}
-        reducers["balanced"] = lambda low, high, m: Balanced(
+    if BalancedTruncation:
+        known = {field.name for field in fields(BalancedTruncation)}
+        reducers["balanced"] = lambda low, high, m: BalancedTruncation(
             **{k: v for k, v in {"band_hz": [low, high], "order": 14}.items() if k in known}
         )
     return reducers

@@ -18,7 +18,7 @@ from morembs.certificate.certify import certify
 from morembs.certificate.limits import error_limits, merge_cells
 from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
-from morembs.reducers import AutoReducer, Balanced, FreeInterface, Modal
+from morembs.reducers import AutoReducer, BalancedTruncation, FreeInterface, Modal
 from morembs.reducers.automatic import unreachable
 from morembs.responses.certified import certified_reference
 from morembs.responses.direct import direct_response
@@ -98,7 +98,7 @@ def test_bodies_that_are_no_projections_and_bodies_of_files(tmp_path):
         band = [50.0, 3000.0]
         bodies = [
             FreeInterface(modes=8).reduce(problem, "free"),
-            Balanced(band_hz=band, order=24, variant="pv").reduce(problem, "pv"),
+            BalancedTruncation(band_hz=band, order=24, variant="pv").reduce(problem, "pv"),
         ]
         certificates = certify(problem, bodies, band)
         assert [certificate.kind for certificate in certificates] == ["proven", "proven"]

@@ -15,7 +15,7 @@ from morembs.body.floating.stiffening import Envelope
 from morembs.fem import DofMap, FEModel, Nodes, rigid_motion, skew
 from morembs.fem.interface import make_interface
 from morembs.problem import Problem
-from morembs.reducers import Balanced, CraigBampton, Modal
+from morembs.reducers import BalancedTruncation, CraigBampton, Modal
 from tests.support.meshes import box, steel, where
 
 KINDS = [("mean-axes", ()), ("tangent", ("l",)), ("tangent", ("r",)), ("chord", ("l", "r")), ("center-of-mass", ("l",))]
@@ -252,7 +252,7 @@ def test_bodies_without_a_frame_say_why(beam, bodies):
     assert "free body" in why_not_floating(beam, held)
     with pytest.raises(InputError, match="needs a free body with six"):
         floating_frame(beam, held)
-    two_sided = Balanced(order=4, variant="p", band_hz=[10.0, 2000.0]).reduce(beam)
+    two_sided = BalancedTruncation(order=4, variant="p", band_hz=[10.0, 2000.0]).reduce(beam)
     assert "two-sided" in why_not_floating(beam, two_sided)
 
 

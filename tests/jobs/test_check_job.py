@@ -24,7 +24,7 @@ from morembs.fem.interface import make_interface
 from morembs.importers.model_file import write_model
 from morembs.linalg.sparse.threads import Speed
 from morembs.problem import Damping, Problem
-from morembs.reducers import AutoReducer, Balanced, CraigBampton, Gramian, Irka, Krylov, ProblemSummary
+from morembs.reducers import AutoReducer, BalancedTruncation, CraigBampton, Gramian, Irka, Krylov, ProblemSummary
 from morembs.reducers.cost import mode_seconds
 from morembs.responses.direct import why_no_response
 from tests.support.commands import FACTORISING, factorisations, without_progress
@@ -104,8 +104,8 @@ METHODS = {
     "irka": Irka(order=6, band_hz=BAND, max_steps=3),
     "gramian": Gramian(band_hz=BAND, order=12),
     "direct": Gramian(band_hz=BAND, order=12, direct=True, points=6),
-    "band": Balanced(order=8, band_hz=BAND),
-    "balanced": Balanced(order=8, adi_tolerance=1e-4),
+    "band": BalancedTruncation(order=8, band_hz=BAND),
+    "balanced": BalancedTruncation(order=8, adi_tolerance=1e-4),
     "cb": CraigBampton(modes=4),
     "krylov": Krylov(),
 }

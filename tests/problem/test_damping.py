@@ -16,7 +16,7 @@ from morembs.certificate.certify import certify
 from morembs.certificate.response import full_response, reduced_response
 from morembs.problem import Problem
 from morembs.problem.damping import NAMED, STRUCTURAL, Damping, frequency_domain_only
-from morembs.reducers import REDUCERS, AutoReducer, Balanced, FreeInterface, Gramian, Irka, Krylov, Modal
+from morembs.reducers import REDUCERS, AutoReducer, BalancedTruncation, FreeInterface, Gramian, Irka, Krylov, Modal
 from morembs.responses.certified import certified_reference
 from morembs.responses.direct import direct_response, elastic_states
 from morembs.responses.reference import reference_model
@@ -217,15 +217,20 @@ def test_a_table_that_damps_some_modes_only():
     for table in ([[0, 0.02], [1200, 0.0]], [[0, 0.0], [1200, 0.02]]):
         with Problem(model, ends(model), damping=Damping(modal_table=table)) as problem:
             H = full_response(problem, omega)
-            for reducer in (Gramian(band_hz=[50.0, 2600.0], order=30), Balanced(order=26, band_hz=[50.0, 2600.0])):
+            for reducer in (
+                Gramian(band_hz=[50.0, 2600.0], order=30),
+                BalancedTruncation(order=26, band_hz=[50.0, 2600.0]),
+            ):
                 body = reducer.reduce(problem)
                 assert off(reduced_response(body, omega), H, problem) < 1e-3
                 assert float(body.recipe.get("delta_1_per_s", body.recipe.get("delta", 0.0))) > 0
             with pytest.raises(InputError, match="leaves some undamped"):
-                Balanced(order=12).reduce(problem)
+                BalancedTruncation(order=12).reduce(problem)
 
 
-@pytest.mark.parametrize("reducer", [Balanced(order=24), Irka(order=24, band_hz=[50.0, 2600.0], max_steps=5)], ids=repr)
+@pytest.mark.parametrize(
+    "reducer", [BalancedTruncation(order=24), Irka(order=24, band_hz=[50.0, 2600.0], max_steps=5)], ids=repr
+)
 def test_methods_that_follow_poles_take_a_table(reducer):
     model = beam()
     interfaces = ends(model)[:1]
@@ -330,7 +335,7 @@ def test_gramians_of_a_band_take_structural_damping(direct, name):
         assert off(reduced_response(body, OMEGA), true, problem) < 1e-4
         assert body.recipe["delta_1_per_s"] == 0 and body.recipe[STRUCTURAL] == 0.03
         if not direct:
-            balanced = Balanced(order=26, band_hz=band).reduce(problem)
+            balanced = BalancedTruncation(order=26, band_hz=band).reduce(problem)
             assert off(reduced_response(balanced, OMEGA), true, problem) < 1e-4 and "delta" not in balanced.recipe
 
 
@@ -348,7 +353,7 @@ def test_what_structural_damping_has_not_is_refused():
     model = beam((4, 1, 1))
     with Problem(model, ends(model), damping=Damping(structural=0.02, alpha=1.0)) as problem:
         with pytest.raises(InputError, match=r"viscous damping.*give band_hz"):
-            Balanced(order=6).reduce(problem)
+            BalancedTruncation(order=6).reduce(problem)
         with pytest.raises(InputError, match="follows poles"):
             Irka(order=4, band_hz=[0.0, 1000.0]).reduce(problem)
     with pytest.raises(InputError, match="in addition to a damping matrix"):

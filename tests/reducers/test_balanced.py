@@ -11,7 +11,7 @@ from morembs.certificate.response import full_response, reduced_response
 from morembs.fem import DofMap, FEModel
 from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
-from morembs.reducers.balanced import Balanced
+from morembs.reducers.balanced import BalancedTruncation
 from morembs.reducers.petrov_galerkin import refuse_unstable
 from morembs.reducers.second_order_balancing import VARIANTS, band_factor, lyapunov_factor
 from tests.support.matrices import dense_gramians, difference
@@ -118,7 +118,9 @@ def test_all_variants_agree_with_pymor(balancing, variants):
         for variant in variants:
             name, values = names[variant]
             reference = getattr(sobt, name + "Reductor")(full).reduce(9, projection=balancing)
-            reduced = Balanced(variant=variant, order=9, balancing=balancing, adi_tolerance=1e-13).reduce(problem)
+            reduced = BalancedTruncation(variant=variant, order=9, balancing=balancing, adi_tolerance=1e-13).reduce(
+                problem
+            )
             H = np.array([reference.transfer_function.eval_tf(1j * w) for w in OMEGA])
             exact = values()[:9]
             assert np.abs(reduced.recipe["singular_values"][:9] - exact).max() < 1e-8 * exact[0], variant
@@ -130,7 +132,9 @@ def test_gramian_of_a_free_body_is_that_of_its_elastic_part():
     model, interfaces = free_beam(cells=5)
     with Problem(model, interfaces, damping=RAYLEIGH) as problem:
         K, M = problem.K.toarray(), problem.M.toarray()
-        reduced = {v: Balanced(variant=v, order=24, adi_tolerance=1e-12).reduce(problem) for v in ("fv", "pv", "v")}
+        reduced = {
+            v: BalancedTruncation(variant=v, order=24, adi_tolerance=1e-12).reduce(problem) for v in ("fv", "pv", "v")
+        }
         F, Z = problem.B.toarray() * problem.motion_scale, problem.rigid
         H = full_response(problem, OMEGA)
     values, Phi = sl.eigh(K, M)
@@ -152,10 +156,10 @@ def test_a_band_spends_the_order_where_it_counts():
         model, interfaces = free_beam()
         with Problem(model, interfaces, damping=damping) as problem:
             H = full_response(problem, OMEGA)
-            reduced = Balanced(order=30, band_hz=[0.0, 3500.0]).reduce(problem)
+            reduced = BalancedTruncation(order=30, band_hz=[0.0, 3500.0]).reduce(problem)
             assert error(reduced_response(reduced, OMEGA), H) < 1e-5
             assert ("delta" in reduced.recipe) == (damping == Damping())
-            small = Balanced(tolerance=1e-4, band_hz=[0.0, 3500.0]).reduce(problem)
+            small = BalancedTruncation(tolerance=1e-4, band_hz=[0.0, 3500.0]).reduce(problem)
             values = np.array(small.recipe["singular_values"])
             assert (values > 1e-4 * values[0]).sum() == small.order - 6 < 24
 
@@ -163,7 +167,7 @@ def test_a_band_spends_the_order_where_it_counts():
 def test_modal_damping_is_integrated_in_a_reference_model():
     model, interfaces = free_beam("average")
     with Problem(model, interfaces, damping=Damping(modal=0.02)) as problem:
-        reduced = Balanced(variant="pv", order=12).reduce(problem)
+        reduced = BalancedTruncation(variant="pv", order=12).reduce(problem)
         K, M, F = problem.K.toarray(), problem.M.toarray(), problem.B.toarray() * problem.motion_scale
     values, Phi = sl.eigh(K, M)
     values, F = values[6:], Phi[:, 6:].T @ F
@@ -177,7 +181,7 @@ def test_unstable_or_perpendicular_reductions_are_refused():
     model, interfaces = free_beam()
     cuts_a_pair = pytest.raises(SolverError, match=r"nearly perpendicular.*variant = .fv. or .pv.")
     with Problem(model, interfaces, damping=Damping(alpha=5.0, beta=2e-6)) as problem, cuts_a_pair:
-        Balanced(variant="p", order=24, band_hz=[0.0, 3500.0]).reduce(problem)
+        BalancedTruncation(variant="p", order=24, band_hz=[0.0, 3500.0]).reduce(problem)
     # Negative stiffness that only a test space other than the trial space can give.
     with pytest.raises(SolverError, match=r"unstable reduced model at order 2: a motion of .* Hz grows"):
         refuse_unstable(np.eye(2), 1e-3 * np.eye(2), np.array([[4.0, 3.0], [-3.0, 4.0]]), "it", "take another order")
@@ -186,12 +190,12 @@ def test_unstable_or_perpendicular_reductions_are_refused():
 def test_what_cannot_be_integrated_is_refused():
     model, interfaces = free_beam()
     with Problem(model, interfaces) as problem, pytest.raises(InputError, match=r"infinite without damping.*band_hz"):
-        Balanced(order=6).reduce(problem)
+        BalancedTruncation(order=6).reduce(problem)
     with Problem(model, interfaces, damping=Damping(alpha=1.0)) as problem:
         with pytest.raises(SolverError, match="in 4 shifts"):
-            Balanced(order=6, adi_steps=4).reduce(problem)
+            BalancedTruncation(order=6, adi_steps=4).reduce(problem)
         with pytest.raises(InputError, match="singular values are above round-off"):
-            Balanced(order=9000, band_hz=[0.0, 100.0]).reduce(problem)
+            BalancedTruncation(order=9000, band_hz=[0.0, 100.0]).reduce(problem)
     for wrong in (
         {},
         {"order": 3, "tolerance": 1e-3},
@@ -205,14 +209,14 @@ def test_what_cannot_be_integrated_is_refused():
         {"order": 3, "adi_tolerance": 0.0},
     ):
         with pytest.raises(InputError, match=r"expected|one of the two"):
-            Balanced(**wrong)
+            BalancedTruncation(**wrong)
 
 
 def test_damping_of_rigid_motion_is_refused():
     model, interfaces = free_beam(cells=3)
     grounded = FEModel(K=model.K, M=model.M, D=sp.csr_array(10.0 * model.M), nodes=model.nodes, dofs=model.dofs)
     with Problem(grounded, interfaces) as problem, pytest.raises(InputError, match="damps its rigid-body motion"):
-        Balanced(order=6).reduce(problem)
+        BalancedTruncation(order=6).reduce(problem)
     # A damping matrix that leaves it alone serves as Rayleigh damping does.
     inner = FEModel(K=model.K, M=model.M, D=sp.csr_array(1e-5 * model.K), nodes=model.nodes, dofs=model.dofs)
     spectra = []
@@ -223,7 +227,7 @@ def test_damping_of_rigid_motion_is_refused():
         (model, RAYLEIGH),
     ):
         with Problem(damped, interfaces, damping=damping) as problem:
-            spectra.append(Balanced(order=12).reduce(problem).recipe["singular_values"])
+            spectra.append(BalancedTruncation(order=12).reduce(problem).recipe["singular_values"])
     assert spectra[0] == pytest.approx(spectra[1], abs=1e-8 * spectra[1][0])
     assert spectra[2] == pytest.approx(spectra[3], abs=1e-8 * spectra[3][0])
 
@@ -238,7 +242,7 @@ def test_bodies_of_two_bases_have_a_positive_mass(variant, orders, error):
         H = full_response(problem, omega)
         errors = []
         for order in orders:
-            reduced = Balanced(order=order, variant=variant, band_hz=band).reduce(problem)
+            reduced = BalancedTruncation(order=order, variant=variant, band_hz=band).reduce(problem)
             assert np.linalg.eigvalsh(reduced.M + reduced.M.T).min() > 0
             errors.append(np.abs(reduced_response(reduced, omega) - H).max() / np.abs(H).max())
     assert errors[-1] < error and errors[-1] < 0.5 * errors[0]

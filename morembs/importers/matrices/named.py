@@ -27,13 +27,13 @@ USUAL = {
 
 
 def square_csr(source: str, name: str, matrix: Any) -> sp.csr_array:
-    """A real or complex square CSR matrix in double precision, entries summed and sorted.
+    """A real or complex square CSR matrix in double precision, entries summed and sorted; a vector is a diagonal.
 
     Raises:
         InputError: no numbers, not square, or entries that are not finite.
     """
     try:
-        A = sp.csr_array(matrix)
+        A = sp.csr_array(matrix if sp.issparse(matrix) or np.ndim(matrix) != 1 else sp.diags_array(np.asarray(matrix)))
     except (TypeError, ValueError) as error:
         raise InputError(f"{source}: {name} is not a matrix of numbers ({error})") from error
     if A.ndim != 2 or A.shape[0] != A.shape[1] or not A.shape[0]:

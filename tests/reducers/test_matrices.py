@@ -1,0 +1,125 @@
+"""Matrices reduced in one call: a chain of masses, whose transfer function dense solutions give."""
+
+from __future__ import annotations
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import morembs
+from morembs.base.errors import ArgumentError
+
+SIZE = 30
+K = 1e4 * sp.diags_array([np.full(SIZE, 2.0), -np.ones(SIZE - 1), -np.ones(SIZE - 1)], offsets=[0, 1, -1]).tocsr()
+M = np.linspace(1.0, 2.0, SIZE)
+B, C = np.eye(SIZE)[:, :1], np.eye(SIZE)[-2:]
+BAND = np.linspace(0.1, 4.0, 40)
+RAYLEIGH = morembs.Damping(alpha=0.2, beta=1e-4)
+
+
+def exact(frequencies_hz: np.ndarray) -> np.ndarray:
+    full, mass = K.toarray(), np.diag(M)
+    D = RAYLEIGH.alpha * mass + RAYLEIGH.beta * full
+    return np.array([C @ np.linalg.solve(full + 1j * w * D - w**2 * mass, B) for w in 2 * np.pi * frequencies_hz])
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        ("modal", {"modes": 16}),
+        ("craig-bampton", {"modes": 14}),
+        ("free-interface", {"modes": 12}),
+        ("krylov", {"shifts_hz": [0, 2, 4], "order": 14}),
+        ("gramian", {"band_hz": [0, 5], "order": 12}),
+        ("balanced-truncation", {"order": 14, "band_hz": [0, 5]}),
+        ("irka", {"order": 16, "band_hz": [0, 5]}),
+        ("auto", {"band_hz": [0, 5], "tolerance": 1e-4}),
+    ],
+)
+def test_outputs_follow_those_of_dense_solutions(method: str, options: dict[str, object]) -> None:
+    system = morembs.reduce(K, M, B=B, C=C, method=method, damping=RAYLEIGH, **options)
+    H, reference = system.frequency_response(BAND), exact(BAND)
+    assert H.shape == (len(BAND), 2, 1) and system.order < SIZE
+    assert np.abs(H - reference).max() < 0.02 * np.abs(reference).max()
+
+
+def test_every_kind_of_matrix_gives_the_same() -> None:
+    whole = np.diag(M)
+    made = [
+        morembs.reduce(stiffness, mass, B=loads, method="craig-bampton", modes=5).K
+        for stiffness, mass, loads in (
+            (K, M, B),
+            (K.tocoo(), sp.diags_array(M), sp.csc_array(B)),
+            (K.toarray(), whole, B[:, 0]),
+            (K.toarray().tolist(), sp.dia_matrix(whole), B.tolist()),
+        )
+    ]
+    for other in made[1:]:
+        assert np.array_equal(other, made[0])
+
+
+def test_modal_coordinates_are_taken_as_they_are() -> None:
+    w = 2 * np.pi * np.arange(1.0, 21.0)
+    system = morembs.reduce(w**2, np.ones(20), B=np.ones((20, 1)), method="modal", modes=6)
+    assert np.allclose(system.frequencies_hz(), np.arange(1.0, 7.0), rtol=1e-12)
+
+
+def test_what_other_packages_make_of_it_has_the_same_response() -> None:
+    system = morembs.reduce(K, M, B=B, C=C, method="balanced_truncation", damping=RAYLEIGH, order=8)
+    H = system.frequency_response(BAND)
+    space = system.to_scipy()
+    s = 2j * np.pi * BAND
+    values = np.array([space.C @ np.linalg.solve(each * np.eye(16) - space.A, space.B) for each in s])
+    assert np.allclose(values, H, rtol=1e-9)
+    control = pytest.importorskip("control")
+    assert np.allclose(system.to_control()(s).transpose(2, 0, 1), H, rtol=1e-9) and control is not None
+    magnitude, phase = system.bode(BAND)
+    assert np.allclose(10 ** (magnitude / 20) * np.exp(1j * np.radians(phase)), H)
+
+
+def test_the_plot_has_a_curve_for_each_output() -> None:
+    upper, lower = morembs.reduce(K, M, B=B, C=C, method="irs").plot().axes
+    assert len(upper.lines) == len(lower.lines) == 2 and [each.get_text() for each in upper.get_legend().texts] == [
+        "output 1, input 1",
+        "output 2, input 1",
+    ]
+    assert isinstance(upper.figure, mpl.figure.Figure)
+
+
+def test_structural_damping_has_no_state_space() -> None:
+    system = morembs.reduce(K, M, B=B, modes=3, damping=morembs.Damping(structural=0.02))
+    assert np.abs(system.frequency_response(0.0).imag).min() > 0
+    with pytest.raises(morembs.InputError, match=r"structural = 0.02.*no place in the time domain"):
+        system.to_scipy()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"A": K, "E": M}, "first-order system.*expected K, M, D, B and C.*LTIModel"),
+        ({"K": K, "M": M, "method": "bt", "order": 3}, "did you mean 'balanced-truncation'"),
+        ({"K": K, "M": M, "method": "krylov", "order": 3}, "needs inputs; give B"),
+        ({"K": K, "M": M, "n_modes": 3}, "no option 'n_modes'; did you mean 'modes'"),
+        ({"K": K, "M": M[:-1], "modes": 3}, "M has 29 rows|29.*30"),
+        ({"K": K}, "M of matrices is None"),
+    ],
+)
+def test_calls_that_do_not_fit_are_answered(given: dict[str, object], message: str) -> None:
+    with pytest.raises(morembs.InputError, match=message):
+        morembs.reduce(**given)
+
+
+@pytest.mark.parametrize(
+    ("call", "answer"),
+    [
+        (lambda: morembs.CraigBampton(10), r"by name, as in CraigBampton\(modes=10\)"),
+        (lambda: morembs.CraigBampton(n_modes=10), "no argument 'n_modes'; did you mean 'modes'"),
+        (lambda: morembs.Guyan(modes=1), "it takes none"),
+        (lambda: morembs.Gramian(order=3), r"needs band_hz = .*\[LOW, HIGH\]"),
+    ],
+)
+def test_arguments_of_a_method_are_told(call, answer: str) -> None:
+    with pytest.raises(ArgumentError, match=answer) as caught:
+        call()
+    assert isinstance(caught.value, TypeError)
