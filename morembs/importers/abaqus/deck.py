@@ -149,7 +149,11 @@ class Instance:
 class Contents:
     """All of a deck; ``counts`` of element types as they are written, ``noted`` keywords without effect and the
     ``warnings`` of some of them, ``skipped`` what was left out as asked; ``dialect`` is the program whose types are
-    meant, and ``guessed`` says that the deck does not tell."""
+    meant, and ``guessed`` says that the deck does not tell.
+
+    ``cards`` are keywords outside of steps beside mesh, sets, surfaces and materials, with their data as it stands;
+    ``steps`` those of each step, with the data of its loads and supports.
+    """
 
     name: str
     options: DeckOptions = field(default_factory=DeckOptions)
@@ -167,6 +171,8 @@ class Contents:
     dialects: set[str] = field(default_factory=set)
     dialect: str = "calculix"
     guessed: bool = False
+    cards: list[tuple[Scope, Card, bytes]] = field(default_factory=list)
+    steps: list[list[tuple[Card, bytes]]] = field(default_factory=list)
 
     def leave_out(self, card: Card) -> None:
         """Count a keyword that nothing of the model depends on, with the warning that it may need."""

@@ -45,18 +45,32 @@ from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problem, Problems
 from morembs.importers.tolerances import TOL
 
+# Keywords of steps that load a body or hold it, and those outside of steps that programs read as they stand.
+ACTING = ("STATIC", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE")
+KEPT = {
+    *SECTIONS,
+    *("SOLID SECTION", "SPRING", "DASHPOT", "MASS", "ROTARY INERTIA", "GAP", "NODAL THICKNESS", "NORMAL"),
+    *("TIE", "RIGID BODY", "MPC", "EQUATION", "KINEMATIC COUPLING", "DISTRIBUTING COUPLING", "CONTACT PAIR"),
+    *(PRETENSION, "ORIENTATION", "DISTRIBUTION", "TRANSFORM", "INITIAL CONDITIONS", "BOUNDARY"),
+}
 _OF_ENGINE = re.compile(r"S[3468]|B3[123]|M3D|T3D")
 # Elements that have neither stiffness nor mass.
 _EMPTY = ("SFM3D",)
 
 
 def read_deck(
-    path: Path, *, outside: bool = False, dialect: str = "auto", options: DeckOptions | None = None
+    path: Path,
+    *,
+    outside: bool = False,
+    dialect: str = "auto",
+    options: DeckOptions | None = None,
+    for_calculix: bool = False,
 ) -> Contents:
     """The deck of a file; ``outside`` allows to include files from beyond its folder.
 
     ``dialect`` "auto" looks at keywords and at comments of the head; where they do not tell one program, a deck without
-    parts is taken for one of CalculiX. What a model cannot carry is among the ``problems`` of the deck.
+    parts is taken for one of CalculiX. What a model cannot carry is among its ``problems``; ``for_calculix`` keywords
+    that CalculiX does not have.
 
     Raises:
         InputError: the text is not an input deck.
@@ -65,7 +79,7 @@ def read_deck(
     deck = Contents(path.name, options, Problems(path.name, options.flags))
     said: list[str] = []
     with deck.problems.ending():
-        reader = DeckReader(deck)
+        reader = DeckReader(deck, for_calculix=for_calculix)
         for card, pieces in cards(path, outside=outside, warnings=said):
             reader.take(card, pieces)
         deck.warnings += said if reader.open != ["STEP"] else []
@@ -78,7 +92,8 @@ def read_deck(
                 f"{path.name} ends inside *{reader.open[-1]}: the part, assembly, instance or step is not ended "
                 f"(*END {reader.open[-1]} is missing); the file may be cut off"
             )
-    _others(deck)
+    if not for_calculix:
+        _others(deck)
     with open_text(path) as file:
         deck.dialects |= dialects_of_comments(file.read(TOL.head_bytes))
     told = deck.dialects if dialect == "auto" else {dialect}
@@ -117,12 +132,10 @@ def _others(deck: Contents) -> None:
 
 
 class DeckReader:
-    """Puts each card where it belongs; ``glues`` says whether general contact can be glued."""
+    """Puts each card where it belongs; ``for_calculix``: what that takes is no problem."""
 
-    glues = True
-
-    def __init__(self, deck: Contents) -> None:
-        self.deck = deck
+    def __init__(self, deck: Contents, *, for_calculix: bool) -> None:
+        self.deck, self.for_calculix = deck, for_calculix
         self.open: list[str] = []
         self.scope = deck.top
         self.material: list[tuple[Card, Rows]] | None = None
@@ -134,12 +147,23 @@ class DeckReader:
         told = dialect_of(word, card.options)
         deck.dialects |= {told} if told else set()
         if word == "STEP":
+            # CalculiX takes steps that are not ended, and ends of steps that were not begun.
+            self.open = [scope for scope in self.open if scope != "STEP"]
             self._begin(word, card)
+            deck.steps.append([])
         if self.open and self.open[-1] == "STEP":
             if word == "END STEP":
                 self.open.pop()
             deck.in_steps[word] = deck.in_steps.get(word, 0) + 1
-        elif word in STRUCTURAL:
+            deck.steps[-1].append((card, b"".join(pieces) if word in ACTING else b""))
+            return
+        if word in KEPT and (word == PRETENSION or not deck.options.skips(word)):
+            data = b"".join(pieces)
+            pieces = iter([data])
+            deck.cards.append((self.scope, card, data))
+        if word == "END STEP":
+            return
+        if word in STRUCTURAL:
             self._structure(card, pieces)
         elif word in ("NODE", "ELEMENT"):
             {"NODE": self._nodes, "ELEMENT": self._elements}[word](card, pieces)
@@ -245,7 +269,7 @@ class DeckReader:
     def _skips(self, code: str) -> bool:
         """Whether elements of a type are left out as asked."""
         options = self.deck.options
-        return options.skips(code) or (code in GAPS and options.contact == "skip")
+        return options.skips(code) or (code in GAPS and options.contact == "skip" and not self.for_calculix)
 
     def _set(self, card: Card, pieces: Iterator[bytes]) -> None:
         sets = self.scope.node_sets if card.keyword == "NSET" else self.scope.element_sets
@@ -264,7 +288,7 @@ class DeckReader:
         if word == "SURFACE":
             scope.surfaces.append((card, rows))
         elif word in PROPERTIES:
-            if word == "SOLID SECTION" and len([row for row in rows if row]) > 1:
+            if word == "SOLID SECTION" and not self.for_calculix and len([row for row in rows if row]) > 1:
                 raise InputError(f"{card} has several data lines; expected one, its thickness, or none")
             scope.properties.append((card, rows))
         elif word == "ORIENTATION":
@@ -276,7 +300,9 @@ class DeckReader:
             scope.transforms.append((card, rows))
         elif word in CONTACT:
             self._contact(card, rows)
-        elif word in CONSTRAINTS or (word == PRETENSION and self.deck.options.pretension != "auto"):
+        elif word in CONSTRAINTS or (
+            word == PRETENSION and (self.for_calculix or self.deck.options.pretension != "auto")
+        ):
             scope.constraints.append((card, rows, None, []))
         elif word in ("KINEMATIC", "DISTRIBUTING"):
             if not scope.constraints or scope.constraints[-1][0].keyword != "COUPLING" or scope.constraints[-1][2]:
@@ -291,10 +317,10 @@ class DeckReader:
         deck, contact = self.deck, self.deck.options.contact
         if contact == "skip":
             deck.skip(card)
-        elif contact == "tie" and (self.glues or card.keyword == "CONTACT PAIR"):
+        elif contact == "tie" and (not self.for_calculix or card.keyword == "CONTACT PAIR"):
             self.scope.constraints.append((card, rows, None, []))
         else:
-            own = "" if card.keyword == "CONTACT PAIR" or self.glues else " (in own assembly)"
+            own = " (in own assembly)" if self.for_calculix and card.keyword == "CONTACT" else ""
             cure = f"--contact skip leaves it out; --contact tie glues it{own}"
             what = f"{card} cannot be read: contact is not linear; {cure}"
             deck.problems.add(

@@ -119,7 +119,7 @@ def _with_densities(deck: Tables, density: dict[str, float]) -> Tables:
 
     sections = []
     for section in deck.sections:
-        if section.set in density:
+        if section.set in density and _lack(deck, section) is not None:
             if section.kind == "solid":
                 section = replace(section, density=density[section.set], lacks="")
             else:
@@ -133,7 +133,7 @@ def _with_materials(deck: Tables, given: dict[str, Material]) -> Tables:
     """The deck with other materials of its sections by their sets."""
     sections, materials = list[Section](), dict(deck.materials)
     for section in deck.sections:
-        if section.set in given:
+        if section.set in given and _lack(deck, section) is not None:
             own, name = given[section.set], f"{section.set}, given"
             if section.kind == "solid":
                 section = replace(section, stiffness=own.stiffness, density=own.density, lacks="")

@@ -17,13 +17,12 @@ from morembs.fem import Mesh, Nodes
 from morembs.fem.handedness import right_handed
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.data import label
-from morembs.importers.abaqus.deck import Rows
+from morembs.importers.abaqus.deck import Contents, Rows
 from morembs.importers.abaqus.equations import Axes, equations_of
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
 from morembs.importers.abaqus.surfaces import Surfaces
 from morembs.importers.decks.writers.calculix_mesh import FACES, Line, face_keys, numeral, sixteen
-from morembs.importers.engines.calculix.read import EngineDeck
 from morembs.importers.engines.calculix.text import element_lines, node_lines
 
 # What the fields of data lines are: n a node or a set of such, e an element or set, s a surface, o an orientation,
@@ -92,7 +91,7 @@ class FlatDeck:
     """
 
     assembly: Assembly
-    deck: EngineDeck
+    deck: Contents
     sets: dict[tuple[str, int, str], str] = field(default_factory=dict)
     names: dict[tuple[str, int, str], str] = field(default_factory=dict)
     defined: list[str] = field(default_factory=list)

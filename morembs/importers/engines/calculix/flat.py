@@ -11,34 +11,23 @@ from morembs.base.errors import InputError
 from morembs.fem.material import Material
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.constraints import Constraints, refuse_sector
-from morembs.importers.abaqus.deck import Rows, values
+from morembs.importers.abaqus.data import fields
+from morembs.importers.abaqus.deck import Contents, Rows, values
 from morembs.importers.abaqus.keywords import Card
-from morembs.importers.abaqus.left_out import CUT, LOCKED, PRETENSION, refusal_of
+from morembs.importers.abaqus.left_out import CUT, LOCKED, PRETENSION
 from morembs.importers.abaqus.names import Placed
 from morembs.importers.abaqus.points import point_value
+from morembs.importers.abaqus.reader import ACTING, KEPT
 from morembs.importers.abaqus.ties import is_sector
-from morembs.importers.abaqus.words import LEFT_OUT
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.writers.calculix_mesh import numeral
 from morembs.importers.engines.calculix.deck import CARDS, FlatDeck
-from morembs.importers.engines.calculix.read import EngineDeck
 from morembs.importers.engines.calculix.sections import SECTIONS, Sections
 from morembs.importers.engines.calculix.ties import Flat, Ties
 from morembs.importers.imported import PointMass
 
-# Cards that are the linear model itself, or go into it in another way; those of steps only with a preload.
-_PLAIN = set(CARDS) - {
-    "BOUNDARY",
-    "CLOAD",
-    "DLOAD",
-    "DSLOAD",
-    "TEMPERATURE",
-    "STATIC",
-    "ORIENTATION",
-    "DISTRIBUTION",
-    "DISTRIBUTING COUPLING",
-}
-_IN_STEPS = ("STATIC", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE")
+# Keywords outside of steps that the flat deck has, or that go into the model in another way.
+WRITTEN = KEPT - {"DASHPOT"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +41,7 @@ class Choices:
     materials: tuple[Material, ...] = ()
 
 
-def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
+def flat_deck(deck: Contents, assembly: Assembly, choices: Choices) -> Flat:
     """The deck that CalculiX reads.
 
     Raises:
@@ -62,10 +51,11 @@ def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
     constraints.surfaces.read()
     flat = Flat(deck=FlatDeck(assembly=assembly, deck=deck), constraints=constraints)
     writer = _Writer(deck, assembly, choices, flat)
-    for placed, card, _ in writer.cards():
+    for placed, card, _ in writer.cards:
         if card.keyword in ("ORIENTATION", "DISTRIBUTION"):
             flat.deck.name(card.keyword[0].lower() if card.keyword == "ORIENTATION" else "d", placed, card.need("NAME"))
-    for placed, card, rows in writer.cards():
+    writer.sections.read(writer.cards)
+    for placed, card, rows in writer.cards:
         with deck.problems.collected(card, (f"--skip {card.keyword}",)):
             writer.take(placed, card, rows)
     writer.ties.couplings(writer.places)
@@ -76,24 +66,24 @@ def flat_deck(deck: EngineDeck, assembly: Assembly, choices: Choices) -> Flat:
     constraints.refuse_references(held, cure="[[interface]] with nodes = 'coupling:NAME'")
     writer.cuts()
     writer.sections.complete()
-    writer.sections.materials()
     deck.problems.refuse()
     return flat
 
 
 class _Writer:
-    def __init__(self, deck: EngineDeck, assembly: Assembly, choices: Choices, flat: Flat) -> None:
+    def __init__(self, deck: Contents, assembly: Assembly, choices: Choices, flat: Flat) -> None:
         self.deck, self.assembly, self.choices, self.flat = deck, assembly, choices, flat
         self.options, self.ties = choices.options, Ties(assembly, flat)
         top = assembly.top
         self.places = [*assembly.placed.values(), top]
         self._expanded = {node for _, _, nodes in assembly.others for node in nodes.ravel().tolist()}
-        materials, expands = choices.materials, bool(choices.preload)
-        self.sections = Sections(deck, assembly, flat, materials, expands=expands)
+        self.sections = Sections(deck, assembly, flat, choices.materials, bool(choices.preload))
+        self.cards = list(self._placed())
 
-    def cards(self) -> Iterator[tuple[Placed, Card, Rows]]:
+    def _placed(self) -> Iterator[tuple[Placed, Card, Rows]]:
         """Every card in every place that it has."""
-        for scope, card, rows in self.deck.cards:
+        for scope, card, data in self.deck.cards:
+            rows = [row for row in fields(data) if row]
             for placed in self.places:
                 if any(scope is own for own in placed.contents):
                     yield placed, card, rows
@@ -101,12 +91,8 @@ class _Writer:
     def take(self, placed: Placed, card: Card, rows: Rows) -> None:
         """Write a card, or say why not."""
         word, out = card.keyword, self.flat.deck
-        locked = [LOCKED.format(f" of node {card.options.get('NODE', '')}")] if word == PRETENSION else []
-        if self.options.skips(word):
-            self.deck.skip(card)
-            self.flat.notes += locked
-        elif locked and self.options.pretension == "locked":
-            self.flat.notes += locked
+        if word == PRETENSION and (self.options.pretension == "locked" or self.options.skips(word)):
+            self.flat.notes.append(LOCKED.format(f" of node {card.options.get('NODE', '')}"))
         elif word in ("ORIENTATION", "DISTRIBUTION"):
             self._orientation(placed, card, rows)
         elif word == "BOUNDARY":
@@ -116,7 +102,8 @@ class _Writer:
             if card.options.get("TYPE", "").upper() == "TEMPERATURE" and (self.choices.preload or self._tables()):
                 out.card(placed, card, rows)
         elif word == "CONTACT PAIR":
-            self.ties.glue(placed, card, rows)
+            if self.options.contact == "tie":
+                self.ties.glue(placed, card, rows)
         elif is_sector(card):
             refuse_sector(card, self.deck)
         elif word in ("MASS", "ROTARY INERTIA"):
@@ -132,15 +119,13 @@ class _Writer:
         elif word == "DISTRIBUTING COUPLING":
             self.ties.distributing(placed, card, rows)
         elif word in SECTIONS:
-            section = self.sections.take(placed, card)
+            section = self.sections.written(placed, card, rows)
             if section is not None:
-                self._plain(placed, section, rows)
-        elif word in _PLAIN and word not in _IN_STEPS:
-            self._plain(placed, card, rows)
-        elif word in LEFT_OUT or word == "DASHPOT":
+                self._plain(placed, *section)
+        elif word == "DASHPOT":
             self.deck.leave_out(card)
         else:
-            raise InputError(refusal_of(card))
+            self._plain(placed, card, rows)
 
     def _tables(self) -> bool:
         """Whether constants of a material take more than a line, so that they may depend on temperature."""
@@ -210,8 +195,6 @@ class _Writer:
     def _boundary(self, placed: Placed, card: Card, rows: Rows) -> None:
         if self.choices.keep:
             self.flat.deck.body.append((9, self.flat.deck.boundary(placed, card, rows)))
-        else:
-            self.deck.noted["BOUNDARY"] = 1
 
     def steps(self) -> None:
         """The boundary that the first step holds, or the steps of a preload."""
@@ -220,17 +203,18 @@ class _Writer:
             raise InputError(f"--preload {self.choices.preload} was given; the deck has {len(self.deck.steps)} steps")
         for step in self.deck.steps[: self.choices.preload]:
             lines = ["*STEP" + (", NLGEOM" if "NLGEOM" in step[0][0].options else "")]
-            for card, rows in step[1:]:
+            for card, data in step[1:]:
+                rows = fields(data)
                 if card.keyword == "BOUNDARY":
                     # Also where it moves its nodes: motions after it are small ones about what it holds.
                     out.boundary(top, card, rows)
-                if card.keyword in _IN_STEPS:
+                if card.keyword in ACTING:
                     lines.append(out.lines(top, _plain_card(card), rows, CARDS[card.keyword]))
             out.steps += [*lines, "*END STEP"]
         if self.choices.keep and not self.choices.preload and self.deck.steps:
-            for card, rows in self.deck.steps[0]:
+            for card, data in self.deck.steps[0]:
                 if card.keyword == "BOUNDARY":
-                    out.body.append((9, out.boundary(top, card, rows)))
+                    out.body.append((9, out.boundary(top, card, fields(data))))
 
     def cuts(self) -> None:
         """Say of each pre-tension section whether it is cut, or locked by a boundary on its node."""

@@ -13,6 +13,7 @@ from morembs.base.limits import Count, Positive, one_of
 from morembs.base.scratch import ScratchFolder
 from morembs.fem.material import Material
 from morembs.importers.abaqus.assembly import Assembly
+from morembs.importers.abaqus.deck import Contents
 from morembs.importers.decks.formulations import DIALECTS
 from morembs.importers.decks.options import Boundary, DeckOptions, deck_options
 from morembs.importers.decks.tables import Supports
@@ -20,7 +21,7 @@ from morembs.importers.engines.calculix.flat import Choices, flat_deck
 from morembs.importers.engines.calculix.model import Exported
 from morembs.importers.engines.calculix.other_decks import FORMATS, read_other, with_others, write_other
 from morembs.importers.engines.calculix.program import Ccx, find_ccx
-from morembs.importers.engines.calculix.read import EngineDeck, read_for_engine
+from morembs.importers.engines.calculix.read import read_for_engine
 from morembs.importers.engines.calculix.ties import Flat
 from morembs.importers.imported import Imported
 from morembs.importers.tolerances import TOL
@@ -131,7 +132,7 @@ def readable_by_calculix(
     _flat(path, choices, outside=allow_includes_outside)
 
 
-def _flat(path: Path, choices: Choices, *, outside: bool) -> tuple[EngineDeck, Assembly, Flat]:
+def _flat(path: Path, choices: Choices, *, outside: bool) -> tuple[Contents, Assembly, Flat]:
     deck = read_for_engine(path, choices.options, outside=outside)
     with deck.problems.ending():
         assembly = Assembly(deck)

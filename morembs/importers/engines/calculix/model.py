@@ -14,15 +14,14 @@ from morembs.fem import DofMap, Nodes
 from morembs.fem.constraints import AverageElement, Equations
 from morembs.fem.fe_model import Component
 from morembs.importers.abaqus.assembly import Assembly
-from morembs.importers.abaqus.deck import SOLIDS
+from morembs.importers.abaqus.deck import PLAIN, SOLIDS, Contents
 from morembs.importers.abaqus.left_out import notes_of
 from morembs.importers.abaqus.whole import mesh_deck, skipped_warnings
 from morembs.importers.abaqus.words import of_kind
 from morembs.importers.decks.formulations import deck_warnings
 from morembs.importers.decks.join import join
-from morembs.importers.engines.calculix.flat import Choices
+from morembs.importers.engines.calculix.flat import WRITTEN, Choices
 from morembs.importers.engines.calculix.program import Ccx
-from morembs.importers.engines.calculix.read import EngineDeck
 from morembs.importers.engines.calculix.rows import Expanded, RowMap, map_rows, strain
 from morembs.importers.engines.calculix.ties import Flat
 from morembs.importers.imported import Imported, nodes_of, on_rows, sets_on
@@ -37,7 +36,7 @@ class Exported:
 
     def __init__(
         self,
-        deck: EngineDeck,
+        deck: Contents,
         assembly: Assembly,
         flat: Flat,
         read: CalculixMatrices,
@@ -192,9 +191,10 @@ class Exported:
                 "the deck is one of Abaqus, and CalculiX has other formulations and consistent masses: its frequencies "
                 "are those of CalculiX [formulation-differs]"
             )
-        for (code, plain), count in self.deck.replaced.items():
-            warnings.append(f"{count} elements {code} are assembled as {plain} [hybrid-as-plain]")
-        return warnings
+        plain = {(code, PLAIN[code]): count for code, count in self.deck.counts.items() if code in PLAIN and count}
+        for (code, taken), count in {**plain, **self.flat.replaced}.items():
+            warnings.append(f"{count} elements {code} are assembled as {taken} [hybrid-as-plain]")
+        return [*warnings, *self.deck.options.idle]
 
     def _on_expanded(self, item: AverageElement, row: Ints, at: Ints, mapped: RowMap) -> AverageElement:
         """The element on rows of the model; nodes of shells and beams share their weights among what they became."""
@@ -310,12 +310,13 @@ def _equations(S: sp.csr_array, dependent: tuple[Ints, Ints], node: Ints, compon
     )
 
 
-def _notes(deck: EngineDeck, choices: Choices) -> list[str]:
+def _notes(deck: Contents, choices: Choices) -> list[str]:
     """What was left out, a sentence each."""
     notes = ["The matrices are those of CalculiX."]
     in_steps = [card.keyword for step in deck.steps[choices.preload :] for card, _ in step]
     left_out = of_kind("load") if choices.keep else of_kind("load", "support")
-    notes += notes_of(dict.fromkeys([*deck.noted, *(word for word in in_steps if word in left_out)]))
+    noted = [word for word in deck.noted if word not in WRITTEN or (word == "BOUNDARY" and not choices.keep)]
+    notes += notes_of(dict.fromkeys([*noted, *(word for word in in_steps if word in left_out)]))
     if deck.steps:
         held = " but for what the first holds" if choices.keep and not choices.preload else ""
         held = f" beyond step {choices.preload}" if choices.preload else held

@@ -83,5 +83,5 @@ def with_others(imported: Imported, deck: Deck, said: Sequence[str]) -> Imported
         masses=(*imported.masses, *on_rows(deck.masses, rows)),
         discrete=(*imported.discrete, *on_rows(deck.discrete, rows)),
         notes=(*imported.notes, *deck.notes, *deck.remarks),
-        warnings=(*deck.warnings, *said, *imported.warnings),
+        warnings=(*deck.warnings, *deck.options.idle, *said, *imported.warnings),
     )

@@ -24,8 +24,8 @@ from morembs.importers.imported import PointMass
 class Flat:
     """The flat deck, and what the model gets from elsewhere: ``average`` elements; ``bodies``, the reference nodes of
     rigid bodies and couplings in the order of the deck; ``turning`` label of a rotation node -> its reference node;
-    nodes whose conditions are in axes ``turned`` by *TRANSFORM; nodes of pre-tension sections (``cuts``); what is to be
-    said."""
+    nodes whose conditions are in axes ``turned`` by *TRANSFORM; nodes of pre-tension sections (``cuts``); element types
+    that are taken for others, counted (``replaced``: as it is written, as it is taken); what is to be said."""
 
     deck: FlatDeck
     constraints: Constraints
@@ -37,6 +37,7 @@ class Flat:
     masses: list[PointMass] = field(default_factory=list)
     turned: set[int] = field(default_factory=set)
     cuts: list[int] = field(default_factory=list)
+    replaced: dict[tuple[str, str], int] = field(default_factory=dict)
 
 
 class Ties:
@@ -125,6 +126,8 @@ class Ties:
         for placed in places:
             for scope in placed.contents:
                 for card, _, kind, kind_rows in scope.constraints:
+                    if card.keyword != "COUPLING":
+                        continue
                     self._coupling(placed, card, kind, [row for row in kind_rows if row])
 
     def _coupling(self, placed: Placed, card: Card, kind: Card | None, rows: Rows) -> None:

@@ -10,14 +10,15 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.fem.material import isotropic
 from morembs.importers.abaqus.assembly import Assembly
-from morembs.importers.abaqus.deck import Rows, values
+from morembs.importers.abaqus.data import fields
+from morembs.importers.abaqus.deck import PLAIN, Contents, Rows, values
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
 from morembs.importers.decks.labels import in_ranges, ranges_of
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.tables import ElasticMaterial, Elements, Section
-from morembs.importers.engines.calculix.read import EngineDeck, read_for_engine
+from morembs.importers.engines.calculix.read import read_for_engine
 
 # Kind and shape of the types that CalculiX has, too.
 SHAPES = {
@@ -71,7 +72,7 @@ _COUPLES |= {"ROTARY INERTIA", "DASHPOT", "PRE-TENSION SECTION", "TRANSFORM", "N
 
 
 class _Structures:
-    def __init__(self, read: EngineDeck, assembly: Assembly, options: DeckOptions) -> None:
+    def __init__(self, read: Contents, assembly: Assembly, options: DeckOptions) -> None:
         self.read, self.assembly, self.options = read, assembly, options
         self.labels = assembly.element_labels()
         self.sections: list[Section] = []
@@ -84,13 +85,13 @@ class _Structures:
         self.taken = {name for name, own in deck.element_sets.items() if in_ranges(solids, own).any()}
         places = [*self.assembly.placed.values(), self.assembly.top]
         first = self.assembly.solids + len(self.assembly.discrete)
-        for scope, card, rows in self.read.cards:
+        for scope, card, data in self.read.cards:
             for placed in places:
                 if card.keyword in _SECTIONS and any(scope is own for own in placed.contents):
                     numbers = self.assembly.elements_of(placed, card.need("ELSET"))
                     own = numbers[numbers >= first]
                     if len(own):
-                        self._section(placed, card, rows, own)
+                        self._section(placed, card, [row for row in fields(data) if row], own)
         parts = [
             Elements(code=code, kind=SHAPES[code][0], shape=SHAPES[code][1], ids=ids, nodes=self.assembly.ids[nodes])
             for code, ids, nodes in self.assembly.others
@@ -107,8 +108,9 @@ class _Structures:
 
     def _replaced(self) -> list[str]:
         return [
-            f"{count} elements {code} are assembled as {plain} [hybrid-as-plain]"
-            for (code, plain), count in self.read.replaced.items()
+            f"{count} elements {code} are assembled as {PLAIN[code]} [hybrid-as-plain]"
+            for code, count in self.read.counts.items()
+            if code in PLAIN
         ]
 
     def _section(self, placed: Placed, card: Card, rows: Rows, numbers: np.ndarray) -> None:
