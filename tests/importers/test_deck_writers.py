@@ -16,6 +16,7 @@ from morembs.importers import IMPORTERS, import_file
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.problems import DeckError
 from morembs.importers.decks.tables import ElasticMaterial, Elements, Section, Supports
+from morembs.importers.decks.writers.calculix_mesh import numeral
 from morembs.importers.to_model import model_of
 from tests.importers.test_engines import BEAM, PLATE, SHELL
 from tests.importers.test_nastran_deck import FULL
@@ -489,3 +490,9 @@ def test_elements_in_no_section_are_told(format, again):
     assert "2 elements are in no section, so have no material" in said
     assert not [sentence for sentence in said if "no material:" in sentence]
     assert "2 elements are in no section, so have no material" not in again(text, "abaqus", format)[2]
+
+
+@pytest.mark.parametrize("value", [-1.2345678901234567e-5, 1.2345678901234567e-120, -9.876543210987654e17, 0.1, -1 / 3])
+def test_numbers_have_the_digits_that_calculix_reads(value: float) -> None:
+    text = numeral(value)
+    assert len(text) <= 20 and float(text) == pytest.approx(value, rel=1e-13, abs=0.0)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import morembs
 from morembs import InputError
 from morembs.app.cli import app
 from morembs.fem import FEModel, rigid_motion
@@ -20,6 +21,7 @@ from morembs.importers.decks.options import deck_options
 from morembs.importers.decks.problems import DeckError
 from morembs.importers.decks.writers.calculix_mesh import FACES
 from morembs.importers.engines.calculix.flat import Choices, flat_deck
+from morembs.importers.engines.calculix.importer import readable_by_calculix
 from morembs.importers.engines.calculix.read import read_for_engine
 from morembs.importers.model_file import read_model
 from morembs.importers.to_model import model_of
@@ -420,6 +422,64 @@ def test_sections_of_elements_that_are_left_out_are_left_out(tmp_path):
     text = flat_text(tmp_path, TIED + plane + mixed, skip="CPS4")
     assert "GONE" not in text and "CPS4" not in text and text.count("*SOLID SECTION") == 3
     assert "\n1, 3," not in text.split("*ELEMENT")[-1]
+
+
+@pytest.mark.parametrize(
+    "end", ["*NODE\n99,9.,9.,9.\n", "*ELEMENT,TYPE=SPRING1,ELSET=S\n99,1\n*SPRING,ELSET=S\n1\n5.\n"]
+)
+def test_nothing_is_assembled_of_a_deck_without_elements(tmp_path, end):
+    """No program is advised for it either."""
+    path = tmp_path / "deck.inp"
+    path.write_text(f"*NODE\n1,0.,0.,0.\n{end}")
+    with pytest.raises(DeckError, match="has no solids, shells, membranes, beams or trusses"):
+        flat_text(tmp_path, path.read_text())
+    with pytest.raises(InputError) as told:
+        morembs.import_model(path)
+    assert "CalculiX" not in str(told.value)
+    (tmp_path / "deck.bdf").write_text("BEGIN BULK\nGRID,1,,0.,0.,0.\nCONM2,2,1,,1.\nENDDATA\n")
+    with pytest.raises(DeckError, match="has no solids, shells"):
+        readable_by_calculix(tmp_path / "deck.bdf", format="nastran")
+
+
+def test_elements_that_are_left_out_are_cured_only_where_others_stay(tmp_path):
+    plane = "*ELEMENT,TYPE=CPS4,ELSET=Q\n9,1,2,3,4\n"
+    for text, flags in ((TIED + plane, ("--skip CPS4",)), (f"*NODE\n1,0,0\n2,1,0\n3,1,1\n4,0,1\n{plane}", ())):
+        with pytest.raises(DeckError) as told:
+            flat_text(tmp_path, text)
+        assert told.value.problems[0].flags == flags and ("--skip" in str(told.value)) is bool(flags)
+
+
+def test_steps_end_as_in_calculix(tmp_path):
+    """The first load of the second step is not one of the first."""
+    steps = "*END STEP\n*STEP\n*STATIC\n*CLOAD\n1,1,5.\n*STEP\n*STATIC\n*CLOAD\n2,1,5.\n"
+    (tmp_path / "deck.inp").write_text(TIED + steps)
+    deck = read_for_engine(tmp_path / "deck.inp", deck_options(None, "refuse", ""))
+    assert [[card.keyword for card, _ in step] for step in deck.steps] == [["STEP", "STATIC", "CLOAD"]] * 2
+    assert [step[-1][1].strip() for step in deck.steps] == [b"1,1,5.", b"2,1,5."]
+
+
+@needs_ccx
+def test_words_to_skip_that_are_nowhere_are_told_whoever_assembles(tmp_path):
+    (tmp_path / "deck.inp").write_text(solids("C3D8", (1, 1, 1), (1.0, 1.0, 1.0)))
+    mesh = nastran_mesh(box("hex8", (1, 1, 1), (1.0, 1.0, 1.0)), "free")
+    (tmp_path / "deck.bdf").write_text(f"BEGIN BULK\nPSOLID,1,1\nMAT1,1,2.1+11,,.3,7850.\n{mesh}ENDDATA\n")
+    for name in ("deck.inp", "deck.bdf"):
+        told = import_file(tmp_path / name, engine="calculix", options={"skip": "FOO"}).warnings
+        assert "--skip 'FOO' leaves nothing out [skip-unused]" in told
+
+
+@needs_ccx
+def test_a_given_material_does_not_turn_with_the_orientation_of_its_section(tmp_path):
+    """Its stiffness is along the global axes, as in own assembly."""
+    axes = "*ORIENTATION,NAME=O\n0.,1.,0.,0.,0.,1.\n"
+    deck = solids("C3D8", (1, 1, 1), (1.0, 0.8, 0.5)).replace("*DENSITY\n7850.\n", "")
+    deck = deck.replace("MATERIAL=STEEL\n", "MATERIAL=STEEL,ORIENTATION=O\n").replace("*SOLID", f"{axes}*SOLID")
+    (tmp_path / "deck.inp").write_text(deck)
+    young, poisson, shear = (140e9, 10e9, 8e9), (0.3, 0.25, 0.4), (5e9, 4e9, 3.5e9)
+    ply = orthotropic(set="BODY", young=young, poisson=poisson, shear=shear, density=1600.0, axes=np.eye(3))
+    own, theirs = (import_file(tmp_path / "deck.inp", engine=name, materials=[ply]) for name in (None, "calculix"))
+    K, read = model_of(own).K, model_of(theirs).K
+    assert abs(read - K).max() < 1e-11 * abs(K).max()
 
 
 OF_NASTRAN = (

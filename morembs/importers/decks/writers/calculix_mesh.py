@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
@@ -67,9 +68,12 @@ _NAME = re.compile(r"[^A-Za-z0-9_.-]")
 
 
 def numeral(value: float) -> str:
-    """A number in the characters that CalculiX reads."""
-    text = repr(float(value))
-    return text if len(text) <= Line.NUMBER_CHARACTERS else f"{value:.12e}"
+    """A number in the characters that CalculiX reads, with as many digits as fit."""
+    text, digits = repr(float(value)), sys.float_info.dig + 1
+    while len(text) > Line.NUMBER_CHARACTERS:
+        text = re.sub(r"e([+-])0*", r"e\1", f"{value:.{digits}e}")
+        digits -= 1
+    return text
 
 
 def numerals(values: Iterable[float]) -> str:

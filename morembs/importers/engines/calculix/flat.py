@@ -22,6 +22,7 @@ from morembs.importers.abaqus.ties import is_sector
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.writers.calculix_mesh import numeral
 from morembs.importers.engines.calculix.deck import CARDS, FlatDeck
+from morembs.importers.engines.calculix.read import refuse_no_elements
 from morembs.importers.engines.calculix.sections import SECTIONS, Sections
 from morembs.importers.engines.calculix.ties import Flat, Ties
 from morembs.importers.imported import PointMass
@@ -47,6 +48,8 @@ def flat_deck(deck: Contents, assembly: Assembly, choices: Choices) -> Flat:
     Raises:
         InputError: what it holds is no linear model, or names what is not there.
     """
+    if not assembly.solids and not any(nodes.shape[1] for *_, nodes in assembly.others):
+        refuse_no_elements(deck.problems)
     constraints = Constraints(deck, assembly)
     constraints.surfaces.read()
     flat = Flat(deck=FlatDeck(assembly=assembly, deck=deck), constraints=constraints)

@@ -17,6 +17,7 @@ from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import DeckError, Problem, Problems
 from morembs.importers.decks.tables import NOT_WRITTEN
+from morembs.importers.engines.calculix.read import refuse_no_elements
 from morembs.importers.imported import Imported, nodes_of, on_rows
 from morembs.importers.nastran.importer import read_nastran
 from morembs.importers.unv import read_unv
@@ -39,6 +40,8 @@ def read_other(path: Path, format: str, options: DeckOptions, materials: Sequenc
         deck = read_unv(path)
     problems = Problems(deck.name, options.flags)
     problems.entries = [*deck.problems, *(part.problem for part in deck.elements if part.problem)]
+    if all(part.kind in ("point", "none") for part in deck.elements):
+        refuse_no_elements(problems)
     with problems.ending():
         deck = complete(deck, materials)
     problems.entries += problems_of_solids(deck, materials)

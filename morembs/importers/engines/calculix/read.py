@@ -7,7 +7,7 @@ from pathlib import Path
 from morembs.importers.abaqus.deck import DISCRETE, PLAIN, SOLIDS, STRUCTURES, Contents
 from morembs.importers.abaqus.reader import read_deck
 from morembs.importers.decks.options import DeckOptions
-from morembs.importers.decks.problems import Problem
+from morembs.importers.decks.problems import Problem, Problems
 
 # Elements without stiffness and mass.
 _EMPTY = ("SFM3D",)
@@ -51,6 +51,17 @@ def _refuse_others(deck: Contents) -> None:
             flags=tuple(f"--skip {code}" for code in wrong) if remains else (),
         )
     )
+
+
+def refuse_no_elements(problems: Problems) -> None:
+    """Refuse a deck without elements that have stiffness and mass, with what else is wrong with it.
+
+    Raises:
+        DeckError: always.
+    """
+    what = f"{problems.source} has no solids, shells, membranes, beams or trusses, so CalculiX has nothing to assemble"
+    problems.add(Problem(what=what, file=problems.source, keyword="ELEMENT"))
+    problems.refuse()
 
 
 def _is_own(code: str) -> bool:

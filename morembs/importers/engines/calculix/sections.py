@@ -153,8 +153,8 @@ class Sections:
         for (kind, _, key), name in list(out.names.items()):
             if kind != "m":
                 continue
-            text, comma, number = key.partition(",")
-            section = self._after.sections[int(number)] if comma else None
+            text, comma, which = key.partition(",")
+            section = self._after.sections[int(which)] if comma else None
             density = None if section is None else section.density
             if section is not None and section.stiffness is not None and section.stiffness is not _THERE:
                 lines = self._given(name, section.stiffness)
