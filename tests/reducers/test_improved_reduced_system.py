@@ -64,6 +64,23 @@ def test_frequencies_converge_from_above_to_those_of_the_model() -> None:
     assert errors[0].min() > 0.1 and errors[1].max() < 5e-3 and errors[2].max() < 1e-3
 
 
+@pytest.mark.parametrize(
+    ("cells", "size", "error"), [((5, 1, 1), (0.5, 0.05, 0.03), 1e-9), ((6, 6, 1), (0.5, 0.5, 0.03), 2e-4)]
+)
+def test_steps_end_before_modes_that_interfaces_do_not_see_grow_from_round_off(cells, size, error) -> None:
+    model = steel(box("hex20", cells, size))
+    with Problem(model, ends(model, "rigid")) as problem:
+        full = sl.eigh(problem.K.toarray(), problem.M.toarray(), eigvals_only=True)[6:]
+        reduced = ImprovedReducedSystem(steps=100).reduce(problem)
+        Psi = Guyan().reduce(problem).V
+    values = reduced.modes()[0][6:]
+    found = full[np.argmin(np.abs(full - values[:, None]), axis=1)]
+    assert len(set(found.tolist())) == 6 and np.abs(values / found - 1).max() < error
+    assert reduced.recipe["steps"] == 100 and 5 <= reduced.recipe["steps_made"] < 30
+    # After 100 steps the others had taken over: 24 and 60 times as large as the motions of the interfaces.
+    assert np.abs(reduced.V - Psi).max() < 0.5 * np.abs(Psi).max()
+
+
 def test_two_masses_by_hand() -> None:
     """k = 3 N/m from the ground to 2 kg and on to 1 kg; the first is the interface: 0.8787 rad2/s2 exactly."""
     K, M = sp.csr_array([[6.0, -3.0], [-3.0, 3.0]]), sp.diags_array([2.0, 1.0], format="csr")
