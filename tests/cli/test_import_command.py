@@ -327,11 +327,13 @@ def test_a_dry_run_overwrites_nothing_whatever_its_name(tmp_path, monkeypatch):
         ("", "mesh is missing"),
         ('file = "none.model.h5"', "does not exist"),
         ('file = "old.h5"', "not an HDF5 file"),
-        ('file = "none.model.h5"\nmass_integration = "exact"', "leave it out"),
+        ('file = "ready.h5"\nmass_integration = "exact"', "mass_integration was given for a model file"),
+        ('file = "ready.h5"\nmass_integration = "element"', "mass_integration was given for a model file"),
     ],
 )
 def test_bad_model_tables(tmp_path: Path, model: str, words: str) -> None:
     (tmp_path / "old.h5").write_bytes(OLD)
+    write_model(tmp_path / "ready.h5", steel(box("hex8", (1, 1, 1), (1.0, 1.0, 1.0))))
     job = tmp_path / "job.toml"
     for verb in ("check", "reduce"):
         job.write_text(f'[model]\n{model}\n[[reduce]]\nmethod = "modal"\nmodes = 1\n[output]\npath = "part.h5"\n')
@@ -340,9 +342,11 @@ def test_bad_model_tables(tmp_path: Path, model: str, words: str) -> None:
 
 
 def test_material_beside_a_model_file(tmp_path: Path) -> None:
-    job = folder(tmp_path, {"model": 'file = "a.model.h5"'})
-    result = CliRunner().invoke(app, ["reduce", str(job)])
-    assert result.exit_code == 2 and "leave it out" in result.stderr and BEAM
+    write_model(tmp_path / "ready.h5", steel(box("hex8", (1, 1, 1), (1.0, 1.0, 1.0))))
+    job = folder(tmp_path, {"model": 'file = "ready.h5"'})
+    for verb in ("check", "reduce"):
+        result = CliRunner().invoke(app, [verb, str(job)])
+        assert result.exit_code == 2 and "[[material]] was given for a model file" in result.stderr
 
 
 @pytest.mark.parametrize(

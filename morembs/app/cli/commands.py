@@ -20,7 +20,6 @@ from morembs.app.cli.bodies import app as bodies
 from morembs.app.cli.evaluate import app as evaluation
 from morembs.app.cli.messages import console, echo, print_json, printing, warn
 from morembs.app.cli.models import app as models
-from morembs.app.cli.models import import_command
 from morembs.app.cli.modes import app as modes
 from morembs.app.cli.terminal import (
     EPILOG,
@@ -52,10 +51,6 @@ class _Verbs(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         with keeping_ledger():
             return super().invoke(ctx)
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        name, command, rest = super().resolve_command(ctx, args)
-        return name, (import_command() if name == "import" else command), rest
 
 
 app = typer.Typer(

@@ -26,22 +26,26 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 
-@app.command("import", epilog=EPILOG)
+class _Import(TyperCommand):
+    """The verb as lists of verbs show it; its options are loaded where it is used."""
+
+    def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
+        """That of the command with its options, which keeps its command line."""
+        context = _import_command().make_context(info_name, [*args], parent, **extra)
+        context.meta[COMMAND_LINE] = args
+        return context
+
+
+COMMAND_LINE = "morembs.command_line"
+
+
+@app.command("import", cls=_Import, epilog=EPILOG)
 def import_model() -> None:
     """Convert a model of another program into a model file that jobs read."""
 
 
 # How options look whose text has parts.
 _METAVARS = {"density": "X[,set=NAME]", "skip": "WORD[,WORD]", "set": "KEY=VALUE", "keep_files": "DIR"}
-
-
-class _Asked(TyperCommand):
-    """A command that keeps its command line in the context."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """As of click."""
-        ctx.meta[_Asked.__name__] = list(args)
-        return super().parse_args(ctx, args)
 
 
 def _import(
@@ -67,7 +71,7 @@ def _import(
     from morembs.app.jobs.import_job import run_import
     from morembs.importers.decks.problems import DeckError
 
-    command = _command(context.meta[_Asked.__name__])
+    command = _command(context.meta[COMMAND_LINE])
     with messages():
         if listed:
             engines = _list_engines()
@@ -98,7 +102,7 @@ _import.__doc__ = import_model.__doc__
 
 
 @cache
-def import_command() -> Any:
+def _import_command() -> Any:
     """An option for each field of ``ImportOptions``; these are loaded only where it is used."""
     own = signature(_import, eval_str=True).parameters
     context, first, *others = (parameter for parameter in own.values() if parameter.kind is not Parameter.VAR_KEYWORD)
@@ -106,7 +110,7 @@ def import_command() -> Any:
     _import.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     _import.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     verb = typer.Typer(add_completion=False)
-    verb.command("import", cls=_Asked, epilog=EPILOG)(_import)
+    verb.command("import", epilog=EPILOG)(_import)
     return typer.main.get_command(verb)
 
 

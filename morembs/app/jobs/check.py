@@ -22,17 +22,17 @@ from morembs.app.jobs.stages.forecast import (
     require_room,
     require_room_of_mesh,
 )
-from morembs.app.jobs.stages.model import ReadModel, materials_of, mesh_of
+from morembs.app.jobs.stages.model import materials_of, mesh_of
 from morembs.app.jobs.stages.preflight import model_warnings, preflight, shifted_of
 from morembs.app.jobs.stages.stage import asked, computes_modes
-from morembs.app.jobs.tables import Job, ModelTable
+from morembs.app.jobs.tables import Job
 from morembs.app.jobs.tolerances import TOL
 from morembs.base import progress
 from morembs.base.memory import available_bytes, resident_bytes
 from morembs.base.progress import Progress, listening
 from morembs.base.scratch import free_bytes
 from morembs.base.types import Floats, Ints
-from morembs.fem import Mesh, rigid_motion
+from morembs.fem import FEModel, Mesh, rigid_motion
 from morembs.fem.assembly import check_mesh, stiffness_pattern
 from morembs.fem.elements import TYPES
 from morembs.fem.fe_model import MATRICES
@@ -81,7 +81,8 @@ def _check(job: Job) -> JobForecast:
         stage.prepare(job)
     progress.stage("read")
     with limit_threads(SolverTable.of(job).threads), budget_of(job, solver):
-        outline = (_of_file if ModelTable.of(job).mesh is None else _of_mesh)(job, solver, start)
+        given = next(filter(None, (stage.matrices(job) for stage in asked(job))), None)
+        outline = _of_mesh(job, solver, start) if given is None else _of_matrices(job, given, solver, start)
         progress.stage("analyse")
         facts, model = outline.facts, outline.facts.model
         cost = forecast_cost(
@@ -150,10 +151,9 @@ def _of_mesh(job: Job, solver: LinearSolver, start: int) -> _Outline:
     )
 
 
-def _of_file(job: Job, solver: LinearSolver, start: int) -> _Outline:
-    """The outline of a model file, whose matrices are there."""
-    reader = next(stage for stage in asked(job) if isinstance(stage, ReadModel))
-    model, modes = reader.matrices(job), computes_modes(job)
+def _of_matrices(job: Job, model: FEModel, solver: LinearSolver, start: int) -> _Outline:
+    """The outline of a model whose matrices are there."""
+    modes = computes_modes(job)
     require_room(job, start, model.size, modes, lambda: least_memory(job, model, solver, start, modes))
     progress.stage("examine")
     model = equations_of_motion(job, model)

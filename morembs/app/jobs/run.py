@@ -87,8 +87,9 @@ class JobResult:
     def document(self) -> dict[str, Any]:
         """All there is to tell, SI units: what the stages tell, with warnings, inputs and costs."""
         told: dict[str, Any] = {"job": str(self.job.path)}
+        used = asked(self.job)
         for stage in STAGES.values():
-            if stage.is_asked(self.job):
+            if stage in used:
                 joined(told, stage.document(self.job, self.results))
         return told | {
             "warnings": list(self.warnings),

@@ -137,16 +137,9 @@ class ModelTable(SingleTable, ImportOptions):
         """Whether files of a whole model are given, not a mesh alone."""
         return bool(self.files) and self.mesh is None
 
-    @property
-    def is_ready(self) -> bool:
-        """Whether the model takes no materials: it is that of a model file, or made of bodies."""
-        return not self.files or (self.file or "").endswith(".model.h5")
-
     def refuse_conflicts(self) -> None:
         if self.mesh is not None and (self.file is not None or self.matrices):
             raise InputError("mesh and file were both given; choose one")
-        if self.files and self.is_ready and "mass_integration" in self.given:
-            raise InputError("mass_integration was given for a model file, whose matrices are ready; leave it out")
         if self.mesh is None:
             return
         if self.dialect != "auto" and not self.mesh.lower().endswith(".inp"):

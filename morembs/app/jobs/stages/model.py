@@ -23,9 +23,7 @@ from morembs.fem.assembly import assemble
 from morembs.fem.material import Material, isotropic, orthotropic
 from morembs.importers import read_mesh
 from morembs.importers.advice import JOB, advising
-from morembs.importers.model_file import read_model
-from morembs.importers.native import FORMAT
-from morembs.storage.hdf5 import holds_format
+from morembs.importers.model_file import is_model_file, read_model
 
 MESH: Result[Mesh] = Result("mesh")
 
@@ -66,9 +64,8 @@ class ReadMesh(JobStage):
         model, materials = ModelTable.of(tables), MaterialTable.of(tables)
         if model.mesh is not None and not materials:
             raise InputError("material is missing; expected at least one table [[material]]")
-        if model.mesh is None and model.is_ready and materials:
-            what = "a model file" if model.files else "bodies"
-            raise InputError(f"[[material]] was given for {what}, whose matrices are ready; leave it out")
+        if materials and model.mesh is None and not model.files:
+            raise InputError("[[material]] was given for bodies, whose matrices are ready; leave it out")
 
     def is_asked(self, job: Job) -> bool:
         return ModelTable.of(job).mesh is not None
@@ -86,7 +83,7 @@ class ReadMesh(JobStage):
 
 
 class Assemble(JobStage):
-    """The model of a mesh without parameters."""
+    """The model of a mesh."""
 
     tables = (ModelTable, MaterialTable)
     needs = (MESH,)
@@ -94,7 +91,7 @@ class Assemble(JobStage):
     step = "assemble"
 
     def is_asked(self, job: Job) -> bool:
-        return ModelTable.of(job).mesh is not None and not job.table("parameter")
+        return ModelTable.of(job).mesh is not None
 
     def run(self, work: Work) -> None:
         rule = ModelTable.of(work.job).mass_integration
@@ -149,9 +146,13 @@ def model_of_files(job: Job) -> FEModel:
         InputError: files that cannot be used, or options that they do not take.
     """
     options = ModelTable.of(job).with_paths(job.resolve)
-    if options.file is not None and options.has_plain_file and holds_format(Path(options.file), FORMAT):
-        # Its units are SI; those of the job are of the numbers in the job.
-        return read_model(options.file)
+    if options.file is not None and is_model_file(Path(options.file)):
+        rule = ["mass_integration"] if "mass_integration" in ModelTable.of(job).given else []
+        for name in ["[[material]]"] if MaterialTable.of(job) else rule:
+            raise InputError(f"{name} was given for a model file, whose matrices are ready; leave it out")
+        if options.has_plain_file:
+            # Its units are SI; those of the job are of the numbers in the job.
+            return read_model(options.file)
     return read_files_model(options, [_material(table, Units()) for table in MaterialTable.of(job)], JOB)
 
 

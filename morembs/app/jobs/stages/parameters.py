@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.app.jobs.stages.couple import VARIED, damping_of
-from morembs.app.jobs.stages.model import MESH, materials_of
+from morembs.app.jobs.stages.model import MESH, Assemble, materials_of
 from morembs.app.jobs.stages.preload import PreloadTable
 from morembs.app.jobs.stages.reduction import ReduceTable
 from morembs.app.jobs.stages.spin import SpinTable
@@ -87,6 +87,7 @@ class Parameters(JobStage):
     tables = (ParameterTable,)
     needs = (MESH,)
     gives = (MODEL, VARIED)
+    instead = (Assemble,)
     step = "assemble"
 
     def refuse_conflicts(self, tables: JobTables) -> None:

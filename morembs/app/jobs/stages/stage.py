@@ -103,6 +103,8 @@ class JobStage:
     result that it needs and ``gives`` it changes. Results in ``needs`` that no stage of a job gives are absent. Those
     that it ``tells`` of, in ``document``, stay until the job is done.
 
+    A job that has it has none of the stages ``instead``.
+
     ``step`` is its line of progress and its row among the costs; a stage that runs in several steps, or not always in
     one, has them as ``steps`` and measures them itself. ``on_page`` says that pages show its sections too.
     """
@@ -111,6 +113,7 @@ class JobStage:
     needs: ClassVar[tuple[Result[Any], ...]] = ()
     gives: ClassVar[tuple[Result[Any], ...]] = ()
     tells: ClassVar[tuple[Result[Any], ...]] = ()
+    instead: ClassVar[tuple[type[JobStage], ...]] = ()
     step: ClassVar[str] = ""
     steps: ClassVar[tuple[str, ...]] = ()
     on_page: ClassVar[bool] = False
@@ -140,6 +143,14 @@ class JobStage:
         Raises:
             InputError: as said.
         """
+
+    def matrices(self, job: Job) -> FEModel | None:
+        """The model whose matrices it reads, None for a stage that reads none.
+
+        Raises:
+            InputError: files that cannot be used.
+        """
+        return None
 
     def check_mesh(self, job: Job, mesh: Mesh) -> None:
         """Refuse what does not fit the mesh of the job.
@@ -198,7 +209,9 @@ STAGES: dict[str, JobStage] = {}
 
 def asked(job: Job) -> list[JobStage]:
     """The stages of a job, in the order in which they run."""
-    return list(in_order([stage for stage in STAGES.values() if stage.is_asked(job)]))
+    stages = [stage for stage in STAGES.values() if stage.is_asked(job)]
+    replaced = tuple(other for stage in stages for other in stage.instead)
+    return list(in_order([stage for stage in stages if not isinstance(stage, replaced)]))
 
 
 def computes_modes(job: Job) -> bool:
