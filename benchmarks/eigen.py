@@ -63,7 +63,7 @@ def measure_modes(spec: Row, model: FEModel) -> Row:
     with Problem(model) as problem:
         resident, made = resident_bytes(), Timed(lambda: problem.statics)
         factor = made().factor
-        row, pencil = {"dofs": problem.K.shape[0], "modes": count, "solver": factor.stats.backend}, problem.elastic
+        row, pencil = {"dofs": problem.K.shape[0], "modes": count, "solver": factor.stats.backend}, problem.free_free
         eigen.count_below = counted = Timed(eigen.count_below)  # type: ignore[attr-defined]
         pencil.flexibility = solves = Timed(pencil.flexibility)  # type: ignore[method-assign]
         # The factor of the count, and the solves with it.

@@ -127,7 +127,7 @@ def _difference(problem: Problem, reduced: ReducedModel, tables: StaticModeTable
         # All dofs are translations, three at each node.
         row = 3 * place[int(tables.node_ids[tables.node[k]])]
         loads[row : row + 3, column] = tables.direction[k]
-    whole = loads.T @ problem.elastic.flexibility(loads)
+    whole = loads.T @ problem.free_free.flexibility(loads)
     modes, first = tables.modes[some], reduced.rigid_count
     want = whole - modes[:, first:] / np.diag(reduced.K)[first:] @ modes[:, first:].T
     return float(np.abs(tables.R(some) - want).max() / np.abs(want).max())

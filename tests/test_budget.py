@@ -434,7 +434,7 @@ def test_what_is_made_within_a_budget_keeps_it() -> None:
     thread.start()
     thread.join()
     with problem:
-        assert all(budget is outer for budget in kept) and problem.elastic.statics.space.budget is outer
+        assert all(budget is outer for budget in kept) and problem.free_free.statics.space.budget is outer
         reduced = CraigBampton(modes=2).reduce(problem)
     with Problem(model, problem.interfaces) as free:
         assert free.budget is not outer and free.budget.memory is None

@@ -69,6 +69,8 @@ def test_a_name_of_exporters_warns_and_gives_the_new_one() -> None:
         ("base.budget", "Budget", "rest", "release_pages"),
         ("base.budget", "Budget", "relax", "release_if_tight"),
         ("linalg.sparse.solver", "LinearSolver", "knowing", "with_near_null_space"),
+        ("problem", "Problem", "elastic", "free_free"),
+        ("problem", "Problem", "internal", "fixed_interface"),
         ("reducers", "Basis", "left", "W"),
         ("reducers", "Basis", "inertial", "V_velocity"),
         ("reducers", "ReducedModel", "left", "W"),

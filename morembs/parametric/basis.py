@@ -207,7 +207,7 @@ class GreedySearch:
     def _responses(self, problem: Problem, before: int) -> Floats:
         """Low modes of ``problem`` and the first blocks of the Krylov space of its interface loads, static responses
         first: all from one factorisation."""
-        flexibility, space = problem.elastic.flexibility, problem.space
+        flexibility, space = problem.free_free.flexibility, problem.space
         X = space.map_columns(flexibility, problem.B.toarray() * self.problem.motion_scale)
         blocks, least = TOL.load_blocks + before, (TOL.taken_up_to * (1 + 0.5 * before) * self.high) ** -2
         lanczos = BlockLanczos(flexibility, space, X, capacity=min(TOL.mode_steps * X.shape[1], len(X)))

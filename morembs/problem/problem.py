@@ -13,7 +13,7 @@ from morembs.base.arguments import check_value
 from morembs.base.budget import UNLIMITED, Budget, current_budget
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError, MorembsError, SingularMatrixError
-from morembs.base.former_names import with_budget_argument, with_progress_argument
+from morembs.base.former_names import with_budget_argument, with_old_names, with_progress_argument
 from morembs.base.progress import listener, listening
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
@@ -42,6 +42,7 @@ Shared = TypeVar("Shared")
 CONSTRAINT = "constraint modes"
 
 
+@with_old_names(elastic="free_free", internal="fixed_interface")
 @summarised
 class Problem(Closing):
     """M u'' + (D + G) u' + (K + N) u = B f of a model coupled to its interfaces. A context manager.
@@ -220,12 +221,12 @@ class Problem(Closing):
         return statics
 
     @cached_property
-    def elastic(self) -> ConstrainedStatics:
+    def free_free(self) -> ConstrainedStatics:
         """The free body without its rigid-body motion (mean axes): C = M rigid."""
         return ConstrainedStatics(self.statics, self.M @ self.rigid, "the rigid-body modes", mean_axes=True)
 
     @cached_property
-    def internal(self) -> ConstrainedStatics:
+    def fixed_interface(self) -> ConstrainedStatics:
         """The body held at all interface degrees of freedom: C = B."""
         return ConstrainedStatics(self.statics, self.B, "the interfaces")
 
@@ -234,7 +235,7 @@ class Problem(Closing):
 
         Not to be changed.
         """
-        return self.shared(CONSTRAINT, self.internal.solve_constraint_modes)
+        return self.shared(CONSTRAINT, self.fixed_interface.solve_constraint_modes)
 
     def keep_constraint_modes(self, modes: Floats, stiffness: Floats) -> None:
         """Take ``modes``, columns of an array that is kept anyway, in the place of those that were computed."""
@@ -245,13 +246,13 @@ class Problem(Closing):
 
         Without a solution of its own where the body has been held at its interfaces before.
         """
-        if "internal" not in self.__dict__:
-            return self.space.map_columns(self.elastic.flexibility, self.B, width=self.statics.columns(5))
-        known, width = self.internal.X, self.statics.columns(5)
+        if "fixed_interface" not in self.__dict__:
+            return self.space.map_columns(self.free_free.flexibility, self.B, width=self.statics.columns(5))
+        known, width = self.fixed_interface.X, self.statics.columns(5)
         X = self.budget.empty(known.shape, order="F")
         for at in range(0, X.shape[1], width):
             some = slice(at, at + width)
-            X[:, some] = self.elastic.constrain(known[:, some].copy(order="F"), dense(self.B[:, some]))[0]
+            X[:, some] = self.free_free.constrain(known[:, some].copy(order="F"), dense(self.B[:, some]))[0]
         return X
 
     def require_room_for_modes(self) -> None:
@@ -266,12 +267,12 @@ class Problem(Closing):
 
     def elastic_modes(self, *, count: int | None = None, below: float | None = None) -> Modes:
         """Free-free elastic modes: the lowest ``count`` or all up to ``below`` (rad/s)2; kept for later calls."""
-        self._elastic = self._at_least(self._elastic, self.elastic, count, below, "free-free modes")
+        self._elastic = self._at_least(self._elastic, self.free_free, count, below, "free-free modes")
         return _cut(self._elastic, count, below)
 
     def fixed_modes(self, *, count: int | None = None, below: float | None = None) -> Modes:
         """Modes with all interface degrees of freedom fixed, as ``elastic_modes``."""
-        self._fixed = self._at_least(self._fixed, self.internal, count, below, "fixed-interface modes")
+        self._fixed = self._at_least(self._fixed, self.fixed_interface, count, below, "fixed-interface modes")
         return _cut(self._fixed, count, below)
 
     def known_frequencies_hz(self) -> Floats | None:
@@ -297,7 +298,7 @@ class Problem(Closing):
         Of use between two reductions that share nothing, where memory is short. Modes stay.
         """
         self.close()
-        for name in ("statics", "elastic", "internal"):
+        for name in ("statics", "free_free", "fixed_interface"):
             self.__dict__.pop(name, None)
 
     def _at_least(

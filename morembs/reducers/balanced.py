@@ -319,7 +319,7 @@ def _elastic(problem: Problem, system: System) -> SecondOrder:
         with system.inverse(s) as inverse:
             return inverse(F)
 
-    return SecondOrder(M=M, K=K, apply_D=apply_D, solve=solve, flexibility=problem.elastic.flexibility)
+    return SecondOrder(M=M, K=K, apply_D=apply_D, solve=solve, flexibility=problem.free_free.flexibility)
 
 
 def _two_sided(

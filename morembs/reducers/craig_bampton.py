@@ -100,7 +100,7 @@ class CraigBampton(OfModes):
         # All that moves inside is there already where no mode is left out.
         if not self.inertia_modes or np.isinf(fixed.verified_below):
             return basis
-        deformation = problem.internal.deformation(problem.M @ constraint, problem.M)
+        deformation = problem.fixed_interface.deformation(problem.M @ constraint, problem.M)
         return add_residual_modes(problem, basis, deformation, fixed.vectors)
 
     def _on_few(self, problem: Problem) -> Basis:

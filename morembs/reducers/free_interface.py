@@ -34,7 +34,7 @@ class FreeInterface(OfModes):
     def _basis(self, problem: Problem) -> Basis:
         free = problem.elastic_modes(count=self.modes, below=self.below)
         rigid, Phi = problem.rigid, free.vectors
-        Psi = problem.elastic.flexibility(problem.B.toarray())
+        Psi = problem.free_free.flexibility(problem.B.toarray())
         r, m = rigid.shape[1], Phi.shape[1]
         modes = Basis(
             V=problem.space.hstack(rigid, Phi),

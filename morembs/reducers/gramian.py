@@ -150,7 +150,7 @@ class Gramian(OfResponses):
         M, space = problem.M, problem.space
         damping = problem.damping
         F = elastic_part(problem, unit_loads(problem, self.inertia_loads))
-        G = space.map_columns(problem.elastic.flexibility, F)
+        G = space.map_columns(problem.free_free.flexibility, F)
         scale = load_scale(problem.motion_scale, F, G)
         F *= scale
         G *= scale

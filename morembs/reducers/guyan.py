@@ -20,7 +20,7 @@ class Guyan(Reducer):
     method: ClassVar[str] = "guyan"
 
     def _basis(self, problem: Problem) -> Basis:
-        V, K = problem.internal.solve_constraint_modes()
+        V, K = problem.fixed_interface.solve_constraint_modes()
         return Basis(
             V=V, kinds=("constraint",) * V.shape[1], K=K, rigid=problem.B.T @ problem.rigid, holds_interfaces=True
         )

@@ -54,7 +54,7 @@ class ImprovedReducedSystem(Reducer):
         values, change, made = self._values(K, M, rigid), np.inf, 0
         while made < self.steps:
             accelerations = sl.cho_solve(sl.cho_factor(M), without_rigid_motion(K, M, rigid))
-            U = problem.internal.deformation(problem.M @ V, problem.M)
+            U = problem.fixed_interface.deformation(problem.M @ V, problem.M)
             problem.space.multiply_into(U, accelerations, U)
             U -= Psi @ (problem.B.T @ U)
             # Psi is K-orthogonal to all that leaves the interfaces at rest, and its stiffness is known best.

@@ -58,7 +58,7 @@ class FixedInterfaceBody(Closing):
         self.statics: Statics | None = None
         rows, mixed = _single(problem.B)
         if not (len(rows) > TOL.solved_rows if by_rows is None else by_rows) or not _holds(problem, rows):
-            self.rows, self.constrained, self.M = None, problem.internal, problem.M
+            self.rows, self.constrained, self.M = None, problem.fixed_interface, problem.M
             return
         kept = np.setdiff1d(np.arange(problem.K.shape[0]), rows)
         self.rows = kept
@@ -150,7 +150,7 @@ def static_error(problem: Problem, held: FixedInterfaceBody, modes: InterfaceMod
 
 
 def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceModes:
-    Psi, K = problem.internal.solve_constraint_modes()
+    Psi, K = problem.fixed_interface.solve_constraint_modes()
     M = np.zeros_like(K)
     width = problem.budget.columns(len(Psi))
     for at in range(0, Psi.shape[1], width):
@@ -213,7 +213,7 @@ def _flexibility(problem: Problem, held: FixedInterfaceBody) -> Callable[[Floats
 
     def apply(F: Floats) -> Floats:
         F = F - MZ @ (Z.T @ F)
-        U = problem.elastic.flexibility(F) - held.flexibility(F)
+        U = problem.free_free.flexibility(F) - held.flexibility(F)
         return np.asarray(U - Z @ (MZ.T @ U))
 
     return apply

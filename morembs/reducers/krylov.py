@@ -250,7 +250,7 @@ class _LoadSpace:
         if inertia:
             F = problem.space.hstack(F, inertia_loads(problem))
             if counts:
-                G = problem.space.map_columns(problem.elastic.flexibility, F)
+                G = problem.space.map_columns(problem.free_free.flexibility, F)
                 F *= load_scale(np.ones(int(bends.sum())), F, G)
         if not F.shape[1]:
             raise InputError(f"none of the {name} deforms the body; choose other interfaces")

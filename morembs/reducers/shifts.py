@@ -210,7 +210,7 @@ def expansion_point(problem: Problem, s: complex) -> ExpansionPoint:
     """The expansion point ``s`` (1/s) of a problem, which all reducers share."""
 
     def flexibility(F: Values) -> Values:
-        return problem.elastic.flexibility(F)
+        return problem.free_free.flexibility(F)
 
     return problem.shared(("krylov shift", complex(s)), lambda: ExpansionPoint(problem.system, complex(s), flexibility))
 

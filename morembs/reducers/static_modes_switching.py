@@ -170,11 +170,11 @@ def _constant_flexibility(problem: Problem, reduced: ReducedModel) -> Callable[[
     """psi = (G - W (W' K W)^-1 W') f, W the elastic columns of V (those that hold the interfaces, if V does);
     and f' G f."""
     if "constraint" in reduced.mode_kind:
-        count, pencil = reduced.mode_kind.count("constraint"), problem.internal
+        count, pencil = reduced.mode_kind.count("constraint"), problem.fixed_interface
     elif "fixed-interface" in reduced.mode_kind:
-        count, pencil = 0, problem.internal
+        count, pencil = 0, problem.fixed_interface
     else:
-        count, pencil = reduced.rigid_count, problem.elastic
+        count, pencil = reduced.rigid_count, problem.free_free
     W, K = reduced.V[:, count:], reduced.K[count:, count:]
     factor = sl.cho_factor(K) if len(K) else None
 

@@ -39,13 +39,13 @@ class DampedSpace:
             self.scale = np.ones(F.shape[1])
             self.V = orthonormal(V, problem.M)
             return
-        start = problem.elastic.flexibility(np.hstack([F, _dampers(D)]))
+        start = problem.free_free.flexibility(np.hstack([F, _dampers(D)]))
         own = start[:, : F.shape[1]]
         self.scale = 1.0 / np.sqrt(np.maximum(np.einsum("ij,ij->j", F, own), np.finfo(float).tiny))
         own *= self.scale
         space = SecondOrderArnoldi(problem.space, D, start, shift=0.0, scale=float(omega.max()))
         for _ in range(TOL.damped_first_blocks - 1):
-            space.expand(problem.elastic.flexibility)
+            space.expand(problem.free_free.flexibility)
         self.V = problem.space.hstack(*space.blocks)
 
     def until(self, omega: Floats, tolerance: float) -> tuple[Floats, Floats, Floats, Floats, float]:

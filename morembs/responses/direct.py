@@ -101,7 +101,7 @@ def transfer_matrix(shared: tuple[System, Values], s: complex) -> Complexes:
 def elastic_statics(problem: Problem, F: Values, *, transposed: bool = False) -> Values:
     """Elastic displacements (Nc, p) under loads ``F`` (Nc, p), dense or sparse: of K + N, or of its transpose."""
     if problem.N is None:
-        return problem.space.map_columns(problem.elastic.flexibility, F)
+        return problem.space.map_columns(problem.free_free.flexibility, F)
     with problem.system.inverse(0.0) as solve:
         return solve(F, transposed=transposed)
 

@@ -186,7 +186,7 @@ class ReferenceSpace:
         self.solves, self.residuals = Solves(problem), np.zeros(0)
         start = self.statics[0]
         if inertia:
-            others = problem.elastic.flexibility(F[:, self.inputs :])
+            others = problem.free_free.flexibility(F[:, self.inputs :])
             start = problem.space.hstack(start, others)
         self.scale = np.sqrt(np.maximum(np.einsum("ij,ij->j", F, start), 0.0))
         if not (self.scale > 0).all():
@@ -211,7 +211,7 @@ class ReferenceSpace:
     def _solved(self, F: Floats) -> Floats:
         """Elastic displacements under ``F``; the residuals of those under M times the newest block are kept."""
         if F is not self.lanczos.M_pending:
-            return self.problem.elastic.flexibility(F)
+            return self.problem.free_free.flexibility(F)
         k, b = self.lanczos.size, F.shape[1]
         X, residuals = self.solves.flexibility(F)
         lost = self.solves.inertia(self.lanczos.V[:, k : k + b], TOL.no_change * np.sqrt(k + b))

@@ -64,7 +64,7 @@ class Solves:
 
     def flexibility(self, F: Floats) -> tuple[Floats, Floats]:
         """Solutions (Nc, k) for the loads ``F`` (Nc, k), refined where they need it, and their residuals (k,)."""
-        return self.checked(self.problem.elastic.flexibility(F), F)
+        return self.checked(self.problem.free_free.flexibility(F), F)
 
     def checked(self, X: Floats, F: Floats) -> tuple[Floats, Floats]:
         """``X`` (Nc, k), refined where it needs it, and limits (k,) of |K X - F|_W, round-off included."""
@@ -73,7 +73,7 @@ class Solves:
             X, rho, left, lost = best
             if (left <= TOL.residual_over_roundoff * lost).all():
                 break
-            Y = X - self.problem.elastic.flexibility(rho)
+            Y = X - self.problem.free_free.flexibility(rho)
             # Rigid motion has no residual.
             Y -= self.problem.rigid @ (self.problem.rigid.T @ (self.problem.M @ Y))
             new = Y, *self._residual(Y, F)
@@ -86,7 +86,7 @@ class Solves:
         """K X - F (Nc, k) without what rigid motion balances, its norms (k,), and by how much they may be off."""
         problem, w = self.problem, self.weights
         # C = M Z.
-        balance = problem.elastic.C @ (problem.rigid.T @ F)
+        balance = problem.free_free.C @ (problem.rigid.T @ F)
         rho = problem.K @ X
         rho -= F
         rho += balance

@@ -49,7 +49,7 @@ def rigid_rotor(problem, speed):
     """
     m, h = 7850 * 0.2 * 0.2 * DISC, 0.2
     across, along = m * (h * h + DISC**2) / 12, m * h * h / 6
-    U, _ = problem.internal.solve_constraint_modes()
+    U, _ = problem.fixed_interface.solve_constraint_modes()
     disc = problem.coupling.columns["disc"]
     C = np.asarray((problem.coupling.B.T @ U)[:, disc])
     K = (U.T @ (problem.K @ U))[disc, disc]

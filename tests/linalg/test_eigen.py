@@ -38,7 +38,7 @@ def test_sparse_modes_are_all_modes_of_the_dense_pencil(square_bar, exact):
     exact = exact[0]
     with Problem(square_bar) as problem:
         for count in (1, 3, 10, 25, 60):
-            modes = lowest_modes(problem.elastic, problem.M, count=count)
+            modes = lowest_modes(problem.free_free, problem.M, count=count)
             assert modes.eigenvalues == pytest.approx(exact[:count], rel=1e-9)
             V = modes.vectors
             assert np.abs(V.T @ (problem.M @ V) - np.eye(count)).max() < 1e-12
@@ -47,9 +47,9 @@ def test_sparse_modes_are_all_modes_of_the_dense_pencil(square_bar, exact):
             assert np.abs(residual).max() < 1e-6 * np.abs(problem.M @ V * modes.eigenvalues).max()
         gap = next(k for k in range(18, 40) if exact[k] > 1.01 * exact[k - 1])
         below = 0.5 * (exact[gap - 1] + exact[gap])
-        assert len(lowest_modes(problem.elastic, problem.M, below=below).eigenvalues) == gap
+        assert len(lowest_modes(problem.free_free, problem.M, below=below).eigenvalues) == gap
         # A limit right on a double eigenvalue is no reason to stop.
-        assert len(lowest_modes(problem.elastic, problem.M, below=float(exact[1])).eigenvalues) == 2
+        assert len(lowest_modes(problem.free_free, problem.M, below=float(exact[1])).eigenvalues) == 2
 
 
 def counts_are_those_of(pencil, exact):
@@ -64,7 +64,7 @@ def counts_are_those_of(pencil, exact):
 
 def test_counts_agree_with_the_sorted_list(square_bar, exact):
     with Problem(square_bar) as problem:
-        counts_are_those_of(problem.elastic, exact[0])
+        counts_are_those_of(problem.free_free, exact[0])
 
 
 def test_a_missing_mode_is_noticed_and_found(square_bar, exact, monkeypatch):
@@ -82,12 +82,12 @@ def test_a_missing_mode_is_noticed_and_found(square_bar, exact, monkeypatch):
             return theta[keep], Y[:, keep]
 
         monkeypatch.setattr(eigen, "largest", blind)
-        modes = lowest_modes(problem.elastic, problem.M, count=10)
+        modes = lowest_modes(problem.free_free, problem.M, count=10)
         assert len(calls) == 2
         assert modes.eigenvalues == pytest.approx(exact[0][:10], rel=1e-9)
         monkeypatch.setattr(eigen, "largest", lambda *a, **k: (1 / exact[0][1:12], exact[1][:, 1:12]))
         with pytest.raises(SolverError, match="Sturm count finds"):
-            lowest_modes(problem.elastic, problem.M, count=10)
+            lowest_modes(problem.free_free, problem.M, count=10)
 
 
 def test_a_mode_that_both_shifts_miss_is_noticed(square_bar, exact, monkeypatch):
@@ -99,11 +99,11 @@ def test_a_mode_that_both_shifts_miss_is_noticed(square_bar, exact, monkeypatch)
             U = solve(F)
             return U - x @ (x.T @ (problem.M @ U))
 
-        solve, apply = problem.elastic.flexibility, ShiftedInverse.apply
-        monkeypatch.setattr(problem.elastic, "flexibility", lambda F: hidden(solve, F))
+        solve, apply = problem.free_free.flexibility, ShiftedInverse.apply
+        monkeypatch.setattr(problem.free_free, "flexibility", lambda F: hidden(solve, F))
         monkeypatch.setattr(ShiftedInverse, "apply", lambda self, F: hidden(lambda G: apply(self, G), F))
         with pytest.raises(SolverError, match="Sturm count finds"):
-            lowest_modes(problem.elastic, problem.M, count=25)
+            lowest_modes(problem.free_free, problem.M, count=25)
 
 
 @pytest.mark.parametrize("coupling", ["rigid", "average", "direct"])
@@ -114,28 +114,28 @@ def test_modes_of_the_held_body_at_two_shifts_are_those_of_lapack(square_bar, co
         for name, x in (("l", 0.0), ("r", 0.5))
     ]
     with Problem(square_bar, held) as problem:
-        dense = lowest_modes(problem.internal, problem.M, count=30, by_lapack=True).eigenvalues
-        modes = lowest_modes(problem.internal, problem.M, count=25)
+        dense = lowest_modes(problem.fixed_interface, problem.M, count=30, by_lapack=True).eigenvalues
+        modes = lowest_modes(problem.fixed_interface, problem.M, count=25)
         assert modes.eigenvalues == pytest.approx(dense[:25], rel=1e-9)
         assert np.abs(modes.vectors.T @ (problem.M @ modes.vectors) - np.eye(25)).max() < 1e-12
         assert np.abs(problem.B.T @ modes.vectors).max() < 1e-9 * np.abs(modes.vectors).max()
-        counts_are_those_of(problem.internal, dense)
+        counts_are_those_of(problem.fixed_interface, dense)
 
 
 def test_a_quarter_of_all_modes_ends_when_all_are_found():
     """Rigid motions enter the space by round-off; what they do there is no mode that has to converge."""
     model = steel(box("hex8", (7, 7, 7), (0.1, 0.11, 0.123)))
     with Problem(model) as problem, listening(Heard(most=60)):
-        exact = lowest_modes(problem.elastic, problem.M, count=400, by_lapack=True).eigenvalues
-        modes = lowest_modes(problem.elastic, problem.M, count=400, by_lapack=False)
+        exact = lowest_modes(problem.free_free, problem.M, count=400, by_lapack=True).eigenvalues
+        modes = lowest_modes(problem.free_free, problem.M, count=400, by_lapack=False)
     assert modes.eigenvalues == pytest.approx(exact, rel=1e-9)
 
 
 def test_restarted_lanczos_finds_the_same(square_bar, exact):
     with Problem(square_bar) as problem:
         random = np.random.default_rng(0).standard_normal((problem.M.shape[0], 8))
-        start = problem.elastic.flexibility(problem.M @ random)
-        lanczos = BlockLanczos(problem.elastic.flexibility, problem.space, start, capacity=44)
+        start = problem.free_free.flexibility(problem.M @ random)
+        lanczos = BlockLanczos(problem.free_free.flexibility, problem.space, start, capacity=44)
         theta, _ = largest(lanczos, 20)
         assert lanczos.V.shape[1] == 44
         assert 1 / theta == pytest.approx(exact[0][:20], rel=1e-9)

@@ -40,7 +40,7 @@ def _dense(problem: Problem, pencil: object) -> np.ndarray:
 @pytest.mark.parametrize("coupling", [None, "rigid", "average"])
 def test_slices_hold_every_mode_of_the_band(coupling: str | None) -> None:
     with _problem(coupling) as problem:
-        pencil = problem.elastic if coupling is None else problem.internal
+        pencil = problem.free_free if coupling is None else problem.fixed_interface
         exact = _dense(problem, pencil)
         count = _gap(exact, 150)
         below = 0.5 * (exact[count - 1] + exact[count])
@@ -64,12 +64,12 @@ def _gap(exact: np.ndarray, start: int) -> int:
 def test_a_wrong_count_is_refused() -> None:
     """One mode more than there are: the last slice finds that it is missing."""
     with _problem("rigid") as problem:
-        exact = _dense(problem, problem.internal)
-        first = lowest_modes(problem.internal, problem.M, count=10)
+        exact = _dense(problem, problem.fixed_interface)
+        first = lowest_modes(problem.fixed_interface, problem.M, count=10)
         k = _gap(exact, 60)
         with pytest.raises(SolverError, match="move the limit"):
             sliced_modes(
-                problem.internal,
+                problem.fixed_interface,
                 problem.M,
                 first.eigenvalues,
                 first.vectors,
@@ -82,12 +82,12 @@ def test_a_wrong_count_is_refused() -> None:
 def test_a_missing_first_mode_is_found_again() -> None:
     """Modes to begin with that lack one: the count of the next slice shows it, and the slice finds it or refuses."""
     with _problem("rigid") as problem:
-        exact = _dense(problem, problem.internal)
-        first = lowest_modes(problem.internal, problem.M, count=10)
+        exact = _dense(problem, problem.fixed_interface)
+        first = lowest_modes(problem.fixed_interface, problem.M, count=10)
         keep, k = np.arange(10) != 6, _gap(exact, 40)
         try:
             values, _ = sliced_modes(
-                problem.internal,
+                problem.fixed_interface,
                 problem.M,
                 first.eigenvalues[keep],
                 first.vectors[:, keep],
@@ -102,12 +102,12 @@ def test_a_missing_first_mode_is_found_again() -> None:
 
 def test_wide_bands_are_sliced() -> None:
     with _problem("rigid") as problem:
-        exact = _dense(problem, problem.internal)
+        exact = _dense(problem, problem.fixed_interface)
         k = _gap(exact, 100)
         below = 0.5 * (exact[k - 1] + exact[k])
         heard = Heard()
         with listening(heard):
-            modes = lowest_modes(problem.internal, problem.M, below=below, by_lapack=False, per_slice=24)
+            modes = lowest_modes(problem.fixed_interface, problem.M, below=below, by_lapack=False, per_slice=24)
         assert any(text.startswith("slice at") for text in heard.news)
         np.testing.assert_allclose(modes.eigenvalues, exact[:k], rtol=1e-8)
 
@@ -131,7 +131,7 @@ def test_slices_cross_a_wide_gap() -> None:
     exact = np.linalg.eigvalsh(model.K.toarray())
     with Problem(model) as problem, listening(Heard(most=2000)):
         modes = lowest_modes(
-            problem.elastic, problem.M, below=0.5 * (exact[259] + exact[260]), by_lapack=False, per_slice=24
+            problem.free_free, problem.M, below=0.5 * (exact[259] + exact[260]), by_lapack=False, per_slice=24
         )
     np.testing.assert_allclose(modes.eigenvalues, exact[:260], rtol=1e-8)
 
@@ -148,7 +148,7 @@ def test_no_more_modes_than_masses(memory: int | None) -> None:
         K[np.ix_(~inner, ~inner)], K[np.ix_(~inner, inner)]
     )
     with Budget(memory=memory), Problem(model) as problem:
-        modes = lowest_modes(problem.elastic, problem.M, count=18, by_lapack=False)
+        modes = lowest_modes(problem.free_free, problem.M, count=18, by_lapack=False)
         np.testing.assert_allclose(modes.eigenvalues, np.linalg.eigvalsh(left), rtol=1e-9)
         with pytest.raises(InputError, match="only 18 degrees of freedom with mass"):
-            lowest_modes(problem.elastic, problem.M, count=19, by_lapack=False)
+            lowest_modes(problem.free_free, problem.M, count=19, by_lapack=False)

@@ -125,7 +125,7 @@ def test_the_same_input_gives_the_same_bytes(method: str, options: dict[str, Any
 def test_a_closed_problem_keeps_no_solutions(method: str) -> None:
     options = next(options for name, options in OPTIONS if name == method)
     with problem_of(cells=400) as problem:
-        _ = problem.elastic.flexibility(problem.B.toarray())
+        _ = problem.free_free.flexibility(problem.B.toarray())
         tracemalloc.start()
         try:
             reduced = REDUCERS[method](**options).reduce(problem)
@@ -149,7 +149,7 @@ def test_a_released_problem_gives_its_factors_back_and_makes_them_anew(method: s
         for _ in range(2):
             bodies.append(reducer.reduce(problem))
             factors.append(problem.statics.factor)
-            held = weakref.ref(problem.elastic.X)
+            held = weakref.ref(problem.free_free.X)
             problem.release()
             assert factors[-1].closed and held() is None
         assert factors[0] is not factors[1]

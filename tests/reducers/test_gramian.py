@@ -135,7 +135,7 @@ def test_a_tolerance_chooses_the_smallest_order_that_keeps_it():
 @pytest.mark.parametrize("direct", [False, True])
 def test_statics_at_the_interfaces_are_kept_on_demand(direct):
     with short() as problem:
-        G = problem.elastic.flexibility(problem.B.toarray())
+        G = problem.free_free.flexibility(problem.B.toarray())
         exact = problem.B.T @ G
         scale = np.outer(problem.motion_scale, problem.motion_scale)
         for static in (True, False):

@@ -197,7 +197,7 @@ def test_average_interfaces_that_share_nodes():
     with Problem(model, interfaces) as problem:
         reduced = CraigBampton(modes=problem.K.shape[0] - 12).reduce(problem)
         K, M = problem.K.toarray(), problem.M.toarray()
-        Psi, F = problem.internal.solve_constraint_modes()
+        Psi, F = problem.fixed_interface.solve_constraint_modes()
     assert elastic(reduced)[:20] == pytest.approx(
         np.sqrt(sl.eigh(K, M, eigvals_only=True)[6:26]) / (2 * np.pi), rel=1e-8
     )

@@ -21,13 +21,13 @@ def critical_factor(problem: Problem, geometric: Callable[[Floats], Floats]) -> 
     V = problem.budget.empty((n, TOL.buckling_steps), order="F")
     T = np.zeros((TOL.buckling_steps + 1, TOL.buckling_steps + 1))
     start = problem.M @ np.random.default_rng(7).standard_normal(n)
-    v = np.asarray(problem.elastic.flexibility(start[:, None])[:, 0])
+    v = np.asarray(problem.free_free.flexibility(start[:, None])[:, 0])
     theta = 0.0
     v /= np.sqrt(v @ (problem.K @ v))
     for k in range(TOL.buckling_steps):
         V[:, k] = v
         load = -geometric(v)
-        w = problem.elastic.flexibility(load[:, None])[:, 0]
+        w = problem.free_free.flexibility(load[:, None])[:, 0]
         # Inner products in K with elastic motions are the work of the load.
         h = V[:, : k + 1].T @ load
         T[: k + 1, k], T[k, : k + 1] = h, h

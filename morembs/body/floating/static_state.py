@@ -68,7 +68,7 @@ def static_state(problem: Problem, acceleration: Floats, wrench: Floats, held: S
                 wrench[columns] -= reaction[at : at + count, 0]
             at += count
     else:
-        u = problem.elastic.flexibility(load[:, None])
+        u = problem.free_free.flexibility(load[:, None])
         inertial = acceleration + T @ (problem.rigid @ (problem.rigid.T @ load))
     turning: dict[str, Floats] = {}
     if model.mesh is not None:

@@ -82,7 +82,7 @@ def geometric_stiffening(
     group = _group(problem, stressed.graph.nnz)
     for first in range(0, len(loaded), group):
         some = loaded[first : first + group]
-        U = problem.coupling.T @ problem.elastic.flexibility(loads.F[:, some])
+        U = problem.coupling.T @ problem.free_free.flexibility(loads.F[:, some])
         with problem.budget.in_use():
             kg = stressed.stiffness(U)
         turning = links.turning(U, loads.inertial[:, some], loads.wrench[:, some])

@@ -28,7 +28,7 @@ class StaticResponses(Reducer):
 
     def _basis(self, problem, progress):
         F = problem.B.toarray()[:, : self.count]
-        return elastic_basis(problem, problem.elastic.flexibility(F), "attachment")
+        return elastic_basis(problem, problem.free_free.flexibility(F), "attachment")
 
 
 class DenseFactor(Factorization):

@@ -291,7 +291,7 @@ class _Faces:
         C = np.empty((F.shape[1], F.shape[1]))
         for first in range(0, F.shape[1], TOL.table_columns):
             some = slice(first, first + TOL.table_columns)
-            C[:, some] = F.T @ problem.internal.flexibility(F[:, some].toarray())
+            C[:, some] = F.T @ problem.fixed_interface.flexibility(F[:, some].toarray())
         return symmetric(C)
 
 
