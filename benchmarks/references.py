@@ -53,7 +53,7 @@ def bounds_of(problem: Problem, high: float, rng: np.random.Generator) -> Floats
         omega = 2 * np.pi * at[at <= high]
         standard = reference.standard()
         size = standard.modes.moduli(omega)[0]
-        e = size @ standard.sizes[:, 0]
+        e = size @ standard.residue_norms[:, 0]
         lost = standard.rounding.at(size).size()[:, 0] / e + standard.floor
         off = np.linalg.norm(reference.H(omega) - true_response(reference, omega), axis=(1, 2)) / e
         # No tolerance: the plain formula at one frequency.

@@ -98,12 +98,12 @@ def error_limits(
     # The ends as they were given.
     hz[0, 0], hz[-1, 1] = reference.band_hz
     notes: tuple[str, ...] = ()
-    if not cells.whole:
+    if not cells.converged:
         notes = (f"limits could be sharper: the search ended at {len(cells.upper):,} cells",)
     loose = [
         name
         for name, limit in limits.items()
-        if limit.upper == np.inf or (cells.whole and 2 * sharpness * limit.lower < limit.upper)
+        if limit.upper == np.inf or (cells.converged and 2 * sharpness * limit.lower < limit.upper)
     ]
     notes += tuple(_causes(standard, body, cells, loose))
     return ErrorLimits(limits=limits, block_limit=blocks, cells_hz=hz, cell_limit=upper, notes=notes)
@@ -120,7 +120,7 @@ def _causes(standard: ReferenceResponse, body: Response, cells: BandCells, loose
         omega = np.linspace(low, high, TOL.cause_samples)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             inverse = standard.modes.moduli(omega)[0]
-            e = inverse @ standard.sizes[:, 0]
+            e = inverse @ standard.residue_norms[:, 0]
             parts = np.nan_to_num(
                 [
                     standard.uncertainty(omega, omega),

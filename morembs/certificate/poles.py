@@ -66,8 +66,8 @@ def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
         ("M times modes", reference.band_hz, reference.floor),
         lambda: problem.space.map_columns(lambda X: problem.M @ X, reference.vectors[:, :inside]),
     )
-    seen = problem.space.dot(shapes, reduced.V)
-    partner, deviation, cross = _partners(reduced, seen, omega)
+    correlations = problem.space.dot(shapes, reduced.V)
+    partner, deviation, cross = _partners(reduced, correlations, omega)
     mac, residue = np.zeros(inside), np.full(inside, np.nan)
     rigid = reduced.rigid_count
     X, L = (modes[:, rigid:] for modes in modes_of(reduced.M, reduced.K, rigid, reduced.symmetric)[1:])
@@ -76,14 +76,14 @@ def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
     excited = energy[:inside] > TOL.unexcited_energy * energy.sum()
     starts = np.flatnonzero(np.diff(omega, prepend=-np.inf) > TOL.mode_cluster_gap * omega)
     for first, last in pairwise([*starts, inside]):
-        held = partner[first:last]
-        held = held[held >= 0]
-        block = cross[first:last][:, held]
+        partners = partner[first:last]
+        partners = partners[partners >= 0]
+        block = cross[first:last][:, partners]
         s = np.linalg.svd(block, compute_uv=False) if block.size else np.zeros(1)
         mac[first:last] = s.min() ** 2 if last - first == block.shape[1] else 0.0
         true = b[first:last].T @ b[first:last]
         if excited[first:last].any():
-            off = np.linalg.norm(outputs[held].T @ inputs[held] - true)
+            off = np.linalg.norm(outputs[partners].T @ inputs[partners] - true)
             residue[first:last] = off / np.linalg.norm(true)
     return Poles(
         frequencies_hz=in_hz(omega[band]),
@@ -95,12 +95,12 @@ def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
     )
 
 
-def _partners(reduced: ReducedModel, seen: Floats, omega: Floats) -> tuple[Ints, Floats, Floats]:
+def _partners(reduced: ReducedModel, correlations: Floats, omega: Floats) -> tuple[Ints, Floats, Floats]:
     """Number (k,) of the body's mode for each of the full model, -1 for none, the deviation (k,) of its frequency,
-    and the modes' correlations (k, n), from Phi' M V ``seen`` (k, n + r)."""
+    and the modes' correlations (k, n), from Phi' M V ``correlations`` (k, n + r)."""
     values, Y = reduced.modes()
     theta, Y = np.maximum(values[reduced.rigid_count :], 0.0), Y[:, reduced.rigid_count :]
-    cross = seen @ Y
+    cross = correlations @ Y
     partner, deviation = np.full(len(omega), -1), np.full(len(omega), np.nan)
     if not cross.size:
         return partner, deviation, cross

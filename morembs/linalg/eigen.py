@@ -47,8 +47,10 @@ class Modes:
 
     def first(self, count: int) -> Modes:
         """The lowest ``count`` of these modes."""
-        held = self.verified_below if count >= len(self.eigenvalues) else float(self.eigenvalues[count])
-        return replace(self, eigenvalues=self.eigenvalues[:count], vectors=self.vectors[:, :count], verified_below=held)
+        verified_below = self.verified_below if count >= len(self.eigenvalues) else float(self.eigenvalues[count])
+        return replace(
+            self, eigenvalues=self.eigenvalues[:count], vectors=self.vectors[:, :count], verified_below=verified_below
+        )
 
 
 def lowest_modes(
@@ -131,8 +133,8 @@ def _dense(body: ConstrainedStatics, M: sp.csr_array, count: int | None, below: 
     m = int((values <= below).sum()) if count is None and below is not None else count
     vectors = fix_signs(vectors[:, :m])
     # All modes are known here, but only those that are returned count as held.
-    held = float(values[m]) if m is not None and m < len(values) else np.inf
-    return Modes(eigenvalues=values[:m], vectors=vectors, verified_below=held, counted=False)
+    verified_below = float(values[m]) if m is not None and m < len(values) else np.inf
+    return Modes(eigenvalues=values[:m], vectors=vectors, verified_below=verified_below, counted=False)
 
 
 def _refine_by_inverse_iteration(body: ConstrainedStatics, M: sp.csr_array, V: Floats) -> tuple[Floats, Floats]:
@@ -208,8 +210,8 @@ def _sparse(
             with shifted:
                 values, vectors = modes_below(lanczos, shifted, what=what)
             vectors = body.statics.space.fix_signs(vectors[:, :count])
-            held = max(shifted.sigma, below or 0.0) if len(values) == count else float(values[count])
-            return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=held)
+            verified_below = max(shifted.sigma, below or 0.0) if len(values) == count else float(values[count])
+            return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=verified_below)
     return _counted(body, M, lanczos, count, below, what)
 
 
@@ -235,8 +237,8 @@ def _counted(
         log.info("Sturm count: %d %s below %.6g Hz, %d found", true, what, eigenvalue_in_hz(cut), counted)
         if counted == true:
             vectors = body.statics.space.fix_signs(Y[:, :count])
-            held = float(cut) if counted == count else float(values[count])
-            return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=held)
+            verified_below = float(cut) if counted == count else float(values[count])
+            return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=verified_below)
         wanted = max(wanted, true + 2)
     raise SolverError(
         f"the Sturm count finds {true} {what} below {eigenvalue_in_hz(cut):.6g} Hz, the eigensolver {counted}; "

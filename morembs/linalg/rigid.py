@@ -54,27 +54,27 @@ def rigid_null_space(
         InputError: a support so soft that it cannot be told from round-off.
     """
     ratio, level = _forces(K, Phi, size, node, last)
-    held = np.abs(ratio).max(axis=1, initial=0.0) > level
-    if not held.any():
+    loaded = np.abs(ratio).max(axis=1, initial=0.0) > level
+    if not loaded.any():
         return Phi, Phi[:, :0]
-    _, s, Vt = np.linalg.svd(ratio[held], full_matrices=True)
+    _, s, Vt = np.linalg.svd(ratio[loaded], full_matrices=True)
     s = np.concatenate([s, np.zeros(len(Vt) - len(s))])
-    reach = np.abs(ratio[held] @ Vt.T).max(axis=0)
-    unclear = (reach > level) & (reach <= TOL.clear_support * level)
+    residuals = np.abs(ratio[loaded] @ Vt.T).max(axis=0)
+    unclear = (residuals > level) & (residuals <= TOL.clear_support * level)
     if unclear.any():
         raise InputError(
             "the body is held so softly that its support cannot be told from round-off: rigid motion leaves forces "
-            f"of {reach[unclear].max():.1e} of the terms that cancel in their rows of the stiffness matrix, and "
+            f"of {residuals[unclear].max():.1e} of the terms that cancel in their rows of the stiffness matrix, and "
             f"round-off reaches {level:.0e}; leave the support out of the model (and give it to the simulation), or "
             "make the stiff entries in these rows (links, penalty springs) softer"
         )
-    free = reach <= level
+    free = residuals <= level
     if free.any() and s[free].max() > TOL.mixed_motion * s[~free].min():
         raise InputError(
             f"the body is held in {int((~free).sum())} of {len(free)} rigid motions, so softly "
-            f"({reach[~free].min():.1e} of the terms that cancel) that round-off ({reach[free].max():.1e}) hides which "
-            "motions are free; leave the support out of the model, hold the other motions too, or make the stiff "
-            "entries in its rows (links, penalty springs) softer"
+            f"({residuals[~free].min():.1e} of the terms that cancel) that round-off ({residuals[free].max():.1e}) "
+            "hides which motions are free; leave the support out of the model, hold the other motions too, or make the "
+            "stiff entries in its rows (links, penalty springs) softer"
         )
     return Phi @ Vt[free].T, Phi @ Vt[~free].T
 

@@ -199,18 +199,18 @@ class ConstrainedStatics:
     def _refine(self, U: Floats, lam: Floats) -> None:
         """One step of iterative refinement of K U + C lam = 0, C' U = I, in place."""
         eye = np.eye(self.count)
-        for some in self._blocks():
-            F = -(self.statics.pencil.lower @ U[:, some]) - np.asarray(self.C @ lam[:, some])
-            dU, dlam = self.solve(F, eye[:, some] - self.C.T @ U[:, some])
-            U[:, some] += dU
-            lam[:, some] += dlam
+        for block in self._blocks():
+            F = -(self.statics.pencil.lower @ U[:, block]) - np.asarray(self.C @ lam[:, block])
+            dU, dlam = self.solve(F, eye[:, block] - self.C.T @ U[:, block])
+            U[:, block] += dU
+            lam[:, block] += dlam
 
     def _energy(self, U: Floats, lam: Floats) -> Floats:
         """Condensed stiffness (c, c) in which all errors of ``U`` and ``lam`` are of second order.
 
         U' K U - lam' G - G' lam with G = I - C' U: what ``lam`` is checked against.
         """
-        parts = [U.T @ np.asarray(self.statics.pencil.lower @ U[:, some]) for some in self._blocks()]
+        parts = [U.T @ np.asarray(self.statics.pencil.lower @ U[:, block]) for block in self._blocks()]
         cross = lam.T @ (np.eye(self.count) - self.C.T @ U)
         return np.asarray(np.hstack(parts) - cross - cross.T)
 

@@ -136,20 +136,23 @@ class ParametricBound:
         energy = np.linalg.norm(np.tensordot(self.law_K(self.anchor), self.residual_K, 1), axis=0)
         energy = np.maximum(energy, energy[energy > TOL.rigid_energy * energy.max(initial=0.0)].min(initial=np.inf))
         size = np.linalg.norm(self.residual_B, axis=0)
-        ones, sizes = np.ones_like(self.anchor), np.where(self.anchor == 0, self.cells.high.max(axis=0), self.anchor)
+        ones, reference = (
+            np.ones_like(self.anchor),
+            np.where(self.anchor == 0, self.cells.high.max(axis=0), self.anchor),
+        )
         parts = (
             (self.residual_B[None], np.ones(1), 1 / np.where(size > 0, size, 1.0)),
-            (self.residual_K, ratio(self.law_K, sizes, ones), 1 / energy),
-            (self.residual_M, ratio(self.law_M, sizes, ones), energy),
+            (self.residual_K, ratio(self.law_K, reference, ones), 1 / energy),
+            (self.residual_M, ratio(self.law_M, reference, ones), energy),
         )
         weighted = np.hstack([np.hstack([*(a[:, None, None] * terms * weight)]) for terms, a, weight in parts])
         U, values, _ = sl.svd(weighted, full_matrices=False)
         keep = int((values > cut).sum())
         new = {name: getattr(self, name) for name in self.__dataclass_fields__}
         for name in ("B", "K", "M", "F"):
-            C, rest = getattr(self, f"residual_{name}"), getattr(self, f"rest_{name}")
+            C, norms = getattr(self, f"residual_{name}"), getattr(self, f"rest_{name}")
             new[f"residual_{name}"] = U[:, :keep].T @ C
-            new[f"rest_{name}"] = np.hypot(rest, np.linalg.norm(U[:, keep:].T @ C, axis=-2))
+            new[f"rest_{name}"] = np.hypot(norms, np.linalg.norm(U[:, keep:].T @ C, axis=-2))
         return ParametricBound(**new)
 
     @cached_property
@@ -172,13 +175,13 @@ class ParametricBound:
         KY, MY, MZ = KV @ Y, MV @ Y, MV @ Z
         b, b_rigid, size = Y.T @ B, Z.T @ B, np.abs(Y)
         rho = KY - MY * values
-        off = eK @ size + (eM @ size) * values
+        truncation = eK @ size + (eM @ size) * values
         # Beside the band motions on soft springs are inertia, K v = mu M v + rho: rho over mu would be round-off.
         soft = 0 if self.rigid is None else int((values[:6] < (TOL.soft_spring * self.highest) ** 2).sum())
         static = np.where(np.arange(len(values))[:, None] < soft, 0.0, b / values[:, None])
         start = self.residual_B - KY @ static - MY[:, :soft] @ b[:soft] - MZ @ b_rigid
-        off_start = self.rest_B + (eK @ size) @ np.abs(static) + (eM @ np.abs(Z)) @ np.abs(b_rigid)
-        off_start += (eM @ size)[:soft] @ np.abs(b[:soft])
+        static_truncation = self.rest_B + (eK @ size) @ np.abs(static) + (eM @ np.abs(Z)) @ np.abs(b_rigid)
+        static_truncation += (eM @ size)[:soft] @ np.abs(b[:soft])
         alpha_cell, least, _ = self.cells.at(p)
         unsure_K, unsure_M = (
             np.zeros((len(values),) * 2) if terms is None else Y.T @ np.tensordot(np.abs(theta), terms, 1) @ Y
@@ -190,27 +193,30 @@ class ParametricBound:
         gram = np.hstack([start, rho])
         gram = gram.T @ gram / part
         s_K, s_M = ratio(self.law_K.monotone, p, self.soft).min(), ratio(self.law_M.monotone, p, self.soft).max()
-        few, below, loads = 0, 0.0, self._rigid_loads(p, M)
+        n_low, below, loads = 0, 0.0, self._rigid_loads(p, M)
         # More of them where so few leave no bound at the upper end of the band.
         for far in TOL.shift_ladder if alpha > 0 else TOL.shift_ladder[:1]:
-            more = self._few(values, np.diag(gram)[len(gram) - len(values) :], far)
-            d = self._missed(MZ, MY[:, :more], Z, Y[:, :more], eM, loads) / alpha if alpha > 0 else np.inf
+            count = self._low_count(values, np.diag(gram)[len(gram) - len(values) :], far)
+            d = self._missed(MZ, MY[:, :count], Z, Y[:, :count], eM, loads) / alpha if alpha > 0 else np.inf
             found = float(s_K / s_M * least / (1 + s_K * self.sigma * d))
             if found > below or far == TOL.shift_ladder[0]:
-                few, below = more, found
+                n_low, below = count, found
             if below > TOL.least_gap * self.highest**2:
                 break
         # Products with K leave round-off in the residuals, too.
         own = np.sqrt(np.maximum(np.diag(unsure_K), 0.0))
-        own *= (own / np.sqrt(values))[min(few, len(values) - 1) :].max(initial=0.0)
-        off, off_start = off / np.sqrt(part) + own, off_start / np.sqrt(part) + own @ np.abs(static)
+        own *= (own / np.sqrt(values))[min(n_low, len(values) - 1) :].max(initial=0.0)
+        truncation, static_truncation = (
+            truncation / np.sqrt(part) + own,
+            static_truncation / np.sqrt(part) + own @ np.abs(static),
+        )
         return BoundAt(
             values=values,
             b=b,
             gram=gram,
-            off=off,
-            off_start=off_start,
-            few=few,
+            truncation=truncation,
+            static_truncation=static_truncation,
+            n_low=n_low,
             least=below,
             damping=damping,
             soft=soft,
@@ -231,7 +237,7 @@ class ParametricBound:
             rounding=self.rounding_K is not None,
         )
 
-    def _few(self, values: Floats, own: Floats, far: float) -> int:
+    def _low_count(self, values: Floats, own: Floats, far: float) -> int:
         """How many Ritz vectors are V_L, whose residuals have the squares ``own`` (e,) of norms, up to ``far`` times
         the upper frequency: more of them make d smaller and kappa larger."""
         low = int((values < (TOL.low_modes_up_to * self.highest) ** 2).sum())
@@ -257,17 +263,17 @@ class ParametricBound:
         import scipy.linalg as sl
 
         rigid = Z.T @ self.motion_F
-        left, few = self.residual_F - MZ @ rigid, MY.shape[1]
-        X, free = np.zeros((few, left.shape[1])), np.eye(few)
+        remainder, n_low = self.residual_F - MZ @ rigid, MY.shape[1]
+        X, null_space = np.zeros((n_low, remainder.shape[1])), np.eye(n_low)
         if loads is not None:
             C, wanted = loads[0] @ Y, loads[1]
             if np.linalg.matrix_rank(C, tol=TOL.spring_hold) < len(C):
                 return np.inf
-            X, free = np.asarray(np.linalg.pinv(C) @ wanted), np.asarray(sl.null_space(C))
-        if free.shape[1]:
-            X = X + free @ sl.lstsq(MY @ free, left - MY @ X, lapack_driver="gelsy")[0]
-        off = self.rest_F + (eM @ np.abs(Z)) @ np.abs(rigid) + (eM @ np.abs(Y)) @ np.abs(X)
-        return float(np.linalg.norm(left - MY @ X, 2) ** 2 + (off**2).sum())
+            X, null_space = np.asarray(np.linalg.pinv(C) @ wanted), np.asarray(sl.null_space(C))
+        if null_space.shape[1]:
+            X = X + null_space @ sl.lstsq(MY @ null_space, remainder - MY @ X, lapack_driver="gelsy")[0]
+        truncation = self.rest_F + (eM @ np.abs(Z)) @ np.abs(rigid) + (eM @ np.abs(Y)) @ np.abs(X)
+        return float(np.linalg.norm(remainder - MY @ X, 2) ** 2 + (truncation**2).sum())
 
 
 def ratio(law: Law, p: Floats, reference: Floats) -> Floats:

@@ -22,17 +22,18 @@ KINDS = ("bound", "estimate", "none")
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoundAt:
     """The bound at one p: Ritz ``values`` (e,) in (rad/s)2 and scaled loads ``b`` (e, m) of the elastic part, ``gram``
-    (m + e, m + e) of the static residual and of those of the Ritz vectors in the dual norm, ``off_start`` (m,) and
-    ``off`` (e,) what was cut of them; the first ``few`` are V_L, and K >= ``least`` M beside them. ``unsure_K``,
+    (m + e, m + e) of the static residual and of those of the Ritz vectors in the dual norm, ``static_truncation`` (m,)
+    and ``truncation`` (e,) the norms of what was cut of them; the first ``n_low`` are V_L, and K >= ``least`` M beside
+    them. ``unsure_K``,
     ``unsure_M`` (e, e) limit the quadratic forms of what is not known of K and M. The static residual has the first
     ``soft`` by their inertia. ``proof``: the lemmas that all this rests on."""
 
     values: Floats
     b: Floats
     gram: Floats
-    off_start: Floats
-    off: Floats
-    few: int
+    static_truncation: Floats
+    truncation: Floats
+    n_low: int
     least: float
     damping: Damping
     unsure_K: Floats
@@ -56,10 +57,10 @@ class BoundAt:
         # On a resonance without damping there is no response.
         on = (a == 0).any(axis=1)
         a[on] = c[on, None]
-        two, whole = self._residual(a, omega)
+        norm_2, norm_F = self._residual(a, omega)
         best, kappa = self._gain(a, c, g)
         with np.errstate(divide="ignore", invalid="ignore"):
-            error = two * whole / best + self._unsure(a, c, g, whole / best, kappa / best, 1 / best)
+            error = norm_2 * norm_F / best + self._unsure(a, c, g, norm_F / best, kappa / best, 1 / best)
         return np.where((best > 0) & ~on, error, np.inf)
 
     def lacking(self, alpha: float, omega: float, highest: float) -> str:
@@ -80,8 +81,8 @@ class BoundAt:
     def residual(self, omega: Floats) -> Floats:
         """(nf,) |r|_2 |r|_F over the envelope: what a bound is without resonances."""
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
-        two, whole = self._residual(self._a(omega)[0], omega)
-        return np.asarray(two * whole / self.envelope(omega))
+        norm_2, norm_F = self._residual(self._a(omega)[0], omega)
+        return np.asarray(norm_2 * norm_F / self.envelope(omega))
 
     def _a(self, omega: Floats) -> tuple[Complexes, Complexes, Complexes]:
         """a_i (nf, e), c and g (nf,)."""
@@ -100,7 +101,9 @@ class BoundAt:
         G00, G01, G11 = self.gram[:m, :m], self.gram[:m, m:], self.gram[m:, m:]
         cross = G01 @ T
         S = G00 + cross + cross.conj().transpose(0, 2, 1) + T.conj().transpose(0, 2, 1) @ (G11 @ T)
-        cut = ((self.off_start + np.abs(factors) @ (self.off[:, None] * np.abs(self.b))) ** 2).sum(axis=1)
+        cut = ((self.static_truncation + np.abs(factors) @ (self.truncation[:, None] * np.abs(self.b))) ** 2).sum(
+            axis=1
+        )
         # Round-off of sums that cancel.
         size = np.abs(np.trace(G00)) + np.einsum("fi,i->f", (np.abs(T) ** 2).sum(axis=2), np.diag(G11))
         cut = cut + 10 * np.finfo(float).eps * size
@@ -109,45 +112,47 @@ class BoundAt:
 
     def _gain(self, a: Complexes, c: Complexes, g: Complexes) -> tuple[Floats, Floats]:
         """(nf,) b - kappa at the best angle, and kappa with the sizes of 1 / a_i."""
-        m, few = self.b.shape[1], self.few
-        gram, off = self.gram[m : m + few, m : m + few], self.off[:few] ** 2
-        own = np.diag(gram) + off
+        m, n_low = self.b.shape[1], self.n_low
+        gram, truncation = self.gram[m : m + n_low, m : m + n_low], self.truncation[:n_low] ** 2
+        own = np.diag(gram) + truncation
         turn = np.exp(-1j * ANGLES)
         far = c if not self.least > 0 else c + g / self.least
         b = np.minimum((turn[:, None] * c).real, (turn[:, None] * far).real)
-        weight = np.maximum((turn[:, None, None] * (c[:, None] ** 2 / a[:, :few])).real, 0.0)
+        weight = np.maximum((turn[:, None, None] * (c[:, None] ** 2 / a[:, :n_low])).real, 0.0)
         # The trace chooses the angle, the largest eigenvalue counts.
         chosen = np.argmax(b - weight @ own, axis=0)
         every = np.arange(len(c))
-        best = b[chosen, every] - _largest(weight[chosen, every], gram, off)
+        best = b[chosen, every] - _largest(weight[chosen, every], gram, truncation)
         if not self.least > 0:
             best = np.full(len(c), -np.inf)
-        return best, _largest(np.abs(c[:, None] ** 2 / a[:, :few]), gram, off)
+        return best, _largest(np.abs(c[:, None] ** 2 / a[:, :n_low]), gram, truncation)
 
-    def _unsure(self, a: Complexes, c: Complexes, g: Complexes, missed: Floats, kappa: Floats, reach: Floats) -> Floats:
-        """(nf,) what the error of K and M adds; ``missed`` is |r|_F, ``kappa`` that of sizes and ``reach`` one, each
-        over b - kappa."""
-        few, part = self.few, np.abs(g / c)
-        beside = slice(min(few, len(self.values) - 1), None)
+    def _unsure(
+        self, a: Complexes, c: Complexes, g: Complexes, residual: Floats, kappa: Floats, amplification: Floats
+    ) -> Floats:
+        """(nf,) what the error of K and M adds; ``residual`` is |r|_F, ``kappa`` that of sizes and
+        ``amplification`` one, each over b - kappa."""
+        n_low, part = self.n_low, np.abs(g / c)
+        beside = slice(min(n_low, len(self.values) - 1), None)
         outside, low = np.zeros(len(c)), np.zeros(len(c))
         own, y = np.zeros(len(c)), self.b / a[:, :, None]
         for S, weight in ((self.unsure_K, np.ones(len(c))), (self.unsure_M, part)):
             outside += weight * (np.diag(S) / self.values)[beside].max(initial=0.0)
-            low += weight * _largest(1 / np.abs(a[:, :few]), S[:few, :few], np.zeros(few))
+            low += weight * _largest(1 / np.abs(a[:, :n_low]), S[:n_low, :n_low], np.zeros(n_low))
             own += weight * np.einsum("fim,fim->f", y.conj(), S @ y).real
         # (t + sqrt(l kappa)) / sqrt(b - kappa).
-        mixed = np.sqrt(outside * reach) + np.sqrt(low * kappa)
+        mixed = np.sqrt(outside * amplification) + np.sqrt(low * kappa)
         norm = np.abs(c) * (low + mixed**2)
-        full = np.sqrt(own) + mixed * missed / np.sqrt(reach)
+        full = np.sqrt(own) + mixed * residual / np.sqrt(amplification)
         return np.where(norm < 1, np.abs(c) * full**2 / (1 - norm), np.inf)
 
 
-def _largest(weight: Floats, gram: Floats, off: Floats) -> Floats:
+def _largest(weight: Floats, gram: Floats, truncation: Floats) -> Floats:
     """(nf,) largest eigenvalue of sum_i weight_i rho_i rho_i' for the Gram matrix of rho, and what was cut of them."""
     if not gram.size:
         return np.zeros(len(weight))
     root = np.sqrt(weight)
-    return np.asarray(np.linalg.eigvalsh(root[:, :, None] * gram * root[:, None, :])[:, -1] + weight @ off)
+    return np.asarray(np.linalg.eigvalsh(root[:, :, None] * gram * root[:, None, :])[:, -1] + weight @ truncation)
 
 
 def ritz_pairs(K: Floats, M: Floats, rigid: Floats) -> tuple[Floats, Floats, Floats]:

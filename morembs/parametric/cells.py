@@ -178,12 +178,12 @@ class Proofs:
                 for a, b in zip(*rows, strict=True)
             ]
         )
-        promised, whole = float(values.min()), float(values[self._corners(len(values))].min())
+        promised, at_corners = float(values.min()), float(values[self._corners(len(values))].min())
         if W is None or not promised > 0:
-            return TOL.sampled_share * max(promised, 0.0), whole, False
+            return TOL.sampled_share * max(promised, 0.0), at_corners, False
         progress.update(f"modes beside those that are known on {self._words(cell.low, cell.high)}")
-        held = next((part for part in TRIED if self._holds(rows, part * promised, W, sigma)), 0.0)
-        return held * promised, whole, held > 0
+        proven_part = next((part for part in TRIED if self._holds(rows, part * promised, W, sigma)), 0.0)
+        return proven_part * promised, at_corners, proven_part > 0
 
     def _holds(self, rows: list[Floats], least: float, W: Floats, sigma: float) -> bool:
         problem = self.problem

@@ -306,8 +306,8 @@ class ModelAt:
 
 def _clusters(values: Floats) -> list[NDArray[np.int64]]:
     """Places of eigenvalues that lie together, ascending."""
-    apart = np.flatnonzero(np.diff(values) > 2 * TOL.mode_cluster_gap * values[1:])
-    return np.split(np.arange(len(values)), apart + 1)
+    gaps = np.flatnonzero(np.diff(values) > 2 * TOL.mode_cluster_gap * values[1:])
+    return np.split(np.arange(len(values)), gaps + 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -208,13 +208,13 @@ def _refuse_bent(varied: VariedModel, interfaces: Sequence[Interface]) -> None:
     size = float(np.ptp(morph.mesh.nodes.xyz, axis=0).max())
     for number, d in zip(morph.which, morph.displacements, strict=True):
         parameter = varied.parameters[number]
-        reach = max(abs(parameter.low), abs(parameter.high))
+        largest = max(abs(parameter.low), abs(parameter.high))
         for interface in interfaces:
-            apart = float(np.linalg.norm(np.ptp(d[interface.nodes], axis=0))) * reach
-            if apart > TOL.same_place * size:
+            spread = float(np.linalg.norm(np.ptp(d[interface.nodes], axis=0))) * largest
+            if spread > TOL.same_place * size:
                 raise InputError(
                     f"parameter {parameter.name} moves the nodes of interface {interface.name} by different "
-                    f"displacements (up to {1e3 * apart:.3g} mm apart); a morph may only translate an interface"
+                    f"displacements (up to {1e3 * spread:.3g} mm apart); a morph may only translate an interface"
                 )
 
 

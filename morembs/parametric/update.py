@@ -223,13 +223,13 @@ class _Fit:
         at, pairs = self._paired(x)
         _, s, Vt = np.linalg.svd(self.jacobian(x))
         s = np.concatenate([s, np.zeros(len(Vt) - len(s))])
-        told = s > TOL.told_direction * s[0]
-        inner = Vt[told].T / s[told]
+        identified = s > TOL.told_direction * s[0]
+        inner = Vt[identified].T / s[identified]
         covariance = np.zeros((len(box.names), len(box.names)))
         covariance[np.ix_(self.free, self.free)] = inner @ inner.T
         covariance *= np.outer(self.span, self.span)
         sigma, untold = np.sqrt(np.diag(covariance)), []
-        for v in Vt[~told]:
+        for v in Vt[~identified]:
             part = np.zeros(len(box.names))
             part[self.free] = v
             sigma[np.abs(part) > TOL.named_part] = np.inf

@@ -248,11 +248,13 @@ class Problem(Closing):
         """
         if "fixed_interface" not in self.__dict__:
             return self.space.map_columns(self.free_free.flexibility, self.B, width=self.statics.columns(5))
-        known, width = self.fixed_interface.X, self.statics.columns(5)
-        X = self.budget.empty(known.shape, order="F")
+        interface_response, width = self.fixed_interface.X, self.statics.columns(5)
+        X = self.budget.empty(interface_response.shape, order="F")
         for at in range(0, X.shape[1], width):
-            some = slice(at, at + width)
-            X[:, some] = self.free_free.constrain(known[:, some].copy(order="F"), dense(self.B[:, some]))[0]
+            block = slice(at, at + width)
+            X[:, block] = self.free_free.constrain(
+                interface_response[:, block].copy(order="F"), dense(self.B[:, block])
+            )[0]
         return X
 
     def require_room_for_modes(self) -> None:

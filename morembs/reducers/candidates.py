@@ -188,8 +188,8 @@ def _refuse_rows(xyz: Floats, ids: Ints, steps: Floats) -> None:
 
     step = np.minimum(np.append(steps, np.inf), np.insert(steps, 0, np.inf))
     distance, near = cKDTree(xyz).query(xyz, k=min(4, len(xyz)))
-    apart = np.abs(near - np.arange(len(xyz))[:, None])
-    k, column = np.nonzero((apart > 1) & (distance < TOL.neighbor_steps * step[:, None]))
+    offsets = np.abs(near - np.arange(len(xyz))[:, None])
+    k, column = np.nonzero((offsets > 1) & (distance < TOL.neighbor_steps * step[:, None]))
     if len(k):
         raise InputError(
             f"candidates: nodes {ids[k[0]]} and {ids[near[k[0], column[0]]]} lie next to each other without following "

@@ -73,11 +73,11 @@ class FamilySearch:
         self.F = reference.F * load_scale(problem.motion_scale, reference.F, reference.F / reference.values[:, None])
         # Inertia loads must not make the errors between interface motions look small, nor the other way round.
         self.counted = (reference.inputs, *([self.F.shape[1]] if self.F.shape[1] > reference.inputs else []))
-        self.whole = ModalModel(theta=reference.values, B=self.F, D=reference.D, damping=reference.damping)
-        self.looked: Floats = np.zeros(0)
+        self.full_model = ModalModel(theta=reference.values, B=self.F, D=reference.D, damping=reference.damping)
+        self.samples: Floats = np.zeros(0)
         self._look_at(omega)
         # In narrow bands some of ``omega`` are equal: those that are looked at are not.
-        self.omega = self.looked
+        self.omega = self.samples
         self.size = self._norms(self.full)[:, -1]
         self.fixed = self._orthonormal(self.F / reference.values[:, None]) if static else self.F[:, :0]
         self.chosen: list[float] = []
@@ -87,18 +87,18 @@ class FamilySearch:
 
     def _look_at(self, omega: Floats) -> None:
         """Samples at ``omega`` join those at which errors are taken."""
-        self.looked = np.unique(np.concatenate([self.looked, omega]))
-        self.full = self.whole.response(self.looked)
-        self.sizes = self._sizes(self.full)
+        self.samples = np.unique(np.concatenate([self.samples, omega]))
+        self.full = self.full_model.response(self.samples)
+        self.scale = self._scale_of(self.full)
 
-    def _sizes(self, full: NDArray[Any]) -> Floats:
+    def _scale_of(self, full: NDArray[Any]) -> Floats:
         """(nf, 1 or 2) what errors at the samples are relative to, by the measure."""
         if self.measure == "pointwise":
             return self._norms(full)
         if self.measure == "peak":
             return np.broadcast_to(self._norms(full).max(axis=0), (len(full), len(self.counted)))
         each = np.stack([(self.F[:, :m] ** 2).sum(axis=1) for m in self.counted], axis=1)
-        return np.asarray(1 / np.maximum(np.abs(self.whole.dynamic(self.looked)), np.finfo(float).tiny) @ each)
+        return np.asarray(1 / np.maximum(np.abs(self.full_model.dynamic(self.samples)), np.finfo(float).tiny) @ each)
 
     def smallest(self, family: str, fewer: int) -> Floats | None:
         """Certified basis of the lowest order, if that is below ``fewer``; ``reached`` tells the order without it."""
@@ -138,7 +138,7 @@ class FamilySearch:
         """Whether the tolerance holds on all of the band; if not, the worst frequency joins the samples."""
         low, high = angular_band(self.certified.band_hz)
         verdict = decide(self.standard, self._response(C), low, high, self.measure, self.tolerance)
-        if not verdict.decided:
+        if not verdict.holds:
             self._look_at(verdict.at)
             return False
         return True
@@ -147,9 +147,9 @@ class FamilySearch:
         """Whether not even all modes of the reference hold the tolerance: what is not known of it counts at zeros."""
         if self.measure != "pointwise" or self._decided(np.eye(len(self.reference.values))):
             return False
-        size = self.standard.layout.norms(self.standard.H.at(self.looked))[:, 0]
-        e = self.standard.modes.moduli(self.looked)[0] @ self.standard.sizes[:, 0]
-        self.worst = Limit(lower=0.0, upper=np.inf, at_hz=in_hz(float(self.looked[(size / e).argmin()])))
+        size = self.standard.layout.norms(self.standard.H.at(self.samples))[:, 0]
+        e = self.standard.modes.moduli(self.samples)[0] @ self.standard.residue_norms[:, 0]
+        self.worst = Limit(lower=0.0, upper=np.inf, at_hz=in_hz(float(self.samples[(size / e).argmin()])))
         return True
 
     def limit(self, C: Floats, theta: Floats) -> Limit:
@@ -179,7 +179,7 @@ class FamilySearch:
     def zero(self, hz: float) -> bool:
         """Whether the response is as good as zero at ``hz``."""
         w = 2 * np.pi * np.array([hz])
-        e = self.standard.modes.moduli(w)[0] @ self.standard.sizes[:, 0]
+        e = self.standard.modes.moduli(w)[0] @ self.standard.residue_norms[:, 0]
         return bool(np.linalg.norm(self.standard.H.at(w)) < TOL.zero_response * e[0])
 
     def _cut(self, columns: Floats) -> tuple[Floats, float]:
@@ -204,12 +204,12 @@ class FamilySearch:
     def errors(self, C: Floats) -> Floats:
         """Errors (nf,) at the samples by the measure."""
         if not C.shape[1]:
-            return np.ones(len(self.looked))
-        off = self._reduced(C)[0].response(self.looked) - self.full
-        errors = np.asarray((self._norms(off) / self.sizes).max(axis=1))
+            return np.ones(len(self.samples))
+        off = self._reduced(C)[0].response(self.samples) - self.full
+        errors = np.asarray((self._norms(off) / self.scale).max(axis=1))
         if errors.max() < self.worst.upper:
             j = int(errors.argmax())
-            self.worst = Limit(lower=errors[j], upper=errors[j], at_hz=in_hz(self.looked[j]))
+            self.worst = Limit(lower=errors[j], upper=errors[j], at_hz=in_hz(self.samples[j]))
         return errors
 
     def _norms(self, H: NDArray[np.complex128]) -> Floats:
@@ -253,7 +253,7 @@ class FamilySearch:
         return np.asarray(np.sqrt(trapezoid(self.omega)) * self.size**exponent)
 
     def _gramian(self, _: float, exponent: float) -> Floats:
-        return self._leading(_parts(self.whole.states(self.omega), self._weights(exponent)))
+        return self._leading(_parts(self.full_model.states(self.omega), self._weights(exponent)))
 
     def _krylov(self, tolerance: float, exponent: float) -> Floats:
         """Greedy responses, compressed to their principal vectors."""
@@ -269,10 +269,10 @@ class FamilySearch:
             C = self._orthonormal(np.hstack(blocks))
             errors = self.errors(C)
             # Beside a shift that is there already a new one would add next to nothing.
-            near = np.min(np.abs(self.looked[:, None] - np.array(shifts)) / self.looked[-1], axis=1) < 5e-3
+            near = np.min(np.abs(self.samples[:, None] - np.array(shifts)) / self.samples[-1], axis=1) < 5e-3
             if errors.max() <= tolerance or near.all():
                 break
-            shifts.append(float(self.looked[np.argmax(np.where(near, 0.0, errors))]))
+            shifts.append(float(self.samples[np.argmax(np.where(near, 0.0, errors))]))
         self.chosen = shifts
         return C
 

@@ -35,15 +35,15 @@ class Bounds:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BandCells:
     """Cells that cover a band: ``edges`` (nc, 2) in rad/s, ``upper`` (nc, t); of the whole band ``lower`` (t,) values
-    that are reached at ``at`` (t,) rad/s. ``decided`` is False where a lower value exceeded what was allowed, ``whole``
-    where cells were not halved any more because there were too many."""
+    that are reached at ``at`` (t,) rad/s. ``within_allowed`` is False where a lower value exceeded what was allowed,
+    ``converged`` where cells were not halved any more because there were too many."""
 
     edges: Floats
     upper: Floats
     lower: Floats
     at: Floats
-    decided: bool = True
-    whole: bool = True
+    within_allowed: bool = True
+    converged: bool = True
 
 
 def branch_and_bound(
@@ -53,21 +53,21 @@ def branch_and_bound(
     done: Callable[[Bounds, Floats], Bools],
     quantities: int,
     allowed: Floats | None = None,
-    per_cell: int = 1,
-    most: int = TOL.max_cells,
+    entries_per_cell: int = 1,
+    max_cells: int = TOL.max_cells,
 ) -> BandCells:
     """Halve cells until all are done.
 
     ``bounds(low, high)`` of cells, ``resolved(low, high)`` where they mean anything; ``edges`` (n + 1,) to begin with;
     ``done`` (nc, t) by the bounds of cells and the largest lower values (t,). It ends early where a lower value exceeds
-    what is ``allowed`` (t,). ``per_cell`` numbers are held for one cell, and at most ``most`` cells are made.
+    what is ``allowed`` (t,). ``entries_per_cell`` numbers are kept for each cell, and at most ``max_cells`` are made.
     """
     low, high = edges[:-1], edges[1:]
     kept: list[tuple[Floats, Floats, Floats]] = []
     best, at = np.full(quantities, -np.inf), np.zeros(quantities)
-    count, decided, whole, step = 0, True, True, max(1, TOL.entries_at_once // per_cell)
-    most = min(most, max(TOL.least_max_cells, min(TOL.max_cells, TOL.max_cell_entries // per_cell)))
-    while len(low) and decided:
+    count, within_allowed, converged, step = 0, True, True, max(1, TOL.entries_at_once // entries_per_cell)
+    max_cells = min(max_cells, max(TOL.least_max_cells, min(TOL.max_cells, TOL.max_cell_entries // entries_per_cell)))
+    while len(low) and within_allowed:
         narrow = high - low <= TOL.least_cell_width * edges[-1]
         ready = resolved(low, high) | narrow
         unready = np.stack([low[~ready], high[~ready]])
@@ -80,9 +80,9 @@ def branch_and_bound(
             at = np.where(reached > best, np.take_along_axis(bounds_here.at, here[None], axis=0)[0], at)
             best = np.maximum(best, reached)
             closed = (bounds_here.final | done(bounds_here, best)).all(axis=1) | narrow
-            decided = allowed is None or not bool((best > allowed).any())
-            if not decided or count + 2 * len(low) + unready.shape[1] > most:
-                whole = whole and (not decided or bool(closed.all()))
+            within_allowed = allowed is None or not bool((best > allowed).any())
+            if not within_allowed or count + 2 * len(low) + unready.shape[1] > max_cells:
+                converged = converged and (not within_allowed or bool(closed.all()))
                 closed[:] = True
             count += int(closed.sum())
             kept.append((low[closed], high[closed], bounds_here.upper[closed]))
@@ -93,7 +93,9 @@ def branch_and_bound(
     cells = np.concatenate([np.stack([part[0], part[1]], axis=1) for part in kept])
     order = np.argsort(cells[:, 0], kind="stable")
     upper = np.concatenate([part[2] for part in kept])
-    return BandCells(edges=cells[order], upper=upper[order], lower=best, at=at, decided=decided, whole=whole)
+    return BandCells(
+        edges=cells[order], upper=upper[order], lower=best, at=at, within_allowed=within_allowed, converged=converged
+    )
 
 
 def initial_partition(low: float, high: float, inside: Floats) -> Floats:

@@ -163,12 +163,12 @@ class CertifiedReference:
         return ReferenceResponse(
             H=H,
             modes=modes,
-            sizes=layout.sizes(self.b, clusters(self.values)),
+            residue_norms=layout.sizes(self.b, clusters(self.values)),
             rounding=rounding,
             layout=layout,
             floor=floor,
             edges=self.edges,
-            off=self.off,
+            cell_uncertainty=self.off,
         )
 
     def H(self, omega: Floats) -> Complexes:
@@ -194,7 +194,7 @@ class CertifiedReference:
         """``uncertainty`` and envelope (nf,) at ``omega`` (nf,)."""
         standard = self.standard()
         size = standard.modes.moduli(omega)[0]
-        e = size @ standard.sizes[:, 0]
+        e = size @ standard.residue_norms[:, 0]
         off = standard.rounding.at(size).size()[:, 0]
         return np.asarray(off + (standard.uncertainty(omega, omega) + standard.floor) * e), e
 
@@ -297,7 +297,7 @@ class _Build:
 
     def within_tolerance(self) -> CertifiedReference:
         """The space, grown until the error is below the tolerance."""
-        krylov, seen = reference_space(self.problem, self.inertia), list[float]()
+        krylov, errors = reference_space(self.problem, self.inertia), list[float]()
         # Modal damping acts on the computed modes: they are closer to the true ones than the response asks for.
         enough = 0.1 * self.tolerance * (TOL.modal_growth_part if self.damping.is_modal else 1.0)
         while True:
@@ -309,9 +309,9 @@ class _Build:
                 if reference.off.max() <= self.tolerance or reference.undamped or self.hidden:
                     return reference
                 error = float(reference.off.max())
-            seen.append(error)
+            errors.append(error)
             # Where round-off hides the rest, limits say how much.
-            if has_stagnated(seen) or not krylov.extend(error):
+            if has_stagnated(errors) or not krylov.extend(error):
                 return self._reference(krylov)
 
     def _guess(self, krylov: ReferenceSpace) -> float:

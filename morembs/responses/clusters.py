@@ -25,7 +25,7 @@ def damping_of_clusters(values: Floats, D: Floats) -> tuple[Floats, Floats]:
     The mean is the trace over the number of modes. No rotation within a cluster changes either.
     """
     mean, least = np.empty(len(values)), np.empty(len(values))
-    for some in clusters(values):
-        own = np.linalg.eigvalsh(D[some, some])
-        mean[some], least[some] = own.mean(), own[0]
+    for cluster in clusters(values):
+        own = np.linalg.eigvalsh(D[cluster, cluster])
+        mean[cluster], least[cluster] = own.mean(), own[0]
     return mean, least

@@ -129,9 +129,9 @@ class DampedSpace:
         values, Y, D = self._solve_pencil(partial(accurate_eigh, projected=stiffness))
         width = space.budget.columns(len(self.V))
         for at in range(0, len(values), width):
-            some = slice(at, at + width)
-            X = space.multiply(self.V, Y[:, some])
-            values[some] = np.einsum("ij,ij->j", X, problem.K @ X) / np.einsum("ij,ij->j", X, problem.M @ X)
+            block = slice(at, at + width)
+            X = space.multiply(self.V, Y[:, block])
+            values[block] = np.einsum("ij,ij->j", X, problem.K @ X) / np.einsum("ij,ij->j", X, problem.M @ X)
         return values, Y, D
 
 

@@ -25,8 +25,8 @@ class ReferenceBasis:
         self.problem = problem
         lanczos, space, K, M = krylov.lanczos, problem.space, problem.K, problem.M
         V = lanczos.V[:, : lanczos.size]
-        seen = (space.dot(V, M @ modes.vectors) ** 2).sum(axis=0)
-        missed = (1 - seen > (0.0 if everything else TOL.missed_mode**2)).nonzero()[0]
+        captured = (space.dot(V, M @ modes.vectors) ** 2).sum(axis=0)
+        missed = (1 - captured > (0.0 if everything else TOL.missed_mode**2)).nonzero()[0]
         X = np.array(modes.vectors[:, missed], order="F")
         for _ in range(2 if len(missed) else 0):
             # What soft modes have of rigid motion by round-off would be scaled up to a mode of its own.
@@ -68,13 +68,13 @@ class ReferenceBasis:
         b = np.vstack([(problem.B.T @ U).T, (problem.B[rows].T @ self.V[rows] @ Y[:, k:]).T]) * problem.motion_scale
         unsure = np.concatenate([problem.system.roundoff(U), self.eigenvalue_roundoff(Y[:, k:])])
         unsure = np.maximum(unsure, 4 * EPS * (values + highest**2))
-        rest = np.zeros((len(values), len(values)))
-        rest[:k], rest[k:, :k] = coupled, coupled[:, k:].T
-        np.fill_diagonal(rest, 0.0)
+        couplings = np.zeros((len(values), len(values)))
+        couplings[:k], couplings[k:, :k] = coupled, coupled[:, k:].T
+        np.fill_diagonal(couplings, 0.0)
         softness = self.solves.softness(U, values[:k])
         # The residuals of the first ones themselves.
-        left = self.residuals @ np.abs(Y)
-        left[:k] = self.solves.of_modes(U, values[:k], KU, MU, self.forces @ Y[self.rows, :k])
+        residuals = self.residuals @ np.abs(Y)
+        residuals[:k] = self.solves.of_modes(U, values[:k], KU, MU, self.forces @ Y[self.rows, :k])
         return RitzModes(
             softness=softness,
             values=values,
@@ -82,12 +82,12 @@ class ReferenceBasis:
             vectors=U,
             b=b,
             tau=self.residual(Y),
-            lost=softness.value * left,
-            unsure=absorb_couplings(np.sqrt(unsure), np.sqrt(unsure), rest)[0] ** 2,
+            lost=softness.value * residuals,
+            unsure=absorb_couplings(np.sqrt(unsure), np.sqrt(unsure), couplings)[0] ** 2,
             b_off=self._rows(U, Y[:, k:], np.sqrt(unsure) / values),
         )
 
-    def _rows(self, U: Floats, Y: Floats, turned: Floats) -> Floats:
+    def _rows(self, U: Floats, Y: Floats, rotation: Floats) -> Floats:
         """(n, m) how far the loads of the modes ``U`` and V ``Y`` may be off.
 
         They are sums of products, and modes take up z'K u_p / lam_p of the rigid motions z.
@@ -96,8 +96,10 @@ class ReferenceBasis:
         rows = np.unique(problem.B.indices)
         B, Z = abs(problem.B[rows]).T, np.abs(problem.B.T @ problem.rigid)
         sums = np.vstack([(B @ np.abs(U[rows])).T, ((B @ np.abs(self.V[rows])) @ np.abs(Y)).T])
-        off = EPS * (sums + Z.sum(axis=1)) + turned[:, None] * (Z @ np.sqrt(problem.system.roundoff(problem.rigid)))
-        return np.asarray(off * problem.motion_scale)
+        errors = EPS * (sums + Z.sum(axis=1)) + rotation[:, None] * (
+            Z @ np.sqrt(problem.system.roundoff(problem.rigid))
+        )
+        return np.asarray(errors * problem.motion_scale)
 
     def refine(self, modes: RitzModes) -> RitzModes:
         """``modes`` with what is lost of the first ones from solutions for their residuals."""

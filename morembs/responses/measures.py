@@ -52,33 +52,33 @@ class Verdict:
     """Whether a tolerance holds; if not, frequencies ``at`` (n,) in rad/s where to look: the worst one found and the
     ends of its cell."""
 
-    decided: bool
+    holds: bool
     at: Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReferenceResponse:
     """What bodies are measured against: ``H`` in the entries of ``layout``, known but for ``uncertainty(low, high)``
-    (nc,) times the envelope on cells without round-off, the envelope's ``modes`` with ``sizes`` (k, 1 + nb) and their
-    ``rounding``, which is at least ``floor`` times the envelope."""
+    (nc,) times the envelope on cells without round-off (``cell_uncertainty`` between ``edges``), the envelope's
+    ``modes`` with ``residue_norms`` (k, 1 + nb) and their ``rounding``, at least ``floor`` times the envelope."""
 
     H: PoleResidueForm
     modes: PoleResidueForm
-    sizes: Floats
+    residue_norms: Floats
     rounding: RoundoffBound
     layout: BlockIndex
     floor: float
     edges: Floats
-    off: Floats
+    cell_uncertainty: Floats
 
     def uncertainty(self, low: Floats, high: Floats) -> Floats:
         """(nc,) limits of |H - H_ref| / e on cells, round-off apart."""
-        last = len(self.off) - 1
+        last = len(self.cell_uncertainty) - 1
         first = np.clip(np.searchsorted(self.edges, low, side="right") - 1, 0, last)
         end = np.clip(np.searchsorted(self.edges, high, side="left"), first + 1, last + 1)
         # Every other result belongs to a cell; the last end may lie behind all.
         pairs = np.stack([first, end], axis=1).ravel()
-        return np.asarray(np.maximum.reduceat(np.append(self.off, 0.0), pairs)[::2])
+        return np.asarray(np.maximum.reduceat(np.append(self.cell_uncertainty, 0.0), pairs)[::2])
 
 
 class Comparison:
@@ -90,8 +90,8 @@ class Comparison:
     def __init__(self, standard: ReferenceResponse, body: Response) -> None:
         self.standard, self.body = standard, body
         self.both = standard.H, body.terms
-        self.sizes = [standard.layout.norms(terms.N) for terms in self.both]
-        self.quantities = 3 + self.sizes[0].shape[1]
+        self.residue_norms = [standard.layout.norms(terms.N) for terms in self.both]
+        self.quantities = 3 + self.residue_norms[0].shape[1]
         self.poles = np.concatenate([terms.z.real.ravel() for terms in self.both])
 
     def resolved(self, low: Floats, high: Floats) -> NDArray[np.bool_]:
@@ -107,61 +107,36 @@ class Comparison:
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         w = cell_points(low, high, POINTS)
         grid = cell_points(low, high, np.cos(GRID))
-        at_points = [terms.at(w) for terms in self.both]
-        H, X = on_grid(at_points[0]), on_grid(at_points[0] - at_points[1])
-        rests = [terms.remainder(middle, half, size) for terms, size in zip(self.both, self.sizes, strict=True)]
-        rest_H, rest = rests[0][:, :1], (rests[0] + rests[1])[:, None]
+        full, reduced = (terms.at(w) for terms in self.both)
+        H, X = on_grid(full), on_grid(full - reduced)
+        remainders = [
+            terms.remainder(middle, half, size) for terms, size in zip(self.both, self.residue_norms, strict=True)
+        ]
+        rest_H, remainder = remainders[0][:, :1], (remainders[0] + remainders[1])[:, None]
         size = layout.norms(X)
-        most = np.maximum(size[:, 1:], size[:, :-1]) + TOL.bulge * _spread(X, layout)[:, None] + rest
+        largest = np.maximum(size[:, 1:], size[:, :-1]) + TOL.bulge * _spread(X, layout)[:, None] + remainder
         e, e_least, e_most, floor, floor_most = self._envelope(grid)
-        off = standard.uncertainty(low, high)[:, None]
+        uncertainty = standard.uncertainty(low, high)[:, None]
         # The uncertainty of the whole counts for every block.
-        unsure = floor + (off * e[..., 0])[..., None]
-        unsure_most = floor_most + (off * e_most[..., 0])[..., None]
+        unsure = floor + (uncertainty * e[..., 0])[..., None]
+        unsure_most = floor_most + (uncertainty * e_most[..., 0])[..., None]
         size_H = np.sqrt(squares(H).sum(axis=2))
         bulge_H = TOL.bulge * _spread(H, None)[:, :1] + rest_H
         least_H = _chords(H) - bulge_H
+        above_H = np.maximum(size_H[:, 1:], size_H[:, :-1]) + bulge_H
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            pure = [
-                most[..., :1] / e_least[..., :1],
-                most[..., :1],
-                most[..., :1] / np.maximum(least_H, 0.0)[..., None],
-                (np.maximum(size_H[:, 1:], size_H[:, :-1]) + bulge_H)[..., None],
-                most[..., 1:] / e_least[..., 1:],
-            ]
-            whole = most + unsure_most
-            upper = [
-                whole[..., :1] / e_least[..., :1],
-                whole[..., :1],
-                whole[..., :1] / np.maximum(least_H - unsure_most[..., 0], 0.0)[..., None],
-                pure[3] + unsure_most[..., :1],
-                whole[..., 1:] / e_least[..., 1:],
-            ]
-            least = np.maximum(size - rest - unsure, 0.0)
-            reached = np.concatenate(
-                [
-                    least[..., :1] / e[..., :1],
-                    least[..., :1],
-                    least[..., :1] / (size_H + rest_H + unsure[..., 0])[..., None],
-                    np.maximum(size_H - rest_H - unsure[..., 0], 0.0)[..., None],
-                    least[..., 1:] / e[..., 1:],
-                ],
-                axis=2,
+            uncertain = largest + unsure_most
+            pure, total = (
+                _quotients(error, e_least, np.maximum(least_H - off_H, 0.0), above_H + off_H).max(axis=1)
+                for error, off_H in ((largest, np.zeros(1)), (uncertain, unsure_most[..., 0]))
             )
-            seen = np.concatenate(
-                [
-                    size[..., :1] / e[..., :1],
-                    size[..., :1],
-                    size[..., :1] / size_H[..., None],
-                    size_H[..., None],
-                    size[..., 1:] / e[..., 1:],
-                ],
-                axis=2,
-            ).max(axis=1)
-            pure_upper, total = (np.concatenate(limits, axis=2).max(axis=1) for limits in (pure, upper))
+            least = np.maximum(size - remainder - unsure, 0.0)
+            off_H = unsure[..., 0]
+            reached = _quotients(least, e, size_H + rest_H + off_H, np.maximum(size_H - rest_H - off_H, 0.0))
+            at_points = _quotients(size, e, size_H, size_H).max(axis=1)
             # nan: infinite limits on both sides of a difference.
-            cost = np.nan_to_num(pure_upper - seen, nan=np.inf, posinf=np.inf)
-            final = cost <= np.maximum(TOL.interpolation_share * (TOL.sharpness - 1) * total, total - pure_upper)
+            cost = np.nan_to_num(pure - at_points, nan=np.inf, posinf=np.inf)
+            final = cost <= np.maximum(TOL.interpolation_share * (TOL.sharpness - 1) * total, total - pure)
         # Where only what is not known makes a limit infinite, smaller cells do not help.
         final &= np.isfinite(cost)
         where = reached.argmax(axis=1)
@@ -177,7 +152,7 @@ class Comparison:
         standard = self.standard
         half = 0.5 * np.diff(grid[:, ::-1], axis=1)[:, ::-1]
         inverse, near, far = _inverse(standard.modes, grid)
-        e = inverse @ standard.sizes
+        e = inverse @ standard.residue_norms
         # On each half of a segment by the way to its end.
         grown = [((1 + half / near[:, s]) * (1 + half / far[:, s]))[..., None] for s in (slice(1, None), slice(-1))]
         least = np.minimum(e[:, 1:] / grown[0], e[:, :-1] / grown[1])
@@ -188,6 +163,14 @@ class Comparison:
         lost = self.body.rounding.at(inverse)
         own, own_most = lost.size(), _most(lost, _shrunk(half, near, far))
         return e, least, most, floor + own, floor_most + own_most
+
+
+def _quotients(error: Floats, envelope: Floats, divisor: Floats, H: Floats) -> Floats:
+    """(nc, n, 4 + nb) the quantities of ``Comparison``: of ``error`` and ``envelope`` (nc, n, 1 + nb), the whole before
+    its blocks, and of |H| (nc, n) as ``divisor`` of pointwise errors and as it is."""
+    whole, blocks = error[..., :1], error[..., 1:]
+    parts = (whole / envelope[..., :1], whole, whole / divisor[..., None], H[..., None], blocks / envelope[..., 1:])
+    return np.concatenate(parts, axis=2)
 
 
 def _inverse(terms: PoleResidueForm, grid: Floats) -> tuple[Floats, Floats, Floats]:
@@ -266,8 +249,8 @@ def compare(
         initial_partition(low, high, comparison.poles),
         done,
         quantities=comparison.quantities,
-        per_cell=_numbers(comparison),
-        most=most_cells,
+        entries_per_cell=_numbers(comparison),
+        max_cells=most_cells,
     )
     upper, lower = cells.upper.max(axis=0), cells.lower
     hz = in_hz(cells.at)
@@ -313,13 +296,13 @@ def decide(
         lambda bounds, _: bounds.upper <= allowed,
         quantities=comparison.quantities,
         allowed=allowed,
-        per_cell=_numbers(comparison),
+        entries_per_cell=_numbers(comparison),
     )
-    if cells.decided and (cells.upper[:, number] <= allowed[number]).all():
-        return Verdict(decided=True, at=np.zeros(0))
+    if cells.within_allowed and (cells.upper[:, number] <= allowed[number]).all():
+        return Verdict(holds=True, at=np.zeros(0))
     worst = int(cells.upper[:, number].argmax())
-    at = cells.at[number] if not cells.decided else cells.edges[worst].mean()
-    return Verdict(decided=False, at=np.unique([at, *cells.edges[worst]]))
+    at = cells.at[number] if not cells.within_allowed else cells.edges[worst].mean()
+    return Verdict(holds=False, at=np.unique([at, *cells.edges[worst]]))
 
 
 def _numbers(comparison: Comparison) -> int:

@@ -47,20 +47,23 @@ def largest(poles: PoleResidueForm, b: Floats, N: Floats, band: tuple[float, flo
     w = middle + half * np.cos(np.pi * np.arange(TOL.modal_steps + 1) / TOL.modal_steps)
     inverse = poles.inverse(w)
     # Real and imaginary parts of Z one after the other: N is real.
-    seen = sum(
+    squared_norms = sum(
         np.einsum("wp,pq,wq->w", part, N * (b @ b.T), part, optimize=True) for part in (inverse.real, inverse.imag)
     )
-    sizes = np.sqrt(np.maximum(np.diag(N), 0.0)) * np.linalg.norm(b, axis=1)
-    rest = _remainder(poles, sizes, middle, half)
-    return float((np.sqrt(seen.max().clip(0)) + rest) / np.cos(0.5 * TOL.modal_degree * np.pi / TOL.modal_steps) + rest)
+    norms = np.sqrt(np.maximum(np.diag(N), 0.0)) * np.linalg.norm(b, axis=1)
+    remainder = _remainder(poles, norms, middle, half)
+    return float(
+        (np.sqrt(squared_norms.max().clip(0)) + remainder) / np.cos(0.5 * TOL.modal_degree * np.pi / TOL.modal_steps)
+        + remainder
+    )
 
 
-def _remainder(poles: PoleResidueForm, sizes: Floats, middle: float, half: float) -> float:
+def _remainder(poles: PoleResidueForm, norms: Floats, middle: float, half: float) -> float:
     """By how much the interpolant on the band is off (Trefethen 2013, theorem 8.2)."""
     away = float(np.abs(poles.z - middle).min())
     best = np.inf
     for A in half + REACH * (away - half):
         rho = A / half + np.sqrt((A / half) ** 2 - 1)
         least = (np.abs(poles.z - middle) - A).prod(axis=1)
-        best = min(best, 4 * rho**-TOL.modal_degree / (rho - 1) * float((sizes / least).sum()))
+        best = min(best, 4 * rho**-TOL.modal_degree / (rho - 1) * float((norms / least).sum()))
     return best

@@ -52,11 +52,11 @@ def response_of(
     """
     theta, X, L = modes_of(M, K, rigid, symmetric)
     off_c, off_b = (4 * EPS * np.abs(side).T @ np.abs(modes) for side, modes in ((C.T, X), (B, L)))
-    turned = _turned(M, K, theta, L, X, rigid), _turned(M.T, K.T, theta, X, L, rigid)
+    rotations = _towards_rigid(M, K, theta, L, X, rigid), _towards_rigid(M.T, K.T, theta, X, L, rigid)
     outputs, inputs = C @ X, B.T @ L
     off_c, off_b = (
         off[:, rigid:] + np.abs(rows[:, :rigid]) @ turn
-        for off, rows, turn in ((off_c, outputs, turned[0]), (off_b, inputs, turned[1]))
+        for off, rows, turn in ((off_c, outputs, rotations[0]), (off_b, inputs, rotations[1]))
     )
     outputs, inputs, theta, X, L = outputs[:, rigid:].T, inputs[:, rigid:].T, theta[rigid:], X[:, rigid:], L[:, rigid:]
     loss = abs(1 + 1j * structural)
@@ -76,7 +76,7 @@ def response_of(
     return _first_order(stiffness, coupled, outputs, inputs, absorb_couplings(s, t, left), (off_c.T, off_b.T), layout)
 
 
-def _turned(M: Floats, K: Floats, theta: Complexes, L: Complexes, X: Complexes, rigid: int) -> Floats:
+def _towards_rigid(M: Floats, K: Floats, theta: Complexes, L: Complexes, X: Complexes, rigid: int) -> Floats:
     """(r, k) by how much elastic modes ``X`` (n, r + k) turn towards the rigid motions before them, at most."""
     Z, X = np.abs(L[:, :rigid].T), X[:, rigid:]
     stiff, heavy = (np.abs(L[:, :rigid].T @ A @ X) + 4 * EPS * (Z @ np.abs(A) @ np.abs(X)) for A in (K, M))

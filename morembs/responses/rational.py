@@ -85,27 +85,27 @@ class PoleResidueForm:
         """(nc,) distance of the nearest root from ``middle`` (nc,)."""
         return np.asarray(np.abs(middle[:, None] - self.z.ravel()).min(axis=1, initial=np.inf))
 
-    def remainder(self, middle: Floats, half: Floats, sizes: Floats, slope: Floats | None = None) -> Floats:
-        """(nc, q) bounds of |X - p| on cells, for the norms ``sizes`` (P, q) of the residues.
+    def remainder(self, middle: Floats, half: Floats, norms: Floats, slope: Floats | None = None) -> Floats:
+        """(nc, q) bounds of |X - p| on cells, for the norms ``norms`` (P, q) of the residues.
 
         With ``slope`` (P,) they are multiplied with numerators of at most |w|^2 + |w| slope_p.
         """
         along = [np.abs(middle[:, None] - z.real) for z in self.z.T]
         across = np.abs(self.z.imag.T)
-        reach = [np.hypot(along_axis, off) for along_axis, off in zip(along, across, strict=True)]
-        bounds = np.full((len(middle), sizes.shape[1]), np.inf)
+        distances = [np.hypot(along_axis, off) for along_axis, off in zip(along, across, strict=True)]
+        bounds = np.full((len(middle), norms.shape[1]), np.inf)
         for rho in RHO:
             A, B = (half[:, None] * (rho + sign / rho) / 2 for sign in (1.0, -1.0))
             least = [
-                np.maximum(np.maximum(off - B, along_axis - A), whole - A)
-                for along_axis, off, whole in zip(along, across, reach, strict=True)
+                np.maximum(np.maximum(off - B, along_axis - A), length - A)
+                for along_axis, off, length in zip(along, across, distances, strict=True)
             ]
             free = reduce(np.minimum, least).min(axis=1, initial=np.inf) > 0
             inverse = 1.0 / reduce(np.multiply, [np.where(free[:, None], distance, 1.0) for distance in least])
             if slope is not None:
                 far = np.abs(middle) + half * (rho + 1 / rho) / 2
                 inverse = inverse * (far[:, None] ** 2 + far[:, None] * slope)
-            bound = 4 * rho**-TOL.degree / (rho - 1) * (inverse @ sizes)
+            bound = 4 * rho**-TOL.degree / (rho - 1) * (inverse @ norms)
             bounds = np.where(free[:, None], np.minimum(bounds, bound), bounds)
         return bounds
 

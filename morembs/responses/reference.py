@@ -224,7 +224,7 @@ class ReferenceSpace:
         Raises:
             SolverError: it stands still above, or the space has ``TOL.max_order`` columns.
         """
-        lanczos, seen = self.lanczos, list[float]()
+        lanczos, errors = self.lanczos, list[float]()
         while True:
             values, Y = sl.eigh(self.stiffness)
             g = np.zeros((lanczos.size, self.loads.shape[1]))
@@ -252,11 +252,11 @@ class ReferenceSpace:
             good = error <= tolerance and jumps <= max(tolerance, TOL.jump_error)
             if good or not lanczos.pending.shape[1]:
                 return self._refine_soft_modes(reference, worst)
-            seen.append(worst)
-            if has_stagnated(seen):
+            errors.append(worst)
+            if has_stagnated(errors):
                 raise SolverError(
-                    f"the full response reached an error of only {min(seen):.1e} with {lanczos.size} vectors, and more "
-                    f"of them do not help: round-off hides the rest; raise the tolerance, or {SOFTER}"
+                    f"the full response reached an error of only {min(errors):.1e} with {lanczos.size} vectors, and "
+                    f"more of them do not help: round-off hides the rest; raise the tolerance, or {SOFTER}"
                 )
             if not self.extend(worst, JUMPY if jumps > tolerance else ""):
                 return self._refine_soft_modes(reference, worst)

@@ -98,12 +98,16 @@ class Residual:
         """mu over the root of the frequency, of the modes above the cut."""
         if not self.ratio:
             return 0.0
-        some = slice(self.k, None)
-        poles, b, values = PoleResidueForm(z=self.poles.z[some], N=self.poles.N[some]), self.b[some], self.values[some]
+        above = slice(self.k, None)
+        poles, b, values = (
+            PoleResidueForm(z=self.poles.z[above], N=self.poles.N[above]),
+            self.b[above],
+            self.values[above],
+        )
         # values are sigma_p^2, and their power is sigma_p^3.
-        lost = np.sqrt(self.ratio * values**1.5) * self.lost[some] * np.linalg.norm(b, axis=1)
+        lost = np.sqrt(self.ratio * values**1.5) * self.lost[above] * np.linalg.norm(b, axis=1)
         least = Residual._away(poles.z, *(np.array([end]) for end in band))[0]
-        return largest(poles, b, form(values, self.tau[:, some], self.ratio), band) + float((lost / least).sum())
+        return largest(poles, b, form(values, self.tau[:, above], self.ratio), band) + float((lost / least).sum())
 
     @cached_property
     def least(self) -> float:
@@ -132,7 +136,7 @@ class Residual:
         others[fits] = False
         hidden, modal, above = (self.lost * np.sqrt(size) * most)[others], self._modal(), self._above(band)
         coupled = most[:k] + (high * slope[:k] if self.ratio else 0.0)
-        rest, double = float(2 * len(fits) * each[fits].sum()), 2.0 if fits else 1.0
+        single_modes, double = float(2 * len(fits) * each[fits].sum()), 2.0 if fits else 1.0
         rows = (self.tau.T[others, :, None] * self.b[others, None, :]).reshape(-1, len(self.tau) * self.b.shape[1])
         T, norms = PoleResidueForm(z=poles.z[others], N=rows), np.linalg.norm(rows, axis=1)[:, None]
 
@@ -145,9 +149,9 @@ class Residual:
             outside = T.remainder(middle, half, norms, slope[others])[:, 0]
             weakest = self._weakest(lo, hi)
             mu = np.sqrt(hi) * ((modal * np.sqrt(size[:k]) / weakest[:, :k]).sum(axis=1) + above)
-            turned = mu * np.sqrt(self.ratio * hi / np.sqrt(self.softest))
-            whole = here.max(axis=1) + TOL.bulge * spread + outside + self.start + turned
-            whole += (hidden / weakest[:, others]).sum(axis=1)
+            damped = mu * np.sqrt(self.ratio * hi / np.sqrt(self.softest))
+            residual_norm = here.max(axis=1) + TOL.bulge * spread + outside + self.start + damped
+            residual_norm += (hidden / weakest[:, others]).sum(axis=1)
             ends = np.maximum(*(np.abs(end[:, None, None] - poles.z) for end in (lo, hi))).prod(axis=2)
             kappa = ((coupled**2 * own[:k]) / weakest[:, :k]).sum(axis=1)
             nu = hi * (modal**2 / weakest[:, :k]).sum(axis=1)
@@ -155,9 +159,9 @@ class Residual:
                 gamma = 1.0 / np.maximum(1.0 - hi**2 / self.least, TINY)
                 left = 1 - gamma * kappa - nu
                 gain = np.where(left > 0, gamma / np.maximum(left, TOL.closest_mode), np.inf)
-            off = gain * ((double * whole**2 + mu**2) / (1.0 / ends @ size) + rest)
+            error = gain * ((double * residual_norm**2 + mu**2) / (1.0 / ends @ size) + single_modes)
             fine = half < TOL.final_cell * T.nearest(middle)
-            return Bounds(upper=off[:, None], lower=np.zeros((len(lo), 1)), at=middle[:, None], final=fine[:, None])
+            return Bounds(upper=error[:, None], lower=np.zeros((len(lo), 1)), at=middle[:, None], final=fine[:, None])
 
         cells = branch_and_bound(
             bounds,
@@ -165,7 +169,7 @@ class Residual:
             initial_partition(low, high, T.z.real.ravel()),
             lambda bounds, _: bounds.upper <= tolerance,
             quantities=1,
-            per_cell=4 * TOL.segments * rows.shape[1] + 20 * len(size),
+            entries_per_cell=4 * TOL.segments * rows.shape[1] + 20 * len(size),
         )
         return np.append(cells.edges[:, 0], high), cells.upper[:, 0]
 

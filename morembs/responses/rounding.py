@@ -91,17 +91,17 @@ class RoundoffSums:
     own: Floats
     rows: Floats
 
-    def size(self, grown: Floats | float = 1.0) -> Floats:
-        """(..., 1 + nb) how far H and its blocks may be off, where all 1 / |a_p| are ``grown`` (...) times as large."""
-        grown = np.asarray(grown)[..., None]
+    def size(self, growth: Floats | float = 1.0) -> Floats:
+        """(..., 1 + nb) how far H and its blocks may be off, where all 1 / |a_p| grow by ``growth`` (...)."""
+        growth = np.asarray(growth)[..., None]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            rest = np.maximum(1.0 - grown * self.own[..., None], 0.0)
-            through_poles = np.where(rest > 0, grown**2 * self.coupled / rest, np.inf)
-        return np.asarray(through_poles + grown * self.rows)
+            margin = np.maximum(1.0 - growth * self.own[..., None], 0.0)
+            through_poles = np.where(margin > 0, growth**2 * self.coupled / margin, np.inf)
+        return np.asarray(through_poles + growth * self.rows)
 
-    def part(self, some: slice) -> RoundoffSums:
-        """That at ``some`` of the points (nc, n) of cells."""
-        return RoundoffSums(coupled=self.coupled[:, some], own=self.own[:, some], rows=self.rows[:, some])
+    def part(self, points: slice) -> RoundoffSums:
+        """That at ``points`` of the points (nc, n) of cells."""
+        return RoundoffSums(coupled=self.coupled[:, points], own=self.own[:, points], rows=self.rows[:, points])
 
 
 def bound_entry_errors(A: NDArray[np.number], L: NDArray[np.number], X: NDArray[np.number]) -> tuple[Floats, Floats]:

@@ -114,16 +114,16 @@ class Solves:
         energy, width = np.empty(len(values)), problem.budget.columns(len(U), TOL.block_copies, TOL.block_columns)
         finer = float(np.finfo(np.longdouble).eps) / EPS * self.gamma
         for at in range(0, len(values), width):
-            some = slice(at, at + width)
-            u = U[:, some].astype(np.longdouble)
-            y = u / values[some] + Ze[:, some]
+            block = slice(at, at + width)
+            u = U[:, block].astype(np.longdouble)
+            y = u / values[block] + Ze[:, block]
             rho = np.asarray(extended_product(K, y) - extended_product(problem.M, u), dtype=float)
             x, left = self.flexibility(rho)
             z = x - U @ ((U.T @ (K @ x)) / values[:, None])
             own = np.einsum("ij,ij->j", z, K @ z) + self.gamma * _norms(z, w) ** 2
-            lost = finer * (_norms(y.astype(float), w) + self.inertia(U[:, some]) / self.gamma)
+            lost = finer * (_norms(y.astype(float), w) + self.inertia(U[:, block]) / self.gamma)
             lost += EPS * _norms(rho, 1 / w)
-            energy[some] = np.sqrt(np.maximum(own, 0.0)) + softness * (left + lost)
+            energy[block] = np.sqrt(np.maximum(own, 0.0)) + softness * (left + lost)
         return energy
 
     def softness(self, U: Floats, values: Floats) -> Softness:

@@ -116,15 +116,15 @@ class StaticModeTables:
 
     def _pairs(self, table: Floats, rows: Ints, columns: Ints) -> Floats:
         i, j = rows[:, None], columns[None, :]
-        apart = np.abs(i - j)
-        if apart.size and apart.max() >= len(table):
-            a, b = (int(x) for x in np.unravel_index(int(apart.argmax()), apart.shape))
+        offsets = np.abs(i - j)
+        if offsets.size and offsets.max() >= len(table):
+            a, b = (int(x) for x in np.unravel_index(int(offsets.argmax()), offsets.shape))
             first, second = (int(self.node_ids[self.node[k]]) for k in (rows[a], columns[b]))
             raise InputError(
                 f"the static modes of nodes {first} and {second} were asked for together, but the table "
                 f"holds pairs of up to {len(table) - 1} candidates apart; reduce again with a larger band, or with none"
             )
-        return np.asarray(table[apart, np.maximum(i, j)])
+        return np.asarray(table[offsets, np.maximum(i, j)])
 
     def R(self, rows: Ints, columns: Ints | None = None) -> Floats:
         """Psi' K Psi of candidates ``rows`` and ``columns`` (the same unless told), m/N.

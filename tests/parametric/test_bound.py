@@ -182,7 +182,7 @@ def test_the_least_eigenvalue_beside_low_ritz_vectors_is_not_below_its_bound(red
             reduced.V.T @ M @ reduced.V,
             np.linalg.lstsq(reduced.V, np.ones((N, 1)), rcond=None)[0],
         )
-        X = np.hstack([np.ones((N, 1)), reduced.V @ Y[:, : at.few]])
+        X = np.hstack([np.ones((N, 1)), reduced.V @ Y[:, : at.n_low]])
         Q = np.linalg.qr(M @ X, mode="complete")[0][:, X.shape[1] :]
         true = sl.eigh(Q.T @ K @ Q, Q.T @ M @ Q, eigvals_only=True)[0]
         assert reduced.highest**2 < at.least <= true

@@ -30,12 +30,12 @@ def standard_and_body(seed, symmetric=True):
     standard = ReferenceResponse(
         H=H.terms,
         modes=H.terms,
-        sizes=layout.sizes(b),
+        residue_norms=layout.sizes(b),
         rounding=H.rounding,
         layout=layout,
         floor=EPS,
         edges=np.array([0.0, 1e9]),
-        off=np.zeros(1),
+        cell_uncertainty=np.zeros(1),
     )
     near = omega[:keep] * (1 + 0.5 * off * rng.uniform(0, 1, keep))
     own = b[:keep] * (1 + off * rng.standard_normal((keep, m)))
@@ -60,7 +60,7 @@ def test_no_value_of_the_band_lies_above_its_limit(seed, symmetric):
     w = np.unique(np.append(w, [2 * np.pi * limit.at_hz for limit in limits.values()]))
     own = np.clip(np.searchsorted(cells.edges[:, 0], w, side="right") - 1, 0, len(cells.edges) - 1)
     E, H = standard.layout.norms(standard.H.at(w) - body.terms.at(w)), standard.layout.norms(standard.H.at(w))[:, 0]
-    e = standard.modes.moduli(w)[0] @ standard.sizes
+    e = standard.modes.moduli(w)[0] @ standard.residue_norms
     for q, (name, true) in enumerate(
         {"envelope": E[:, 0] / e[:, 0], "peak": E[:, 0] / H.max(), "pointwise": E[:, 0] / H}.items()
     ):

@@ -80,7 +80,7 @@ def test_equal_modes_share_their_damping_in_the_envelope(place):
     with Problem(model, faces) as problem:
         omega = np.linspace(0.0, 2 * np.pi * 20.0, 400)
         standard = certified_reference(problem, [0.0, 20.0]).standard()
-        seen = standard.modes.moduli(omega)[0] @ standard.sizes
+        seen = standard.modes.moduli(omega)[0] @ standard.residue_norms
         values, phi = pencil(problem)
     # A zero beside the single mode makes it a pair too.
     pairs, theta = np.insert(phi, 1, 0.0, axis=1).reshape(len(K), -1, 2), values[::2]
