@@ -11,6 +11,7 @@ MODULES = (
     "matplotlib.backends.backend_agg",
     "matplotlib.pyplot",
     "meshio",
+    "pydantic.type_adapter",
     "scipy.io",
     "morembs.app.cli.commands",
     "morembs.dynamics.gmp.stored",

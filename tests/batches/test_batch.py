@@ -62,8 +62,9 @@ def jobs(folder: Path, tables: Mapping[str, Mapping[str, str]]) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("forked_jobs")
 def test_only_what_is_due_is_run(tmp_path: Path) -> None:
-    """Whole processes: a sound job, one with a wrong material, one without its deck."""
+    """A sound job, one with a wrong material, one without its deck."""
     wrong = {"material": 'set = "all"\nyoung = 1\npoisson = 0.6\ndensity = 1'}
     folder = jobs(tmp_path, {"a": {}, "wrong": wrong, "lost": {}})
     (folder / "lost" / "part.inp").unlink()
@@ -162,7 +163,7 @@ def test_a_job_is_due_when_its_inputs_or_results_change(
 
 
 def test_jobs_take_no_more_memory_than_they_ask_for(tmp_path: Path) -> None:
-    """Small ones too, of which most is what the program itself takes."""
+    """Small ones too, of which most is what the program itself takes: whole processes."""
     for name, length in (("small", 6), ("larger", 10)):
         (tmp_path / name).mkdir()
         text = decks.deck(list(itertools.product(range(length), range(10), range(10))))

@@ -9,7 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -23,7 +23,7 @@ from morembs.app.cli import app
 from morembs.base.errors import InputError
 from morembs.storage.checksums import whole_sum
 from tests.support import decks
-from tests.support.dask_cluster import PATIENCE, ROOT, Cluster, children_of_jobs, cluster, until
+from tests.support.dask_cluster import PATIENCE, ROOT, Cluster, cluster, until
 
 distributed = pytest.importorskip("distributed", reason="dask is not installed")
 
@@ -34,15 +34,21 @@ WRONG = {"material": 'set = "all"\nyoung = 1\npoisson = 0.6\ndensity = 1'}
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     """A scheduler with one worker for two jobs at once."""
     with cluster(tmp_path_factory.mktemp("dask")) as started:
-        started.worker()
+        started.worker(forks=True)
+        yield started
+
+
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    with cluster(tmp_path_factory.mktemp("dask")) as started:
         yield started
 
 
 @pytest.fixture
-def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+def alone(scheduler: Cluster) -> Iterator[Cluster]:
     """A scheduler of which workers come and go."""
-    with cluster(tmp_path_factory.mktemp("dask")) as started:
-        yield started
+    yield scheduler
+    scheduler.end_workers()
 
 
 def jobs(folder: Path, count: int) -> Path:
@@ -76,18 +82,6 @@ def begin(folder: Path, *options: str) -> subprocess.Popen[str]:
         stderr=subprocess.STDOUT,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
-
-
-def running(
-    folder: Path, workers: Sequence[subprocess.Popen[bytes]]
-) -> list[tuple[psutil.Process, subprocess.Popen[bytes]]]:
-    """Jobs that are reduced now, and the worker of each, which lives."""
-    pairs = []
-    for child in children_of_jobs(folder):
-        with contextlib.suppress(psutil.Error):
-            above = [worker for worker in workers if worker.pid == child.ppid()]
-            pairs += [(child, above[0])] if above and "reduce" in child.cmdline() else []
-    return pairs
 
 
 def strays(folder: Path) -> list[str]:
@@ -128,35 +122,40 @@ def test_a_client_is_taken_and_left_open(shared: Cluster, tmp_path: Path) -> Non
         batch([folder], client=client, workers=1)
 
 
+def lives(process: psutil.Process) -> bool:
+    with contextlib.suppress(psutil.Error):
+        return bool(process.status() != psutil.STATUS_ZOMBIE)
+    return False
+
+
 @pytest.mark.usefixtures("forked_jobs")
 def test_killed_workers_and_children_cost_one_start_each(alone: Cluster, tmp_path: Path) -> None:
-    """The worker alone, whose child then leaves by itself, and a child alone."""
+    """A child alone, then the only worker, whose children leave by themselves; one that comes does what is left."""
     undisturbed = jobs(tmp_path / "a", 2)
     batch([undisturbed])
-    folder = jobs(tmp_path / "b", 2)
-    workers = [alone.worker(), alone.worker()]
+    folder, worker = jobs(tmp_path / "b", 2), alone.worker(forks=True)
     process = begin(folder, "--cluster", alone.address, "--retries", "5")
-    kills = 0
-    for what in ("worker", "child"):
-        # What runs now may have ended at the next look.
-        found = until(lambda: running(folder, workers) or process.poll() is not None)
+    kills, orphans = 0, []
+    for what in ("child", "worker"):
+        # All have been checked when the first begins; what runs now may have ended at the next look.
+        found = until(lambda: (events(folder, "started") and alone.jobs) or process.poll() is not None)
         if found is True:
             break
-        child, worker = found[0]
         kills += 1
-        if what == "worker":
+        if what == "child":
+            with contextlib.suppress(psutil.Error):
+                found[0].kill()
+        else:
+            orphans = alone.jobs
             worker.kill()
             worker.wait()
-            workers.append(alone.worker())
             kills += 1  # the other job that it may have run
-            continue
-        with contextlib.suppress(psutil.Error):
-            child.kill()
+            alone.worker(forks=True)
     output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, output
     assert kills > 0 and len(events(folder, "started")) <= 2 + kills
     assert sums(folder) == sums(undisturbed) and strays(folder) == []
-    until(lambda: not children_of_jobs(folder))
+    until(lambda: not any(map(lives, orphans)) and not alone.jobs)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
@@ -164,12 +163,12 @@ def test_a_batch_that_ends_leaves_no_process(shared: Cluster, tmp_path: Path, nu
     """Ended by a signal that can be heeded, or not: the workers see it; the next run does what is left."""
     folder = jobs(tmp_path, 2)
     process = begin(folder, "--cluster", shared.address)
-    until(lambda: events(folder, "started") and children_of_jobs(folder))
+    until(lambda: events(folder, "started") and shared.jobs)
     process.send_signal(number)
     process.communicate(timeout=PATIENCE)
     if number == signal.SIGTERM:
-        assert process.returncode == 143 and not children_of_jobs(folder) and strays(folder) == []
-    until(lambda: not children_of_jobs(folder))
+        assert process.returncode == 143 and not shared.jobs and strays(folder) == []
+    until(lambda: not shared.jobs)
     before = {event["output"] for event in events(folder, "ended")}
     done = CliRunner().invoke(app, ["batch", str(folder), "--cluster", shared.address])
     assert done.exit_code == 0 and len(sums(folder)) == 2 and strays(folder) == []

@@ -20,9 +20,10 @@ import pytest
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.attack import damage, forked, kill, mutations, preload, scenarios  # noqa: E402
+from benchmarks.attack import damage, forked, kill, mutations, scenarios  # noqa: E402
 from benchmarks.attack.__main__ import main  # noqa: E402
 from benchmarks.attack.fingerprint import differences, fingerprint  # noqa: E402
+from tests.support.processes import load  # noqa: E402
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="this system cannot fork processes")
 # Seconds of one run, whatever else the machine does.
@@ -34,7 +35,7 @@ FORMATS = ("nastran", "mesh", "matrix-market", "op4", "npz", "native", "job", "b
 
 @pytest.fixture(scope="module", autouse=True)
 def _loaded() -> None:
-    preload.everything()
+    load()
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -18,20 +18,20 @@ pytestmark = [
 ]
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from benchmarks.attack import preload  # noqa: E402
 from benchmarks.attack.jobs import main, table  # noqa: E402
 from tests.fuzz import cases, stage  # noqa: E402
 from tests.fuzz.judge import judge  # noqa: E402
 from tests.fuzz.models import draw_model  # noqa: E402
 from tests.fuzz.trials import FAULTS, Folder, Outcome, trial  # noqa: E402
 from tests.fuzz.truth import Damping, Port, Truth  # noqa: E402
+from tests.support.processes import load  # noqa: E402
 
 SEED, COUNT, PARTS = 33, 24, 4
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _loaded() -> None:
-    preload.package()
+    load()
 
 
 @pytest.mark.parametrize("name", list(cases.CASES))

@@ -17,6 +17,12 @@ import psutil
 ROOT = Path(__file__).parents[2]
 # Seconds after which a wait for another process counts as endless.
 PATIENCE = 300.0
+# A worker that waits looks at itself every 10 ms otherwise.
+QUIET = {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
+    "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "10s",
+}
 
 
 class Cluster:
@@ -36,29 +42,39 @@ class Cluster:
 
         until(known)
 
+    @property
+    def jobs(self) -> list[psutil.Process]:
+        """The processes that reduce or check jobs for these workers, which start no others."""
+        running = []
+        for worker in self._processes[1:]:
+            with contextlib.suppress(psutil.Error):
+                running += psutil.Process(worker.pid).children(recursive=True)
+        return running
+
     def worker(
         self,
         resources: str = "MB=4000 cores=2",
-        threads: int = 2,
         environment: Mapping[str, str] | None = None,
         prefix: tuple[str, ...] = (),
+        forks: bool = False,
     ) -> subprocess.Popen[bytes]:
-        """Start a worker without a nurse, so that the process is the worker."""
-        given = ["--resources", resources] if resources else []
+        """Start a worker without a nurse, so that the process is the worker; whose jobs may be forks of it."""
         log = self._logs / f"worker-{len(self._processes)}.log"
         process = self._start(
             "worker",
             "--no-nanny",
             "--no-dashboard",
             "--nthreads",
-            str(threads),
+            "2",
             "--memory-limit",
             "0",
             "--host",
             "127.0.0.1",
             "--local-directory",
             str(self._logs),
-            *given,
+            "--resources",
+            resources,
+            *(("--preload", "tests.support.processes") if forks else ()),
             environment=environment,
             prefix=prefix,
         )
@@ -83,16 +99,24 @@ class Cluster:
                 stdout=log,
                 stderr=log,
                 cwd=self._logs,
-                env={**os.environ, "PYTHONPATH": str(ROOT), **(environment or {})},
+                env={**os.environ, **QUIET, "PYTHONPATH": str(ROOT), **(environment or {})},
             )
         self._processes.append(process)
         return process
 
-    def close(self) -> None:
-        """End all of them."""
-        for process in reversed(self._processes):
+    def end_workers(self) -> None:
+        """End the workers."""
+        for process in reversed(self._processes[1:]):
             process.kill()
             process.wait()
+        del self._processes[1:]
+
+    def close(self) -> None:
+        """End all of them."""
+        self.end_workers()
+        (scheduler,) = self._processes
+        scheduler.kill()
+        scheduler.wait()
 
 
 @contextlib.contextmanager
@@ -114,14 +138,3 @@ def until(true: Callable[[], Any], patience: float = PATIENCE) -> Any:
         # Each look at all processes takes milliseconds of those that are waited for.
         time.sleep(0.1)
     return said
-
-
-def children_of_jobs(folder: Path) -> list[psutil.Process]:
-    """The processes that reduce or check jobs below ``folder``."""
-    running = []
-    for process in psutil.process_iter():
-        with contextlib.suppress(psutil.Error):
-            line = process.cmdline()
-            if "--attached" in line and any(word.startswith(str(folder)) for word in line):
-                running.append(process)
-    return running

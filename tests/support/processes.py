@@ -13,8 +13,11 @@ from typing import IO, Any, ClassVar
 
 import pytest
 
+from benchmarks.attack import preload
 from benchmarks.attack.forked import Ended, begin, program, run
-from morembs.linalg.sparse.threads import measured_speed
+
+# Once for all children, of which each would load it anew.
+load = cache(preload.package)
 
 
 def apart(work: Callable[[], object], folder: Path, logs: Path | None = None) -> Ended:
@@ -22,6 +25,7 @@ def apart(work: Callable[[], object], folder: Path, logs: Path | None = None) ->
 
     ``logs / "tmp"`` is its folder for temporary files.
     """
+    load()
     with tempfile.TemporaryDirectory() as other:
         return run(work, folder, logs or Path(other))
 
@@ -74,11 +78,15 @@ class ForkedCommand:
 def fork_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fork the commands that a batch starts, which would be processes of their own."""
     started = subprocess.Popen
-    # Once for all of them.
-    measured_speed()
+    load()
 
     def begun(words: Any, **options: Any) -> Any:
         of_batch = "--attached" in words
         return ForkedCommand(words[3:], options["env"]) if of_batch else started(words, **options)
 
     monkeypatch.setattr(subprocess, "Popen", begun)
+
+
+def dask_setup(worker: object) -> None:
+    """Called by a worker of dask that preloads this module: what it starts for jobs are forks of it."""
+    fork_jobs(pytest.MonkeyPatch())
