@@ -13,12 +13,15 @@ from morembs.base.errors import OverwriteError
 from morembs.fem import FEModel
 from morembs.fem.material import isotropic
 from morembs.importers import IMPORTERS, import_file
+from morembs.importers.decks.labels import in_ranges
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.problems import DeckError
 from morembs.importers.decks.tables import ElasticMaterial, Elements, Section, Supports
 from morembs.importers.decks.writers.calculix_mesh import numeral
 from morembs.importers.to_model import model_of
 from tests.importers.test_engines import BEAM, PLATE, SHELL
+from tests.importers.test_mystran import DECKS as BULK
+from tests.importers.test_mystran import PROPERTIES
 from tests.importers.test_nastran_deck import FULL
 from tests.importers.test_unv import universal
 from tests.support.calculix import (
@@ -244,9 +247,10 @@ def test_archives_and_universal_files_become_decks_of_each_program(kind, format,
 @pytest.mark.parametrize("format", ["calculix", "abaqus", "nastran"])
 def test_values_of_single_elements_that_are_not_written_are_refused(format, tmp_path):
     deck = frame()
-    plate = replace(deck.elements[0], values={"thickness": np.full((12, 4), 0.01)})
-    with pytest.raises(InputError, match="CQUAD4 elements have thickness of their own"):
-        replace(deck, elements=(plate, deck.elements[1])).write(tmp_path / "flat", format)
+    if format != "nastran":
+        plate = replace(deck.elements[0], values={"thickness": np.full((12, 4), 0.01)})
+        with pytest.raises(InputError, match="CQUAD4 elements have thickness of their own"):
+            replace(deck, elements=(plate, deck.elements[1])).write(tmp_path / "flat", format)
     nodal = replace(deck.sections[0], code="*SHELL SECTION, NODAL THICKNESS")
     with pytest.raises(InputError, match="takes the thickness from nodes"):
         replace(deck, sections=(nodal, deck.sections[1])).write(tmp_path / "flat", format)
@@ -386,6 +390,44 @@ def test_bulk_data_that_are_written_have_the_matrices_of_mystran(kind, tmp_path)
     read(tmp_path / "first.bdf").write(tmp_path / "second.bdf", "nastran")
     first, second = (model_of(import_file(tmp_path / f"{name}.bdf", engine="mystran")) for name in ("first", "second"))
     assert_same(first, second, 1e-9)
+
+
+@pytest.mark.parametrize("bulk", [bulk for bulk, _ in (*BULK.values(), *PROPERTIES) if "CBUSH" not in bulk])
+def test_shells_and_bars_of_bulk_data_come_back(bulk, again):
+    options = {} if "7850." in bulk else {"density": 7850.0}
+    first, second, _ = again(f"BEGIN BULK\n{bulk}ENDDATA\n", "nastran", "nastran", **options)
+    for own, other in zip(first.elements, second.elements, strict=True):
+        assert (own.kind, own.shape) == (other.kind, other.shape) and np.array_equal(own.nodes, other.nodes)
+        assert set(own.values) == set(other.values)
+        for name, value in own.values.items():
+            assert np.allclose(value, other.values[name], rtol=1e-10, atol=1e-12, equal_nan=True), name
+        assert np.array_equal(own.ids, other.ids)
+        for label in own.ids.tolist():
+            before, after = (_section_of(deck, label, own.kind) for deck in (first, second))
+            numbers = [[x.thickness, x.offset, x.nonstructural, *x.dimensions] for x in (before, after)]
+            assert np.allclose(*numbers, rtol=1e-10), before.code
+            assert (before.profile, before.shear_factors) == (after.profile, after.shear_factors)
+            for x in ("thickness", "angle"):
+                assert [getattr(ply, x) for ply in before.plies] == [getattr(ply, x) for ply in after.plies]
+            constants = [_constants(deck, section) for deck, section in ((first, before), (second, after))]
+            assert constants[0] == constants[1]
+    assert not any(section.lacks for section in second.sections)
+
+
+def _section_of(deck: Deck, label: int, kind: str) -> Section:
+    """The section of an element."""
+    at = np.array([label])
+    return next(own for own in deck.sections if own.kind == kind and in_ranges(at, deck.element_sets[own.set])[0])
+
+
+def _constants(deck: Deck, section: Section) -> list[object]:
+    """Constants and densities of all materials of a section, and the ratios of a plate."""
+    plate = section.plate
+    names = [plate.membrane, plate.bending, plate.shear] if plate else [section.material]
+    names = [ply.material for ply in section.plies] or names
+    ratios = [plate.inertia_ratio, plate.shear_ratio] if plate else []
+    densities = [deck.materials[name].density or 7850.0 for name in names[:1]]
+    return [[dict(deck.materials[name].constants) if name else None for name in names], densities, ratios]
 
 
 @pytest.mark.parametrize(

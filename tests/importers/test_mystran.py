@@ -188,37 +188,38 @@ def test_a_bar_bends_and_a_plate_vibrates_as_theory_says(tmp_path):
     assert abs(error(16)) < 0.0015 and abs(error(16)) < 0.4 * abs(error(8))
 
 
+# Decks of properties of each kind, and the mass along x.
+PROPERTIES = [
+    (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMP,1,,3.\n,1,.003,0.,NO,1,.004,90.,NO\n,1,.002,0.,NO"), 36.825),
+    (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMP,1,,,,,,,SYM\n,1,.003,0.,NO,,,90.,NO"), 47.1),
+    (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMPG,1\n,1,1,.003,0.,NO\n,2,1,.004,0.,NO"), 27.475),
+    (
+        SHEET.replace("CQUAD4", "CSHEAR").replace("PSHELL,1,1,.01,1,,1", "PSHEAR,1,1,.01,2.")
+        + "".join(f"CROD,{100 + i},2,{a},{b}\n" for i, (a, b) in enumerate([(1, 6), (6, 11)]))
+        + "PROD,2,1,0.\n",
+        40.25,
+    ),
+    (
+        grids(FRAME[[0, 2]]) + "CTUBE,1,1,1,2\nPTUBE,1,1,.03,.004,.5\n" + STEEL,
+        np.sqrt(1.25) * (7850 * np.pi / 4 * (0.03**2 - 0.022**2) + 0.5),
+    ),
+    (grids(FRAME[[0, 2]]) + "CONROD,7,1,2,1,1.-3,1.-7,,.2\n" + STEEL, np.sqrt(1.25) * 8.05),
+    (
+        grids(FRAME[[0, 2]]) + "CBEAM,1,1,1,2,0.,1.,0.\nPBEAM,1,1,1.-3,2.-7,4.-7,,3.-7,.5\n" + STEEL,
+        np.sqrt(1.25) * 8.35,
+    ),
+    (
+        grids(FRAME[[0, 2]])
+        + "CBEAM,1,1,1,2,0.,1.,0.\nPBEAML,1,1,,BOX\n,.1,.2,.01,.02,.5,YES,1.,.1\n,.2,.01,.02,.5\n"
+        + STEEL,
+        np.sqrt(1.25) * (7850 * (0.02 - 0.06 * 0.18) + 0.5),
+    ),
+    (SHEET.replace("7850.", ""), 39.25),
+]
+
+
 @needs_mystran
-@pytest.mark.parametrize(
-    ("bulk", "kilograms"),
-    [
-        (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMP,1,,3.\n,1,.003,0.,NO,1,.004,90.,NO\n,1,.002,0.,NO"), 36.825),
-        (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMP,1,,,,,,,SYM\n,1,.003,0.,NO,,,90.,NO"), 47.1),
-        (SHEET.replace("PSHELL,1,1,.01,1,,1", "PCOMPG,1\n,1,1,.003,0.,NO\n,2,1,.004,0.,NO"), 27.475),
-        (
-            SHEET.replace("CQUAD4", "CSHEAR").replace("PSHELL,1,1,.01,1,,1", "PSHEAR,1,1,.01,2.")
-            + "".join(f"CROD,{100 + i},2,{a},{b}\n" for i, (a, b) in enumerate([(1, 6), (6, 11)]))
-            + "PROD,2,1,0.\n",
-            40.25,
-        ),
-        (
-            grids(FRAME[[0, 2]]) + "CTUBE,1,1,1,2\nPTUBE,1,1,.03,.004,.5\n" + STEEL,
-            np.sqrt(1.25) * (7850 * np.pi / 4 * (0.03**2 - 0.022**2) + 0.5),
-        ),
-        (grids(FRAME[[0, 2]]) + "CONROD,7,1,2,1,1.-3,1.-7,,.2\n" + STEEL, np.sqrt(1.25) * 8.05),
-        (
-            grids(FRAME[[0, 2]]) + "CBEAM,1,1,1,2,0.,1.,0.\nPBEAM,1,1,1.-3,2.-7,4.-7,,3.-7,.5\n" + STEEL,
-            np.sqrt(1.25) * 8.35,
-        ),
-        (
-            grids(FRAME[[0, 2]])
-            + "CBEAM,1,1,1,2,0.,1.,0.\nPBEAML,1,1,,BOX\n,.1,.2,.01,.02,.5,YES,1.,.1\n,.2,.01,.02,.5\n"
-            + STEEL,
-            np.sqrt(1.25) * (7850 * (0.02 - 0.06 * 0.18) + 0.5),
-        ),
-        (SHEET.replace("7850.", ""), 39.25),
-    ],
-)
+@pytest.mark.parametrize(("bulk", "kilograms"), PROPERTIES)
 def test_kinds_of_properties_have_their_mass(tmp_path, bulk, kilograms):
     extra = {} if "7850." in bulk else {"density": 7850.0}
     assert masses(imported(tmp_path, bulk, **extra)) == pytest.approx(kilograms * np.eye(3), rel=1e-8, abs=1e-8)
@@ -382,7 +383,7 @@ def test_a_material_is_given_to_properties_without_one(tmp_path, owner):
 @pytest.mark.parametrize(
     ("name", "owner", "message"),
     [
-        ("a.bdf", "NOPE", "--material was given for the set 'NOPE', which the deck does not have; known: PSHELL_1"),
+        ("a.bdf", "NOPE", "--material was given for the set 'NOPE', which a.bdf does not have; known: PSHELL_1"),
         ("a.bdf", "all", "--material was given for 'all', where nothing lacks a material; leave it out"),
         ("a.inp", "NOPE", "--material was given for the set 'NOPE', which a.inp does not have; known: E"),
         ("a.inp", "E", "--material was given for 'E', where nothing lacks a material; leave it out"),
@@ -508,6 +509,32 @@ def test_shells_of_an_abaqus_deck_are_those_of_bulk_data(tmp_path):
     assert model.source == "a.inp" and any("[formulation-differs]" in warning for warning in model.warnings)
 
 
+LAYER = "*ELASTIC,TYPE=ENGINEERING CONSTANTS\n140.e9,10.e9,10.e9,.3,.3,.4,5.e9,5.e9\n3.5e9\n*DENSITY\n1600.\n"
+# Along the plate and across it, with the normal of its cells or against it.
+UP, DOWN = (
+    f"*ORIENTATION,NAME=O\n{','.join(f'{x:.12f}' for x in [*T[:, 0], *(sign * T[:, 1])])}\n" for sign in (1.0, -1.0)
+)
+
+
+@needs_mystran
+def test_layers_and_rigid_bodies_of_an_abaqus_deck_are_those_of_bulk_data(tmp_path):
+    section = "*SHELL SECTION,ELSET=E,COMPOSITE,ORIENTATION=O\n.004,3,L,30.\n.006,3,S\n"
+    body = f"*NODE\n100,1.2,.3,.4\n*RIGID BODY,NSET=END,REF NODE=100\n*NSET,NSET=END\n31,32,33,34\n{UP}"
+    deck = abaqus_plate("S4", f"*MATERIAL,NAME=L\n{LAYER}{section}{body}")
+    (tmp_path / "a.inp").write_text(deck)
+    model = model_of(import_file(tmp_path / "a.inp", engine="mystran"))
+    bulk = (
+        plate(6, 4, T, tail=",6")
+        + "PCOMP,1\n,2,.004,30.,NO,1,.006,0.,NO\nMAT8,2,1.4+11,1.+10,.3,5.+9,5.+9,3.5+9,1600.\n"
+    )
+    axes = ",".join(f"{x:.12f}" for x in [0, 0, 0, *T[:, 2]])
+    bulk += f"CORD2R,6,,{axes}\n,{','.join(f'{x:.12f}' for x in T[:, 0])}\n{STEEL}"
+    same = imported(tmp_path, bulk + "GRID,100,,1.2,.3,.4\nRBE2,910,100,123456,31,32,33,34\n")
+    for A, B in ((model.K, same.K), (model.M, same.M), (model.dependent.S, same.dependent.S)):
+        assert abs(A - B).max() < 1e-9 * abs(B).max()
+    assert masses(model)[0, 0] == pytest.approx(0.5 * (0.004 * 1600 + 0.006 * 7850), rel=1e-8)
+
+
 @needs_mystran
 def test_beams_and_trusses_of_an_abaqus_deck_bend_as_theory_says(tmp_path):
     nodes = "*NODE\n" + "".join(f"{i},{i / 20},0,0\n" for i in range(1, 22)) + "30,1.05,.3,0.\n"
@@ -530,11 +557,15 @@ def test_beams_and_trusses_of_an_abaqus_deck_bend_as_theory_says(tmp_path):
     ("deck", "message"),
     [
         (abaqus_plate("M3D4", "*MEMBRANE SECTION,ELSET=E,MATERIAL=S\n.01\n"), "has elements M3D4"),
-        (abaqus_plate("S4", "*SHELL SECTION,ELSET=E,MATERIAL=S,COMPOSITE\n.01,3,S\n"), "has layers or no data"),
         (
-            abaqus_plate("S4", "*SHELL SECTION,ELSET=E,MATERIAL=S\n.01\n*RIGID BODY,NSET=EDGE,REF NODE=30\n"),
-            "has \\*RIGID BODY and no solids",
+            abaqus_plate("S4", "*SHELL SECTION,ELSET=E,COMPOSITE\n.01,3,L\n*MATERIAL,NAME=L\n" + LAYER),
+            "has a material with axes and no orientation",
         ),
+        (
+            abaqus_plate("S4", f"*SHELL SECTION,ELSET=E,COMPOSITE,ORIENTATION=O\n.01,3,S,30.\n{DOWN}"),
+            "against the normal of S4 1",
+        ),
+        (abaqus_plate("S4", "*SHELL SECTION,ELSET=E,MATERIAL=S,NODAL THICKNESS\n.01\n"), "thickness from nodes"),
         (abaqus_plate("S4", "*SHELL SECTION,ELSET=E,MATERIAL=X\n.01\n"), "names the material 'X'; known: S"),
     ],
 )

@@ -147,7 +147,8 @@ class Instance:
 
 @dataclass
 class Contents:
-    """All of a deck; ``counts`` of element types as they are written, ``noted`` keywords without effect and the
+    """All of a deck; ``counts`` of element types as they are written, ``unsupported`` is the problem with
+    the types that are ``unknown`` to own assembly, ``noted`` keywords without effect and the
     ``warnings`` of some of them, ``skipped`` what was left out as asked; ``dialect`` is the program whose types are
     meant, and ``guessed`` says that the deck does not tell.
 
@@ -168,6 +169,7 @@ class Contents:
     in_steps: dict[str, int] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     unsupported: Problem | None = None
+    unknown: frozenset[str] = frozenset()
     dialects: set[str] = field(default_factory=set)
     dialect: str = "calculix"
     guessed: bool = False

@@ -129,6 +129,7 @@ def _others(deck: Contents) -> None:
         flags=flags,
     )
     deck.problems.add(deck.unsupported)
+    deck.unknown = frozenset(unknown)
 
 
 class DeckReader:

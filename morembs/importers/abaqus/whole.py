@@ -10,7 +10,7 @@ import numpy as np
 from morembs.base.types import Floats, Ints
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.constraints import Constraints, DeckTies
-from morembs.importers.abaqus.deck import SOLIDS, STRUCTURES, Contents
+from morembs.importers.abaqus.deck import PLAIN, SOLIDS, STRUCTURES, Contents
 from morembs.importers.abaqus.left_out import LOCKED, PRETENSION, notes_of
 from morembs.importers.abaqus.materials import SectionMaterials, materials_of
 from morembs.importers.abaqus.structures import structures_of
@@ -56,7 +56,13 @@ def deck_of(contents: Contents) -> Deck:
         ties=tuple(ties.ties),
         notes=(*_notes(contents), *deck.notes),
         remarks=(*(f"The instance {name} was moved to its place." for name in moved), *sections.notes, *ties.notes),
-        warnings=(*skipped_warnings(contents), *contents.warnings, *ties.warnings, *sections.warnings),
+        warnings=(
+            *skipped_warnings(contents),
+            *_plain_warnings(contents, deck),
+            *contents.warnings,
+            *ties.warnings,
+            *sections.warnings,
+        ),
         problems=tuple(contents.problems.entries),
         left_out=_left_out(contents),
     )
@@ -87,7 +93,6 @@ def mesh_deck(contents: Contents, assembly: Assembly, offsets: Mapping[int, Floa
 def _elements(contents: Contents, assembly: Assembly, offsets: Mapping[int, Floats]) -> Iterator[Elements]:
     """Solids by what they mean, then elements on single nodes, then others."""
     start = assembly.solids + len(assembly.discrete)
-    unsupported = contents.unsupported.flags if contents.unsupported else ()
     codes = {contents.kind(code): code for code in reversed(contents.counts) if code in SOLIDS}
     while assembly.blocks:
         block = assembly.blocks.pop(0)
@@ -108,7 +113,7 @@ def _elements(contents: Contents, assembly: Assembly, offsets: Mapping[int, Floa
             ids=labels,
             nodes=assembly.ids[nodes[:, _ORDER.get(shape, slice(None))]],
             values=_offsets_of(start, len(labels), offsets),
-            problem=contents.unsupported if nodes.shape[1] or f"--skip {code}" in unsupported else None,
+            problem=contents.unsupported if nodes.shape[1] or code in contents.unknown else None,
         )
         start += len(labels)
 
@@ -129,6 +134,16 @@ def skipped_warnings(contents: Contents) -> list[str]:
     """What was left out as asked, a sentence each."""
     contact = ("*CONTACT PAIR", "*CONTACT")
     return [left_out(kind, count, contact=kind in contact) for kind, count in contents.skipped.items()]
+
+
+def _plain_warnings(contents: Contents, deck: Deck) -> list[str]:
+    """What shells and beams of Abaqus are taken for, a sentence each."""
+    codes = {part.code for part in deck.elements if part.kind != "none"}
+    return [
+        f"{count} elements {code} are assembled as {PLAIN[code]} [hybrid-as-plain]"
+        for code, count in contents.counts.items()
+        if count and PLAIN.get(code) in codes
+    ]
 
 
 def _left_out(contents: Contents) -> dict[str, LeftOut]:

@@ -104,7 +104,10 @@ def _problems(deck: DeckTables) -> Problems:
     """Those of the deck, and of elements that own assembly does not have."""
     problems = Problems(deck.name, deck.options.flags, hint="; ".join(deck.options.idle))
     of_elements = dict.fromkeys(part.problem for part in deck.elements if part.problem)
-    problems.entries = [*deck.problems, *(own for own in of_elements if own not in deck.problems)]
+    # Faults of cards whose elements cannot be had at all are for those who have them.
+    lost = {part.code for part in deck.elements if part.problem}
+    told = [own for own in deck.problems if own.keyword not in lost]
+    problems.entries = [*(own for own in of_elements if own not in told), *told]
     return problems
 
 

@@ -95,12 +95,15 @@ def _lack(deck: DeckTables, section: Section) -> Lacking | None:
             return None
         sentence = section.lacks or f"the section of the set {section.set} has no material"
         return Lacking(sentence=sentence, stiffness=section.stiffness)
-    for name in [ply.material for ply in section.plies] or [section.material]:
-        own = deck.materials.get(name)
-        if own is not None and not own.density and not section.nonstructural:
-            sentence = f"the material {name} of the set {section.set} has no density"
-            return Lacking(sentence=sentence, stiffness=own.stiffness)
-    return None
+    if section.lacks:
+        return Lacking(sentence=section.lacks)
+    names = [ply.material for ply in section.plies] or [section.material]
+    own = [deck.materials[name] for name in names if name in deck.materials]
+    if not own or section.nonstructural or any(material.density for material in own):
+        return None
+    sentence = f"the material {own[0].name} of the set {section.set} has no density"
+    # That of shells alone has none in space, and is there.
+    return Lacking(sentence=sentence, stiffness=np.eye(6) if own[0].stiffness is None else own[0].stiffness)
 
 
 def _with_densities(deck: Tables, density: dict[str, float]) -> Tables:
@@ -140,7 +143,8 @@ def _with_materials(deck: Tables, given: dict[str, Material]) -> Tables:
             else:
                 materials[name] = ElasticMaterial(name=name, stiffness=own.stiffness, density=own.density)
                 plies = tuple(replace(ply, material=name) for ply in section.plies)
-                section = replace(section, material="" if plies else name, plies=plies)
+                plate = None if section.plate is None else section.plate.made_of(name)
+                section = replace(section, material="" if plies else name, plies=plies, plate=plate, lacks="")
         sections.append(section)
     return replace(deck, sections=tuple(sections), materials=materials)
 

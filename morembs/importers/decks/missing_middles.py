@@ -7,6 +7,7 @@ fewer nodes (Bathe 2014, section 5.3.2): so such an edge is given a node that de
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,10 +17,11 @@ from morembs.fem.elements import TYPES
 from morembs.importers.decks.labels import Labels
 from morembs.importers.decks.tables import DeckTables
 
+Tables = TypeVar("Tables", bound=DeckTables)
 LINEAR_EDGES = "edges without middle nodes"
 
 
-def with_middles(deck: DeckTables) -> DeckTables:
+def with_middles(deck: Tables) -> Tables:
     """The deck with all middle nodes of its solids: new ones behind its nodes, and equations by which they move.
 
     Elements with the same corners share a node.

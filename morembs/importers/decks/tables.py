@@ -8,7 +8,7 @@ springs are the types of a model with labels of nodes where those have rows.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from morembs.importers.decks.formulations import Meaning
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problem
 from morembs.importers.imported import DiscreteElement, PointMass
+from morembs.importers.tolerances import TOL
 
 # Ends sentences on what a written deck lacks and K and M of its model do not.
 NOT_WRITTEN = "[not-written]"
@@ -45,7 +46,8 @@ class Elements:
     nodes: Ints
     # Formulation and mass that an own assembly gives to solids.
     meaning: Meaning = field(default_factory=Meaning)
-    # Numbers (k,) of the deck by what they count, such as "material", "real", "type", "property", "system".
+    # Numbers (k,) of the deck by what they count, such as "material", "real", "type", "property", "system"; "points"
+    # along each edge at which solids are integrated, 0 for those of the element.
     numbers: Mapping[str, Ints] = field(default_factory=dict)
     # Properties that differ from element to element (NaN: that of the section):
     # "thickness" (k, n) at the corners; "offset" (k,) of a shell along its normal, (k, 2, 3) of the ends of a beam;
@@ -62,7 +64,9 @@ class ElasticMaterial:
     """A material: ``stiffness`` (6, 6) along its own axes in Voigt order xx, yy, zz, yz, zx, xy, None where it has no
     linear one in space; ``density``, None where it has none.
 
-    ``constants`` are the numbers of the deck by the names of its program, such as "E", "NU", "G12".
+    ``constants`` are the numbers of the deck by the names of its program, such as "EX". Those of MAT1 ("E", "G", "NU"),
+    and of MAT8 ("E1", "E2", "NU12", "G12", "G1Z", "G2Z") and MAT2 ("G11" to "G33"), which have no stiffness in space
+    and are for shells alone, hold as they stand: of three of MAT1 bars take "G", solids "E" and "NU".
     """
 
     name: str
@@ -81,11 +85,30 @@ class Ply:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Plate:
+    """How a shell resists that is no plate of its section's material and thickness t: names of the materials of
+    ``membrane``, ``bending`` and transverse ``shear`` ("": it has no such stiffness; of shear: it does not shear),
+    12 I / t^3, and the share of t that carries shear."""
+
+    membrane: str = ""
+    bending: str = ""
+    shear: str = ""
+    inertia_ratio: float = 1.0
+    shear_ratio: float = TOL.shear_thickness
+
+    def made_of(self, name: str) -> Plate:
+        """The same of one material, wherever it has one."""
+        own = {part: name for part in ("membrane", "bending", "shear") if getattr(self, part)}
+        return replace(self, **own)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Section:
     """What elements of the set ``set`` of a deck, or "all", are made of; the last section of an element holds.
 
     Solids have ``stiffness`` (6, 6) along the global axes and ``density``; ``lacks`` says in a sentence what either
-    lacks (stiffness without density: the density alone). Other kinds have their ``material`` along ``axes``.
+    lacks (stiffness without density: the density alone). Other kinds have their ``material`` along ``axes``, or
+    ``lacks`` says why there is none.
     """
 
     set: str
@@ -105,15 +128,17 @@ class Section:
     thickness: float = 0.0
     plies: tuple[Ply, ...] = ()
     offset: float = 0.0
+    plate: Plate | None = None
     # Of beams: the shape of the profile with its dimensions as *BEAM SECTION of Abaqus has them (RECT, CIRC, PIPE, BOX,
     # I, L, HEX, TRAPEZOID), "GENERAL" with area, I11, I12, I22, J; the name and dimensions of PBARL behind "PBARL ".
+    # Of trusses: the area, and behind it the torsion constant where there is one.
     profile: str = ""
     dimensions: tuple[float, ...] = ()
     # Shares of the area that carry shear along the two axes of a profile; (0, 0): no shear strain.
     shear_factors: tuple[float, float] | None = None
     # Direction (3,), with which the axis of a beam spans the plane of its first section axis.
     direction: Floats | None = None
-    # Mass per area of shells, per length of beams, beside that of the material.
+    # Mass per area of shells, per length of beams and trusses, beside that of the material.
     nonstructural: float = 0.0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 from morembs.base.errors import InputError
@@ -25,19 +24,18 @@ _ADDED = re.compile(r"^[ \t]*([KMB]2(?:GG|PP)|K42GG|A2GG|TFL)[ \t]*=[ \t]*(\S+)"
 class Bulk:
     """Grids, solids, systems and the ``rows`` of cards that are read; those that cannot be carried are ``problems``.
 
-    ``lines`` has the line of each row. ``more`` names cards that are read beside those of the own assembly, such as
-    shells and bars for a program that has them.
+    ``lines`` has the line of each row.
     """
 
-    def __init__(
-        self, path: Path, *, outside: bool, options: DeckOptions | None = None, more: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, path: Path, *, outside: bool, options: DeckOptions | None = None) -> None:
         self.file, self.options = path.name, options or DeckOptions()
         self.problems = Problems(path.name, self.options.flags)
         self.skipped: dict[str, int] = {}
         self.grids, self.solids, self.systems = Grids(path.name), Solids(path.name), Systems(path.name)
-        self.rows: dict[str, Rows] = {name: [] for name in (*READ, *more)}
-        self.lines: dict[str, list[int]] = {name: [] for name in (*READ, *more)}
+        self.rows: dict[str, Rows] = {name: [] for name in READ}
+        self.lines: dict[str, list[int]] = {name: [] for name in READ}
+        # The file and line of the first card of each name.
+        self._first: dict[str, tuple[str, int]] = {}
         self.noted: dict[str, int] = {}
         refused: dict[str, list[Table]] = {}
         self.text = BulkText(path, outside=outside)
@@ -54,6 +52,7 @@ class Bulk:
 
     def _take(self, table: Table, refused: dict[str, list[Table]]) -> None:
         name, count = table.name, len(table)
+        self._first.setdefault(name, (table.file, int(table.lines.min()) if count else 0))
         if name not in ("GRID", *SOLIDS) and self.options.skips(name):
             self.skipped[name] = self.skipped.get(name, 0) + count
         elif name == "GRID":
@@ -84,15 +83,7 @@ class Bulk:
         # Lines of a file that is no deck have names with other characters; they are not shown.
         named = {name: card_tables for name, card_tables in refused.items() if name.isalnum()}
         for name, card_tables in named.items():
-            count, line = sum(map(len, card_tables)), min(int(table.lines.min()) for table in card_tables)
-            reason = f": {REASONS[name]}" if name in REASONS else ""
-            what = (
-                f"{card_tables[0].file}, line {line}: {count} {name} cannot be carried{reason}; "
-                f"--skip {name} leaves them out if the model is right without them"
-            )
-            self.problems.add(
-                Problem(what=what, file=card_tables[0].file, line=line, keyword=name, flags=(f"--skip {name}",))
-            )
+            self.problems.add(self.refusal(name, sum(map(len, card_tables))))
         odd = [table for name, card_tables in refused.items() if name not in named for table in card_tables]
         if odd:
             line = int(odd[0].lines.min())
@@ -101,6 +92,16 @@ class Bulk:
                 "bulk data"
             )
             self.problems.add(Problem(what=what, file=self.file, line=line, keyword="(no name)"))
+
+    def refusal(self, name: str, count: int) -> Problem:
+        """The problem that ``count`` cards of a name cannot be carried."""
+        file, line = self._first[name]
+        reason = f": {REASONS[name]}" if name in REASONS else ""
+        what = (
+            f"{file}, line {line}: {count} {name} cannot be carried{reason}; --skip {name} leaves them out if the "
+            "model is right without them"
+        )
+        return Problem(what=what, file=file, line=line, keyword=name, flags=(f"--skip {name}",))
 
     def cards(self, name: str) -> list[tuple[list[str], Card]]:
         """Fields of the cards of a name that is read, and where each stands."""

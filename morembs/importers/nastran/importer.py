@@ -18,15 +18,16 @@ from morembs.importers.decks.formulations import nastran_mass_warnings, nastran_
 from morembs.importers.decks.labels import distinct, find, ranges_by_number, ranges_of
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import deck_options, left_out
-from morembs.importers.decks.tables import Elements, LeftOut, Supports
+from morembs.importers.decks.tables import Elements, LeftOut, Section, Supports
 from morembs.importers.imported import Imported, nodes_of
 from morembs.importers.nastran.bulk import Bulk
 from morembs.importers.nastran.geometry import card_of
-from morembs.importers.nastran.names import OF_TEMPERATURE, RESTRAINTS, SCALARS
+from morembs.importers.nastran.names import OF_STRUCTURES, OF_TEMPERATURE, RESTRAINTS, SCALARS
 from morembs.importers.nastran.properties import Materials, labels_of, padded
 from morembs.importers.nastran.restraints import supports_of
 from morembs.importers.nastran.rigid import Ties
 from morembs.importers.nastran.springs import Springs
+from morembs.importers.nastran.structures import Structures
 
 # Values of PARAM COUPMASS that leave the mass lumped.
 OFF = ("-1", "NO", "")
@@ -58,28 +59,36 @@ def read_nastran(
         DeckError: what ends the reading, with all problems that were found before.
     """
     bulk = Bulk(Path(path), outside=allow_includes_outside, options=deck_options(density, "refuse", skip))
+    return deck_of(bulk)
+
+
+def deck_of(bulk: Bulk, *, is_held: bool = False) -> Deck:
+    """The tables of bulk data; of a model that ``is_held`` supports have to be there.
+
+    Raises:
+        DeckError: what ends the reading, with all problems that were found before.
+    """
     with bulk.problems.ending():
         scale = bulk.mass_scale()
-        parts = solid_elements(bulk)
-        ties, springs = tied(bulk, grids_of(bulk, parts), scale)
-        return deck_of(bulk, parts, ties, springs, Materials(bulk.file, scale))
+        solids, materials = solid_elements(bulk), Materials(bulk.file, bulk.rows, scale)
+        structures = Structures(bulk, materials)
+        turning = grids_of(bulk, structures.parts)
+        ties, springs = tied(bulk, grids_of(bulk, solids) & ~turning, scale)
+        return _deck(bulk, solids, structures, materials, ties, springs, is_held=is_held)
 
 
-def deck_of(
+def _deck(
     bulk: Bulk,
-    parts: Sequence[Elements],
+    solids: Sequence[Elements],
+    structures: Structures,
+    materials: Materials,
     ties: Ties,
     springs: Springs,
-    materials: Materials | None = None,
-    more: Ints | None = None,
+    *,
+    is_held: bool,
 ) -> Deck:
-    """The tables of bulk data with the solids ``parts``.
-
-    Args:
-        materials: reads those of solids; None leaves them to the caller.
-        more: rows of grids of elements that are no solids.
-    """
     grids, scale, remarks = bulk.grids, ties.scale, list[str]()
+    parts = [*solids, *structures.parts]
     whole = Imported(
         source=bulk.file,
         rigid=tuple(ties.rigid),
@@ -89,16 +98,20 @@ def deck_of(
         discrete=tuple(springs.elements),
     )
     used = grids_of(bulk, parts)
-    used[np.concatenate([nodes_of(whole.ties), *([] if more is None else [more])])] = True
-    properties = ranges_by_number((part.ids, part.numbers["property"]) for part in parts)
+    used[nodes_of(whole.ties)] = True
+    properties = ranges_by_number((part.ids, part.numbers["property"]) for part in solids)
     node_sets, element_sets = _sets(bulk, used, parts, remarks)
+    sections = [*materials.of_solids(list(properties), bulk.systems, grids), *structures.sections]
+    for name, count in _unused(bulk, sections, materials).items():
+        bulk.noted[name] = count
     supports, out = Supports(), {name: LeftOut(count, _why(name)) for name, count in bulk.noted.items()}
     try:
         supports = supports_of(bulk)
     except InputError as error:
-        # A free body does without; a program that is to hold it says so.
+        if is_held:
+            raise
+        # A free body does without.
         out["SPC"] = LeftOut(1, str(error))
-    sections = [] if materials is None else materials.of(list(properties), bulk.rows, bulk.systems, grids)
     whole = whole.on_rows(grids.ids.__getitem__)
     return Deck(
         name=bulk.file,
@@ -108,8 +121,8 @@ def deck_of(
         xyz=grids.xyz,
         elements=tuple(parts),
         node_sets=node_sets,
-        element_sets={f"PSOLID_{pid}": ranges for pid, ranges in properties.items()} | element_sets,
-        materials={} if materials is None else materials.known,
+        element_sets={f"PSOLID_{pid}": own for pid, own in properties.items()} | structures.sets | element_sets,
+        materials=materials.known,
         sections=tuple(sections),
         rigid=whole.rigid,
         average=whole.average,
@@ -120,10 +133,10 @@ def deck_of(
         turned=grids.ids[grids.cd != 0],
         supports=supports,
         left_out=out,
-        notes=tuple(notes_of(bulk, scale)),
-        remarks=(*remarks, *([] if materials is None else materials.notes), *ties.notes),
-        warnings=(*skipped_warnings(bulk), *dict.fromkeys([] if materials is None else materials.warnings)),
-        mesh_warnings=_warnings(bulk, parts),
+        notes=tuple(_notes(bulk, scale, is_held=is_held)),
+        remarks=(*remarks, *materials.notes, *ties.notes),
+        warnings=(*_skipped_warnings(bulk), *dict.fromkeys(materials.warnings)),
+        mesh_warnings=_warnings(bulk, solids),
         problems=tuple(bulk.problems.entries),
         options=bulk.options,
         mass_scale=scale,
@@ -131,7 +144,14 @@ def deck_of(
     )
 
 
-def skipped_warnings(bulk: Bulk) -> list[str]:
+def _unused(bulk: Bulk, sections: Sequence[Section], materials: Materials) -> dict[str, int]:
+    """How many cards there are of properties and materials of shells and bars of which no element uses any."""
+    used = {word.split()[0] for word in (*materials.known, *(section.code for section in sections))}
+    names = (name for name in (*OF_STRUCTURES, "MAT2", "MAT8") if name not in used)
+    return {name: len(bulk.rows[name]) for name in names if bulk.rows[name]}
+
+
+def _skipped_warnings(bulk: Bulk) -> list[str]:
     """Warnings of cards that were skipped, and of those that make materials depend on temperature."""
     skipped = [left_out(name, count) for name, count in bulk.skipped.items()]
     cold = [
@@ -143,7 +163,7 @@ def skipped_warnings(bulk: Bulk) -> list[str]:
 
 
 def grids_of(bulk: Bulk, parts: Sequence[Elements]) -> Bools:
-    """Which grids solids have."""
+    """Which grids elements have."""
     solid = np.zeros(len(bulk.grids.ids), dtype=bool)
     for part in parts:
         nodes = part.nodes[bulk.grids.labels.has(part.nodes)]
@@ -179,7 +199,8 @@ def tied(bulk: Bulk, solid: Bools, scale: float) -> tuple[Ties, Springs]:
 
 def solid_elements(bulk: Bulk) -> list[Elements]:
     """All solids by shape and meaning, with the numbers of their "property"; ``bulk.solids`` gives them up."""
-    full = [int(words[0]) for row in bulk.rows["PSOLID"] if is_full(words := padded(row, 6))]
+    full = [int(words[0]) for row in bulk.rows["PSOLID"] if _is_full(words := padded(row, 6))]
+    three = [int(words[0]) for row in bulk.rows["PSOLID"] if _has_three_points(words := padded(row, 6))]
     parts = []
     for shape, ids, pids, nodes in bulk.solids.blocks():
         code, asked = card_of(shape), np.isin(pids, full)
@@ -187,7 +208,7 @@ def solid_elements(bulk: Bulk) -> list[Elements]:
         for meaning in dict.fromkeys(of.values()):
             rows = np.flatnonzero(np.where(asked, of[True] == meaning, of[False] == meaning))
             if len(rows):
-                numbers = {"property": pids[rows]}
+                numbers = {"property": pids[rows], "points": np.where(np.isin(pids[rows], three), 3, 0)}
                 parts.append(
                     Elements(
                         code=code,
@@ -202,9 +223,14 @@ def solid_elements(bulk: Bulk) -> list[Elements]:
     return parts
 
 
-def is_full(words: list[str]) -> bool:
+def _is_full(words: list[str]) -> bool:
     """Whether a PSOLID asks for full integration."""
     return words[0].isdigit() and words[5].upper() in ("1", "FULL") and words[3].upper() in ("2", "TWO", "3", "THREE")
+
+
+def _has_three_points(words: list[str]) -> bool:
+    """Whether a PSOLID asks for three points along each edge."""
+    return words[0].isdigit() and words[3].upper() in ("3", "THREE")
 
 
 def _warnings(bulk: Bulk, parts: Sequence[Elements]) -> tuple[str, ...]:
@@ -249,7 +275,7 @@ def _why(name: str) -> str:
     return "not applied; the body is free" if name in RESTRAINTS else "not carried over"
 
 
-def notes_of(bulk: Bulk, scale: float, *, is_held: bool = False) -> list[str]:
+def _notes(bulk: Bulk, scale: float, *, is_held: bool = False) -> list[str]:
     """What was left out, a sentence each; of a model that ``is_held`` nothing on restraints."""
     notes = []
     if bulk.text.head.strip():

@@ -11,17 +11,15 @@ SCALARS = {
 }
 RIGID = ("RBE1", "RBE2", "RBE3", "RBAR", "RROD", "RTRPLT")
 RESTRAINTS = ("SPC", "SPC1", "SPCADD", "SPCD", "SUPORT", "SUPORT1")
-READ = (
-    "PSOLID", "MAT1", "MAT9", "MAT11", *RIGID, "CONM1", "CONM2", "PARAM", "SET1", "GRDSET", "MPC", "MPCADD",
-    "CBUSH", "PBUSH", *SCALARS, "PELAS", "PMASS", "PDAMP", *SYSTEMS, *RESTRAINTS[:3],
-)
-# Shells and bars, their properties, and materials and defaults that only these have.
+# Shells and bars, their properties, and defaults of bars.
 STRUCTURAL = (
-    "CQUAD4", "CQUAD8", "CQUADR", "CTRIA3", "CTRIA6", "CTRIAR", "CSHEAR", "CROD", "CONROD", "CTUBE", "CBAR", "CBEAM",
+    "CQUAD4", "CTRIA3", "CQUAD8", "CTRIA6", "CSHEAR", "CBAR", "CBEAM", "CROD", "CTUBE", "CONROD",
 )
-PROPERTIES = (
-    "PSHELL", "PCOMP", "PCOMPG", "PSHEAR", "PROD", "PTUBE", "PBAR", "PBARL", "PBEAM", "PBEAML", "PBCOMP", "MAT2",
-    "MAT8", "BAROR", "BEAMOR",
+OF_STRUCTURES = ("PSHELL", "PCOMP", "PCOMPG", "PSHEAR", "PBAR", "PBARL", "PBEAM", "PBEAML", "PROD", "PTUBE")
+READ = (
+    "PSOLID", "MAT1", "MAT2", "MAT8", "MAT9", "MAT11", *STRUCTURAL, *OF_STRUCTURES, "BAROR", "BEAMOR", *RIGID,
+    "CONM1", "CONM2", "PARAM", "SET1", "GRDSET", "MPC", "MPCADD",
+    "CBUSH", "PBUSH", *SCALARS, "PELAS", "PMASS", "PDAMP", *SYSTEMS, *RESTRAINTS[:3],
 )
 # Their fields are text, in which commas and columns of marks mean nothing (Quick Reference Guide, DEQATN).
 FREE_TEXT = ("DEQATN",)
@@ -72,11 +70,11 @@ _HEAT = """
 _REGIONS = "BSURF BSURFS BCPROP BCPROPS BCBODY BCPARM BCPARA BCRPARA"
 _DATA = "DMI DMIJ DMIJI DMIK DTI DMIAX SUPAX CSSHL CYSUP CYAX"
 _WORDS = (_LOADS, _SOLUTION, _OUTPUT, _MATERIALS, _AERODYNAMICS, _OPTIMISATION, _HEAT, _REGIONS, _DATA)
-NOTED = frozenset((*RESTRAINTS, *SUPERELEMENTS, *PROPERTIES, *" ".join(_WORDS).split()))
+NOTED = frozenset((*RESTRAINTS, *SUPERELEMENTS, "PBCOMP", *" ".join(_WORDS).split()))
 
 # Why a card cannot be carried, and what to do besides leaving it out; others are named alone.
 REASONS = {
-    **dict.fromkeys(STRUCTURAL, "shells and bars, which are not assembled here"),
+    **dict.fromkeys((*STRUCTURAL, "CQUADR", "CTRIAR"), "shells and bars, which are not assembled here"),
     **dict.fromkeys(("CBEND", "CBEAM3", "CRAC2D", "CRAC3D"), "elements that are not assembled here"),
     **dict.fromkeys(
         ("BCTSET", "BCTADD", "BCTPARM", "BCONP", "BLSEG", "BFRIC", "BCTABLE", "BCTABL1", "BCONECT", "BCONPRG",

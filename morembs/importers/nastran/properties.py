@@ -1,4 +1,4 @@
-"""Solid properties and materials of Nastran bulk data."""
+"""Solid properties, and materials of Nastran bulk data."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from morembs.importers.tolerances import TOL
 Rows = list[list[str]]
 # Nastran orders shear xy, yz, zx; here it is yz, zx, xy.
 _MAT9 = (0, 1, 2, 5, 3, 4)
+_OF_SOLIDS = ("MAT1", "MAT9", "MAT11")
 
 
 def padded(row: list[str], count: int) -> list[str]:
@@ -39,47 +40,59 @@ def by_number(file: str, name: str, rows: Rows) -> dict[int, list[str]]:
 
 
 class Materials:
-    """PSOLID, MAT1, MAT9 and MAT11: a section for each property, and the materials that are ``known`` by name."""
+    """Materials by number, of which those that are ``known`` by name were read, and sections of PSOLID; densities are
+    times PARAM WTMASS, the ``scale``."""
 
-    def __init__(self, file: str, scale: float) -> None:
+    def __init__(self, file: str, rows: dict[str, Rows], scale: float) -> None:
         self.file, self.scale = file, scale
         self.notes: list[str] = []
         self.warnings: list[str] = []
         self.known: dict[str, ElasticMaterial] = {}
+        self._solids = by_number(file, "PSOLID", rows["PSOLID"])
+        self._readers = {
+            "MAT1": self._mat1,
+            "MAT2": self._mat2,
+            "MAT8": self._mat8,
+            "MAT9": self._mat9,
+            "MAT11": self._mat11,
+        }
+        self._cards: dict[int, tuple[str, list[str]]] = {}
+        for card in self._readers:
+            for mid, row in by_number(file, card, rows[card]).items():
+                if mid in self._cards:
+                    raise InputError(f"{file} defines the material {mid} as {self._cards[mid][0]} and as {card}")
+                self._cards[mid] = card, row
 
-    def of(self, pids: list[int], rows: dict[str, Rows], systems: Systems, grids: Grids) -> list[Section]:
-        """Sections of the properties ``pids``, their densities times PARAM WTMASS."""
-        properties = by_number(self.file, "PSOLID", rows["PSOLID"])
-        readers = {"MAT1": self._mat1, "MAT9": self._mat9, "MAT11": self._mat11}
-        cards: dict[int, tuple[str, list[str]]] = {}
-        for card in readers:
-            for mid, row in by_number(self.file, card, rows[card]).items():
-                if mid in cards:
-                    raise InputError(f"{self.file} defines the material {mid} as {cards[mid][0]} and as {card}")
-                cards[mid] = card, row
+    def named(self, mid: int, set_: str) -> str:
+        """Name of the material with a number, which the set ``set_`` needs; "" where there is none."""
+        if mid not in self._cards:
+            return ""
+        card, fields = self._cards[mid]
+        name = f"{card} {mid}"
+        if name not in self.known:
+            self.known[name] = self._readers[card](mid, fields, set_)
+        return name
+
+    def of_solids(self, pids: list[int], systems: Systems, grids: Grids) -> list[Section]:
+        """Sections of the properties ``pids``."""
         sections = []
         for pid in pids:
             code, set_ = f"PSOLID {pid}", f"PSOLID_{pid}"
-            if pid not in properties:
+            if pid not in self._solids:
                 lacks = f"the property {pid} of solids is not in the file"
                 sections.append(Section(set=set_, code=code, lacks=lacks))
                 continue
-            row = padded(properties[pid], 8)
+            row = padded(self._solids[pid], 8)
             if row[6] and row[6].upper() not in ("SMECH", "0"):
                 raise InputError(f"{self.file}: {code} is of the kind {row[6]!r}; expected a structural one")
             mid = integer(row[1], f"{self.file}: {code}")
-            if mid not in cards:
-                what = (
-                    f"names the material {mid}, which is no {', '.join(readers)} there" if mid else "names no material"
-                )
-                sections.append(Section(set=set_, code=code, lacks=f"{code} {what}"))
+            name = self.named(mid, set_) if self._cards.get(mid, ("",))[0] in _OF_SOLIDS else ""
+            if not name:
+                missing = f"names the material {mid}, which is no {', '.join(_OF_SOLIDS)} there"
+                sections.append(Section(set=set_, code=code, lacks=f"{code} {missing if mid else 'names no material'}"))
                 continue
-            card, fields = cards[mid]
-            name = f"{card} {mid}"
-            if name not in self.known:
-                self.known[name] = readers[card](mid, fields, set_)
             material = self.known[name]
-            system = integer(row[2], f"{self.file}: {code}") if card != "MAT1" else 0
+            system = integer(row[2], f"{self.file}: {code}") if not name.startswith("MAT1 ") else 0
             axes = self._axes(system, f"{self.file}: {name}", systems, grids)
             C, density = material.stiffness, material.density
             sections.append(
@@ -117,7 +130,20 @@ class Materials:
         if row[7] and real(row[7], what):
             self.notes.append(f"MAT1 {mid}: the structural damping GE = {row[7]} is not carried over.")
         C = isotropic(set=set_, young=E, poisson=nu, density=1.0).stiffness
-        return self._material(f"MAT1 {mid}", C, rho, {"E": E, "G": G, "NU": nu})
+        constants = {key: real(text, what) for key, text in zip(("E", "G", "NU"), row[1:4], strict=True) if text}
+        return self._material(f"MAT1 {mid}", C, rho, constants)
+
+    def _mat2(self, mid: int, row: list[str], set_: str) -> ElasticMaterial:
+        return self._of_shells(f"MAT2 {mid}", ("G11", "G12", "G13", "G22", "G23", "G33"), row)
+
+    def _mat8(self, mid: int, row: list[str], set_: str) -> ElasticMaterial:
+        return self._of_shells(f"MAT8 {mid}", ("E1", "E2", "NU12", "G12", "G1Z", "G2Z"), row)
+
+    def _of_shells(self, name: str, names: tuple[str, ...], row: list[str]) -> ElasticMaterial:
+        """A material in a plane, whose six constants and density stand behind its number."""
+        what, row = f"{self.file}: {name}", padded(row, 8)
+        constants = {key: real(text, what) for key, text in zip(names, row[1:7], strict=True) if text}
+        return self._material(name, None, real(row[7], what), constants)
 
     def _mat9(self, mid: int, row: list[str], set_: str) -> ElasticMaterial:
         numbers = [real(text, f"{self.file}: MAT9 {mid}") for text in padded(row, 23)[1:23]]
@@ -135,7 +161,7 @@ class Materials:
         )
         return self._material(f"MAT11 {mid}", material.stiffness, density, dict(zip(names, numbers, strict=True)))
 
-    def _material(self, name: str, C: Floats, density: float, constants: dict[str, float]) -> ElasticMaterial:
+    def _material(self, name: str, C: Floats | None, density: float, constants: dict[str, float]) -> ElasticMaterial:
         scaled = density * self.scale if density else None
         return ElasticMaterial(name=name, stiffness=C, density=scaled, constants=constants)
 

@@ -34,7 +34,10 @@ _NOT_WRITTEN = ("point", "none")
 _WRITTEN_VALUES = {
     "calculix": {("beam", "offset")},
     "abaqus": {("beam", "offset")},
-    "nastran": {("beam", "offset"), ("beam", "direction")},
+    "nastran": {
+        *(("beam", name) for name in ("offset", "direction", "released")),
+        *(("shell", name) for name in ("thickness", "offset", "direction", "angle")),
+    },
 }
 
 

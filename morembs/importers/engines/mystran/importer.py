@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -11,36 +13,29 @@ import scipy.sparse as sp
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
 from morembs.base.limits import Positive, PositiveCount
+from morembs.base.options import known
 from morembs.base.types import Floats, Ints
 from morembs.fem import DofMap, rigid_motion
 from morembs.fem.constraints import Equations
 from morembs.fem.handedness import right_handed
 from morembs.fem.material import Material
+from morembs.importers.abaqus.importer import read_abaqus_deck
+from morembs.importers.ansys.cdb import read_ansys
 from morembs.importers.decks.join import couplings_of, join
+from morembs.importers.decks.labels import in_ranges
+from morembs.importers.decks.materials import complete, lacking_of, problems_of_solids
 from morembs.importers.decks.missing_middles import with_middles
-from morembs.importers.decks.options import Boundary, DeckOptions, deck_options, lacking_problems
-from morembs.importers.decks.problems import Problem
-from morembs.importers.decks.tables import DeckTables, Supports
-from morembs.importers.engines.mystran.bulk import as_bulk
-from morembs.importers.engines.mystran.elements import STRUCTURES, Structures, solid_cards
+from morembs.importers.decks.model import Deck
+from morembs.importers.decks.options import Boundary, deck_options, lacking_problems
+from morembs.importers.decks.problems import Problems
+from morembs.importers.engines.mystran.cards import KNOWN, MystranText, lacked_elements, unscaled
 from morembs.importers.engines.mystran.program import Mystran, cores, mystran_path
 from morembs.importers.engines.mystran.rotations import turning, with_springs
-from morembs.importers.engines.mystran.sections import CARDS, Sections
 from morembs.importers.imported import Imported, nodes_of
 from morembs.importers.nastran.bulk import Bulk
-from morembs.importers.nastran.importer import deck_of, grids_of, notes_of, skipped_warnings, solid_elements, tied
-from morembs.importers.nastran.restraints import held_equations, supports_of
+from morembs.importers.nastran.importer import deck_of
+from morembs.importers.nastran.restraints import held_equations
 from morembs.importers.tolerances import TOL
-
-# Cards beside those of the own reader.
-CARDS_READ = (
-    *STRUCTURES,
-    *(name for names in CARDS.values() for name in names if name != "PSOLID"),
-    "MAT2",
-    "MAT8",
-    "BAROR",
-    "BEAMOR",
-)
 
 
 def import_with_mystran(
@@ -62,10 +57,8 @@ def import_with_mystran(
 ) -> Imported:
     """A deck as MYSTRAN assembles it, in the units of the file, along the basic axes.
 
-    Bulk data are read card by card; decks of other programs are written as bulk data first.
-
     Args:
-        format: "nastran" or "abaqus".
+        format: "nastran", "abaqus" or "ansys".
         executable: the path of MYSTRAN; "" looks for it.
         density: of materials without one (before WTMASS), or set -> density, "all" standing for all.
         skip: cards to leave out, although stiffness or mass may depend on them.
@@ -77,7 +70,7 @@ def import_with_mystran(
         allow_includes_outside: INCLUDE may name files beyond the folder of the file.
         dialect: of an Abaqus deck, the program that it was written for.
         contact: of a deck of another program, "refuse" contact, "skip" it, or "tie" it.
-        materials: isotropic ones of sets of properties whose materials are not there, or "all" of these.
+        materials: of sets whose materials are not there or give no mass, or "all" of these.
 
     Peak memory: the entries of K and M several times, and what the runs at once take.
 
@@ -91,30 +84,16 @@ def import_with_mystran(
     check_value("grids", grids, PositiveCount)
     check_value("jobs", jobs, PositiveCount | None)
     keep = Path(keep_files) if keep_files else None
-    other = "contact" if contact != "refuse" else "dialect" if dialect != "auto" else ""
-    if format == "nastran" and other:
-        raise InputError(f"--{other} was given with --engine mystran, and bulk data have none; leave it out")
     reading = {"density": density, "skip": skip, "allow_includes_outside": allow_includes_outside}
-    with as_bulk(Path(path), format, {**reading, "dialect": dialect, "contact": contact}, materials) as source:
-        if boundary == "keep" and source.deck is not None and not len(source.deck.supports.nodes):
-            raise InputError(
-                f"--boundary keep was given for {Path(path).name}, whose supports are not read; leave it out, and hold "
-                "the model by [[interface]] of a job"
-            )
-        options = deck_options(source.density(density), "refuse", skip if format == "nastran" else "")
-        deck = _Deck(source.bulk, options, boundary == "keep", allow_includes_outside, source.materials)
-        return source.whole(_assembled(deck, program, timeout, jobs, keep, grids))
-
-
-def _assembled(deck: _Deck, program: Path, timeout: float, jobs: int | None, keep: Path | None, grids: int) -> Imported:
-    """The model of a deck that was read, by runs of MYSTRAN."""
+    options = {**reading, "dialect": dialect, "contact": contact}
+    deck = _Deck(Path(path), format, options, materials, is_held=boundary == "keep")
     with Mystran(
         program=program,
-        file=deck.bulk.file,
+        file=deck.deck.name,
         blocks=deck.blocks,
-        properties=deck.properties,
-        ids=deck.bulk.grids.ids,
-        xyz=deck.bulk.grids.xyz,
+        properties=deck.text.properties,
+        ids=deck.deck.ids,
+        xyz=deck.deck.xyz,
         seconds=timeout,
         jobs=jobs or cores(),
         keep=keep,
@@ -140,104 +119,121 @@ def readable_by_mystran(
         InputError: it cannot.
     """
     reading = {"density": density, "skip": skip, "allow_includes_outside": allow_includes_outside}
-    with as_bulk(path, format, {**reading, "dialect": dialect, "contact": contact}, materials) as source:
-        options = deck_options(source.density(density), "refuse", skip if format == "nastran" else "")
-        _Deck(source.bulk, options, False, allow_includes_outside, source.materials)
+    _Deck(path, format, {**reading, "dialect": dialect, "contact": contact}, materials, is_held=False)
+
+
+def _read(path: Path, format: str, options: Mapping[str, Any], *, is_held: bool) -> tuple[Deck, tuple[str, ...]]:
+    """A deck of a format, and what its text warns of beside it.
+
+    Raises:
+        InputError: options that the format does not have, or supports that are not read.
+    """
+    if format == "nastran":
+        other = "contact" if options["contact"] != "refuse" else "dialect" if options["dialect"] != "auto" else ""
+        if other:
+            raise InputError(f"--{other} was given with --engine mystran, and bulk data have none; leave it out")
+        own = deck_options(options["density"], "refuse", options["skip"])
+        bulk = Bulk(path, outside=options["allow_includes_outside"], options=own)
+        return deck_of(bulk, is_held=is_held), bulk.text.warnings
+    read: Callable[..., Deck] = {"abaqus": read_abaqus_deck, "ansys": read_ansys}[format]
+    deck = read(path, **{key: value for key, value in options.items() if key in known(read)})
+    if is_held and not len(deck.supports.nodes):
+        raise InputError(
+            f"--boundary keep was given for {path.name}, whose supports are not read; leave it out, and hold the model "
+            "by [[interface]] of a job"
+        )
+    return deck, ()
 
 
 class _Deck:
     """A deck as far as it is read without MYSTRAN; what is wrong with it is refused in one message."""
 
     def __init__(
-        self, path: Path, options: DeckOptions, keep: bool, outside: bool, materials: tuple[Material, ...]
+        self, path: Path, format: str, options: Mapping[str, Any], materials: Sequence[Material], *, is_held: bool
     ) -> None:
-        self.bulk = bulk = Bulk(path, outside=outside, options=options, more=CARDS_READ)
-        self.notes: list[str] = []
-        self.warnings: list[str] = []
-        with bulk.problems.ending():
-            self.scale, self.keep = bulk.mass_scale(), keep
-            self.sections = Sections(bulk, materials, self.scale)
-            self.structures = Structures(bulk, self.sections)
-            parts = solid_elements(bulk)
-            solid = grids_of(bulk, parts)
-            for block in self.structures.blocks:
-                solid[block.nodes] = False
-            ties, springs = tied(bulk, solid, self.scale)
-            self.held = _by_row(bulk, supports_of(bulk)) if keep else {}
-            own = np.concatenate([bulk.grids.ids[:0], *(block.nodes.ravel() for block in self.structures.blocks)])
-            self._mesh(deck_of(bulk, parts, ties, springs, more=own), own)
-            self.properties = self._properties(options)
-        bulk.problems.refuse()
-
-    def _mesh(self, deck: DeckTables, own: Ints) -> None:
-        """Nodes of the model, those of solids first, and all elements; ``own`` rows of grids are of other elements."""
-        bulk, before = self.bulk, deck
-        deck = with_middles(deck)
-        bulk.grids.extend(deck.ids[len(before.ids) :], deck.xyz[len(before.ids) :])
-        tied = couplings_of(deck)
-        solids = join(deck, np.concatenate([nodes_of(tied.ties), deck.ids[own]]))
-        self.whole = tied.on_rows(lambda labels: solids.labels.rows(labels, "couplings name"))
-        self.row, self.mesh, nodes = solids.row, solids.mesh, solids.nodes
-        self.blocks = list(self.structures.blocks)
-        self.notes += [*deck.notes[len(before.notes) :], *solids.notes, *deck.remarks]
-        if self.mesh is not None:
-            self.mesh = right_handed(replace(self.mesh, warnings=()))
-            self.warnings += self.mesh.warnings
-            self.blocks += solid_cards(bulk, self.mesh, self.sections)
-        self.warnings += bulk.text.warnings
+        deck, self.warnings = _read(path, format, options, is_held=is_held)
+        problems = Problems(deck.name, deck.options.flags)
+        of_elements = [part.problem for part in deck.elements if part.problem]
+        problems.entries = [problem for problem in deck.problems if problem not in of_elements]
+        problems.entries += lacked_elements(deck)
+        with problems.ending():
+            self.deck, self.is_held = complete(with_middles(deck), materials), is_held
+            self._mesh()
+            problems.entries += problems_of_solids(self.deck, materials)
+            without = self._without_mass(problems)
+            told = {problem.keyword for problem in problems.entries}
+            parts = tuple(
+                part for part in self.deck.elements if (part.kind, part.shape) in KNOWN and part.code not in told
+            )
+            self.text = MystranText(unscaled(replace(self.deck, elements=parts)), problems=problems, without=without)
+        problems.refuse()
+        self.blocks = self.text.blocks
         if not self.blocks:
             raise InputError(
-                f"{bulk.file} has no elements that MYSTRAN assembles; expected solids, {', '.join(STRUCTURES)}"
+                f"{deck.name} has no elements that MYSTRAN assembles; expected solids, shells, beams, rods"
             )
-        sets = dict(nodes.sets)
-        for block in self.structures.blocks:
-            for pid in np.unique(block.properties).tolist():
-                members = self.row[block.nodes[block.properties == pid]]
-                name = self.sections.sets[pid - 1]
-                sets[name] = np.union1d(sets.get(name, np.empty(0, dtype=np.int64)), members)
-        self.nodes = replace(nodes, sets=sets)
 
-    def _properties(self, options: DeckOptions) -> list[tuple[str, ...]]:
-        """The cards of properties, with the densities that were given; sets without any are problems."""
-        bulk = self.bulk
-        filled, lacking, said = options.completed((), self.sections.lacking())
-        self.warnings += said
-        solid = {name: lack for name, lack in lacking.items() if name.startswith("PSOLID")}
-        heavy = len(lacking) < len(set(self.sections.sets)) or bool(self.whole.masses)
-        heavy = heavy or any(element.matrix == "M" for element in self.whole.discrete)
+    def _mesh(self) -> None:
+        """Nodes of the model, those of solids first, and the mesh of these."""
+        deck = self.deck
+        structures = [part for part in deck.elements if part.kind not in ("solid", "point", "none")]
+        tied = couplings_of(deck)
+        none = np.empty(0, dtype=np.int64)
+        solids = join(deck, np.concatenate([none, nodes_of(tied.ties), *(part.nodes.ravel() for part in structures)]))
+        self.labels, self.row, self.mesh = solids.labels, solids.row, solids.mesh
+        self.notes = [*deck.notes, *solids.notes, *deck.remarks]
+        self.whole = tied.on_rows(lambda labels: solids.labels.rows(labels, "couplings name"))
+        if self.mesh is not None:
+            self.mesh = right_handed(replace(self.mesh, warnings=()))
+        sets = dict(solids.nodes.sets)
+        for section in deck.sections:
+            own = [part.nodes[in_ranges(part.ids, deck.ranges(section.set))].ravel() for part in structures]
+            members = np.unique(np.concatenate([none, *own]))
+            if section.kind != "solid" and len(members) and section.set not in sets:
+                sets[section.set] = np.sort(self.row[self.labels.rows(members, "elements name")])
+        self.nodes = replace(solids.nodes, sets=sets)
+
+    def _without_mass(self, problems: Problems) -> set[str]:
+        """Sets of shells, beams and trusses without stiffness; where something else has mass, what has stiffness and no
+        mass is told, else it is a problem, too."""
+        deck = self.deck
+        solid = {own.set for own in deck.sections if own.kind == "solid"}
+        lacking = {name: lack for name, lack in lacking_of(deck).items() if name not in solid}
+        heavy = len(lacking) < len(deck.sections) or deck.masses or any(own.matrix == "M" for own in deck.discrete)
         # What has no stiffness is no element; what has no mass may hang on what has.
         soft = {name: lack for name, lack in lacking.items() if lack.stiffness is None}
-        wanted = solid | soft if heavy else lacking
-        bulk.problems.entries += lacking_problems(bulk.file, wanted)
-        self.warnings += [
+        wanted = soft if heavy else lacking
+        problems.entries += lacking_problems(deck.name, wanted)
+        self.warnings += tuple(
             f"{lack.sentence} and gives no mass; --density fills it in [no-density]"
             for name, lack in lacking.items()
             if name not in wanted
-        ]
-        cards = self.sections.cards({material.set: material.density for material in filled}, without=soft)
-        self.warnings += self.sections.warnings
-        for sentence in self.sections.misgiven():
-            bulk.problems.add(Problem(what=sentence, file=bulk.file, keyword="MATERIAL"))
-        return cards
+        )
+        # So it is where a problem says that its material is not there.
+        lost = (own.set for own in deck.sections if own.material not in deck.materials and not own.plies)
+        return {*soft, *(lost if problems.entries else ())}
 
     def imported(self, K: sp.csr_array, M: sp.csr_array, version: str) -> Imported:
-        """The model with the matrices (6 n, 6 n) of all n grids of the deck."""
-        grids, whole = self.bulk.grids, self.whole
-        M = sp.csr_array(self.scale * (M + self._shear_masses()))
-        turned = turning(whole.ties, len(grids.ids))
-        K, loose = with_springs(K, M, self.blocks, grids.xyz, turned, self.held)
+        """The model with the matrices (6 n, 6 n) of all n nodes of the deck."""
+        deck, whole = self.deck, self.whole
+        shear = np.zeros((len(deck.ids), 6))
+        shear[:, :3] = self.text.shear_masses[:, None]
+        M = sp.csr_array(deck.mass_scale * (M + sp.diags_array(shear.ravel())))
+        held = self._by_row()
+        K, loose = with_springs(K, M, self.blocks, deck.xyz, turning(whole.ties, len(deck.ids)), held)
         filled = np.diff(K.indptr) + np.diff(M.indptr)
         # Means are those of displacements along all axes, also of grids that nothing holds along one.
         filled.reshape(-1, 6)[nodes_of(whole.average), :3] += 1
         filled = np.flatnonzero(filled)
         K, M = (sp.csr_array(A[filled][:, filled]) for A in (K, M))
-        equations = whole.equations + self._held(filled)
+        equations = whole.equations + self._held(held, filled)
         node, component = self.row[filled // 6], filled % 6
         solid = 0 if self.mesh is None else len(self.mesh.nodes)
         order = np.lexsort((component, node, (node >= solid) | (component > 2)))
         K, M = (sp.csr_array(A[order][:, order]) for A in (K, M))
         dofs = DofMap(node=node[order], component=component[order])
-        self._tell(K, M, dofs)
+        mesh_warnings = () if self.mesh is None else self.mesh.warnings
+        said = self._told(K, M, dofs)
         return replace(
             replace(whole, equations=equations).on_rows(self.row),
             K=K,
@@ -245,44 +241,42 @@ class _Deck:
             nodes=self.nodes,
             dofs=dofs,
             mesh=self.mesh,
-            notes=tuple(self._said(version, loose, len(filled))),
-            warnings=tuple(dict.fromkeys([*self.warnings, *self._differing()])),
+            notes=tuple(self._said(version, loose)),
+            warnings=tuple(
+                dict.fromkeys(
+                    [*deck.warnings, *mesh_warnings, *self.warnings, *self.text.warnings, *said, *self._differing()]
+                )
+            ),
         )
 
-    def _held(self, filled: Ints) -> tuple[Equations, ...]:
+    def _by_row(self) -> dict[int, Floats]:
+        """Directions (k, 6) that are held, by rows of nodes."""
+        supports = self.deck.supports
+        if not self.is_held or not len(supports.nodes):
+            return {}
+        rows, starts = np.unique(self.labels.rows(supports.nodes, "SPC names"), return_index=True)
+        return dict(zip(rows.tolist(), np.split(supports.directions, starts[1:]), strict=True))
+
+    def _held(self, held: dict[int, Floats], filled: Ints) -> tuple[Equations, ...]:
         there = np.zeros((len(self.row), 6), dtype=bool)
         there.ravel()[filled] = True
         there[nodes_of(self.whole.ties)] = True
-        equations = held_equations(self.held, there)
+        equations = held_equations(held, there)
         return () if equations is None else (equations,)
 
-    def _shear_masses(self) -> sp.csr_array:
-        """Masses of shear panels, a quarter at each grid; MYSTRAN gives them none."""
-        diagonal = np.zeros(6 * len(self.row))
-        for block in self.structures.blocks:
-            if block.card == "CSHEAR":
-                x = self.bulk.grids.xyz[block.nodes]
-                area = np.linalg.norm(np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1]), axis=1) / 2
-                mass = area * np.array([self.sections.shear_mass(pid) for pid in block.properties.tolist()])
-                for axis in range(3):
-                    np.add.at(diagonal, 6 * block.nodes + axis, mass[:, None] / 4)
-        return sp.csr_array(sp.diags_array(diagonal))
-
-    def _tell(self, K: sp.csr_array, M: sp.csr_array, dofs: DofMap) -> None:
+    def _told(self, K: sp.csr_array, M: sp.csr_array, dofs: DofMap) -> Iterator[str]:
         """Warnings that follow from the matrices."""
         R = rigid_motion(self.nodes.xyz[dofs.node] - self.nodes.xyz.mean(axis=0), dofs.component)
         strain = float(np.abs(K @ R).max() / (abs(K) @ np.abs(R)).max())
         if strain > TOL.rigid_strain:
-            self.warnings.append(
+            yield (
                 f"rigid motion strains the stiffness that MYSTRAN wrote by {strain:.1e} of its terms: its CQUAD4 "
                 "resist rotation where their four grids are not in a plane [engine-rotation]"
             )
         along = [float(R[:, axis] @ (M @ R[:, axis])) for axis in range(3)]
         if max(along) - min(along) > TOL.uneven_mass * max(along):
             listed = ", ".join(f"{mass:.6g}" for mass in along)
-            self.warnings.append(
-                f"the mass that MYSTRAN wrote is {listed} along x, y and z; please report it [engine-map]"
-            )
+            yield f"the mass that MYSTRAN wrote is {listed} along x, y and z; please report it [engine-map]"
 
     def _differing(self) -> list[str]:
         """In what the model differs from that of the deck, a sentence each."""
@@ -290,23 +284,17 @@ class _Deck:
             "MYSTRAN has formulations of its own, consistent masses of solids and lumped ones of all else (also with "
             "PARAM COUPMASS): frequencies are those of Nastran as far as these agree [formulation-differs]"
         ]
-        if self.structures.beams:
-            said.append(f"{self.structures.beams} CBEAM of constant section are assembled as CBAR [beam-as-bar]")
-        return [*said, *skipped_warnings(self.bulk)]
+        beams = sum(len(part.ids) for part in self.deck.elements if part.code == "CBEAM")
+        if beams:
+            said.append(f"{beams} CBEAM of constant section are assembled as CBAR [beam-as-bar]")
+        return said
 
-    def _said(self, version: str, loose: int, rows: int) -> list[str]:
-        """What was left out, a sentence each."""
+    def _said(self, version: str, loose: int) -> list[str]:
+        """Who assembled the model and what was left out, a sentence each."""
         notes = [f"The matrices of elements are those of MYSTRAN{' ' + version if version else ''}."]
         if loose:
             notes.append(
-                f"{loose} grids turn freely about an axis, such as the normal of flat shells; they follow the "
-                "rotation of an element by springs that carry no force."
+                f"{loose} {self.deck.node}s turn freely about an axis, such as the normal of flat shells; they follow "
+                "the rotation of an element by springs that carry no force."
             )
-        notes += notes_of(self.bulk, self.scale, is_held=self.keep)
         return [*notes, *self.notes]
-
-
-def _by_row(bulk: Bulk, supports: Supports) -> dict[int, Floats]:
-    """Directions (k, 6) that are held, by rows of grids."""
-    rows, starts = np.unique(bulk.grids.rows(supports.nodes, "SPC"), return_index=True)
-    return dict(zip(rows.tolist(), np.split(supports.directions, starts[1:]), strict=True)) if len(rows) else {}

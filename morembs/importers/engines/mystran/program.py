@@ -27,7 +27,7 @@ from morembs.base.closing import Closing
 from morembs.base.errors import InputError
 from morembs.base.scratch import ScratchFolder
 from morembs.base.types import Floats, Ints
-from morembs.importers.engines.mystran.elements import Elements
+from morembs.importers.engines.mystran.cards import Block
 from morembs.importers.engines.run import Program, Run, find_executable, run
 from morembs.importers.matrices.op4 import OP4Matrix, read_op4
 from morembs.importers.nastran.text_of_cards import card
@@ -92,7 +92,7 @@ class Group:
     grids: Ints
 
 
-def groups(blocks: Sequence[Elements], xyz: Floats, most: int) -> list[Group]:
+def groups(blocks: Sequence[Block], xyz: Floats, most: int) -> list[Group]:
     """Elements in groups of at most ``most`` grids that lie together: halves of halves along the longest side.
 
     An element with more grids is a group of its own.
@@ -131,7 +131,7 @@ class Mystran(Closing):
 
     program: Path
     file: str
-    blocks: Sequence[Elements]
+    blocks: Sequence[Block]
     properties: Sequence[tuple[str, ...]]
     ids: Ints
     xyz: Floats

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from morembs.base.types import Floats, Ints
 from morembs.fem import rigid_motion
 from morembs.fem.constraints import AverageElement, Equations, RigidElement
-from morembs.importers.engines.mystran.elements import Elements
+from morembs.importers.engines.mystran.cards import Block
 from morembs.importers.imported import DiscreteElement, PointMass, Ties
 from morembs.importers.tolerances import TOL
 
@@ -43,7 +43,7 @@ def turning(ties: Sequence[Ties], count: int) -> NDArray[np.bool_]:
 def with_springs(
     K: sp.csr_array,
     M: sp.csr_array,
-    blocks: Sequence[Elements],
+    blocks: Sequence[Block],
     xyz: Floats,
     tied: NDArray[np.bool_],
     held: dict[int, Floats],
@@ -84,7 +84,7 @@ def _rotational(A: sp.csr_array, count: int) -> Floats:
     return blocks
 
 
-def _elements_of(blocks: Sequence[Elements], wanted: NDArray[np.bool_]) -> dict[int, list[Ints]]:
+def _elements_of(blocks: Sequence[Block], wanted: NDArray[np.bool_]) -> dict[int, list[Ints]]:
     """The grids of the elements at each of the ``wanted`` grids (n,)."""
     beside: dict[int, list[Ints]] = {grid: [] for grid in np.flatnonzero(wanted).tolist()}
     for block in blocks:

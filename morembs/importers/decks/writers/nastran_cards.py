@@ -1,0 +1,363 @@
+"""Elements of a ``Deck`` with their properties and materials as Nastran cards, for decks and for programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from morembs.base.errors import InputError
+from morembs.base.types import Floats, Ints
+from morembs.importers.decks.algebra import rotate_stiffness
+from morembs.importers.decks.formulations import nastran_meaning
+from morembs.importers.decks.labels import Labels, in_ranges
+from morembs.importers.decks.tables import DeckTables, ElasticMaterial, Elements, Section
+from morembs.importers.nastran.geometry import SOLIDS, card_of
+from morembs.importers.nastran.text_of_cards import Field, card
+from morembs.importers.tolerances import TOL
+
+_STRUCTURES = {
+    ("shell", "quad4"): "CQUAD4",
+    ("shell", "tri3"): "CTRIA3",
+    ("shell", "quad8"): "CQUAD8",
+    ("shell", "tri6"): "CTRIA6",
+    ("shear", "quad4"): "CSHEAR",
+    ("beam", "line2"): "CBAR",
+    ("truss", "line2"): "CROD",
+}
+# Profiles of *BEAM SECTION by the names of PBARL, with the dimensions of that: Abaqus gives the first width along the
+# first axis of the section, Nastran the height along its y axis behind the width.
+_PROFILES: dict[str, tuple[str, Callable[[Sequence[float]], Sequence[float]]]] = {
+    "RECT": ("BAR", lambda d: (d[1], d[0])),
+    "CIRC": ("ROD", lambda d: (d[0],)),
+    "PIPE": ("TUBE", lambda d: (d[0], d[0] - d[1])),
+}
+# Names of the constants of MAT1, MAT8 and MAT2 in the order of their fields.
+_CONSTANTS = {
+    "MAT1": ("E", "G", "NU"),
+    "MAT8": ("E1", "E2", "NU12", "G12", "G1Z", "G2Z"),
+    "MAT2": ("G11", "G12", "G13", "G22", "G23", "G33"),
+}
+# Nastran orders shear xy, yz, zx.
+_ORDER = [0, 1, 2, 5, 3, 4]
+
+
+@dataclass(eq=False)
+class ElementText:
+    """Cards of elements and, in ``cards`` and ``systems``, of all that they name; ``warnings`` say what differs.
+
+    Raises:
+        InputError: what bulk data cannot say.
+    """
+
+    deck: DeckTables
+    warnings: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.labels = Labels(self.deck.ids, self.deck.name, self.deck.node)
+        self.parts = [part for part in self.deck.elements if part.kind not in ("point", "none")]
+        self.cards: list[str] = []
+        self.systems: list[str] = []
+        self._systems: dict[bytes, int] = {}
+        self._materials: dict[tuple[object, ...], int] = {}
+        self._material_count = 0
+        self._properties: dict[tuple[int, str, object], int] = {}
+
+    def owners(self, kind: str, ids: Ints) -> Ints:
+        """The number of the last section that holds each element (k,) of a kind, -1 for none."""
+        owner = np.full(len(ids), -1)
+        for number, section in enumerate(self.deck.sections):
+            if section.kind == kind:
+                owner[in_ranges(ids, self.deck.ranges(section.set))] = number
+        return owner
+
+    def element_card(self, part: Elements) -> tuple[str, Ints, bool]:
+        """Name of the card, nodes in its order, and whether its property asks for full integration.
+
+        Raises:
+            InputError: there is no card for the elements.
+        """
+        if part.kind != "solid":
+            name = _STRUCTURES.get((part.kind, part.shape), "")
+            if not name:
+                raise InputError(
+                    f"{self.deck.name}: bulk data have here no card for {len(part.ids)} {part.code} ({part.kind} of "
+                    f"{part.nodes.shape[1]} nodes); leave them out with --skip {part.code}"
+                )
+            return name, part.nodes, False
+        if part.shape == "hex27":
+            raise InputError(f"{self.deck.name}: Nastran has no solid of 27 nodes ({part.code})")
+        name = card_of(part.shape)
+        low, _, _, order = SOLIDS[name]
+        nodes = part.nodes if part.shape == low else part.nodes[:, np.argsort(order)]
+        meant = part.meaning.formulation, part.meaning.mass
+        theirs = {full: nastran_meaning(name, nodes.shape[1], full=full) for full in (False, True)}
+        same = [full for full, meaning in theirs.items() if meaning == part.meaning]
+        same += [full for full, meaning in theirs.items() if (meaning.formulation, meaning.mass) == meant]
+        if same:
+            return name, nodes, same[0]
+        full = meant[0] == "full" and part.shape == "hex8"
+        own = theirs[full]
+        self.warnings.append(
+            f"{len(part.ids)} elements {part.code} of {self.deck.program} are written as {name} of Nastran, which "
+            f"has the formulation {own.formulation!r} and the mass {own.mass!r} in place of {meant[0]!r} and "
+            f"{meant[1]!r} [formulation-differs]"
+        )
+        return name, nodes, full
+
+    # Properties
+
+    def property(self, part: Elements, number: int, variant: object) -> int:
+        """The number of the property of elements in a section (-1: in none), in a ``variant`` of solids."""
+        key = number, part.kind, variant
+        if key not in self._properties:
+            if number < 0 and part.kind != "solid":
+                raise InputError(
+                    f"{self.deck.name}: {part.code} elements ({part.kind}) are in no section; give them one"
+                )
+            self._properties[key] = len(self._properties) + 1
+            section = self.deck.sections[number] if number >= 0 else Section(set="", kind=part.kind)
+            self._add_property(section, self._properties[key], variant)
+        return self._properties[key]
+
+    def _add_property(self, section: Section, pid: int, variant: object) -> None:
+        self.cards += [f"$ {section.set or 'no section'}\n", self._property_card(section, pid, variant)]
+
+    def _property_card(self, section: Section, pid: int, variant: object) -> str:
+        if section.kind == "solid":
+            return self._solid(section, pid, variant)
+        self._check_axes(section)
+        if section.plies:
+            return self._laminate(section, pid)
+        rest, plate = section.nonstructural, section.plate
+        if section.kind == "shell" and plate is not None:
+            heavy = self._elastic(section, section.material).density
+            names = (plate.membrane, plate.bending, plate.shear)
+            mids: list[Field] = [self._plane(section, name, heavy) if name else "" for name in names]
+            ratios = plate.inertia_ratio, plate.shear_ratio
+            return card(
+                "PSHELL", [pid, mids[0], self._thickness(section), mids[1], ratios[0], mids[2], ratios[1], rest]
+            )
+        mid = self._plane(section, section.material, self._elastic(section, section.material).density)
+        if section.kind == "shell":
+            fields = [pid, mid, self._thickness(section), mid, 1.0, mid, TOL.shear_thickness, rest]
+            return card("PSHELL", fields)
+        if section.kind == "shear":
+            return card("PSHEAR", [pid, mid, self._thickness(section), rest])
+        if section.kind == "truss":
+            A, J = (*section.dimensions, 0.0)[:2]
+            return card("PROD", [pid, mid, A, J, 0.0, rest])
+        return self._beam(section, pid, mid)
+
+    def _check_axes(self, section: Section) -> None:
+        """Refuse layers and materials along axes that the program of the deck has otherwise than Nastran.
+
+        Raises:
+            InputError: as said.
+        """
+        if section.kind == "shell" and section.axes is None and self.deck.program != "Nastran":
+            names = [ply.material for ply in section.plies] or [section.material]
+            if not all(_is_isotropic(self._elastic(section, name).stiffness) for name in names):
+                raise InputError(f"{self._what(section)} has a material with axes and no orientation; give it one")
+
+    def _solid(self, section: Section, pid: int, variant: object) -> str:
+        """PSOLID; with the ``variant`` True it asks for full integration."""
+        integration: list[Field] = ["TWO", "", "FULL"] if variant else []
+        mid, system = self._solid_material(section)
+        return card("PSOLID", [pid, mid, system, *integration] if integration or system else [pid, mid])
+
+    def _solid_material(self, section: Section) -> tuple[int, int]:
+        """Numbers of the material of solids and of the system of its axes, 0 for none."""
+        if section.stiffness is None:
+            if section.set:
+                self.warnings.append(f"the set {section.set} has no material: {section.lacks}")
+            return 0, 0
+        own, axes = self.deck.materials.get(section.material), section.axes
+        if own is not None and own.stiffness is not None:
+            C = own.stiffness if axes is None else rotate_stiffness(own.stiffness, axes)
+            if np.array_equal(C, section.stiffness):
+                return self._material(own, section.density), 0 if axes is None else self._system(axes)
+        plain = ElasticMaterial(name="", stiffness=section.stiffness)
+        return self._material(plain, section.density), 0
+
+    def _laminate(self, section: Section, pid: int) -> str:
+        """PCOMP, whose plies have the mass of their materials."""
+        fields = self._laminate_head(section, pid, section.nonstructural)
+        for ply in section.plies:
+            own = self._elastic(section, ply.material)
+            fields += [self._plane(section, ply.material, own.density), ply.thickness, ply.angle, "YES"]
+        return card("PCOMP", fields)
+
+    def _laminate_head(self, section: Section, pid: int, nonstructural: float) -> list[Field]:
+        bottom: Field = section.offset - sum(ply.thickness for ply in section.plies) / 2 if section.offset else ""
+        return [pid, bottom, nonstructural, "", "", "", "", ""]
+
+    def _beam(self, section: Section, pid: int, mid: int) -> str:
+        rest = section.nonstructural
+        if section.profile == "GENERAL":
+            A, I11, I12, I22, J = section.dimensions[:5]
+            shear: list[Field] = [factor or "" for factor in section.shear_factors or (0.0, 0.0)]
+            return card("PBAR", [pid, mid, A, I22, I11, J, rest, *[""] * 9, *shear, I12])
+        if section.profile.startswith("PBARL "):
+            name, sizes = section.profile.removeprefix("PBARL "), section.dimensions
+        elif section.profile in _PROFILES:
+            name, dimensions = _PROFILES[section.profile]
+            sizes = tuple(dimensions(section.dimensions))
+        else:
+            raise InputError(
+                f"{self._what(section)} has the profile {section.profile!r}; expected {', '.join(_PROFILES)}"
+            )
+        return card("PBARL", [pid, mid, "", name, "", "", "", "", *map(float, sizes), rest])
+
+    def _thickness(self, section: Section) -> float:
+        if "NODAL THICKNESS" in section.code:
+            raise InputError(f"{self._what(section)} takes the thickness from nodes, which is not read; give it to it")
+        if not section.thickness > 0:
+            raise InputError(f"{self._what(section)} has no thickness; give it one")
+        return section.thickness
+
+    def _what(self, section: Section) -> str:
+        of = "" if section.set == section.code.replace(" ", "_") else f" of the set {section.set}"
+        return f"{self.deck.name}: {section.code or 'the section'}{of}"
+
+    # Materials
+
+    def _elastic(self, section: Section, name: str) -> ElasticMaterial:
+        """A material of shells, beams or rods.
+
+        Raises:
+            InputError: it is not there or has no linear stiffness.
+        """
+        given = self.deck.materials.get(name)
+        if given is None or (given.stiffness is None and _card_of(given) is None):
+            raise InputError(f"{self._what(section)} has no material of one linear stiffness; give it one")
+        return given
+
+    def _plane(self, section: Section, name: str, density: float | None) -> int:
+        """The number of a material of shells, beams or rods."""
+        given = self._elastic(section, name)
+        if _card_of(given) is None and not _is_isotropic(given.stiffness):
+            if section.kind != "shell":
+                raise InputError(f"{self._what(section)} has a material that is not isotropic, which MAT1 is")
+            given = replace(given, constants=_plane_constants(self._what(section), given.stiffness))
+        return self._material(given, density)
+
+    def _material(self, given: ElasticMaterial, density: float | None) -> int:
+        """The number of a material, whose card is written once."""
+        name, C = _card_of(given), given.stiffness
+        own = tuple(given.constants.items()) if name else b"" if C is None else np.asarray(C).tobytes()
+        key = name, own, density
+        if key in self._materials:
+            return self._materials[key]
+        self._material_count += 1
+        number = self._materials[key] = self._material_count
+        mass: Field = "" if density is None else float(density)
+        if name is not None:
+            constants: list[Field] = [given.constants.get(word, "") for word in _CONSTANTS[name]]
+            self.cards.append(card(name, [number, *constants, mass]))
+        elif C is not None and _is_isotropic(C):
+            lam, mu = float(C[0, 1]), float(C[3, 3])
+            young, poisson = mu * (3 * lam + 2 * mu) / (lam + mu), lam / (2 * (lam + mu))
+            self.cards.append(card("MAT1", [number, young, "", poisson, mass]))
+        elif C is not None:
+            upper = C[np.ix_(_ORDER, _ORDER)][np.triu_indices(6)]
+            self.cards.append(card("MAT9", [number, *map(float, upper), mass]))
+        return number
+
+    # Elements
+
+    def tail(self, part: Elements, number: int, i: int) -> list[Field]:
+        """What stands behind the nodes of the element in row ``i`` of a part."""
+        section = self.deck.sections[number] if number >= 0 else Section(set="", kind=part.kind)
+        own = {name: value[i] for name, value in part.values.items() if np.isfinite(value[i]).all()}
+        if part.kind == "shell":
+            return self._shell_tail(part, section, i, own)
+        if part.kind != "beam":
+            return []
+        direction = own.get("direction", section.direction)
+        if direction is None:
+            raise InputError(f"{self._what(section)} gives no direction of its first axis; give it one")
+        pins: list[Field] = [digits(np.flatnonzero(end)) for end in own.get("released", np.zeros((2, 6)))]
+        tail: list[Field] = [*map(float, direction), "", *pins]
+        offset = own.get("offset", np.zeros(0))
+        return [*tail, *map(float, offset.ravel())] if offset.any() else tail
+
+    def _shell_tail(self, part: Elements, section: Section, i: int, own: dict[str, Floats]) -> list[Field]:
+        """THETA or MCID, offset, thicknesses at the corners."""
+        angle: Field = ""
+        if "angle" in own:
+            angle = float(own["angle"])
+        elif "direction" in own:
+            angle = self._system(_axes_along(own["direction"]))
+        elif section.axes is not None:
+            angle = self._system(section.axes)
+            x = self.deck.xyz[self.labels.rows(part.nodes[i, :3], "elements name")]
+            if (
+                any(ply.angle % 90 for ply in section.plies)
+                and np.cross(x[1] - x[0], x[2] - x[0]) @ section.axes[2] < 0
+            ):
+                raise InputError(
+                    f"{self._what(section)} has layers at angles to axes whose third one is against the normal of "
+                    f"{part.code} {part.ids[i]}; turn the element or the orientation"
+                )
+        # The offset of a laminate stands in its property.
+        offset = float(own.get("offset", section.offset)) - (section.offset if section.plies else 0.0)
+        thick: list[Field] = [*map(float, own.get("thickness", ()))]
+        if part.shape == "quad8":
+            return [*(thick or [""] * 4), angle, offset or ""]
+        if part.shape == "tri6":
+            return [angle, offset or "", *thick]
+        blank: list[Field] = [""] * (2 if part.shape == "quad4" else 3)
+        return [angle, offset or "", *blank, *thick] if thick else [angle, offset or ""]
+
+    def _system(self, axes: Floats) -> int:
+        """The number of a rectangular system along the rows of ``axes`` (3, 3)."""
+        key = axes.tobytes()
+        if key not in self._systems:
+            number = self._systems[key] = len(self._systems) + 1
+            points = np.concatenate([np.zeros(3), axes[2], axes[0]])
+            self.systems.append(card("CORD2R", [number, 0, *map(float, points)]))
+        return self._systems[key]
+
+
+def _card_of(material: ElasticMaterial) -> str | None:
+    """The card that says the constants of a material as they stand; None where its stiffness has to."""
+    keys = set(material.constants)
+    least = {"MAT1": 2, "MAT8": 4, "MAT2": 1}
+    return next((name for name, words in _CONSTANTS.items() if len(keys) >= least[name] and keys <= {*words}), None)
+
+
+def _is_isotropic(C: Floats | None) -> bool:
+    if C is None:
+        return False
+    plain = np.diag([2 * C[3, 3]] * 3 + [C[3, 3]] * 3)
+    plain[:3, :3] += C[0, 1]
+    return bool(np.abs(C - plain).max() <= TOL.isotropic_error * np.abs(C).max())
+
+
+def _plane_constants(what: str, C: Floats | None) -> dict[str, float]:
+    """Constants of MAT8 of an orthotropic stiffness (6, 6) along its axes.
+
+    Raises:
+        InputError: it is not orthotropic.
+    """
+    S = np.linalg.inv(np.asarray(C))
+    apart = np.abs(S) * np.sqrt(np.outer(1 / np.diag(S), 1 / np.diag(S)))
+    apart[:3, :3] = 0.0
+    if np.abs(apart - np.diag(np.diag(apart))).max() > TOL.isotropic_stiffness:
+        raise InputError(f"{what} has a material that is not orthotropic along its axes, which MAT8 is")
+    names = {"E1": S[0, 0], "E2": S[1, 1], "G12": S[5, 5], "G1Z": S[4, 4], "G2Z": S[3, 3]}
+    return {name: float(1 / value) for name, value in names.items()} | {"NU12": float(-S[0, 1] / S[0, 0])}
+
+
+def _axes_along(direction: Floats) -> Floats:
+    """Axes (3, 3) of which the first lies along a direction (3,)."""
+    first = direction / np.linalg.norm(direction)
+    third = np.cross(first, np.eye(3)[np.abs(first).argmin()])
+    third /= np.linalg.norm(third)
+    return np.array([first, np.cross(third, first), third])
+
+
+def digits(components: Sequence[int] | Ints) -> str:
+    return "".join(str(component + 1) for component in components)
