@@ -134,35 +134,10 @@ def _linear(system: StateSpace, ports: Sequence[Port], names: dict[str, str]) ->
 
 def _floating(frame: FloatingFrame, markers: dict[str, InterfaceMarker], names: dict[str, str]) -> Iterator[str]:
     """Newton and Euler for the frame, Lagrange for the elastic coordinates."""
-    integrals, n = frame.integrals, frame.count
-    values = {
-        "first[3]": integrals.first,
-        "inertia[3, 3]": integrals.inertia,
-        "Ct[n, 3]": integrals.Ct,
-        "Cr[n, 3]": integrals.Cr,
-        "Me[n, n]": integrals.Me,
-        "Ke[n, n]": frame.Ke,
-        "De[n, n]": frame.De,
-        **{f"x{i}{j}[n]": integrals.x_phi[i - 1, j - 1] for i, j in AXES},
-        # [l, k] of int phi_a,k phi_b,l; those of (b, a) are transposed.
-        **{f"F{i}{j}[n, n]": integrals.phi_phi[i - 1, j - 1].T for i, j in AXES if i <= j},
-    }
     yield 'model Floating "Large rotations of a body whose deflections are small"'
-    yield f'  parameter Integer n = {n} "Number of elastic coordinates";'
-    yield f"  parameter Real mass = {integrals.mass!r};"
-    yield '  parameter Real g[3] = {0, 0, 0} "Gravity along the inertial axes";'
-    for name, value in values.items():
-        yield f"  parameter Real {name} = {_matrix(value)};"
+    yield from _parameters(frame)
     for name, marker in markers.items():
-        ident = names[name]
-        yield f"  parameter Real {ident}_point[3] = {_matrix(marker.point)};"
-        yield f"  parameter Real {ident}_phi[3, n] = {_matrix(marker.motion[:3])};"
-        yield f"  parameter Real {ident}_psi[3, n] = {_matrix(marker.motion[3:])};"
-        yield f'  Real {ident}_f[3] "Force on the body, axes of the body";'
-        yield f'  Real {ident}_t[3] "Moment on the body about the interface, axes of the body";'
-        yield f'  Real {ident}_s[3] "Place in the body";'
-        yield f'  Real {ident}_r[3] "Place in the inertial frame";'
-        yield f'  Real {ident}_turn[3] "Small rotation in the body, twice the Rodrigues parameters";'
+        yield from _marker(names[name], marker)
     yield from _VARIABLES
     for i, j in AXES:
         yield f"  Real u{i}{j}[n], d{i}{j}[n], p{i}{j}[n];"
@@ -176,9 +151,48 @@ def _floating(frame: FloatingFrame, markers: dict[str, InterfaceMarker], names: 
     yield f"  N = {_square('p{0}{1}*dq')};"
     yield f"  G = {_square('x{0}{1}*q + x{1}{0}*q + u{0}{1}*q')};"
     yield "  Jq = inertia + (G[1, 1] + G[2, 2] + G[3, 3])*identity(3) - G;"
+    yield from _balances([names[name] for name in markers])
+    yield "end Floating;"
+
+
+def _parameters(frame: FloatingFrame) -> Iterator[str]:
+    """The integrals of the body, and its gravity."""
+    integrals, n = frame.integrals, frame.count
+    values = {
+        "first[3]": integrals.first,
+        "inertia[3, 3]": integrals.inertia,
+        "Ct[n, 3]": integrals.Ct,
+        "Cr[n, 3]": integrals.Cr,
+        "Me[n, n]": integrals.Me,
+        "Ke[n, n]": frame.Ke,
+        "De[n, n]": frame.De,
+        **{f"x{i}{j}[n]": integrals.x_phi[i - 1, j - 1] for i, j in AXES},
+        # [l, k] of int phi_a,k phi_b,l; those of (b, a) are transposed.
+        **{f"F{i}{j}[n, n]": integrals.phi_phi[i - 1, j - 1].T for i, j in AXES if i <= j},
+    }
+    yield f'  parameter Integer n = {n} "Number of elastic coordinates";'
+    yield f"  parameter Real mass = {integrals.mass!r};"
+    yield '  parameter Real g[3] = {0, 0, 0} "Gravity along the inertial axes";'
+    for name, value in values.items():
+        yield f"  parameter Real {name} = {_matrix(value)};"
+
+
+def _marker(ident: str, marker: InterfaceMarker) -> Iterator[str]:
+    """An interface with its force, place and rotation."""
+    yield f"  parameter Real {ident}_point[3] = {_matrix(marker.point)};"
+    yield f"  parameter Real {ident}_phi[3, n] = {_matrix(marker.motion[:3])};"
+    yield f"  parameter Real {ident}_psi[3, n] = {_matrix(marker.motion[3:])};"
+    yield f'  Real {ident}_f[3] "Force on the body, axes of the body";'
+    yield f'  Real {ident}_t[3] "Moment on the body about the interface, axes of the body";'
+    yield f'  Real {ident}_s[3] "Place in the body";'
+    yield f'  Real {ident}_r[3] "Place in the inertial frame";'
+    yield f'  Real {ident}_turn[3] "Small rotation in the body, twice the Rodrigues parameters";'
+
+
+def _balances(idents: Sequence[str]) -> Iterator[str]:
+    """Forces, moments and work of the elastic coordinates, with those of the interfaces ``idents``."""
     force, moment, work = ["mass*g_body"], ["cross(mu, g_body)"], ["Ct*g_body"]
-    for name in markers:
-        ident = names[name]
+    for ident in idents:
         yield f"  {ident}_s = {ident}_point + {ident}_phi*q;"
         yield f"  {ident}_r = r + R*{ident}_s;"
         yield f"  {ident}_turn = {ident}_psi*q;"
@@ -196,7 +210,6 @@ def _floating(frame: FloatingFrame, markers: dict[str, InterfaceMarker], names: 
         "  Ct*a + transpose(turned)*z + Me*der(dq) + 2*((d23 - d32)*w[1] + (d31 - d13)*w[2] + (d12 - d21)*w[3]) + "
         f"{turning} + Ke*q + De*dq = {' + '.join(work)};"
     )
-    yield "end Floating;"
 
 
 _VARIABLES = (

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from morembs.base import progress
 from morembs.base.errors import InputError
 from morembs.base.limits import Domain, Positive, PositiveCount, one_of
-from morembs.base.types import Floats
+from morembs.base.types import Bools, Floats
 from morembs.fem import FEModel
 from morembs.fem.interface import Interface
 from morembs.fem.stress_operator import StressOperator
@@ -205,39 +205,28 @@ def _tables(
     Bt = sp.csr_array(B.T)
     nodes, size = len(candidates.rows), len(V)
     R, Q = budget.empty((w + 1, c)), budget.empty((w + 1, c))
-    coupling, gravity, whole = np.zeros((reduced.order, c)), np.zeros((c, 3)), np.zeros(c)
+    coupling, gravity, compliance = np.zeros((reduced.order, c)), np.zeros((c, 3)), np.zeros(c)
     width = max(1, min(TOL.columns_at_once, budget.columns(size, copies=8), c))
-    kept, before = budget.empty((size, w + width), order="F"), 0
+    latest = _LatestColumns(budget.empty((size, w + width), order="F"), w)
     moving = M @ problem.coupling.R[:, :3]
     on_stress = _StressTable(candidates, w, problem) if stress is not None else None
     for first in range(0, c, width):
         last = min(first + width, c)
-        old = min(first, w)
-        Psi, whole[first:last] = static(np.asarray(B[:, first:last].toarray()))
-        if first:
-            _keep_last(kept, old, before)
-        kept[:, old : old + last - first] = Psi
-        MPsi = M @ Psi
+        Psi, compliance[first:last] = static(np.asarray(B[:, first:last].toarray()))
+        columns = latest.push(Psi)
+        MPsi, start = M @ Psi, last - columns.shape[1]
         coupling[:, first:last] = space.dot(V, MPsi)
         gravity[first:last] = Psi.T @ moving
-        inner = space.dot(kept[:, : old + last - first], MPsi)
-        rows = np.asarray(Bt[first - old : last] @ Psi)
-        _into_band(R, rows, first - old, first, w)
-        _into_band(Q, inner, first - old, first, w)
+        _into_band(R, np.asarray(Bt[start:last] @ Psi), start, first, w)
+        _into_band(Q, space.dot(columns, MPsi), start, first, w)
         if on_stress is not None and stress is not None:
             on_stress.add(stress(Psi), first)
-        before = old + last - first
         progress.update(f"static modes: {last} of {c} candidates")
         budget.release_if_tight()
     model = problem.model
-    sizes = np.sqrt(np.maximum(np.diag(reduced.M), np.finfo(float).tiny))
-    largest = [whole[candidates.turns == kind].max(initial=0.0) for kind in (False, True)]
-    alive = R[0] > TOL.empty_mode * np.where(candidates.turns, largest[1], largest[0])
-    if not alive.any():
-        raise InputError(
-            "candidates: nothing is left of their static modes; the constant basis holds them all, or they do not move"
-        )
-    cosine = np.abs(coupling[:, alive]) / sizes[:, None] / np.sqrt(Q[0, alive])
+    alive = _alive(R[0], compliance, candidates)
+    norms = np.sqrt(np.maximum(np.diag(reduced.M), np.finfo(float).tiny))
+    cosine = np.abs(coupling[:, alive]) / norms[:, None] / np.sqrt(Q[0, alive])
     return StaticModeTables(
         kind=candidates.kind,
         node_ids=model.nodes.ids[candidates.rows],
@@ -264,10 +253,36 @@ def _tables(
     )
 
 
-def _keep_last(kept: Floats, count: int, filled: int) -> None:
-    """Move the last ``count`` of ``filled`` columns to the front, a column at a time."""
-    for k in range(count):
-        kept[:, k] = kept[:, filled - count + k]
+def _alive(stiffness: Floats, compliance: Floats, candidates: Candidates) -> Bools:
+    """(c,) which static modes have more than round-off of the ``compliance`` (c,) left, by their ``stiffness`` (c,).
+
+    Raises:
+        InputError: none.
+    """
+    largest = [compliance[candidates.turns == kind].max(initial=0.0) for kind in (False, True)]
+    alive = np.asarray(stiffness > TOL.empty_mode * np.where(candidates.turns, largest[1], largest[0]))
+    if not alive.any():
+        raise InputError(
+            "candidates: nothing is left of their static modes; the constant basis holds them all, or they do not move"
+        )
+    return alive
+
+
+class _LatestColumns:
+    """In an array that is given, the columns that came last, with ``count`` of those before them."""
+
+    def __init__(self, space: Floats, count: int) -> None:
+        self.space, self.count, self.filled = space, count, 0
+
+    def push(self, block: Floats) -> Floats:
+        """All that are there with a new ``block`` (N, k)."""
+        old = min(self.filled, self.count)
+        # A column at a time: they overlap.
+        for k in range(old):
+            self.space[:, k] = self.space[:, self.filled - old + k]
+        self.filled = old + block.shape[1]
+        self.space[:, old : self.filled] = block
+        return self.space[:, : self.filled]
 
 
 def _into_band(table: Floats, rows: Floats, row_first: int, first: int, w: int) -> None:

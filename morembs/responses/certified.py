@@ -335,39 +335,12 @@ class _Build:
 
     def _reference(self, krylov: ReferenceSpace) -> CertifiedReference:
         """The reference on the space as it is, with the modes that it misses."""
-        problem = self.problem
-        space = ReferenceBasis(problem, krylov, self.modes)
-        values, Y = sl.eigh(space.stiffness)
-        k = int((values < self.cut).sum())
-        if k != len(self.modes.eigenvalues):
-            space = ReferenceBasis(problem, krylov, self.modes, everything=True)
-            values, Y = sl.eigh(space.stiffness)
-            k = int((values < self.cut).sum())
-        if k != len(self.modes.eigenvalues):
-            raise SolverError(
-                f"{len(self.modes.eigenvalues)} modes lie below {eigenvalue_in_hz(self.cut):,.6g} Hz and the "
-                f"reference has {k}; move the upper end of the band by a percent"
-            )
+        problem, k = self.problem, len(self.modes.eigenvalues)
+        space, values, Y = self._ritz_pairs(krylov)
         modes = space.modes(Y, values, k, self.band[1])
-        self.hidden, start = False, self._start(krylov, space, modes)
-        left = Residual(
-            values=modes.values,
-            b=modes.b,
-            tau=modes.tau,
-            lost=modes.lost,
-            start=start,
-            k=k,
-            cut=self.cut,
-            damping=self.damping,
-        )
-        edges, off = left.bounds(self.band, self.tolerance)
-        if off.max() > self.tolerance and left.poles.z.imag.any():
-            modes = space.refine(modes)
-            left = replace(left, lost=modes.lost)
-            edges, off = left.bounds(self.band, self.tolerance)
-            without = replace(left, lost=np.zeros(len(left.lost))).bounds(self.band, self.tolerance)[1]
-            self.hidden = off.max() > self.tolerance >= without.max()
-        sigma = modes.values * np.sqrt(left.own)
+        start = self._start(krylov, space, modes)
+        modes, residual, edges, off = self._bounded(space, modes, start)
+        sigma = modes.values * np.sqrt(residual.own)
         model = ModalReference(
             values=modes.values,
             D=None,
@@ -390,12 +363,52 @@ class _Build:
             cut=self.cut,
             edges=edges,
             off=off,
-            doubts=self._doubts(krylov, modes, left, sigma),
+            doubts=self._doubts(krylov, modes, residual, sigma),
             solve_errors=modes.lost,
             start=start,
             counted=self.modes.counted,
-            least=left.least,
+            least=residual.least,
         )
+
+    def _ritz_pairs(self, krylov: ReferenceSpace) -> tuple[ReferenceBasis, Floats, Floats]:
+        """The space with the modes that it misses, its Ritz values, as many below the cut as modes, and coordinates.
+
+        Raises:
+            SolverError: there are more or fewer.
+        """
+        for everything in (False, True):
+            space = ReferenceBasis(self.problem, krylov, self.modes, everything)
+            values, Y = sl.eigh(space.stiffness)
+            if (k := int((values < self.cut).sum())) == len(self.modes.eigenvalues):
+                return space, values, Y
+        raise SolverError(
+            f"{len(self.modes.eigenvalues)} modes lie below {eigenvalue_in_hz(self.cut):,.6g} Hz and the "
+            f"reference has {k}; move the upper end of the band by a percent"
+        )
+
+    def _bounded(
+        self, space: ReferenceBasis, modes: RitzModes, start: float
+    ) -> tuple[RitzModes, Residual, Floats, Floats]:
+        """The modes, refined where that decides, their residual, and its bounds on cells between edges."""
+        residual = Residual(
+            values=modes.values,
+            b=modes.b,
+            tau=modes.tau,
+            lost=modes.lost,
+            start=start,
+            k=len(self.modes.eigenvalues),
+            cut=self.cut,
+            damping=self.damping,
+        )
+        edges, off = residual.bounds(self.band, self.tolerance)
+        self.hidden = False
+        if off.max() > self.tolerance and residual.poles.z.imag.any():
+            modes = space.refine(modes)
+            residual = replace(residual, lost=modes.lost)
+            edges, off = residual.bounds(self.band, self.tolerance)
+            without = replace(residual, lost=np.zeros(len(residual.lost))).bounds(self.band, self.tolerance)[1]
+            self.hidden = off.max() > self.tolerance >= without.max()
+        return modes, residual, edges, off
 
     def _loads(self, space: ReferenceBasis, modes: RitzModes) -> Floats:
         """(n, p) of the modes, those of inertia behind those of the interfaces."""

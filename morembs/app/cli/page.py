@@ -87,46 +87,32 @@ def _part(number: int, entry: Entry, report: Path) -> dict[str, Any]:
         "name": entry.name,
         "state": entry.state,
         "message": entry.message,
-        "bodies": [],
         "job": _link(entry.job, report),
         "small": "",
-        "pictures": [],
-        "warnings": [],
-        "row": {},
-        "interfaces": {},
-        "stages": [],
-        "inputs": [],
     }
     if entry.state == "failed":
         return said
-    place = Path(entry.output)
     try:
-        stored = read_body(place)
-        bodies = [_body(name, stored) for name in stored.bodies]
-        shown = _recommended(bodies)
-        said |= {"bodies": bodies, **_pictures(stored, shown["name"])}
+        return said | _content(read_body(entry.output), entry, report)
     except MorembsError as error:
         return said | {"state": "failed", "message": str(error)}
+
+
+def _content(stored: StoredBodies, entry: Entry, report: Path) -> dict[str, Any]:
+    """What a body file holds, and what the stages of its job tell."""
     # Not at the top: what checks the path of a report does without.
     from morembs.app.jobs.document import sections_of, steps_in_turn
 
-    origin = stored.provenance
-    memory = entry.peak_memory_bytes
-    said["row"] = {
-        "dofs": _number(stored.recipe.get("dofs")),
-        "order": _number(shown["order"]),
-        "error": (shown["value"], shown["limits"][shown["measure"]] if shown["limits"] else "-"),
-        "frequencies": shown["frequencies"][: STYLE.page_frequencies],
-        "lowest": shown["lowest"],
-        "mass": (stored.mass, f"{stored.mass:.4g} kg"),
-        "seconds": (-1, "-") if entry.seconds is None else (entry.seconds, duration_words(entry.seconds)),
-        "memory": (-1, "-") if memory is None else (memory, bytes_words(memory)),
-    }
+    bodies, origin = [_body(name, stored) for name in stored.bodies], stored.provenance
+    shown = _recommended(bodies)
     seconds, peaks = dict(origin.get("seconds") or {}), dict(origin.get("peak_memory_bytes") or {})
     inputs = origin.get("inputs") or {}
-    return said | {
+    return {
+        "bodies": bodies,
+        **_pictures(stored, shown["name"]),
+        "row": _row(stored, shown, entry),
         "shown": shown["name"],
-        "body": _link(place, report),
+        "body": _link(entry.output, report),
         "warnings": list(stored.warnings),
         "interfaces": {name: (each.coupling, len(each.node_ids)) for name, each in stored.interfaces.items()},
         "stages": [
@@ -141,7 +127,22 @@ def _part(number: int, entry: Entry, report: Path) -> dict[str, Any]:
             ("at", str(origin.get("created", "-"))),
         ],
         "center": ", ".join(f"{x:.4g}" for x in stored.center_of_mass),
-        "file": place.name,
+        "file": Path(entry.output).name,
+    }
+
+
+def _row(stored: StoredBodies, shown: Mapping[str, Any], entry: Entry) -> dict[str, Any]:
+    """The line of a part in the table, by the body that is ``shown``."""
+    seconds, memory = entry.seconds, entry.peak_memory_bytes
+    return {
+        "dofs": _number(stored.recipe.get("dofs")),
+        "order": _number(shown["order"]),
+        "error": (shown["value"], shown["limits"][shown["measure"]] if shown["limits"] else "-"),
+        "frequencies": shown["frequencies"][: STYLE.page_frequencies],
+        "lowest": shown["lowest"],
+        "mass": (stored.mass, f"{stored.mass:.4g} kg"),
+        "seconds": (-1, "-") if seconds is None else (seconds, duration_words(seconds)),
+        "memory": (-1, "-") if memory is None else (memory, bytes_words(memory)),
     }
 
 
