@@ -86,10 +86,10 @@ def certify(
     for reduced in bodies:
         progress.update(f"certificate of {reduced.name}")
         if bound:
-            known = error_limits(reference, reduced, sharpness=sharpness)
+            limits = error_limits(reference, reduced, sharpness=sharpness)
         else:
-            known = sampled(len(problem.coupling.columns))
-        certificates.append(_certificate(reference, reduced, hz, H, known, measure, bound))
+            limits = sampled(len(problem.coupling.columns))
+        certificates.append(_certificate(reference, reduced, hz, H, limits, measure, bound))
     return tuple(certificates)
 
 
@@ -98,7 +98,7 @@ def _certificate(
     reduced: ReducedModel,
     hz: Floats,
     H: Complexes,
-    known: ErrorLimits,
+    limits: ErrorLimits,
     measure: str,
     bound: bool,
 ) -> Certificate:
@@ -112,12 +112,12 @@ def _certificate(
         unsure = reference.uncertainty(omega) / norm
         own = body.rounding.at(body.terms.moduli(omega)[0]).size()[:, 0] / norm
     poles = poles_of(reference, reduced)
-    proof = proof_of(reference, known) if bound else ()
+    proof = proof_of(reference, limits) if bound else ()
     return Certificate(
-        limits=known.limits,
-        block_limit=known.block_limit,
-        cells_hz=known.cells_hz,
-        cell_limit=known.cell_limit,
+        limits=limits.limits,
+        block_limit=limits.block_limit,
+        cells_hz=limits.cells_hz,
+        cell_limit=limits.cell_limit,
         band_hz=reference.band_hz,
         measure=measure,
         damping_floor=reference.floor,
@@ -138,7 +138,7 @@ def _certificate(
         mode_mac=poles.mac,
         residue_deviation=poles.residue,
         verified_below_hz=float(eigenvalue_in_hz(reference.cut)),
-        notes=(*known.notes, *_on_damping(reference, reduced, poles), *_missing(poles)),
+        notes=(*limits.notes, *_on_damping(reference, reduced, poles), *_missing(poles)),
     )
 
 
@@ -160,13 +160,13 @@ def _measured(
     for body in bodies:
         H_r = reduced_response(body, 2 * np.pi * hz) * S
         static = reduced_response(body, np.zeros(1))[0] * S
-        known, error = sampled(len(problem.coupling.columns)), np.linalg.norm(H_r - H, axis=(1, 2)) / norm
+        limits, error = sampled(len(problem.coupling.columns)), np.linalg.norm(H_r - H, axis=(1, 2)) / norm
         certificates.append(
             Certificate(
-                limits=known.limits,
-                block_limit=known.block_limit,
-                cells_hz=known.cells_hz,
-                cell_limit=known.cell_limit,
+                limits=limits.limits,
+                block_limit=limits.block_limit,
+                cells_hz=limits.cells_hz,
+                cell_limit=limits.cell_limit,
                 band_hz=band_hz,
                 measure=measure,
                 damping_floor=0.0,

@@ -12,8 +12,8 @@ from morembs.responses.certified import CertifiedReference
 from morembs.storage.lemma import ESTIMATE, PROVEN, Lemma
 
 
-def proof_of(reference: CertifiedReference, known: ErrorLimits) -> tuple[Lemma, ...]:
-    """The chain behind the limits ``known`` against ``reference``."""
+def proof_of(reference: CertifiedReference, limits: ErrorLimits) -> tuple[Lemma, ...]:
+    """The chain behind the limits ``limits`` against ``reference``."""
     own = reference.problem.D is not None
     complement = () if own else (_complement(reference),)
     return (
@@ -23,7 +23,7 @@ def proof_of(reference: CertifiedReference, known: ErrorLimits) -> tuple[Lemma, 
         _residual(reference),
         _damping(reference),
         _round_off(reference),
-        _cells(reference, known),
+        _cells(reference, limits),
     )
 
 
@@ -95,11 +95,11 @@ def _round_off(reference: CertifiedReference) -> Lemma:
     return _lemma("round-off", statement, error=lost, at_hz=at_hz)
 
 
-def _cells(reference: CertifiedReference, known: ErrorLimits) -> Lemma:
+def _cells(reference: CertifiedReference, limits: ErrorLimits) -> Lemma:
     low, high = reference.band_hz
-    upper = {name: limit.upper for name, limit in known.limits.items()}
+    upper = {name: limit.upper for name, limit in limits.limits.items()}
     statement = (
-        f"on {len(known.cells_hz):,} cells, which cover {low:,.6g} to {high:,.6g} Hz, the errors are at most "
+        f"on {len(limits.cells_hz):,} cells, which cover {low:,.6g} to {high:,.6g} Hz, the errors are at most "
         + ", ".join(f"{name} {upwards(value)}" for name, value in upper.items())
     )
-    return _lemma("cells-of-the-band", statement, PROVEN, cells=len(known.cells_hz), low_hz=low, high_hz=high, **upper)
+    return _lemma("cells-of-the-band", statement, PROVEN, cells=len(limits.cells_hz), low_hz=low, high_hz=high, **upper)

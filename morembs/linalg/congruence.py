@@ -110,10 +110,10 @@ def _split(T: sp.csr_array) -> tuple[Ints, Ints, sp.csr_array]:
     others = np.ones(T.shape[0], dtype=bool)
     others[kept] = False
     slaves = np.flatnonzero(others)
-    rest = sp.csr_array(T[slaves])
-    if rest.nnz and rest.indices.min() < f:
+    terms = sp.csr_array(T[slaves])
+    if terms.nnz and terms.indices.min() < f:
         raise InputError("a transformation must either keep an unknown or express it by others, not both")
-    return kept, slaves, sp.csr_array(rest[:, f:])
+    return kept, slaves, sp.csr_array(terms[:, f:])
 
 
 def _coupling(A: sp.csr_array, kept: Ints, slaves: Ints, R: sp.csr_array) -> tuple[sp.csr_array, int]:
@@ -129,9 +129,9 @@ def _coupling(A: sp.csr_array, kept: Ints, slaves: Ints, R: sp.csr_array) -> tup
         beside = A[kept[near[rows]]][:, slaves]
         parts.append(sp.csr_array(beside @ R))
         counts[near[rows]], dropped = np.diff(parts[-1].indptr), dropped + beside.nnz
-    whole = sp.vstack(parts, format="csr")
+    stacked = sp.vstack(parts, format="csr")
     indptr = np.concatenate([[0], np.cumsum(counts)])
-    return sp.csr_array((whole.data, whole.indices, indptr), shape=(len(kept), R.shape[1])), dropped
+    return sp.csr_array((stacked.data, stacked.indices, indptr), shape=(len(kept), R.shape[1])), dropped
 
 
 def _taken(A: sp.csr_array, rows: Ints) -> sp.csr_array:

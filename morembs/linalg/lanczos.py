@@ -41,11 +41,11 @@ class BlockLanczos:
         self.size = 0
         self.pending, self.M_pending = orthonormal_pair(start, self.M)
         self.rest_vectors = np.zeros((self.M.shape[0], 0))
-        self.rest = np.zeros((0, 0))
+        self.residual_gram = np.zeros((0, 0))
         self.last = slice(0, 0)
         # First column along which Op of the next block has a part; columns that are eigenvectors already.
         self.near = self.locked = 0
-        # Op V = V T + W tail with the rest W.
+        # Op V = V T + W tail with W, of which W' M W is kept.
         self.tail = np.zeros((0, 0))
         self._turned: Floats | None = None
 
@@ -78,7 +78,7 @@ class BlockLanczos:
             self.tail[:, :k], self._turned = self._turned, None
         self.size = k + b
         self.rest_vectors = W
-        self.rest = symmetric(G - again.T @ again)
+        self.residual_gram = symmetric(G - again.T @ again)
         self.last = slice(k, k + b)
         # Op of the next block has no part along what came before this one.
         self.near = k
@@ -86,7 +86,7 @@ class BlockLanczos:
         self.pending, self.M_pending = self._next(W, norms)
 
     def _next(self, W: Floats, norms: Floats) -> tuple[Floats, Floats]:
-        Q, MQ = orthonormal_pair(W, self.M, norms, self.rest)
+        Q, MQ = orthonormal_pair(W, self.M, norms, self.residual_gram)
         if Q.shape[1] < W.shape[1]:
             # Directions ran out (an invariant subspace): random ones keep looking for what it misses.
             missing = self.block - Q.shape[1]
@@ -106,7 +106,7 @@ class BlockLanczos:
         theta, Y = theta[order], np.zeros((self.size, len(theta)))
         Y[free] = free_Y[:, order]
         y = self.tail @ Y
-        residual = np.sqrt(np.maximum(np.einsum("ij,ik,kj->j", y, self.rest, y), 0.0))
+        residual = np.sqrt(np.maximum(np.einsum("ij,ik,kj->j", y, self.residual_gram, y), 0.0))
         return theta, Y, residual
 
     def restart(self, keep: int) -> None:

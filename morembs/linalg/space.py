@@ -125,16 +125,16 @@ class Space(Columns):
         Done twice, or what is left of ``W`` would keep the round-off of what was taken out. ``MW`` saves the first
         product where it is known.
         """
-        known = [V] if isinstance(V, np.ndarray) else [*V]
-        if not sum(Q.shape[1] for Q in known):
+        bases = [V] if isinstance(V, np.ndarray) else [*V]
+        if not sum(Q.shape[1] for Q in bases):
             return np.zeros((0, W.shape[1]))
-        first = self.project_out_once(known, W, self.M @ W if MW is None else MW)
-        return np.asarray(first + self.project_out_once(known, W, self.M @ W))
+        first = self.project_out_once(bases, W, self.M @ W if MW is None else MW)
+        return np.asarray(first + self.project_out_once(bases, W, self.M @ W))
 
-    def project_out_once(self, known: Sequence[Values], W: Values, MW: Values) -> Values:
-        """Take span(known) out of ``W`` in place, once, given M W; returns the coefficients."""
-        parts = [self.dot(Q, MW) for Q in known]
-        for Q, C in zip(known, parts, strict=True):
+    def project_out_once(self, bases: Sequence[Values], W: Values, MW: Values) -> Values:
+        """Take the spans of ``bases`` out of ``W`` in place, once, given M W; returns the coefficients."""
+        parts = [self.dot(Q, MW) for Q in bases]
+        for Q, C in zip(bases, parts, strict=True):
             self.subtract(Q, C, W)
         return parts[0] if len(parts) == 1 else np.vstack(parts)
 

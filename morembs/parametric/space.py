@@ -54,9 +54,9 @@ class GlobalSpace:
         self._weights = [[_rounding(A) for A in terms] for terms in (problem.K_terms, problem.M_terms)]
         self.floor = float(problem.elastic_modes(count=1).eigenvalues[0])
         loads = problem.B.toarray() * problem.motion_scale
-        sizes = np.sqrt(np.maximum(np.einsum("ij,ij->j", loads, self.coordinates.flexibility(loads)), 0.0))
+        norms = np.sqrt(np.maximum(np.einsum("ij,ij->j", loads, self.coordinates.flexibility(loads)), 0.0))
         # Loads on the supports move nothing: of them there is round-off alone, which has no direction.
-        self._B, self._B_rest = self.coordinates.of(loads, np.maximum(sizes, TOL.still_load * sizes.max(initial=0.0)))
+        self._B, self._B_rest = self.coordinates.of(loads, np.maximum(norms, TOL.still_load * norms.max(initial=0.0)))
         self._add_rigid()
 
     @property
@@ -110,18 +110,18 @@ class GlobalSpace:
             (problem.M_terms, self._M, self._M_parts, self._M_rest, 1 / energy),
         )
         one, high = np.ones_like(problem.box.high), problem.box.high
-        sizes = [ratio(law, high, one) for law in (problem.law_K, problem.law_M)]
-        kinds = zip(sizes, self._weights, self._rounding, every, strict=True)
-        for size, weights, rounding, (terms, reduced, parts, rests, scale) in kinds:
+        ratios = [ratio(law, high, one) for law in (problem.law_K, problem.law_M)]
+        kinds = zip(ratios, self._weights, self._rounding, every, strict=True)
+        for size, weights, rounding, (terms, reduced, parts, rest_norms, scale) in kinds:
             for q, A in enumerate(terms):
                 WX = np.asfortranarray(weights[q][:, None] * X)
                 rounding[q].append(np.vstack([space.dot(V, WX) for V in self.V]))
                 AX = np.asfortranarray(A @ X)
                 reduced[q].append(np.vstack([space.dot(V, AX) for V in self.V]))
                 # A term counts with its coefficient; polynomials are of order one.
-                C, rest = self.coordinates.of(AX, scale / size[q])
+                C, norms = self.coordinates.of(AX, scale / size[q])
                 parts[q].append(C)
-                rests[q].append(rest)
+                rest_norms[q].append(norms)
                 space.budget.release_if_tight()
 
     def reduced(self) -> ParametricModel:
@@ -155,7 +155,9 @@ class GlobalSpace:
         """The bound for all columns; ``F`` (n, k) coordinates of the columns that are deflated."""
         q, problem = self.coordinates.size, self.problem
         K, M = (np.stack([padded(term, q) for term in parts]) for parts in (self._K_parts, self._M_parts))
-        rest_K, rest_M = (np.stack([np.concatenate(term) for term in rests]) for rests in (self._K_rest, self._M_rest))
+        rest_K, rest_M = (
+            np.stack([np.concatenate(term) for term in rest_norms]) for rest_norms in (self._K_rest, self._M_rest)
+        )
         theta = problem.law_M(problem.box.nominal)
         long = len(problem.rigid) ** 2 * LINALG.roundoff / (16 * TOL.roundoff_split)
         rounding = [
@@ -201,13 +203,13 @@ def _rounding(A: sp.csr_array) -> Floats:
 
 def _symmetric_stack(terms: list[list[Floats]], n: int) -> Floats:
     """(Q, n, n) of the upper block triangles."""
-    whole = np.zeros((len(terms), n, n))
+    stack = np.zeros((len(terms), n, n))
     for q, blocks in enumerate(terms):
         at = 0
         for block in blocks:
             rows, k = block.shape
-            whole[q, :rows, at : at + k] = block
-            whole[q, at : at + k, :rows] = block.T
+            stack[q, :rows, at : at + k] = block
+            stack[q, at : at + k, :rows] = block.T
             at += k
-        whole[q] = symmetric(whole[q])
-    return whole
+        stack[q] = symmetric(stack[q])
+    return stack

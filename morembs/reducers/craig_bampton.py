@@ -106,31 +106,33 @@ class CraigBampton(OfModes):
     def _on_few(self, problem: Problem) -> Basis:
         """Rigid-body, characteristic and fixed-interface modes: all K-orthogonal."""
         r = problem.rigid.shape[1]
-        with FixedInterfaceBody(problem) as held:
-            few = interface_modes(problem, held, count=self.interface_modes, below=squared(self.interface_up_to_hz))
-            k = r + len(few.eigenvalues)
+        with FixedInterfaceBody(problem) as fixed_body:
+            interface_shapes = interface_modes(
+                problem, fixed_body, count=self.interface_modes, below=squared(self.interface_up_to_hz)
+            )
+            k = r + len(interface_shapes.eigenvalues)
             count = self._beside_inertia(k, "rigid-body and characteristic mode")
-            fixed = held.modes(count, self.below)
+            fixed = fixed_body.modes(count, self.below)
             m = len(fixed.eigenvalues)
             notes: dict[str, object] = {"interface_motions": problem.B.shape[1], "characteristic_modes": k - r}
-            if few.next_hz is not None:
-                lost = static_error(problem, held, few)
-                notes["next_characteristic_hz"] = few.next_hz
+            if interface_shapes.next_hz is not None:
+                lost = static_error(problem, fixed_body, interface_shapes)
+                notes["next_characteristic_hz"] = interface_shapes.next_hz
                 notes["interface_static_error"] = lost
                 notes["statics"] = (
                     f"not exact at the interfaces: up to {lost:.1e} of the compliance under resultant loads is "
                     "missing, and more under loads that vary within an interface"
                 )
             basis = Basis(
-                V=problem.space.hstack(problem.rigid, few.vectors, fixed.vectors),
+                V=problem.space.hstack(problem.rigid, interface_shapes.vectors, fixed.vectors),
                 kinds=("rigid",) * r + ("characteristic",) * (k - r) + ("fixed-interface",) * m,
-                K=np.diag(np.concatenate([np.zeros(r), few.eigenvalues, fixed.eigenvalues])),
+                K=np.diag(np.concatenate([np.zeros(r), interface_shapes.eigenvalues, fixed.eigenvalues])),
                 rigid=np.eye(k + m, r),
                 notes=notes,
             )
             if not self.inertia_modes:
                 return basis
-            deformation = held.flexibility(problem.M @ basis.V[:, :k])
+            deformation = fixed_body.flexibility(problem.M @ basis.V[:, :k])
             return replace(add_residual_modes(problem, basis, deformation, fixed.vectors), notes=notes)
 
     def _beside_inertia(self, inertia: int, what: str) -> int | None:

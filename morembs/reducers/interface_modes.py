@@ -99,7 +99,7 @@ class FixedInterfaceBody(Closing):
 
 def interface_modes(
     problem: Problem,
-    held: FixedInterfaceBody,
+    fixed_body: FixedInterfaceBody,
     *,
     count: int | None = None,
     below: float | None = None,
@@ -126,10 +126,10 @@ def interface_modes(
         from_all = problem.B.shape[1] <= TOL.dense_interface or (count is not None and TOL.dense_part * count > most)
     if from_all:
         return _all(problem, count, below)
-    return _lowest(problem, held, most, count, below)
+    return _lowest(problem, fixed_body, most, count, below)
 
 
-def static_error(problem: Problem, held: FixedInterfaceBody, modes: InterfaceModes) -> float:
+def static_error(problem: Problem, fixed_body: FixedInterfaceBody, modes: InterfaceModes) -> float:
     """Largest part of the compliance of all constraint modes that ``modes`` miss, over six resultant loads on each
     interface in mean axes.
 
@@ -141,7 +141,7 @@ def static_error(problem: Problem, held: FixedInterfaceBody, modes: InterfaceMod
             for B in (problem.B[:, columns] for columns in problem.coupling.columns.values())
         ]
     )
-    whole = np.einsum("ij,ij->j", F, _flexibility(problem, held)(F))
+    whole = np.einsum("ij,ij->j", F, _flexibility(problem, fixed_body)(F))
     kept = problem.space.dot(modes.vectors, F)
     known = np.einsum("ij,ij->j", kept, kept / modes.eigenvalues[:, None]) if len(kept) else np.zeros(len(whole))
     # A load that inertia alone balances, or that is zero, has no compliance to speak of.
@@ -176,9 +176,9 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
 
 
 def _lowest(
-    problem: Problem, held: FixedInterfaceBody, most: int, count: int | None, below: float | None
+    problem: Problem, fixed_body: FixedInterfaceBody, most: int, count: int | None, below: float | None
 ) -> InterfaceModes:
-    flexibility = _flexibility(problem, held)
+    flexibility = _flexibility(problem, fixed_body)
     rng = np.random.default_rng(3)
     start = flexibility(problem.M @ rng.standard_normal((problem.K.shape[0], TOL.block_columns)))
     wanted = 4 * TOL.block_columns if count is None else count + 1
@@ -206,14 +206,14 @@ def _capacity(wanted: int, most: int) -> int:
     return min(2 * wanted + 8 * TOL.block_columns, most)
 
 
-def _flexibility(problem: Problem, held: FixedInterfaceBody) -> Callable[[Floats], Floats]:
+def _flexibility(problem: Problem, fixed_body: FixedInterfaceBody) -> Callable[[Floats], Floats]:
     """P (G_e - G_i) P' of loads (Nc, k)."""
     Z, M = problem.rigid, problem.M
     MZ = M @ Z
 
     def apply(F: Floats) -> Floats:
         F = F - MZ @ (Z.T @ F)
-        U = problem.free_free.flexibility(F) - held.flexibility(F)
+        U = problem.free_free.flexibility(F) - fixed_body.flexibility(F)
         return np.asarray(U - Z @ (MZ.T @ U))
 
     return apply

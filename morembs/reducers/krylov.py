@@ -184,7 +184,7 @@ class Krylov(Reducer):
         """All blocks into the spaces of the loads; words on columns lost and shifts moved."""
         lost: list[str] = []
         moved: list[str] = []
-        if all(space.whole(self.tangential) for space in spaces):
+        if all(space.takes_all_loads(self.tangential) for space in spaces):
             # The loads do not depend on the points before: all points at once.
             points = [(expansion_point(problem, s), count) for s, count in self._points()]
             wanted_at: list[dict[object, KrylovStart]] = [
@@ -241,10 +241,10 @@ class _LoadSpace:
             rows = np.arange(problem.B.shape[1])
         F = problem.B[:, rows].toarray() * problem.motion_scale[rows]
         self.names: tuple[object, ...] = (*rows.tolist(), "inertia" if inertia else "")
-        whole = np.linalg.norm(F, axis=0)
+        norms = np.linalg.norm(F, axis=0)
         if not problem.system.damps_rigid_motion:
             F = elastic_part(problem, F)
-        bends = np.linalg.norm(F, axis=0) > TOL.rigid_load * whole
+        bends = np.linalg.norm(F, axis=0) > TOL.rigid_load * norms
         self.lost = [] if bends.all() else [f"{(~bends).sum()} of the {name} do not deform the body"]
         F = F[:, bends]
         if inertia:
@@ -274,17 +274,17 @@ class _LoadSpace:
         self.size += new.shape[1]
         return int(block.shape[1] - new.shape[1])
 
-    def whole(self, tangential: int | None) -> bool:
+    def takes_all_loads(self, tangential: int | None) -> bool:
         """Whether all loads are taken at each point."""
         return tangential is None or tangential >= self.F.shape[1]
 
     def loads(self, s: complex, tangential: int | None) -> tuple[tuple[object, ...], Floats]:
         """All loads, or the combinations that the space so far carries worst at ``s``; and a name for them."""
-        if self.whole(tangential) or tangential is None:
+        if self.takes_all_loads(tangential) or tangential is None:
             return (), self.F
         weight = np.maximum(self.problem.K.diagonal(), np.finfo(float).tiny)[:, None]
-        rest = self._residual(s)
-        values, U = sl.eigh((rest.conj().T @ (rest / weight)).real)
+        residual = self._residual(s)
+        values, U = sl.eigh((residual.conj().T @ (residual / weight)).real)
         largest = np.sqrt(np.einsum("ij,ij->j", self.F, self.F / weight).max())
         good = np.sqrt(np.maximum(values, 0.0)) > TOL.carried_load * largest
         directions = U[:, good][:, ::-1][:, :tangential]
@@ -299,10 +299,10 @@ class _LoadSpace:
         blocks = [slice(at, min(at + width, self.size)) for at in range(0, self.size, width)]
         A = np.hstack([problem.space.dot(V, problem.system.apply(s, V[:, block])) for block in blocks])
         y = np.linalg.solve(A, V.T @ F)
-        rest: NDArray[Any] = np.array(F, dtype=y.dtype)
+        residual: NDArray[Any] = np.array(F, dtype=y.dtype)
         for block in blocks:
-            rest -= problem.system.apply(s, V[:, block]) @ y[block]
-        return np.asarray(rest)
+            residual -= problem.system.apply(s, V[:, block]) @ y[block]
+        return np.asarray(residual)
 
     def cut(self, order: int, top: float) -> None:
         """Keep the ``order`` directions with most energy in the responses up to ``top`` in rad/s.

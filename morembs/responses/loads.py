@@ -40,9 +40,9 @@ def inertia_loads(problem: Problem) -> Floats:
     fields = [(along == a) * x[:, a] - own for a in range(3)]
     fields += [(along == a) * x[:, b] + (along == b) * x[:, a] for a, b in ((0, 1), (1, 2), (2, 0))]
     loads = np.hstack([problem.M @ coupling.R, coupling.T.T @ (model.M @ np.column_stack(fields))])
-    whole = np.linalg.norm(loads, axis=0)
+    norms = np.linalg.norm(loads, axis=0)
     elastic = elastic_part(problem, loads)
-    return np.asarray(elastic[:, np.linalg.norm(elastic, axis=0) > TOL.rigid_load * whole])
+    return np.asarray(elastic[:, np.linalg.norm(elastic, axis=0) > TOL.rigid_load * norms])
 
 
 def load_scale(units: Floats, F: Floats, G: Floats) -> Floats:

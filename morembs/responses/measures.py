@@ -266,13 +266,18 @@ def compare(
         "peak": Limit(lower=least_peak, upper=peak, at_hz=float(hz[1])),
         "pointwise": Limit(lower=float(lower[2]), upper=float(upper[2]), at_hz=float(hz[2])),
     }
-    n = len(standard.layout.blocks)
+    return limits, _blocks(standard.layout, upper), replace(cells, upper=own)
+
+
+def _blocks(layout: BlockIndex, upper: Floats) -> Floats:
+    """(ni, ni) limits of the blocks, where there is but one that of the whole, of those of all quantities."""
+    n = len(layout.blocks)
     blocks = np.full((n, n), upper[0])
-    for (i, j), value in zip(standard.layout.pairs, upper[4:], strict=True):
+    for (i, j), value in zip(layout.pairs, upper[4:], strict=True):
         blocks[i, j] = value
-        if standard.layout.symmetric:
+        if layout.symmetric:
             blocks[j, i] = value
-    return limits, blocks, replace(cells, upper=own)
+    return blocks
 
 
 def decide(

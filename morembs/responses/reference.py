@@ -341,7 +341,7 @@ class ReferenceSpace:
         if not len(jumps):
             return 0.0
         T, last = lanczos.T[: lanczos.size, : lanczos.size], Y[lanczos.last]
-        outside = np.einsum("ij,ik,kj->j", last, lanczos.rest, last)
+        outside = np.einsum("ij,ik,kj->j", last, lanczos.residual_gram, last)
         off = np.sqrt(np.maximum(((T @ Y - Y / values) ** 2).sum(axis=0) + outside, 0.0))
         stiffness = values * (1 + 1j * reference.damping.structural)
         H = np.abs(reference.F.T @ reference.states(1j * omega)).max(axis=(1, 2))
