@@ -11,12 +11,14 @@ import scipy.linalg as sl
 
 from morembs import InputError, Problem, make_interface
 from morembs.base.units import parse_units
+from morembs.body.diagnostics.warnings import diagnosis_of
 from morembs.fem import Nodes
 from morembs.fem.constraints import Equations, RigidElement, solved_for_first
 from morembs.fem.material import isotropic
 from morembs.importers.imported import Imported, PointMass
 from morembs.importers.model_file import read_model, write_model
 from morembs.importers.to_model import model_of
+from tests.support.diagnoses import finding, grave
 from tests.support.meshes import STEEL, box
 
 MATERIAL = isotropic(set="all", **STEEL)
@@ -169,3 +171,19 @@ def test_what_contradicts_itself_is_named():
         Equations(
             name="x", nodes=[0], components=[0], offsets=[0, 2], term_nodes=[1], term_components=[0], coefficients=[1.0]
         )
+
+
+def test_equations_between_nodes_that_lie_apart_are_blamed_and_not_the_coordinates():
+    """The ends of a bar move alike along x: it cannot turn. Coordinates that do not fit K are an error still."""
+    given = bar()
+    mesh = given.mesh
+    left, right = (np.flatnonzero(np.isclose(mesh.nodes.xyz[:, 0], x)) for x in (0.0, 0.2))
+    pairs = [(f"pair {i}", [(a, 2, 1.0), (b, 2, -1.0)]) for i, (a, b) in enumerate(zip(left, right, strict=True))]
+    model = model_of(replace(given, nodes=mesh.nodes, equations=(solved_for_first("*EQUATION", pairs),)))
+    told = finding(diagnosis_of(model), "equations-strain")
+    assert grave(diagnosis_of(model)) == {"equations-strain"}
+    assert "rotation of the whole body (*EQUATION)" in told.sentence
+    assert set(told.where) == {str(label) for label in mesh.nodes.ids[left]}
+    skewed = mesh.nodes.xyz * (1 + 0.3 * np.random.default_rng(7).random(mesh.nodes.xyz.shape))
+    moved = replace(model, nodes=Nodes(ids=mesh.nodes.ids, xyz=skewed))
+    assert "equations-strain" not in grave(diagnosis_of(moved)) and diagnosis_of(moved).errors

@@ -8,12 +8,16 @@ import scipy.sparse as sp
 from morembs.base.units import Units
 from morembs.body.diagnostics.doctor import examine
 from morembs.body.diagnostics.elements import double_elements, open_seams
-from morembs.body.diagnostics.findings import Diagnosis, Finding, sentences
+from morembs.body.diagnostics.findings import Diagnosis, Finding, Names, sentences
+from morembs.body.diagnostics.tolerances import TOL
 from morembs.body.diagnostics.units import estimate, unit_findings
 from morembs.fem import DofMap, FEModel
 from morembs.fem.fe_model import refuse_complex, refuse_unsymmetric
+from morembs.fem.rigid_residual import motion, residual
 from morembs.linalg.congruence import congruence
 
+# Findings that blame coordinates, axes or the map of dofs.
+_OF_GEOMETRY = ("node-mapping", "not-this-geometry", "local-axes")
 # Errors of other models look the same as these: interfaces may join parts, and springs along the axes or displacements
 # that were taken out hold a body as other coordinates would. The factorisation of the coupled model decides.
 _SUSPECTED = ("parts", "node-mapping")
@@ -39,7 +43,33 @@ def diagnosis_of(model: FEModel, *, deep: bool = False, declared: Units | None =
     else:
         diagnosis = examine(K, M, D, model.nodes, dofs, model.mesh, model.materials, deep=deep, declared=declared)
     of_import = tuple(Finding(code="import", severity="warning", sentence=sentence) for sentence in model.warnings)
-    return Diagnosis(findings=(*of_import, *diagnosis.findings), facts=diagnosis.facts)
+    findings = diagnosis.findings
+    if any(finding.code in _OF_GEOMETRY for finding in findings):
+        straining = straining_equations(model)
+        if straining is not None:
+            findings = (*(finding for finding in findings if finding.code not in _OF_GEOMETRY), straining)
+    return Diagnosis(findings=(*of_import, *findings), facts=diagnosis.facts)
+
+
+def straining_equations(model: FEModel) -> Finding | None:
+    """Equations that rigid motion does not satisfy, where K fits the coordinates without them; None without such.
+
+    They tie nodes that lie apart, mostly on purpose, and the body cannot turn without strain.
+    """
+    if model.dependent is None:
+        return None
+    R, _, _ = motion(model.nodes, model.dofs)
+    free = model.dependent.owner < 0
+    apart = np.abs(model.dependent.S @ np.where(free[:, None], R, 0.0) - R) > TOL.wrong_place
+    rows = np.flatnonzero(~free & apart.any(axis=1))
+    if not len(rows) or residual(sp.csr_array(model.K), model.nodes, model.dofs).bad.any():
+        return None
+    labels, words = Names(nodes=model.nodes, dofs=model.dofs).places(rows)
+    names = ", ".join(dict.fromkeys(model.dependent.names[i] for i in model.dependent.owner[rows].tolist()))
+    resisted = "rigid motion" if apart[rows, :3].any() else "rotation of the whole body"
+    sentence = f"equations resist {resisted} ({names}): they tie {words} to nodes that lie apart"
+    cure = "leave them as they are if that is meant; else check their nodes, coefficients and axes"
+    return Finding(code="equations-strain", severity="warning", sentence=sentence, cure=cure, where=labels)
 
 
 def examined(model: FEModel, *, declared: Units | None = None) -> tuple[str, ...]:
