@@ -174,6 +174,10 @@ class ImporterTolerances:
     shown_reason: int = 200
     # Of the reason that meshio gives, which may name all formats: chosen, three lines.
     shown_mesh_reason: int = 300
+    # Lines of one layout, and the characters of their last number, that tell a number which is cut off: chosen; labels
+    # and numbers of a few digits have one width by chance. Fields of Nastran have as many columns.
+    layout_lines: int = 3
+    layout_characters: int = 8
     # Of the last line of a program: chosen.
     shown_last_line: int = 120
     # Kinds of problems of a deck that a message lists: chosen.

@@ -382,10 +382,21 @@ def test_damaged_decks_end_in_one_message(tmp_path):
     assert refused > 100
 
 
+@pytest.mark.parametrize("form", ["{:5d},{:13.6e},{:13.6e},{:13.6e}", "{}, {:.8f}, {:.8f}, {:.8f}"])
+def test_a_last_number_that_is_shorter_than_those_above_is_cut_off(form, deck):
+    """Of lines that are written in one format; without an end of line the last may be whole."""
+    nodes = SOLID + "*NODE\n" + "\n".join(form.format(n, n, n, n / 3) for n in range(901, 905))
+    assert any("[last-line-open]" in text for text in deck(nodes).warnings)
+    for cut in (1, 2, 3):
+        with pytest.raises(InputError, match="may be cut off|cannot be read as a number"):
+            deck(nodes[:-cut])
+
+
 @pytest.mark.parametrize(
     ("last", "warned"),
     [
         ("*NSET, NSET=A\n10, 20", True),
+        ("*NODE\n11, 1.5, 0., 0.\n12, 1., 1., 2.5\n13, 1., 1., 2.5\n14, 1., 1., 2", True),
         ("*NODE\n11, 0., 0., 0.\n12, 1., 0., 2.5", True),
         ("*END", False),
         ("** made by hand", False),

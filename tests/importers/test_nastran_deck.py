@@ -241,9 +241,10 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
         ),
         ("CORD2R,1,,0.,0.,0.,0.,0.,1.\n,0.,0.,2.\nGRID,11,1,0.,0.,0.\n", "on a line"),
         ("PSOLID,1,1\nMAT1,1,,1.,,1.\n", "gives 1 of E, G and NU"),
-        ("GRID,11,,0.,zero,0.\n", "GRID card"),
-        ("GRID    11              0.5 1   0.      0.\n", "not one number"),
-        ("GRID    11              +       0.      0.\n", r"a GRID card: .*'\+' cannot be read as a number"),
+        ("GRID,11,,0.,zero,0.\n", "line 11: GRID has 'zero' in field 5"),
+        ("GRID    11              0.5 1   0.      0.\n", "line 11: GRID has '0.5 1' in field 4"),
+        ("GRID,11,,0.,0.00+,0.\n", r"line 11: GRID has '0.00\+' in field 5"),
+        ("GRID    11              +       0.      0.\n", r"line 11: GRID has '\+' in field 4"),
         ("=,*(1),=\n", "line 11: cards with continuations"),
         ("GRID,90,,1.,2.,3.\n=(3)\n", "repeats no line"),
         ("CORD2R,x\n=,*1,==\n", "cannot be counted up"),
@@ -474,6 +475,17 @@ def test_replicated_cards(bulk):
     assert [material.set for material in copied.materials] == ["PSOLID_2"] and not copied.incomplete
 
 
+def test_fields_of_named_cards_are_copied_in_columns_too(bulk):
+    """From the card above, one or all further ones; not below fields of 16 columns."""
+    above = "GRID    901             1.25    .5      .25\n"
+    for below in ("GRID    902             2.25    ==\n", "GRID    902             2.25    =       .25\n"):
+        nodes = bulk(CUBE + above + below + "CONM2,9,902,,1.\nRBE2,8,10,123,902\n" + MAT1).nodes
+        assert nodes.xyz[nodes.ids == 902].tolist() == [[2.25, 0.5, 0.25]]
+    wide = "GRID*                901                            1.25              .5\n"
+    with pytest.raises(InputError, match="fields of 16 columns are replicated"):
+        bulk(CUBE + wide + "GRID,902,,2.25,==\n")
+
+
 def test_edges_without_middle_nodes_are_linear(bulk):
     """A tet10 with none of its middle nodes on three edges strains as a patch, and one with all gaps is a tet4."""
     corners = "GRID,1,,0.,0.,0.\nGRID,2,,1.,0.,0.\nGRID,3,,0.,1.,0.\nGRID,4,,0.,0.,1.\n"
@@ -698,6 +710,16 @@ def test_cards_are_skipped_and_densities_given_where_asked(tmp_path):
     assert "--skip CQUAD4,RBE2 --density X" in str(told.value)
     imported = read_nastran(path, skip=["CQUAD4", "RBE2"], density=7850.0).imported()
     assert imported.materials[0].density == 7850.0 and len(imported.warnings) == 4
+
+
+@pytest.mark.parametrize("form", ["GRID    {:8d}        {:8.5f}{:8.5f}{:8.5f}", "GRID,{},,{:.5f},{:.5f},{:.6f}"])
+def test_a_last_number_that_is_shorter_than_those_above_is_cut_off(form, bulk):
+    """Of cards that are written in one format; without an end of line the last may be whole."""
+    text = CUBE + "\n".join(form.format(n, n / 700, n / 800, n / 900) for n in range(901, 905))
+    assert any("[last-line-open]" in said for said in bulk(text).mesh.warnings)
+    for cut in (1, 2, 3):
+        with pytest.raises(InputError, match="may be cut off"):
+            bulk(text[:-cut])
 
 
 @pytest.mark.parametrize(

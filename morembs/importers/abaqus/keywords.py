@@ -16,7 +16,7 @@ from pathlib import Path
 
 from morembs.base.errors import InputError
 from morembs.importers.abaqus.words import WORDS, canonical, canonical_option
-from morembs.importers.decks.includes import Includes, cut_line, open_line, open_text
+from morembs.importers.decks.includes import Includes, cut_line, ends_within_number, open_line, open_text
 from morembs.importers.tolerances import TOL
 
 _COMMENT = re.compile(rb"^[ \t]*\*\*.*\n", re.MULTILINE)
@@ -91,7 +91,7 @@ def _stream(
         yield from _data(card, text[at:], path, swallowed=card is outer)
         if open_end:
             includes.warnings += _last_line(card, before * (at == 0) + text[at:], open_end, path.name)
-        before = text[text.rfind(b"\n", 0, -1) + 1 :]
+        before = b"\n".join(text.rsplit(b"\n", TOL.layout_lines + 1)[-TOL.layout_lines - 1 :])
     return card
 
 
@@ -100,16 +100,18 @@ def _last_line(card: Card | None, data: bytes, line: bytes, file: str) -> list[s
     it (fgets of ccx); a keyword that is known is whole, and numbers may be.
 
     Raises:
-        InputError: a keyword that is not known, or fewer fields than the line above or the comma at its end tell.
+        InputError: a keyword that is not known, or the line is cut off: it has fewer fields than the one above, a
+            comma at its end, or a shorter number than lines above of the same layout.
     """
     if line.startswith(b"*"):
         if not _LAST.match(line) and (canonical(decoded(line[1:]).split(",")[0]) not in WORDS or line.endswith(b",")):
             raise cut_line(file, line)
         return []
-    *above, _ = data.rstrip().split(b"\n")[-2:]
+    *rows, _ = data.rstrip().split(b"\n")[-1 - TOL.layout_lines :]
+    above = rows[-1:]
     is_node = card is not None and card.keyword == "NODE"
     is_short = is_node and any(line.count(b",") < row.rstrip(b", ").count(b",") for row in above)
-    if line.endswith(b",") or is_short:
+    if line.endswith(b",") or is_short or ends_within_number(line, rows):
         raise cut_line(file, line)
     return [open_line(file, line)]
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import codecs
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -46,6 +47,21 @@ def open_line(file: str, line: bytes) -> str:
         f"{file} has no end of line behind its last line {line.strip()[-40:].decode('latin-1')!r}, which was read as "
         "it stands; check that it is not cut off [last-line-open]"
     )
+
+
+def ends_within_number(line: bytes, above: Sequence[bytes]) -> bool:
+    """Whether the last field of a line lacks characters, as far as the lines ``above`` have fields of one width.
+
+    Numbers between commas that are written in one format have one width; columns that are filled from the right end
+    at a multiple of eight.
+    """
+    rows = [row for row in above if row.count(b",") == line.count(b",")][-TOL.layout_lines :]
+    if b"," in line:
+        own, *widths = (len(row.rstrip().rpartition(b",")[2]) for row in (line, *rows))
+    else:
+        own, *widths = (len(row.rstrip()) for row in (line, *rows))
+    is_layout = len(widths) == TOL.layout_lines and len(set(widths)) == 1 and widths[0] >= TOL.layout_characters
+    return is_layout and own < widths[0] and (b"," in line or widths[0] % TOL.layout_characters == 0)
 
 
 def cut_line(file: str, line: bytes) -> InputError:

@@ -18,14 +18,13 @@ from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.importers.decks.numerals import Eight, Words, words_of
 from morembs.importers.nastran.names import FREE_TEXT
-from morembs.importers.nastran.tables import Bytes, FreeTable, Table, widened
+from morembs.importers.nastran.tables import REAL, Bytes, FreeTable, Table, widened
 from morembs.importers.nastran.text import BulkText, Columns, Piece
 from morembs.importers.tolerances import TOL
 
 _COMMA, _NEWLINE = b",\n"
 # How a line begins that continues the one above.
 _CONTINUES = np.isin(np.arange(256), list(b"+* ,"))
-_REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([ED]?[+-]?\d+)?", re.IGNORECASE)
 
 
 class Form(IntEnum):
@@ -41,7 +40,7 @@ def real(text: str, what: str) -> float:
     """A number as Nastran writes it ("1.0-3", "7.+5", "1.D3"); blank is 0."""
     if not text:
         return 0.0
-    match = _REAL.fullmatch(text)
+    match = REAL.fullmatch(text)
     if match:
         base, power = match.group(1), (match.group(2) or "0").upper().lstrip("ED")
         value = float(f"{'-' if text[0] == '-' else ''}{base}e{power}")

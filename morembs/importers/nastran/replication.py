@@ -12,7 +12,12 @@ from decimal import Decimal
 from morembs.base.errors import InputError
 from morembs.importers.tolerances import TOL
 
-BLOCK = re.compile(rb"(?:^(?:[ \t]*=[^\n]*|[A-Za-z][^\n=]*,[ \t]*==?[ \t]*(?:,[^\n]*)?)\n(?:[ \t]*\n)*)+", re.MULTILINE)
+# A line that begins with "=", or copies a field below a name of its own: between commas, or in columns of eight.
+_BETWEEN_COMMAS = rb"[A-Za-z][^\n=]*,[ \t]*==?[ \t]*(?:,[^\n]*)?"
+_IN_COLUMNS = rb"[A-Za-z][^\n=,*]{7}(?:[^\n=,]{8})*(?:==?[ \t]*|= {7}[^\n,]*)"
+BLOCK = re.compile(
+    rb"(?:^(?:[ \t]*=[^\n]*|%b|%b)\n(?:[ \t]*\n)*)+" % (_BETWEEN_COMMAS, _IN_COLUMNS), re.MULTILINE
+)
 _AGAIN = re.compile(r"=\(?(\d{1,6})\)?")
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[EDed]?([+-]\d+)|[EDed](\d+))?")
 
@@ -24,8 +29,10 @@ def replicated(above: bytes, block: bytes, where: str) -> bytes:
         InputError: the card above has continuations, or a field cannot be counted up.
     """
     card = _fields(above)
-    if not above.strip() or not above[:1].isalpha():
-        raise InputError(f"{where}: cards with continuations are replicated, which is not read; write them out")
+    is_wide = b"*" in above[:8] and b"," not in above
+    if not above.strip() or not above[:1].isalpha() or is_wide:
+        what = "fields of 16 columns" if is_wide else "continuations"
+        raise InputError(f"{where}: cards with {what} are replicated, which is not read; write them out")
     rule: list[str] = []
     cards: list[str] = []
     for line in block.split(b"\n"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,6 +16,8 @@ from morembs.importers.decks.numerals import Eight, Words, fixed_integers, words
 from morembs.importers.matrices.text import integers, numbers
 
 Bytes = NDArray[np.uint8]
+# A number as Nastran writes it.
+REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([ED]?[+-]?\d+)?", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +47,9 @@ class Table:
         part = self._part(first, last)
         words = _words(part)
         plain = None if words is None else words.reals()
-        return self._odd_reals(part) if plain is None else plain.reshape(part.shape[:2])
+        return self._odd_reals(part, first) if plain is None else plain.reshape(part.shape[:2])
 
-    def _odd_reals(self, part: Bytes) -> Floats:
+    def _odd_reals(self, part: Bytes, first: int) -> Floats:
         """Numbers that are written in another way than most, or are none."""
         used = np.flatnonzero((part != 32).any(axis=(0, 1)))
         width = int(used[-1]) + 1 if len(used) else 1
@@ -55,11 +58,24 @@ class Table:
         text[:, :, 0][(part == 32).all(axis=2)] = ord("0")
         try:
             values = numbers(text.tobytes(), self.file)
-        except InputError as error:
-            raise InputError(f"{self.file}: a {self.name} card: {error}") from error
+        except InputError:
+            values = np.empty(0)
         if len(values) != part.shape[0] * part.shape[1]:
-            raise InputError(f"{self.file}: a {self.name} card has a field that is not one number")
+            raise InputError(self._odd_field(part, first))
         return values.reshape(part.shape[:2])
+
+    def _odd_field(self, part: Bytes, first: int) -> str:
+        """A sentence on the first of the fields ``part``, from the field ``first`` on, that is no number."""
+        for card, fields in enumerate(part):
+            for k, characters in enumerate(fields, start=first + 2):
+                text = bytes(characters).decode("latin-1").strip()
+                if text and not REAL.fullmatch(text):
+                    line = f", line {self.lines[card]}" if len(self.lines) else ""
+                    return (
+                        f"{self.file}{line}: {self.name} has {text!r} in field {k}; expected a number such as 1.5, "
+                        "1.5E-3 or 1.5-3"
+                    )
+        return f"{self.file}: a {self.name} card has a number that is not finite"
 
     def integers(self, first: int, last: int) -> Ints:
         """Integers (cards, last - first) of fields; a blank one is 0."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 import gzip
 import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from morembs.base.errors import InputError
-from morembs.importers.decks.includes import Includes, cut_line, open_line, open_text
+from morembs.importers.decks.includes import Includes, cut_line, ends_within_number, open_line, open_text
 from morembs.importers.nastran.replication import BLOCK, replicated
 from morembs.importers.tolerances import TOL
 
@@ -99,32 +99,35 @@ class BulkText:
 
     def _pieces(self, path: Path, outer: tuple[Path, ...], start: int = 0) -> Iterator[Piece]:
         outer, above = (*outer, path.resolve()), _lines_above(path, start)
-        ended = not start
+        ended, card = not start, b""
         for text, last in _cards(path, start, self._said):
             at = 0
             for match in _INCLUDE.finditer(text) if _has_word(text, b"INCLUDE") else ():
-                yield from _written_out(text[at : match.start()], path.name, above + text.count(b"\n", 0, at))
+                part = text[at : match.start()]
+                card = yield from _written_out(part, path.name, above + text.count(b"\n", 0, at), card)
                 at = match.end()
                 name = next(group for group in match.groups() if group is not None).decode("latin-1").strip()
                 where, folders = f"{path.name}: INCLUDE", (path.parent, self._includes.path.parent)
                 yield from self._pieces(self._includes.take(name, where, folders, outer, _FIRST), outer)
-            yield from _written_out(text[at:], path.name, above + text.count(b"\n", 0, at))
+            card = yield from _written_out(text[at:], path.name, above + text.count(b"\n", 0, at), card)
             above += text.count(b"\n")
             ended = ended or last
         self._ended = self._ended and ended
 
 
-def _written_out(text: bytes, file: str, above: int) -> Iterator[Piece]:
-    """The text as pieces in which replicated cards are written out."""
+def _written_out(text: bytes, file: str, above: int, card: bytes) -> Generator[Piece, None, bytes]:
+    """The text, below the line ``card``, as pieces in which replicated cards are written out; its last line."""
     at = 0
     for match in BLOCK.finditer(text) if b"=" in text else ():
         before = text[at : match.start()]
         yield Piece(before, file, above + text.count(b"\n", 0, at))
-        card = before.rstrip().rpartition(b"\n")[2]
+        card = before.rstrip().rpartition(b"\n")[2] or card
         line = above + 1 + text.count(b"\n", 0, match.start())
-        yield Piece(replicated(card, match.group(), f"{file}, line {line}"), file, line - 1)
-        at = match.end()
+        cards = replicated(card, match.group(), f"{file}, line {line}")
+        yield Piece(cards, file, line - 1)
+        card, at = cards.rstrip().rpartition(b"\n")[2], match.end()
     yield Piece(text[at:], file, above + text.count(b"\n", 0, at))
+    return text[at:].rstrip().rpartition(b"\n")[2] or card
 
 
 @contextmanager
@@ -172,7 +175,7 @@ def _lines_above(path: Path, start: int) -> int:
 
 def _cards(path: Path, start: int, said: list[str]) -> Iterator[tuple[bytes, bool]]:
     """Text of whole cards without comments, up to ENDDATA; whether that was met. ``said`` are warnings."""
-    rest = above = b""
+    rest, above = b"", list[bytes]()
     with _opened(path) as file:
         file.seek(start, 1)
         while True:
@@ -191,29 +194,32 @@ def _cards(path: Path, start: int, said: list[str]) -> Iterator[tuple[bytes, boo
             end = _END.search(clean) if _has_word(clean, b"ENDDATA") else None
             if not chunk and not end and text.strip() and text[-1:] not in (b"\n", b"\r"):
                 said += _last_line(above, text[text.rfind(b"\n") + 1 :], path.name)
-            above = clean.rstrip(b"\n").rpartition(b"\n")[2]
+            above = clean.rstrip(b"\n").rsplit(b"\n", TOL.layout_lines)[-TOL.layout_lines :]
             yield (clean[: end.start()] if end else clean), end is not None
             if end or not chunk:
                 return
 
 
-def _last_line(above: bytes, line: bytes, file: str) -> list[str]:
+def _last_line(above: list[bytes], line: bytes, file: str) -> list[str]:
     """What to say of a last line without an end and without ENDDATA below ``above``; its card may be whole.
 
     Raises:
-        InputError: the line has fewer fields than the one above, which has the same name, goes on, or is of a matrix.
+        InputError: the line has fewer fields than the one above, which has the same name, or a shorter number than
+            lines above of the same layout; it goes on, or is of a matrix.
     """
     line = line.partition(b"$")[0]
     if not line.strip():
         return []
     own, other = (
         row.split(b",") if b"," in row else [row[at : at + 8] for at in range(0, len(row) or 1, 8)]
-        for row in (line, above)
+        for row in (line, above[-1] if above else b"")
     )
     name = own[0].strip(b" *").upper()
+    alike = [row for row in above if row[: len(name)].upper() == name]
     is_short = name == other[0].strip(b" *").upper() and len(own) < len(other)
     goes_on = line.rstrip().endswith((b",", b"+", b"*"))
     # Columns of a matrix have any number of entries.
+    is_short |= ends_within_number(line, alike)
     if is_short or goes_on or name == b"DMIG" or b"ENDDATA".startswith(line.strip().upper()):
         raise cut_line(file, line)
     return [open_line(file, line)]
