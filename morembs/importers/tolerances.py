@@ -177,6 +177,7 @@ class ImporterTolerances:
     # Lines of one layout, and the characters of their last number, that tell a number which is cut off: chosen; labels
     # and numbers of a few digits have one width by chance. Fields of Nastran have as many columns.
     layout_lines: int = 3
+    # As above.
     layout_characters: int = 8
     # Of the last line of a program: chosen.
     shown_last_line: int = 120

@@ -388,7 +388,7 @@ def test_a_last_number_that_is_shorter_than_those_above_is_cut_off(form, deck):
     nodes = SOLID + "*NODE\n" + "\n".join(form.format(n, n, n, n / 3) for n in range(901, 905))
     assert any("[last-line-open]" in text for text in deck(nodes).warnings)
     for cut in (1, 2, 3):
-        with pytest.raises(InputError, match="may be cut off|cannot be read as a number"):
+        with pytest.raises(InputError, match=r"may be cut off|cannot be read as a number"):
             deck(nodes[:-cut])
 
 

@@ -57,7 +57,7 @@ _CALCULIX = {
         "incompatible",
         "reduced",
         "its modes have mass there and none here: the first three frequencies of a coarse held bar are within 0.7 %, "
-        "the eighth 11 to 19 % too high here, more in distorted ones",
+        "the eighth 11 to 19 % too high here, more in distorted ones; --engine calculix has them as dofs",
     ),
     "C3D10": Meaning(mass="reduced"),
     "C3D10T": Meaning(mass="reduced"),

@@ -15,9 +15,7 @@ from morembs.importers.tolerances import TOL
 # A line that begins with "=", or copies a field below a name of its own: between commas, or in columns of eight.
 _BETWEEN_COMMAS = rb"[A-Za-z][^\n=]*,[ \t]*==?[ \t]*(?:,[^\n]*)?"
 _IN_COLUMNS = rb"[A-Za-z][^\n=,*]{7}(?:[^\n=,]{8})*(?:==?[ \t]*|= {7}[^\n,]*)"
-BLOCK = re.compile(
-    rb"(?:^(?:[ \t]*=[^\n]*|%b|%b)\n(?:[ \t]*\n)*)+" % (_BETWEEN_COMMAS, _IN_COLUMNS), re.MULTILINE
-)
+BLOCK = re.compile(rb"(?:^(?:[ \t]*=[^\n]*|%b|%b)\n(?:[ \t]*\n)*)+" % (_BETWEEN_COMMAS, _IN_COLUMNS), re.MULTILINE)
 _AGAIN = re.compile(r"=\(?(\d{1,6})\)?")
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[EDed]?([+-]\d+)|[EDed](\d+))?")
 
