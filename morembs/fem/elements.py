@@ -19,8 +19,9 @@ import numpy as np
 from morembs.base.types import Floats, Ints
 
 Order = int | tuple[int, int] | str
-# Rules by name, exact to degree 5: 14 points in a hexahedron (Irons 1971), 15 in a tetrahedron (Stroud 1971, T3 5-1).
-IRONS, STROUD = "irons", "stroud"
+# Rules by name, exact to degree 5: 14 points in a hexahedron (Irons 1971), 15 in a tetrahedron (Stroud 1971, T3 5-1);
+# of a bar along the first axis 2 points by 5 times 5 in a section (Kronrod 1965).
+IRONS, STROUD, BAR = "irons", "stroud", "bar"
 
 
 def _with_edges(corners: Sequence[Sequence[float]], edges: Sequence[tuple[int, int]]) -> Floats:
@@ -130,7 +131,7 @@ def _quadrature(domain: type, order: Order) -> tuple[Floats, Floats]:
     from skfem.refdom import RefLine, RefTet, RefTri, RefWedge
 
     if isinstance(order, str):
-        return _irons() if order == IRONS else _stroud()
+        return {IRONS: _irons, STROUD: _stroud, BAR: _bar}[order]()
     across, along = order if isinstance(order, tuple) else (order, order)
     if domain is not RefWedge:
         # Rules of order 1 have more than one point there, but for tetrahedra; here it is the centre.
@@ -152,6 +153,15 @@ def _irons() -> tuple[Floats, Floats]:
     points = np.vstack([inner * np.eye(3), -inner * np.eye(3), outer * (2 * np.array(_HEX, dtype=float) - 1)])
     # Irons 1971: 320 / 361 for the six points on the axes, 121 / 361 for the eight on the diagonals, of a volume of 8.
     return (points + 1) / 2, np.repeat([320 / 361, 121 / 361], [6, 8]) / 8
+
+
+def _bar() -> tuple[Floats, Floats]:
+    # Kronrod 1965: three points between those of Gauss' rule with two; the weights follow from degrees 0 to 4.
+    outer, inner = np.sqrt(6 / 7), np.sqrt(1 / 3)
+    across, degree = np.array([-outer, -inner, 0.0, inner, outer]), np.arange(5)
+    weight = np.linalg.solve(across ** degree[:, None], (1 - (-1.0) ** (degree + 1)) / (degree + 1))
+    points = [[x, y, z] for x in (-inner, inner) for y in across for z in across]
+    return (np.array(points) + 1) / 2, np.tile(np.outer(weight, weight).ravel(), 2) / 8
 
 
 def _stroud() -> tuple[Floats, Floats]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
-from morembs.fem.elements import IRONS, STROUD, TYPES, ElementType, Order, Rule
+from morembs.fem.elements import BAR, IRONS, STROUD, TYPES, ElementType, Order, Rule
 from morembs.fem.mesh import ElementBlock
 from morembs.fem.tolerances import TOL
 
@@ -205,6 +205,7 @@ FORMULATIONS: Mapping[str, Formulation] = MappingProxyType(
         ),
         "reduced": Formulation(about="8 points (hexahedra) or 2 (wedges)", orders={"hex20": 3, "wedge6": (1, 3)}),
         "irons": Formulation(about="14 points", orders={"hex20": IRONS}),
+        "bar": Formulation(about="2 points along a bar, 5 times 5 in its section", orders={"hex20": BAR}),
     }
 )
 

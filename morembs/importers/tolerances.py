@@ -63,6 +63,20 @@ class ImporterTolerances:
     # Distance over the size of a coupling that is none.
     no_arm: float = 1e-9
 
+    # --- Shells and beams, as CalculiX expands them (User's Manual); lengths are in the units of the deck, as there
+    # Cosine of 20 degrees, within which normals are of one fibre.
+    near_normal: float = 0.939693
+    # Cosine of half a degree, within which normals are the same.
+    same_normal: float = 0.999962
+    # Difference of thicknesses and offsets that are the same.
+    same_thickness: float = 1e-10
+    # Length of a normal that has none.
+    least_normal: float = 1e-10
+    # Cosine off one below which a normal is along an axis.
+    near_axis: float = 1e-3
+    # Second moment of the nodes of a knot across a plane that they are in.
+    flat_knot: float = 1e-10
+
     # --- Materials
     # Poisson's ratio that ANSYS takes where none is given (MP,PRXY).
     ansys_poisson: float = 0.3

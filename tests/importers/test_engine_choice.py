@@ -28,6 +28,8 @@ JOB = (
     '[model]\n{}\n[[interface]]\nname = "A"\nnodes = "box:0,0,1.9,1,1,2.1"\n'
     '[[reduce]]\nmethod = "craig-bampton"\nmodes = 2\n[output]\npath = "body.h5"\n'
 )
+# Own assembly has no membranes.
+MEMBRANE = SHELL.replace("S4R", "M3D4R").replace("SHELL", "MEMBRANE")
 SHEET = plate(2, 2, np.eye(3)) + "PSHELL,1,1,.01,1,,1\nMAT1,1,2.1+11,,.3,7850.\nENDDATA\n"
 
 
@@ -67,7 +69,7 @@ def test_a_program_is_taken_for_what_is_not_assembled_here(tmp_path, monkeypatch
     assert "Assembled by CalculiX, as own assembly refuses the deck" in done.stdout and "'S4'" in done.stdout
 
 
-@pytest.mark.parametrize(("name", "deck", "program"), [("a.inp", SHELL, "CalculiX"), ("a.bdf", SHEET, "MYSTRAN")])
+@pytest.mark.parametrize(("name", "deck", "program"), [("a.inp", MEMBRANE, "CalculiX"), ("a.bdf", SHEET, "MYSTRAN")])
 def test_a_program_that_is_missing_is_named(tmp_path, no_programs, name, deck, program):
     with pytest.raises(DeckError, match=f"{program} would read this deck and was not found; install it"):
         import_file(written(tmp_path, name, deck), engine="auto")
@@ -94,7 +96,7 @@ def test_what_keeps_supports_goes_to_a_program(tmp_path, monkeypatch):
     ("name", "deck", "options", "message"),
     [
         ("sheet.bdf", SHEET, {"boundary": "keep", "preload": 1}, "MYSTRAN has no --preload"),
-        ("sheet.inp", SHELL, {"pretension": "cut"}, "MYSTRAN has no --pretension"),
+        ("sheet.inp", MEMBRANE, {"pretension": "cut"}, "MYSTRAN has no --pretension"),
     ],
 )
 def test_a_program_without_an_option_does_not_assemble_by_leaving_it_out(

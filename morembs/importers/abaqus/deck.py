@@ -81,6 +81,8 @@ PLAIN = {
     "T3D2H": "T3D2",
     "T3D3H": "T3D3",
 }
+# Nodes of lines in VTK order.
+VTK_ORDER = {"line3": [0, 2, 1]}
 _WIDTHS = {"tri3": 3, "quad4": 4, "tri6": 6, "quad8": 8, "line2": 2, "line3": 3}
 
 

@@ -39,6 +39,7 @@ from morembs.importers.abaqus.words import (
     STRUCTURAL,
 )
 from morembs.importers.decks.algebra import points_of
+from morembs.importers.decks.expansion.sections import SOLIDS as EXPANDED
 from morembs.importers.decks.formulations import dialect_of, dialects_of_comments
 from morembs.importers.decks.includes import open_text
 from morembs.importers.decks.options import DeckOptions
@@ -104,7 +105,8 @@ def read_deck(
 
 def _others(deck: Contents) -> None:
     """A problem where there are elements that a model cannot carry; those to be skipped are counted."""
-    unknown = {code: n for code, n in deck.counts.items() if code not in SOLIDS and code not in DISCRETE and n}
+    known = {*SOLIDS, *DISCRETE, *(code for code in EXPANDED if not deck.options.skips(code))}
+    unknown = {code: n for code, n in deck.counts.items() if PLAIN.get(code, code) not in known and n}
     for code in list(unknown):
         if code.startswith(_EMPTY):
             deck.noted[f"ELEMENT, TYPE={code}"] = unknown.pop(code)
@@ -117,12 +119,12 @@ def _others(deck: Contents) -> None:
     flags = ("--contact skip",) if gaps else tuple(f"--skip {code}" for code in unknown)
     flag = "--contact skip" if gaps else f"--skip {','.join(unknown)}"
     cure = f"; leave the others out with {flag} if the model is right without them"
-    if not any(count for code, count in deck.counts.items() if code in SOLIDS):
+    if not any(count for code, count in deck.counts.items() if code in SOLIDS or PLAIN.get(code, code) in EXPANDED):
         # Without them nothing would be left.
         flags, cure = (), ""
     deck.unsupported = Problem(
         what=f"{deck.name} has elements that are not supported: {listed}; expected solids ({', '.join(KINDS)} and "
-        f"their variants), {', '.join(DISCRETE)}{cure}"
+        f"their variants), {', '.join([*EXPANDED, *DISCRETE])}{cure}"
         f"{'; --engine calculix may assemble them' if all(map(_OF_ENGINE.match, unknown)) else ''}",
         file=deck.name,
         keyword="ELEMENT",

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.base.types import Floats
+from morembs.base.types import Floats, Ints
 from morembs.importers.abaqus.assembly import Assembly
-from morembs.importers.abaqus.deck import STRUCTURES, Contents, Rows, Scope, values
+from morembs.importers.abaqus.deck import STRUCTURES, VTK_ORDER, Contents, Rows, Scope, values
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.materials import axes_of, elastic_of
 from morembs.importers.abaqus.names import Placed
@@ -23,12 +23,11 @@ _SIDES = {"SPOS": 0.5, "SNEG": -0.5}
 
 @dataclass
 class Structures:
-    """``sections`` with the ``materials`` that they name, and vectors (elements, 3) from the nodes to the axes of
-    beams by their numbers."""
+    """``sections`` with the ``materials`` that they name, and ``values`` of elements by their names and numbers."""
 
     sections: list[Section] = field(default_factory=list)
     materials: dict[str, ElasticMaterial] = field(default_factory=dict)
-    offsets: dict[int, Floats] = field(default_factory=dict)
+    values: dict[str, dict[int, Floats]] = field(default_factory=dict)
 
 
 def structures_of(contents: Contents, assembly: Assembly) -> Structures:
@@ -42,6 +41,8 @@ def structures_of(contents: Contents, assembly: Assembly) -> Structures:
         if card.options.get("ELSET", "").upper() not in placed.sets("element"):
             continue
         numbers = assembly.elements_of(placed, card.options["ELSET"])
+        if not card.keyword.endswith("SECTION"):
+            continue
         kind = {"SOLID": "truss"}.get(card.keyword.split()[0], card.keyword.split()[0].lower())
         own = [int(number) for number in numbers if number >= start and kinds[number - start] == kind]
         if own:
@@ -50,6 +51,12 @@ def structures_of(contents: Contents, assembly: Assembly) -> Structures:
                 result.sections.append(section)
                 if kind == "beam":
                     _offset(assembly, card, section, own, result)
+                elif "NODAL THICKNESS" in card.options:
+                    _nodal_thickness(assembly, card, own, result)
+    for placed, _, card, rows in _cards(assembly):
+        if card.keyword == "NORMAL":
+            with contents.problems.collected(card):
+                _normals(assembly, placed, card, [row for row in rows if row], result)
     named = [name for own in result.sections for name in (own.material, *(ply.material for ply in own.plies))]
     for name in dict.fromkeys(filter(None, named)):
         with contents.problems.collected():
@@ -58,11 +65,11 @@ def structures_of(contents: Contents, assembly: Assembly) -> Structures:
 
 
 def _cards(assembly: Assembly) -> Iterator[tuple[Placed, Scope, Card, Rows]]:
+    """Sections, normals and thicknesses with where they stand."""
     for placed in (*assembly.placed.values(), assembly.top):
         for scope in placed.contents:
             for card, rows in (*scope.sections, *scope.properties):
-                if card.keyword.endswith("SECTION"):
-                    yield placed, scope, card, rows
+                yield placed, scope, card, rows
 
 
 def _section(
@@ -82,8 +89,8 @@ def _section(
     if kind == "beam":
         given = values(rows[1], card)[:3] if len(rows) > 1 else [0.0, 0.0, -1.0]
         direction = placed.rotation @ np.array([*given, *[0.0] * 3][:3])
-        profile = card.options.get("SECTION", "").upper()
-        return replace(section, profile=profile, dimensions=tuple(first), direction=direction)
+        profile, sizes = _profile(card, first, contents.dialect)
+        return replace(section, profile=profile, dimensions=sizes, direction=direction)
     if kind == "truss":
         return replace(section, dimensions=tuple(first[:1] or [1.0]))
     if "COMPOSITE" in card.options:
@@ -93,6 +100,16 @@ def _section(
     text = card.options.get("OFFSET", "").upper()
     share = _SIDES[text] if text in _SIDES else values([text], card)[0]
     return replace(section, offset=-share * section.thickness)
+
+
+def _profile(card: Card, sizes: list[float], dialect: str) -> tuple[str, tuple[float, ...]]:
+    """Profile and dimensions of beams; CalculiX goes by four letters, and gives the axes of an ellipse for a circle."""
+    profile = card.options.get("SECTION", "").upper()
+    profile = profile[:4] if profile[:4] in ("RECT", "CIRC") else profile
+    if profile != "CIRC" or dialect != "calculix" or not sizes:
+        return profile, tuple(sizes)
+    a, b = [*sizes, sizes[0]][:2]
+    return ("CIRC", (a / 2,)) if a == b else ("ELLIPSE", (a, b))
 
 
 def _with_plies(contents: Contents, placed: Placed, scope: Scope, card: Card, rows: Rows, section: Section) -> Section:
@@ -120,14 +137,64 @@ def _offset(assembly: Assembly, card: Card, section: Section, numbers: list[int]
         return
     sizes = section.dimensions
     widths = (2 * sizes[0],) * 2 if section.profile == "CIRC" else (*sizes, *sizes)[:2]
+    for number, nodes in _nodes_of(assembly, numbers):
+        ends = assembly.xyz[nodes[:2]]
+        line = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        first = section.direction - (line @ section.direction) * line
+        first = first / np.linalg.norm(first)
+        second = np.cross(line, first)
+        # Offsets are the place of the node, measured from the axis.
+        vector = -shares[0] * widths[0] * first - shares[1] * widths[1] * second
+        result.values.setdefault("offset", {})[number] = np.array([vector, vector])
+
+
+def _nodal_thickness(assembly: Assembly, card: Card, numbers: list[int], result: Structures) -> None:
+    """Thicknesses of shells at their nodes.
+
+    Raises:
+        InputError: a node without one, or an offset in thicknesses, of which there are several.
+    """
+    if card.options.get("OFFSET"):
+        raise InputError(f"{card} has NODAL THICKNESS and OFFSET; expected one of them")
+    given: dict[int, float] = {}
+    for placed, _, own, rows in _cards(assembly):
+        for row in rows if own.keyword == "NODAL THICKNESS" else []:
+            if row:
+                given |= dict.fromkeys(assembly.nodes_of(placed, row[0]).tolist(), values(row[1:2], own)[0])
+    for number, nodes in _nodes_of(assembly, numbers):
+        lost = [node for node in nodes.tolist() if not given.get(node, 0.0) > 0]
+        if lost:
+            raise InputError(f"{card}: node {assembly.ids[lost[0]]} has no *NODAL THICKNESS; expected a positive one")
+        result.values.setdefault("thickness", {})[number] = np.array([given[node] for node in nodes.tolist()])
+
+
+def _normals(assembly: Assembly, placed: Placed, card: Card, rows: Rows, result: Structures) -> None:
+    """Normals of elements at their nodes, NaN where there is none.
+
+    Raises:
+        InputError: a line without a direction, or with a node that its element does not have.
+    """
+    for row in rows:
+        direction = placed.rotation @ np.array((values(row[2:5], card) + [0.0] * 3)[:3]) if len(row) > 2 else None
+        if direction is None or not np.linalg.norm(direction) > 0:
+            raise InputError(f"{card}: {', '.join(row)[:60]!r} was given; expected element, node and a direction")
+        numbers = assembly.elements_of(placed, row[0]).tolist()
+        wanted = assembly.nodes_of(placed, row[1])
+        for number, nodes in _nodes_of(assembly, numbers):
+            at = np.flatnonzero(np.isin(nodes, wanted))
+            if not len(at):
+                raise InputError(f"{card}: the element {row[0]} does not have the node {row[1]}; mend the line")
+            none = np.full((len(nodes), 3), np.nan)
+            own = result.values.setdefault("normal", {}).setdefault(number, none)
+            own[at] = direction / np.linalg.norm(direction)
+
+
+def _nodes_of(assembly: Assembly, numbers: list[int]) -> Iterator[tuple[int, Ints]]:
+    """Shells, membranes, beams and trusses of ``numbers``, with rows of their nodes in VTK order."""
     start = assembly.solids + len(assembly.discrete)
-    for _, labels, nodes in assembly.others:
-        for number in numbers:
-            if start <= number < start + len(labels):
-                ends = assembly.xyz[nodes[number - start][[0, -1]]]
-                line = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-                first = section.direction - (line @ section.direction) * line
-                first = first / np.linalg.norm(first)
-                second = np.cross(line, first)
-                result.offsets[number] = shares[0] * widths[0] * first + shares[1] * widths[1] * second
+    wanted = np.array(numbers, dtype=np.int64)
+    for code, labels, nodes in assembly.others:
+        order = VTK_ORDER.get(STRUCTURES[code][1] if nodes.shape[1] else "", slice(None))
+        for number in wanted[(wanted >= start) & (wanted < start + len(labels))].tolist():
+            yield number, nodes[number - start][order]
         start += len(labels)

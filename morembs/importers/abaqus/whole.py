@@ -10,11 +10,12 @@ import numpy as np
 from morembs.base.types import Floats, Ints
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.constraints import Constraints, DeckTies
-from morembs.importers.abaqus.deck import PLAIN, SOLIDS, STRUCTURES, Contents
+from morembs.importers.abaqus.deck import PLAIN, SOLIDS, STRUCTURES, VTK_ORDER, Contents
 from morembs.importers.abaqus.left_out import LOCKED, PRETENSION, notes_of
 from morembs.importers.abaqus.materials import SectionMaterials, materials_of
 from morembs.importers.abaqus.structures import structures_of
 from morembs.importers.abaqus.words import EFFECTS, LEFT_OUT, WORDS, of_kind
+from morembs.importers.decks.expansion.sections import SOLIDS as EXPANDED
 from morembs.importers.decks.formulations import Meaning, deck_warnings, program_of
 from morembs.importers.decks.labels import ranges_of
 from morembs.importers.decks.model import Deck
@@ -22,8 +23,7 @@ from morembs.importers.decks.options import left_out
 from morembs.importers.decks.tables import Elements, LeftOut, Surface
 from morembs.importers.imported import on_rows
 
-# Nodes of lines in VTK order.
-_ORDER = {"line3": [0, 2, 1]}
+Values = Mapping[str, Mapping[int, Floats]]
 
 
 def deck_of(contents: Contents) -> Deck:
@@ -40,7 +40,7 @@ def deck_of(contents: Contents) -> Deck:
             ties, surfaces = constraints.read(), constraints.surfaces.named
             sections = materials_of(contents, assembly)
         structures = structures_of(contents, assembly)
-        deck = mesh_deck(contents, assembly, structures.offsets)
+        deck = mesh_deck(contents, assembly, structures.values)
     ids = assembly.ids
     moved = (own.scope.name for own in contents.instances.values() if own.moves)
     return replace(
@@ -68,8 +68,8 @@ def deck_of(contents: Contents) -> Deck:
     )
 
 
-def mesh_deck(contents: Contents, assembly: Assembly, offsets: Mapping[int, Floats] | None = None) -> Deck:
-    """Nodes, elements and sets alone, with ``offsets`` (3,) of beams by their numbers; the assembly gives up its
+def mesh_deck(contents: Contents, assembly: Assembly, values: Values | None = None) -> Deck:
+    """Nodes, elements and sets alone, with ``values`` of elements by their numbers; the assembly gives up its
     solids."""
     labels, ids = assembly.element_labels(), assembly.ids
     node_sets = {name: ranges_of(ids[rows]) for name, rows in assembly.resolved("node")}
@@ -80,7 +80,7 @@ def mesh_deck(contents: Contents, assembly: Assembly, offsets: Mapping[int, Floa
         program=program_of(contents.dialect),
         ids=ids,
         xyz=assembly.xyz,
-        elements=tuple(_elements(contents, assembly, offsets or {})),
+        elements=tuple(_elements(contents, assembly, values or {})),
         node_sets=node_sets,
         element_sets=element_sets,
         notes=tuple(assembly.notes),
@@ -90,7 +90,7 @@ def mesh_deck(contents: Contents, assembly: Assembly, offsets: Mapping[int, Floa
     )
 
 
-def _elements(contents: Contents, assembly: Assembly, offsets: Mapping[int, Floats]) -> Iterator[Elements]:
+def _elements(contents: Contents, assembly: Assembly, values: Values) -> Iterator[Elements]:
     """Solids by what they mean, then elements on single nodes, then others."""
     start = assembly.solids + len(assembly.discrete)
     codes = {contents.kind(code): code for code in reversed(contents.counts) if code in SOLIDS}
@@ -106,22 +106,27 @@ def _elements(contents: Contents, assembly: Assembly, offsets: Mapping[int, Floa
         yield Elements(code=code, kind="point", shape="", ids=labels, nodes=assembly.ids[nodes])
     for code, labels, nodes in assembly.others:
         kind, shape = STRUCTURES[code] if nodes.shape[1] else ("none", "")
+        is_refused = bool(nodes.shape[1]) or code in contents.unknown
         yield Elements(
             code=code,
             kind=kind,
             shape=shape,
             ids=labels,
-            nodes=assembly.ids[nodes[:, _ORDER.get(shape, slice(None))]],
-            values=_offsets_of(start, len(labels), offsets),
-            problem=contents.unsupported if nodes.shape[1] or code in contents.unknown else None,
+            nodes=assembly.ids[nodes[:, VTK_ORDER.get(shape, slice(None))]],
+            values=dict(_values_of(start, len(labels), values)),
+            problem=contents.unsupported if is_refused and code not in EXPANDED else None,
         )
         start += len(labels)
 
 
-def _offsets_of(start: int, count: int, offsets: Mapping[int, Floats]) -> dict[str, Floats]:
-    """Offsets (count, 2, 3) of the ends of beams with the numbers from ``start`` on, where there are any."""
-    vectors = np.array([offsets.get(start + i, np.zeros(3)) for i in range(count)]).reshape(-1, 1, 3)
-    return {"offset": np.repeat(vectors, 2, axis=1)} if vectors.any() else {}
+def _values_of(start: int, count: int, values: Values) -> Iterator[tuple[str, Floats]]:
+    """Values (count, ...) of the elements with the numbers from ``start`` on, by their names, where there are any."""
+    for name, given in values.items():
+        own = [given.get(start + i) for i in range(count)]
+        some = next((value for value in own if value is not None), None)
+        if some is not None:
+            none = np.full(some.shape, 0.0 if name == "offset" else np.nan)
+            yield name, np.array([none if value is None else value for value in own])
 
 
 def _labelled(surface: Surface, ids: Ints) -> Surface:

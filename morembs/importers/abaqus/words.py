@@ -169,8 +169,11 @@ CONTACT = of_kind("contact")
 CONSTRAINTS = of_kind("constraint")
 PROPERTIES = of_kind("property")
 STRUCTURAL = of_kind("room")
-# Sections of shells, membranes and beams.
-SECTIONS = ("SHELL SECTION", "MEMBRANE SECTION", "BEAM SECTION", "BEAM GENERAL SECTION")
+# Sections of shells, membranes and beams, and what goes with them.
+SECTIONS = (
+    *("SHELL SECTION", "MEMBRANE SECTION", "BEAM SECTION", "BEAM GENERAL SECTION"),
+    *("NODAL THICKNESS", "NORMAL"),
+)
 # Neither stiffness nor mass of the model depends on these.
 LEFT_OUT = of_kind(*EFFECTS)
 _SPELLINGS = {word.replace(" ", ""): word for word in WORDS}

@@ -145,6 +145,7 @@ _WORDS = {
     "incompatible": "incompatible modes",
     "reduced": "reduced integration",
     "irons": "14 points",
+    "bar": "2 points along and 5 x 5 across",
 }
 _MASSES = {
     "exact": "the consistent mass",

@@ -11,6 +11,8 @@ from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.fem import ElementBlock, Mesh, Nodes
 from morembs.fem.material import Material
+from morembs.importers.decks.expansion import expanded
+from morembs.importers.decks.expansion.sections import is_expanded
 from morembs.importers.decks.labels import Labels, distinct, find
 from morembs.importers.decks.materials import complete
 from morembs.importers.decks.missing_middles import with_middles
@@ -55,9 +57,9 @@ def import_deck(deck: DeckTables, materials: Sequence[Material] = ()) -> Importe
     """
     problems = _problems(deck)
     with problems.ending():
-        deck = with_middles(deck)
         # Without solids that is what is told.
-        deck = complete(deck, materials) if any(part.kind == "solid" for part in deck.elements) else deck
+        is_there = any(part.kind == "solid" or is_expanded(part) for part in deck.elements)
+        deck = with_middles(expanded(complete(deck, materials) if is_there else deck, problems))
         tied = couplings_of(deck)
         solids = join(deck, nodes_of(tied.ties))
         mesh = _mesh(deck, solids)

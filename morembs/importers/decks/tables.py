@@ -50,7 +50,8 @@ class Elements:
     # along each edge at which solids are integrated, 0 for those of the element.
     numbers: Mapping[str, Ints] = field(default_factory=dict)
     # Properties that differ from element to element (NaN: that of the section):
-    # "thickness" (k, n) at the corners; "offset" (k,) of a shell along its normal, (k, 2, 3) of the ends of a beam;
+    # "thickness" (k, n) at the nodes; "normal" (k, n, 3) there, of beams the second section axis;
+    # "offset" (k,) of a shell along its normal, (k, 2, 3) of the ends of a beam;
     # "direction" (k, 3), with which the axis of a beam spans the plane of its first section axis, or whose projection
     # is the first material axis of a shell; "angle" (k,) in degrees about the normal, from the first edge of a shell
     # to its first material axis; "released" (k, 2, 6), 1 where an end of a beam carries no force in a component.
@@ -130,7 +131,8 @@ class Section:
     offset: float = 0.0
     plate: Plate | None = None
     # Of beams: the shape of the profile with its dimensions as *BEAM SECTION of Abaqus has them (RECT, CIRC, PIPE, BOX,
-    # I, L, HEX, TRAPEZOID), "GENERAL" with area, I11, I12, I22, J; the name and dimensions of PBARL behind "PBARL ".
+    # I, L, HEX, TRAPEZOID), "ELLIPSE" with its axes, "GENERAL" with area, I11, I12, I22, J; the name and dimensions of
+    # PBARL behind "PBARL ".
     # Of trusses: the area, and behind it the torsion constant where there is one.
     profile: str = ""
     dimensions: tuple[float, ...] = ()

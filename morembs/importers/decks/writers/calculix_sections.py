@@ -14,7 +14,10 @@ from morembs.importers.decks.writers.calculix_mesh import Line, MeshText, numera
 from morembs.importers.tolerances import TOL
 
 # Profiles of *BEAM SECTION that each program has here.
-_PROFILES = {"calculix": ("RECT", "CIRC", "PIPE", "BOX"), "abaqus": ("RECT", "CIRC", "PIPE", "BOX", "I", "L", "HEX")}
+_PROFILES = {
+    "calculix": ("RECT", "CIRC", "ELLIPSE", "PIPE", "BOX"),
+    "abaqus": ("RECT", "CIRC", "PIPE", "BOX", "I", "L", "HEX"),
+}
 
 
 def elastic_lines(C: Floats) -> list[str]:
@@ -109,8 +112,10 @@ class SectionText(MeshText):
                     f"{self._what(section)} has the profile {section.profile!r}; {self.program} has {known}"
                 )
             word = "BEAM SECTION"
-            options += [f"SECTION={section.profile}", *self._offsets(section, rows)]
-            data = [numerals(section.dimensions), numerals(section.direction)]
+            options += [f"SECTION={section.profile.replace('ELLIPSE', 'CIRC')}", *self._offsets(section, rows)]
+            is_ellipse = section.profile == "CIRC" and self.dialect == "calculix"
+            data = [numerals([2 * section.dimensions[0]] if is_ellipse else section.dimensions)]
+            data.append(numerals(section.direction))
         else:
             raise InputError(f"{self._what(section)} is for elements that {self.program} has not")
         yield "\n".join([f"*{word}, {', '.join(options)}", *data])
@@ -168,8 +173,9 @@ class SectionText(MeshText):
             np.stack([np.einsum("kex,kx->ke", vectors[own], axis) for axis in (first, second)])
             / np.array(widths)[:, None, None]
         )
-        mean = parts.reshape(2, -1).mean(axis=1)
-        if np.abs(parts - mean[:, None, None]).max() > TOL.same_offset:
+        # Offsets are the place of the node, measured from the axis.
+        mean = -parts.reshape(2, -1).mean(axis=1)
+        if np.abs(parts + mean[:, None, None]).max() > TOL.same_offset:
             raise InputError(f"{self._what(section)} has offsets that differ by element, which {self.program} has not")
         return [f"OFFSET{i}={numeral(value)}" for i, value in enumerate(mean.tolist(), start=1) if value]
 

@@ -1,0 +1,129 @@
+"""Knots and hinges: how fibres and cross-sections of one node hang together.
+
+CalculiX CrunchiX User's Manual, "Expansion of the one-dimensional and two-dimensional elements": where a node has
+several of them they are rigid but for a stretch, uniform, or along two axes where all their nodes are in a plane. A
+node with one is at the mean of the corners of that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from morembs.base.types import Bools, Floats, Ints
+from morembs.fem import rigid_motion
+from morembs.fem.constraints import Equations
+from morembs.fem.fe_model import Component
+from morembs.importers.decks.expansion.normals import Fibres
+from morembs.importers.decks.expansion.solids import FibreNodes
+from morembs.importers.decks.tables import DeckTables
+from morembs.importers.tolerances import TOL
+
+KNOTS, MEANS = "knots of shells and beams", "nodes of shells and beams"
+
+
+class _Part(NamedTuple):
+    """Nodes and components (k,) that follow the nodes ``leaders`` (t,) in components ``of`` (t,) with ``values``
+    (k, t)."""
+
+    nodes: Ints
+    components: Ints
+    leaders: Ints
+    of: Ints
+    values: Floats
+
+
+def knot_nodes(fibres: Fibres, count: int) -> Ints:
+    """Rows of the nodes, of ``count``, that have several fibres or cross-sections."""
+    return np.flatnonzero(np.bincount(fibres.node, minlength=count) > 1)
+
+
+def knot_equations(deck: DeckTables, fibres: Fibres, nodes: FibreNodes) -> tuple[Equations, ...]:
+    """How the nodes of fibres and cross-sections follow knots."""
+    parts = list[_Part]()
+    order = np.argsort(fibres.node, kind="stable")
+    start = np.searchsorted(fibres.node[order], np.arange(len(deck.ids) + 1))
+    for row in knot_nodes(fibres, len(deck.ids)).tolist():
+        own = order[start[row] : start[row + 1]]
+        knot, at = int(deck.ids[row]), deck.xyz[row]
+        labels, there = nodes.labels[own], nodes.is_there[own]
+        made = labels > 0
+        directions = _stretches(nodes.xyz[own][there], has_beams=bool(fibres.first[own].any()))
+        parts.append(_follows(knot, at, labels[made], nodes.xyz[own][made], directions))
+        if fibres.is_straight[row]:
+            parts.append(_no_spin(knot, fibres.normal[own[-1]]))
+    return tuple(_equations(KNOTS, parts))
+
+
+def _stretches(places: Floats, *, has_beams: bool) -> Floats:
+    """Directions (d, 3, 3) of the stretches of a knot whose nodes are at ``places`` (m, 3), as matrices: e e' of one
+    along e, the identity of a uniform one."""
+    from_mean = places - places.mean(axis=0)
+    size, axes = np.linalg.eigh(from_mean.T @ from_mean)
+    if has_beams and size[0] < TOL.flat_knot <= size[1]:
+        return np.stack([np.outer(axes[:, i], axes[:, i]) for i in (2, 1)])
+    return np.eye(3)[None]
+
+
+def _follows(knot: int, at: Floats, own: Ints, places: Floats, directions: Floats) -> _Part:
+    """Nodes ``own`` (m,) at ``places`` (m, 3) behind a knot at the place ``at``, whose stretches are scalars of it and
+    of the first of its nodes."""
+    components = np.tile(np.arange(3), len(places))
+    rigid = rigid_motion(np.repeat(places - at, 3, axis=0), components)
+    stretch = np.einsum("mb,dab->mad", places - at, directions).reshape(-1, len(directions))
+    holders = np.array([knot, own[0]])[: len(directions)]
+    return _Part(
+        nodes=np.repeat(own, 3),
+        components=components,
+        leaders=np.concatenate([np.full(6, knot), holders]),
+        of=np.concatenate([np.arange(6), np.full(len(holders), Component.SCALAR)]),
+        values=np.hstack([rigid, stretch]),
+    )
+
+
+def _no_spin(knot: int, normal: Floats) -> _Part:
+    """No rotation of a knot about its only ``normal``, or the axis next to it, which moves none of its fibres."""
+    i = int(np.abs(normal).argmax())
+    is_near = 1.0 - abs(normal[i]) < TOL.near_axis
+    j = np.flatnonzero((np.arange(3) != i) & ~is_near)
+    values = -normal[None, j] / normal[i]
+    return _Part(np.array([knot]), np.array([3 + i]), np.full(len(j), knot), 3 + j, values)
+
+
+def _equations(name: str, parts: Sequence[_Part]) -> Iterator[Equations]:
+    if parts:
+        counts = np.concatenate([np.full(len(part.nodes), len(part.leaders)) for part in parts])
+        yield Equations(
+            name=name,
+            nodes=np.concatenate([part.nodes for part in parts]),
+            components=np.concatenate([part.components for part in parts]),
+            offsets=np.concatenate([[0], np.cumsum(counts)]),
+            term_nodes=np.concatenate([np.tile(part.leaders, len(part.nodes)) for part in parts]),
+            term_components=np.concatenate([np.tile(part.of, len(part.nodes)) for part in parts]),
+            coefficients=np.concatenate([part.values.ravel() for part in parts]),
+        )
+
+
+def mean_equations(nodes: Ints, corners: Ints, leads: Bools) -> Iterator[Equations]:
+    """Displacements of ``nodes`` (n,) as means of those of ``corners`` (n, c); where a node ``leads`` (n, 3) in a
+    component, the first of its corners follows it and the others."""
+    count = corners.shape[1]
+    if not len(nodes):
+        return
+    own = np.where(leads, corners[:, :1], nodes[:, None])
+    terms = np.repeat(corners[:, None], 3, axis=1)
+    terms[:, :, 0] = np.where(leads, nodes[:, None], corners[:, :1])
+    values = np.full(terms.shape, 1.0 / count)
+    values[leads] = np.array([count, *[-1.0] * (count - 1)])
+    components = np.tile(np.arange(3), len(nodes))
+    yield Equations(
+        name=MEANS,
+        nodes=own.ravel(),
+        components=components,
+        offsets=count * np.arange(3 * len(nodes) + 1),
+        term_nodes=terms.ravel(),
+        term_components=np.repeat(components, count),
+        coefficients=values.ravel(),
+    )

@@ -1,0 +1,118 @@
+"""What sets, surfaces and couplings that name nodes of shells and beams mean once these are solids.
+
+Sets hold the nodes of fibres and cross-sections, of knots the node itself. Displacements of a node are those of its
+mean (CalculiX, "Expansion of the one-dimensional and two-dimensional elements"), rotations are those of knots alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from morembs.base.types import Floats, Ints
+from morembs.fem.constraints import AverageElement, RigidElement
+from morembs.fem.fe_model import Component
+from morembs.importers.decks.expansion.equations import mean_equations
+from morembs.importers.decks.expansion.sections import SOLIDS
+from morembs.importers.decks.expansion.solids import FibreNodes
+from morembs.importers.decks.labels import find, in_ranges, ranges_of
+from morembs.importers.decks.problems import Problem, Problems
+from morembs.importers.decks.tables import DeckTables, Surface
+
+
+def with_names(deck: DeckTables, nodes: FibreNodes, problems: Problems) -> DeckTables:
+    """The deck whose sets, surfaces and couplings name the nodes that it has now."""
+    labels, counts = np.unique(nodes.parent, return_counts=True)
+    single = ~np.isin(nodes.parent, labels[counts > 1])
+    members, parents = nodes.labels[single], nodes.parent[single]
+    became = {int(node): own[own > 0] for node, own in zip(parents, members, strict=True)}
+    rigid = tuple(_rigid(element, became, problems, deck.name) for element in deck.rigid)
+    average = tuple(_average(element, became) for element in deck.average)
+    deck = replace(deck, rigid=rigid, average=average)
+    _refuse_rotations(deck, became, problems)
+    flat, of = members[members > 0], np.repeat(parents, (members > 0).sum(axis=1))
+    sets = {
+        name: own if not (chosen := in_ranges(of, own)).any() else _with(own, flat[chosen], parents)
+        for name, own in deck.node_sets.items()
+    }
+    surfaces = {name: _surface(surface, became) for name, surface in deck.surfaces.items()}
+    equations = list(deck.equations)
+    leading = _leading(deck)
+    for is_corner, count in ((nodes.is_corner, 2), (nodes.is_corner, 4)):
+        rows = np.flatnonzero(single & (is_corner.sum(axis=1) == count))
+        corners = nodes.labels[rows][is_corner[rows]].reshape(-1, count)
+        own = nodes.parent[rows]
+        leads = np.isin(4 * own[:, None] + np.arange(3), leading)
+        equations += mean_equations(own, corners, leads)
+    return replace(deck, node_sets=sets, surfaces=surfaces, equations=tuple(equations))
+
+
+def _with(ranges: Ints, more: Ints, without: Ints) -> Ints:
+    """Ranges of labels with ``more`` of them and none of ``without``."""
+    named = np.concatenate([np.arange(a, b + 1) for a, b in ranges.tolist()])
+    return ranges_of(np.concatenate([np.setdiff1d(named, without), more]))
+
+
+def _surface(surface: Surface, became: Mapping[int, Ints]) -> Surface:
+    """A surface on what its nodes became, which share their weights."""
+    nodes, weights = _shared(surface.nodes, surface.weights, became)
+    order = np.argsort(nodes, kind="stable")
+    return surface if len(nodes) == len(surface.nodes) else Surface(nodes=nodes[order], weights=weights[order])
+
+
+def _shared(nodes: Ints, weights: Floats, became: Mapping[int, Ints]) -> tuple[Ints, Floats]:
+    """Nodes with what they became in place of them, and weights that these share."""
+    own = [became.get(int(node), np.array([node])) for node in nodes]
+    shares = [np.full(len(part), weight / len(part)) for part, weight in zip(own, weights, strict=True)]
+    return np.concatenate([nodes[:0], *own]), np.concatenate([weights[:0], *shares])
+
+
+def _average(element: AverageElement, became: Mapping[int, Ints]) -> AverageElement:
+    nodes, weights = _shared(element.nodes, element.weights, became)
+    return replace(element, nodes=nodes, weights=weights)
+
+
+def _rigid(element: RigidElement, became: Mapping[int, Ints], problems: Problems, deck: str) -> RigidElement:
+    """A rigid element whose slaves turn with it, as far as it turns them."""
+    if element.master in became:
+        what = f"{deck}: the master {element.master} of the rigid element {element.name!r} is a node of a shell or beam"
+        _refuse(problems, deck, what)
+    if len(element.components) < Component.SCALAR:
+        return element
+    slaves, _ = _shared(element.slaves, np.ones(len(element.slaves)), became)
+    return replace(element, slaves=slaves)
+
+
+def _refuse_rotations(deck: DeckTables, became: Mapping[int, Ints], problems: Problems) -> None:
+    """Problems of what acts on rotations of nodes that have none."""
+    named = [(own.nodes, own.components, own.name) for own in deck.equations]
+    named += [(own.nodes, own.components, own.name) for own in deck.discrete]
+    named += [(own.term_nodes, own.term_components, own.name) for own in deck.equations]
+    named += [(np.full(3, own.node), np.array([3, 4, 5]), own.name) for own in deck.masses if own.inertia.any()]
+    named += [(np.array([own.reference]), np.array([3]), own.name) for own in deck.average]
+    known = np.array(sorted(became), dtype=np.int64)
+    for nodes, components, name in named:
+        bare = (components > 2) & (components < Component.SCALAR) & find(known, nodes)[1]
+        if bare.any():
+            what = f"{deck.name}: {name!r} acts on rotations of node {nodes[bare][0]}, which has none here"
+            _refuse(problems, deck.name, what)
+
+
+def _refuse(problems: Problems, deck: str, what: str) -> None:
+    problems.add(Problem(what=f"{what}; --engine calculix may assemble it", file=deck))
+
+
+def _leading(deck: DeckTables) -> Ints:
+    """Codes, 4 label + component, of displacements that their nodes have of something else than fibres: of solids, or
+    as followers."""
+    codes = [np.empty(0, dtype=np.int64)]
+    for part in deck.elements:
+        if part.kind == "solid" and part.code not in SOLIDS:
+            codes.append((4 * np.unique(part.nodes)[:, None] + np.arange(3)).ravel())
+    for rigid in deck.rigid:
+        own = np.array([c for c in rigid.components if c < 3], dtype=np.int64)
+        codes.append((4 * rigid.slaves[:, None] + own).ravel())
+    codes += [4 * own.nodes[own.components < 3] + own.components[own.components < 3] for own in deck.equations]
+    return np.unique(np.concatenate(codes))

@@ -1,0 +1,145 @@
+"""Shells and beams of decks of CalculiX, assembled here, against ccx and against beams of Timoshenko."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.deck_programs import difference, of_ccx, spectrum_of
+from morembs import InputError
+from morembs.fem import FEModel, rigid_motion
+from morembs.importers import import_file
+from morembs.importers.to_model import model_of
+from tests.support.calculix import STORED, needs_ccx
+from tests.support.structures import LINE, PORTAL, STRUCTURES, fold, frame, plate
+
+# The first ten frequencies of each in Hz, by ccx 2.20.
+FREQUENCIES = json.loads((STORED / "structures.json").read_text())
+
+
+def imported(folder: Path, text: str, **options: object) -> FEModel:
+    (folder / "deck.inp").write_text(text)
+    return model_of(import_file(folder / "deck.inp", options={"dialect": "calculix", **options}))
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_frequencies_are_those_that_ccx_found(tmp_path, name):
+    found = spectrum_of(imported(tmp_path, STRUCTURES[name])).frequencies
+    assert len(found) == len(FREQUENCIES[name]) >= 6
+    assert found == pytest.approx(FREQUENCIES[name], rel=1e-6)
+
+
+@needs_ccx
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_frequencies_are_those_of_ccx(tmp_path, name):
+    model = imported(tmp_path, STRUCTURES[name])
+    assert difference(spectrum_of(model), of_ccx(tmp_path / "deck.inp")) <= 1e-6
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_rigid_motion_has_no_force_and_all_mass(tmp_path, name):
+    model = imported(tmp_path, STRUCTURES[name])
+    R = rigid_motion(model.nodes.xyz[model.dofs.node], model.dofs.component)
+    assert np.abs(model.K @ R).max() <= 1e-12 * (abs(model.K) @ np.abs(R)).max()
+    own = model.dofs.node < len(model.mesh.nodes)
+    R[~own] = 0.0
+    moved = R[:, :3].T @ model.M @ R[:, :3]
+    assert moved == pytest.approx(moved[0, 0] * np.eye(3), rel=1e-12)
+    if name == "flat S8R":
+        assert moved[0, 0] == pytest.approx(10 * 6 * 0.2 * 7850, rel=1e-12)
+
+
+@pytest.mark.parametrize("code", ["B32", "B32R"])
+def test_a_cantilever_bends_as_timoshenko_has_it(tmp_path, code):
+    """A tip load; the held section may contract, and its first axis is the thinner one."""
+    model = imported(tmp_path, frame(code, ((0, 0, 0), (0, 0, 10)), 8, data="0.4, 0.6", direction="0, 1, 0"))
+    T = model.dependent.S[:, np.flatnonzero(model.dependent.owner < 0)]
+    free = np.flatnonzero(model.dependent.owner < 0)
+    K = (T.T @ model.K @ T).toarray()
+    x, component = model.nodes.xyz[model.dofs.node[free]], model.dofs.component[free]
+    held = (x[:, 2] < 1e-9) & ((component == 2) | (np.abs(x[np.arange(len(x)), component % 3]) < 1e-9))
+    tip = np.flatnonzero((model.nodes.ids[model.dofs.node] == 17) & (model.dofs.component == 0))
+    row = T[tip].toarray().ravel()
+    kept = np.flatnonzero(~held & (np.abs(K).sum(axis=1) > 0))
+    deflection = row[kept] @ np.linalg.solve(K[np.ix_(kept, kept)], row[kept])
+    E, G, inertia, area = 2.1e11, 2.1e11 / 2.6, 0.4 * 0.6**3 / 12, 0.4 * 0.6
+    assert deflection == pytest.approx(10**3 / (3 * E * inertia) + 10 / (5 / 6 * G * area), rel=5e-3)
+
+
+def test_nodes_of_the_deck_are_in_the_middle_and_sets_hold_fibres(tmp_path):
+    model = imported(tmp_path, plate("S8R"))
+    node = int(np.flatnonzero(model.nodes.ids == 1)[0])
+    own = np.flatnonzero(model.dofs.node == node)
+    assert model.dofs.component[own].tolist() == [0, 1, 2]
+    fibres = model.nodes.sets["END"]
+    assert len(fibres) == 3 * 3 + 2 * 2 and node not in fibres
+    assert np.unique(model.nodes.xyz[fibres, 2]) == pytest.approx([-0.1, 0.0, 0.1])
+    S = model.dependent.S[own].toarray()
+    ends = [i for i in fibres if np.allclose(np.abs(model.nodes.xyz[i] - model.nodes.xyz[node]), [0, 0, 0.1])]
+    for row, component in zip(S, range(3), strict=True):
+        terms = model.dofs.node[np.flatnonzero(row)], model.dofs.component[np.flatnonzero(row)]
+        assert sorted(terms[0].tolist()) == sorted(ends) and set(terms[1].tolist()) == {component}
+        assert row[row != 0] == pytest.approx([0.5, 0.5])
+
+
+def test_a_knot_has_rotations_and_stretches(tmp_path):
+    model = imported(tmp_path, plate("S8R", (4, 2), move=fold(1.0)))
+    knots = np.unique(model.dofs.node[model.dofs.component == 3])
+    assert model.nodes.xyz[knots, 0] == pytest.approx(5.0) and len(knots) == 5
+    for knot in knots:
+        assert model.dofs.component[model.dofs.node == knot].tolist() == [0, 1, 2, 3, 4, 5, 6]
+
+
+def test_what_is_not_assembled_here_names_who_does(tmp_path):
+    layers = plate("S8R", section=", COMPOSITE", data=".1,,STEEL\n.1,,STEEL")
+    round_b31 = frame("B31R", LINE, section="CIRC", data="0.4")
+    normal = frame("B32", LINE) + "*NORMAL\n1, 1, 0, 0, 1\n"
+    general = frame("B32", LINE, section="GENERAL", data="1, 1, 0, 1, 1")
+    mesh = plate("S8R").split("*SHELL")[0]
+    for text, why in (
+        (layers, "6 of the type 'S8R' (layers)"),
+        (round_b31, "2 of the type 'B31R' (SECTION=CIRC of a linear beam)"),
+        (normal, "2 of the type 'B32' (*NORMAL of a beam)"),
+        (general, "2 of the type 'B32' (SECTION=GENERAL)"),
+        (mesh, "6 of the type 'S8R' (elements without a section)"),
+    ):
+        with pytest.raises(InputError, match="elements that are not supported") as told:
+            imported(tmp_path, text)
+        assert why in str(told.value) and "--engine calculix may assemble them" in str(told.value)
+
+
+def test_shells_of_abaqus_are_told_to_be_those_of_calculix(tmp_path):
+    text = plate("S8R").replace("TYPE=S8R", "TYPE=S8R5")
+    model = imported(tmp_path, text, dialect="abaqus")
+    told = [sentence for sentence in model.warnings if "[formulation-differs]" in sentence]
+    assert len(told) == 1 and told[0].startswith("6 elements S8R are expanded to solids as CalculiX does")
+    assert any("6 elements S8R5 are assembled as S8R [hybrid-as-plain]" in sentence for sentence in model.warnings)
+    assert imported(tmp_path, plate("S8R")).warnings == ()
+
+
+def test_masses_and_springs_act_on_the_mean(tmp_path):
+    text = plate("S8R") + "*ELEMENT, TYPE=MASS, ELSET=M\n900, 1\n*MASS, ELSET=M\n3.\n"
+    text += "*ELEMENT, TYPE=SPRING1, ELSET=K\n901, 7\n*SPRING, ELSET=K\n3\n5.e6\n"
+    model, bare = imported(tmp_path, text), imported(tmp_path, plate("S8R"))
+    move = (model.dofs.component == 2).astype(float)
+    S, T = model.dependent.S, bare.dependent.S
+    assert move @ model.M @ move == pytest.approx(move @ bare.M @ move + 3.0, rel=1e-12)
+    assert move @ (S.T @ model.K @ S) @ move == pytest.approx(5e6, rel=1e-7)
+    assert abs(S - T).max() == 0
+
+
+def test_rotations_that_a_node_does_not_have_are_told(tmp_path):
+    text = plate("S8R") + "*EQUATION\n2\n1, 5, 1., 7, 5, -1.\n"
+    with pytest.raises(InputError, match=r"'\*EQUATION' acts on rotations of node 1, which has none here"):
+        imported(tmp_path, text)
+
+
+def test_sections_without_a_density_ask_for_one(tmp_path):
+    text = frame("B32", PORTAL).replace("*DENSITY\n7850.\n", "")
+    with pytest.raises(InputError, match=r"the material STEEL of the set BEAMS has no \*DENSITY"):
+        imported(tmp_path, text)
+    model = imported(tmp_path, text, density=7850.0)
+    assert spectrum_of(model).frequencies == pytest.approx(FREQUENCIES["portal B32"], rel=1e-6)
