@@ -143,3 +143,10 @@ def test_sections_without_a_density_ask_for_one(tmp_path):
         imported(tmp_path, text)
     model = imported(tmp_path, text, density=7850.0)
     assert spectrum_of(model).frequencies == pytest.approx(FREQUENCIES["portal B32"], rel=1e-6)
+
+
+def test_shells_may_be_left_out(tmp_path):
+    text = STRUCTURES["S8 on solids"]
+    model = imported(tmp_path, text, skip="S8")
+    assert any("6 elements S8 left out as asked" in sentence for sentence in model.warnings)
+    assert model.size == 3 * 12

@@ -105,8 +105,9 @@ def read_deck(
 
 def _others(deck: Contents) -> None:
     """A problem where there are elements that a model cannot carry; those to be skipped are counted."""
-    known = {*SOLIDS, *DISCRETE, *(code for code in EXPANDED if not deck.options.skips(code))}
-    unknown = {code: n for code, n in deck.counts.items() if PLAIN.get(code, code) not in known and n}
+    known = {*SOLIDS, *DISCRETE}
+    expanded = {code for code in deck.counts if PLAIN.get(code, code) in EXPANDED and not deck.options.skips(code)}
+    unknown = {code: n for code, n in deck.counts.items() if code not in known | expanded and n}
     for code in list(unknown):
         if code.startswith(_EMPTY):
             deck.noted[f"ELEMENT, TYPE={code}"] = unknown.pop(code)
@@ -119,7 +120,7 @@ def _others(deck: Contents) -> None:
     flags = ("--contact skip",) if gaps else tuple(f"--skip {code}" for code in unknown)
     flag = "--contact skip" if gaps else f"--skip {','.join(unknown)}"
     cure = f"; leave the others out with {flag} if the model is right without them"
-    if not any(count for code, count in deck.counts.items() if code in SOLIDS or PLAIN.get(code, code) in EXPANDED):
+    if not any(count for code, count in deck.counts.items() if code in expanded or code in SOLIDS):
         # Without them nothing would be left.
         flags, cure = (), ""
     deck.unsupported = Problem(
