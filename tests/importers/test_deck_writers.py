@@ -157,8 +157,8 @@ def test_a_written_deck_tells_its_program(program, tmp_path):
 @pytest.mark.parametrize(
     ("text", "source", "what"),
     [
-        (deck_text("C3D8") + "*BOUNDARY\n1, 1, 3\n", "abaqus", "*BOUNDARY (1)"),
-        (deck_text("C3D8") + "*STEP\n*STATIC\n*BOUNDARY\n1, 1, 3\n*END STEP\n", "abaqus", "*BOUNDARY (1)"),
+        (deck_text("C3D8") + "*BOUNDARY\nNOPE, 1, 3\n", "abaqus", "*BOUNDARY (1)"),
+        (deck_text("C3D8") + 2 * "*STEP\n*STATIC\n*BOUNDARY\n1, 1, 3\n*END STEP\n", "abaqus", "*BOUNDARY (1)"),
         (
             ansys_archive(box("hex8", (1, 1, 1), (1.0, 1.0, 1.0))).replace("FINISH\n", "D,1,UX,0.\nFINISH\n"),
             "ansys",
@@ -172,6 +172,34 @@ def test_supports_that_were_not_read_are_named_where_a_deck_is_written(format, t
     _, _, said = again(text, source, format)
     (sentence,) = (line for line in said if "has more that is not written" in line)
     assert f"has more that is not written: {what}" in sentence
+
+
+HELD = (
+    "*NSET,NSET=AX\n2\n*TRANSFORM,NSET=AX,TYPE=R\n0.,1.,0.,-1.,0.,0.\n*BOUNDARY\n1,PINNED\n3,2\n"
+    "*NSET,NSET=SLANT\n4\n*TRANSFORM,NSET=SLANT,TYPE=R\n.6,.8,0.,-.8,.6,0.\n"
+    "*STEP\n*STATIC\n*BOUNDARY\nAX,1\n1,1,2\nSLANT,1\n5,3,3,.01\n*END STEP\n"
+)
+
+
+@pytest.mark.parametrize("format", ["calculix", "abaqus", "nastran"])
+def test_supports_of_a_deck_and_of_its_first_step_are_written(format, again):
+    first, second, said = again(deck_text("C3D8") + HELD, "abaqus", format)
+    assert "BOUNDARY" not in " ".join(said) and "*BOUNDARY" not in first.left_out
+    held = [(1, (1,)), (1, (0, 1)), (1, (0, 0, 1)), (3, (0, 1)), (2, (0, 1)), (4, (0.6, 0.8)), (5, (0, 0, 1))]
+    assert first.supports.nodes.tolist() == [node for node, _ in held]
+    for direction, (_, wanted) in zip(first.supports.directions, held, strict=True):
+        assert direction == pytest.approx([*wanted, *[0.0] * (6 - len(wanted))], abs=1e-15)
+    # What is held along no axis is an equation.
+    axes = [i for i, direction in enumerate(first.supports.directions) if (direction != 0).sum() == 1]
+    keys = [
+        {(int(n), int(np.flatnonzero(d)[0])) for n, d in zip(own.nodes, own.directions, strict=True)}
+        for own in (
+            replace(first.supports, nodes=first.supports.nodes[axes], directions=first.supports.directions[axes]),
+            second.supports,
+        )
+    ]
+    assert keys[0] == keys[1] and len(keys[0]) == 6
+    assert sum(len(own) for own in second.equations) == 1
 
 
 @pytest.mark.parametrize("dialect", ["abaqus", "calculix"])
@@ -347,13 +375,11 @@ def test_shells_and_beams_are_those_of_a_deck_by_hand_in_ccx(tmp_path):
     ids=["S4 and a rigid body", "membrane", "layers", "B32 with offsets", "pipe", "trusses"],
 )
 def test_shells_and_beams_of_input_decks_keep_their_frequencies_in_ccx(text, tmp_path):
-    body, held = text.split("*BOUNDARY")
-    (tmp_path / "deck.inp").write_text(body)
+    (tmp_path / "deck.inp").write_text(text)
     deck = read(tmp_path / "deck.inp", dialect="calculix")
     said = deck.write(tmp_path / "flat.inp", "calculix")
     assert not said or (deck.masses and len(said) == 1 and said[0].startswith("the sets M of deck.inp lack"))
-    flat = (tmp_path / "flat.inp").read_text()
-    theirs = own_frequencies(f"{flat}*BOUNDARY{held}", tmp_path, 3)
+    theirs = own_frequencies((tmp_path / "flat.inp").read_text(), tmp_path, 3)
     # A reference turns about its mass for nothing.
     assert theirs == pytest.approx(own_frequencies(text, tmp_path, 3), rel=1e-6, abs=1e-4)
     assert np.abs(theirs).max() > 1

@@ -7,20 +7,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.constraints import Constraints, DeckTies
 from morembs.importers.abaqus.deck import PLAIN, SOLIDS, STRUCTURES, VTK_ORDER, Contents
+from morembs.importers.abaqus.equations import Axes
 from morembs.importers.abaqus.left_out import LOCKED, PRETENSION, notes_of
 from morembs.importers.abaqus.materials import SectionMaterials, materials_of
 from morembs.importers.abaqus.structures import structures_of
+from morembs.importers.abaqus.supports import supports_of
 from morembs.importers.abaqus.words import EFFECTS, LEFT_OUT, WORDS, of_kind
 from morembs.importers.decks.expansion.sections import SOLIDS as EXPANDED
 from morembs.importers.decks.formulations import Meaning, deck_warnings, program_of
 from morembs.importers.decks.labels import ranges_of
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import left_out
-from morembs.importers.decks.tables import Elements, LeftOut, Surface
+from morembs.importers.decks.tables import Elements, LeftOut, Supports, Surface
 from morembs.importers.imported import on_rows
 
 Values = Mapping[str, Mapping[int, Floats]]
@@ -33,12 +36,13 @@ def deck_of(contents: Contents) -> Deck:
         DeckError: it makes no sense; what else was found is among the problems of the deck.
     """
     with contents.problems.ending():
-        assembly = Assembly(contents)
-        ties, sections, surfaces = DeckTies(), SectionMaterials(), dict[str, Surface]()
+        assembly, left_out = Assembly(contents), _left_out(contents)
+        ties, sections, surfaces, supports = DeckTies(), SectionMaterials(), dict[str, Surface](), Supports()
         if assembly.blocks or any(nodes.shape[1] for *_, nodes in assembly.others):
             constraints = Constraints(contents, assembly)
             ties, surfaces = constraints.read(), constraints.surfaces.named
             sections = materials_of(contents, assembly)
+            left_out, supports = _supports(contents, assembly, constraints.axes)
         structures = structures_of(contents, assembly)
         deck = mesh_deck(contents, assembly, structures.values)
     ids = assembly.ids
@@ -64,7 +68,8 @@ def deck_of(contents: Contents) -> Deck:
             *sections.warnings,
         ),
         problems=tuple(contents.problems.entries),
-        left_out=_left_out(contents),
+        supports=supports,
+        left_out=left_out,
     )
 
 
@@ -149,6 +154,19 @@ def _plain_warnings(contents: Contents, deck: Deck) -> list[str]:
         for code, count in contents.counts.items()
         if count and PLAIN.get(code) in codes
     ]
+
+
+def _supports(contents: Contents, assembly: Assembly, axes: Axes) -> tuple[dict[str, LeftOut], Supports]:
+    """Supports that are read, and what is left out with those that are not."""
+    left_out = _left_out(contents)
+    try:
+        supports = supports_of(contents, assembly, axes)
+    except InputError as error:
+        # A free body does without; a program that is to hold it says so.
+        return {**left_out, "*BOUNDARY": replace(left_out["*BOUNDARY"], why=str(error))}, Supports()
+    later = sum(card.keyword == "BOUNDARY" for step in contents.steps[1:] for card, _ in step)
+    left_out |= {"*BOUNDARY": LeftOut(later, "they are of later steps than the first")} if later else {}
+    return {name: own for name, own in left_out.items() if later or name != "*BOUNDARY"}, supports
 
 
 def _left_out(contents: Contents) -> dict[str, LeftOut]:

@@ -6,7 +6,6 @@ sets and names are written anew; of all other keywords the table ``CARDS`` says 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +20,7 @@ from morembs.importers.abaqus.deck import Contents, Rows
 from morembs.importers.abaqus.equations import Axes, equations_of
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
+from morembs.importers.abaqus.supports import spans_of
 from morembs.importers.abaqus.surfaces import Surfaces
 from morembs.importers.decks.writers.calculix_mesh import FACES, Line, face_keys, numeral, sixteen
 from morembs.importers.engines.calculix.text import element_lines, node_lines
@@ -65,17 +65,6 @@ _OPTIONS = {
     "MATERIAL": "m",
     "ORIENTATION": "o",
     "SURFACE": "s",
-}
-# Conditions of Abaqus by name, as the first and the last dof that they hold.
-_HOLD = {
-    "ENCASTRE": ((1, 6),),
-    "PINNED": ((1, 3),),
-    "XSYMM": ((1, 1), (5, 6)),
-    "YSYMM": ((2, 2), (4, 4), (6, 6)),
-    "ZSYMM": ((3, 5),),
-    "XASYMM": ((2, 4),),
-    "YASYMM": ((1, 1), (3, 3), (5, 5)),
-    "ZASYMM": ((1, 2), (6, 6)),
 }
 _LAST = ("EQUATION", "TIE", "RIGID BODY", "MPC", "COUPLING", "INITIAL CONDITIONS", "BOUNDARY")
 _NONE = np.empty(0, dtype=np.int64)
@@ -275,7 +264,7 @@ class FlatDeck:
         lines = []
         for row in rows:
             node, own = self.group("n", placed, row[0]), self.assembly.nodes_of(placed, row[0])
-            for first, last in _spans(row, card):
+            for first, last in spans_of(row, card):
                 lines.append(f"{node}, {first}, {last}")
                 self.held[own, first - 1 : min(last, 3)] = True
         return "\n".join(["*BOUNDARY", *lines])
@@ -292,13 +281,3 @@ class FlatDeck:
         texts = [f"{label}, {dof}, {numeral(value)}" for label, dof, value in terms]
         lines = [", ".join(texts[i : i + 4]) for i in range(0, len(texts), 4)]
         self.body.append((1, "\n".join(["*EQUATION", str(len(texts)), *lines])))
-
-
-def _spans(row: list[str], card: Card) -> Iterable[tuple[int, int]]:
-    """The first and the last dof of each span that a line of *BOUNDARY holds."""
-    fields = [text for text in row[1:3] if text]
-    if fields and fields[0].upper() in _HOLD:
-        return _HOLD[fields[0].upper()]
-    if not fields or not all(text.isdigit() and 0 < int(text) < 12 for text in fields):
-        raise InputError(f"{card}: {', '.join(row)[:60]!r} was given; expected a node or set and dofs")
-    return [(int(fields[0]), int(fields[-1]))]

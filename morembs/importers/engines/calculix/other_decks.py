@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.fem import Nodes
 from morembs.fem.material import Material
-from morembs.importers.ansys.cdb import read_ansys
+from morembs.importers import IMPORTERS
 from morembs.importers.decks.labels import Labels
 from morembs.importers.decks.materials import complete, problems_of_solids
 from morembs.importers.decks.model import Deck
@@ -19,8 +20,6 @@ from morembs.importers.decks.problems import DeckError, Problem, Problems
 from morembs.importers.decks.tables import NOT_WRITTEN
 from morembs.importers.engines.calculix.read import refuse_no_elements
 from morembs.importers.imported import Imported, nodes_of, on_rows
-from morembs.importers.nastran.importer import read_nastran
-from morembs.importers.unv import read_unv
 
 FORMATS = ("ansys", "nastran", "unv")
 
@@ -31,13 +30,16 @@ def read_other(path: Path, format: str, options: DeckOptions, materials: Sequenc
     Raises:
         DeckError: all that keeps it from being written for CalculiX.
     """
-    given, skip = dict(options.density) or None, sorted(options.skip)
-    if format == "ansys":
-        deck = read_ansys(path, density=given, contact=options.contact, skip=skip)
-    elif format == "nastran":
-        deck = read_nastran(path, density=given, skip=skip, allow_includes_outside=outside)
-    else:
-        deck = read_unv(path)
+    given = {
+        "density": dict(options.density) or None,
+        "contact": options.contact,
+        "skip": sorted(options.skip),
+        "allow_includes_outside": outside,
+    }
+    importer = IMPORTERS[format]
+    deck = importer.read(path, **{name: own for name, own in given.items() if name in importer.options})
+    if not isinstance(deck, Deck):
+        raise InputError(f"{path.name} of the format {format!r} is no deck")
     problems = Problems(deck.name, options.flags)
     problems.entries = [*deck.problems, *(part.problem for part in deck.elements if part.problem)]
     if all(part.kind in ("point", "none") for part in deck.elements):
