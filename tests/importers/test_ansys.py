@@ -796,3 +796,15 @@ def test_node_blocks_have_integers_and_reals_of_any_groups(form, tmp_path):
     read = import_ansys_cdb(path).mesh
     assert np.array_equal(read.nodes.ids, wanted.nodes.ids)
     assert np.allclose(read.nodes.xyz, wanted.nodes.xyz, atol=1e-6, rtol=0)
+
+
+def test_shells_are_to_be_left_out_only_where_solids_remain(tmp_path):
+    """The type of solids alone is no solid."""
+    shell = {"before": "ET,3,181\n", "extra": [(7, 3, 1, 1, [101, 102, 103, 104])]}
+    for text, flags in (
+        (hex_deck(**shell), ("--skip SHELL181",)),
+        (hex_deck().replace("ET,1,185", "ET,1,181\nET,2,185"), ()),
+    ):
+        with pytest.raises(InputError) as told:
+            import_ansys_cdb(write(tmp_path, text))
+        assert told.value.problems[0].flags == flags and ("--skip" in str(told.value)) is bool(flags)

@@ -418,6 +418,21 @@ def test_a_material_takes_the_place_of_one_without_density(tmp_path):
 
 
 @needs_mystran
+def test_supports_of_an_abaqus_deck_are_kept_or_dropped(tmp_path):
+    """In the order of the deck, one along axes of its node; K of the body that is held along each."""
+    turned = "*NSET,NSET=T\n1\n*TRANSFORM,NSET=T,TYPE=R\n.6,.8,0.,-.8,.6,0.\n*BOUNDARY\n2,1,6\nT,1\n2,1,2\n"
+    text = abaqus_plate("S4R", "*SHELL SECTION,ELSET=E,MATERIAL=S\n.01\n") + turned
+    (tmp_path / "a.inp").write_text(text)
+    for boundary, count in (("drop", 0), ("keep", 7)):
+        imported = import_file(tmp_path / "a.inp", engine="mystran", options={"boundary": boundary})
+        assert sum(len(own) for own in imported.equations) == count
+    (own,) = imported.equations
+    labels = imported.nodes.ids[own.nodes]
+    assert sorted(labels.tolist()) == [1, *[2] * 6] and sorted(own.components[labels == 2].tolist()) == list(range(6))
+    assert imported.nodes.ids[own.term_nodes].tolist() == [1] and abs(own.coefficients[0]) == pytest.approx(0.75)
+
+
+@needs_mystran
 def test_a_density_that_is_given_for_a_set_of_an_abaqus_deck_is_taken(tmp_path):
     body = solids("C3D8", (2, 1, 1), (2.0, 1.0, 1.0)).replace("*DENSITY\n7850.\n", "")
     (tmp_path / "a.inp").write_text(body)

@@ -188,19 +188,21 @@ def _elements(archive: Archive, kind: int, rows: Rows, options: DeckOptions) -> 
         word, problem = "point", None
     else:
         family = next((family for family, numbers in FAMILIES.items() if routine in numbers), "")
-        word, problem = _KINDS.get(family, "none"), _refusal(archive.name, routine, rows)
+        remains = any(archive.types.get(other, (0,))[0] in SOLIDS for other, _ in archive.elements)
+        word, problem = _KINDS.get(family, "none"), _refusal(archive.name, routine, rows, remains=remains)
     yield Elements(code=name, kind=word, shape="", ids=rows.ids, nodes=rows.nodes, numbers=numbers, problem=problem)
 
 
-def _refusal(file: str, routine: int, rows: Rows) -> Problem:
+def _refusal(file: str, routine: int, rows: Rows, *, remains: bool) -> Problem:
+    """Why elements cannot be had; they are offered to be left out where something ``remains``."""
     name = element_name(routine)
     flag = "--contact skip" if routine in CONTACT else f"--skip {name if routine in NAMES else routine}"
     what = (
         f"{file} has {len(rows.ids)} elements {name} (first: {rows.ids[0]}), which are not supported; expected "
         f"{', '.join(f'SOLID{n}' for n in sorted(SOLIDS))}, MASS21, COMBIN14, MPC184; let ANSYS write K and M (.full) "
-        f"and import these; leave them out with {flag} if the body is right without them"
+        f"and import these{f'; leave them out with {flag} if the body is right without them' if remains else ''}"
     )
-    return Problem(what=what, file=file, keyword=name, flags=(flag,))
+    return Problem(what=what, file=file, keyword=name, flags=(flag,) if remains else ())
 
 
 def _numbered(parts: list[Elements], what: str) -> dict[str, Ints]:

@@ -254,8 +254,10 @@ class _Deck:
         supports = self.deck.supports
         if not self.is_held or not len(supports.nodes):
             return {}
-        rows, starts = np.unique(self.labels.rows(supports.nodes, "SPC names"), return_index=True)
-        return dict(zip(rows.tolist(), np.split(supports.directions, starts[1:]), strict=True))
+        rows = self.labels.rows(supports.nodes, "supports name")
+        order = np.argsort(rows, kind="stable")
+        own, starts = np.unique(rows[order], return_index=True)
+        return dict(zip(own.tolist(), np.split(supports.directions[order], starts[1:]), strict=True))
 
     def _held(self, held: dict[int, Floats], filled: Ints) -> tuple[Equations, ...]:
         there = np.zeros((len(self.row), 6), dtype=bool)
