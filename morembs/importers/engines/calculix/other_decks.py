@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from morembs.base.errors import InputError
+from morembs.base.options import known
 from morembs.fem import Nodes
 from morembs.fem.material import Material
-from morembs.importers import IMPORTERS
+from morembs.importers.ansys.cdb import read_ansys
 from morembs.importers.decks.labels import Labels
 from morembs.importers.decks.materials import complete, problems_of_solids
 from morembs.importers.decks.model import Deck
@@ -20,8 +20,11 @@ from morembs.importers.decks.problems import DeckError, Problem, Problems
 from morembs.importers.decks.tables import NOT_WRITTEN
 from morembs.importers.engines.calculix.read import refuse_no_elements
 from morembs.importers.imported import Imported, nodes_of, on_rows
+from morembs.importers.nastran.importer import read_nastran
+from morembs.importers.unv import read_unv
 
-FORMATS = ("ansys", "nastran", "unv")
+_READERS: dict[str, Callable[..., Deck]] = {"ansys": read_ansys, "nastran": read_nastran, "unv": read_unv}
+FORMATS = tuple(_READERS)
 
 
 def read_other(path: Path, format: str, options: DeckOptions, materials: Sequence[Material], *, outside: bool) -> Deck:
@@ -36,10 +39,8 @@ def read_other(path: Path, format: str, options: DeckOptions, materials: Sequenc
         "skip": sorted(options.skip),
         "allow_includes_outside": outside,
     }
-    importer = IMPORTERS[format]
-    deck = importer.read(path, **{name: own for name, own in given.items() if name in importer.options})
-    if not isinstance(deck, Deck):
-        raise InputError(f"{path.name} of the format {format!r} is no deck")
+    read = _READERS[format]
+    deck = read(path, **{name: own for name, own in given.items() if name in known(read)})
     problems = Problems(deck.name, options.flags)
     problems.entries = [*deck.problems, *(part.problem for part in deck.elements if part.problem)]
     if all(part.kind in ("point", "none") for part in deck.elements):
