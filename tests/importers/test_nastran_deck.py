@@ -10,13 +10,12 @@ from morembs.fem.assembly import assemble
 from morembs.fem.elements import TYPES
 from morembs.fem.material import isotropic, orthotropic
 from morembs.fem.surface import nodal_areas, outer_faces
-from morembs.importers.decks.problems import DeckError
 from morembs.importers.nastran.cards import real
 from morembs.importers.nastran.importer import read_nastran
 from morembs.importers.to_model import model_of
 from morembs.importers.tolerances import TOL
 from morembs.problem import Problem
-from tests.support.decks import damaged, filled
+from tests.support.decks import damaged, filled, refusals
 from tests.support.mesh_decks import nastran_card, nastran_mesh
 from tests.support.meshes import STEEL, box, fully_integrated, steel
 
@@ -676,8 +675,8 @@ def test_bushes_act_at_a_point_between_their_grids(bulk):
         whole[np.ix_(free, free)], whole[np.ix_(free, kept)]
     )
     assert K[np.ix_(six, six)] == pytest.approx(condensed[3:, 3:], abs=1e-9)
-    with pytest.raises(InputError, match="across its axis and no orientation"):
-        bulk(CUBE + MAT1 + loose + "PBUSH,3,K,10.,20.,30.\nCBUSH,1,3,70,90\n")
+    bush = CUBE + MAT1 + loose + "PBUSH,3,K,10.,20.,30.\nCBUSH,1,3,70,90\n"
+    assert refusals(lambda: bulk(bush)) == [("CBUSH", 17, ("--skip CBUSH",))]
     # Both ends of solids turn freely, so that K2 and K3 would do nothing; K1 along the ends acts.
     second = CUBE + "GRID,11,,3.,0.,0.\nGRID,21,,4.,0.,0.\nGRID,31,,3.,1.,0.\nGRID,41,,3.,0.,1.\n"
     between = second + MAT1 + "CTETRA,9,1,11,21,31,41\nCBUSH,1,3,20,11,,,,0\nPBUSH,3,K,10.,"
@@ -697,17 +696,17 @@ def test_multipoint_constraints_of_the_set_that_is_asked_for(bulk):
     assert len(bulk(head.format("MPC = 9\n") + CUBE + MAT1 + cards + "ENDDATA\n").equations[0]) == 2
     none = bulk(head.format("") + CUBE + MAT1 + cards + "ENDDATA\n")
     assert not none.equations and "MPC: not applied, the case control asks for none." in none.notes
-    with pytest.raises(InputError, match=r"first coefficient of .* MPC 1 of grid 10 is zero"):
-        bulk(CUBE + MAT1 + "MPC,1,10,1,0.,20,1,-1.\n")
+    assert refusals(lambda: bulk(CUBE + MAT1 + "MPC,1,10,1,0.,20,1,-1.\n")) == [("MPC", 13, ("--skip MPC",))]
 
 
 def test_cards_are_skipped_and_densities_given_where_asked(tmp_path):
     path = tmp_path / "model.bdf"
     path.write_text(CUBE + "CQUAD4,8,1,10,20,30,40\nRBE2,9,11,123,10\nPSOLID,1,1\nMAT1,1,2.1+11,,.3\nMATT1,1,7\n")
-    words = r"has 3 problems: .*1 CQUAD4.*RBE2 9 names the grid 11.*has no density"
-    with pytest.raises(DeckError, match=words) as told:
-        read_nastran(path).imported()
-    assert "--skip CQUAD4,RBE2 --density X" in str(told.value)
+    assert refusals(lambda: read_nastran(path).imported()) == [
+        ("CQUAD4", 11, ("--skip CQUAD4",)),
+        ("RBE2", 12, ("--skip RBE2",)),
+        ("DENSITY", 0, ("--density X",)),
+    ]
     imported = read_nastran(path, skip=["CQUAD4", "RBE2"], density=7850.0).imported()
     assert imported.materials[0].density == 7850.0 and len(imported.warnings) == 4
 

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import itertools
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+
+import pytest
+
+from morembs.importers.decks.problems import DeckError
 
 CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
 Cell = tuple[int, int, int]
@@ -28,6 +32,13 @@ JOB: dict[str, str] = {
     "output": 'path = "part.h5"',
 }
 ARRAYS = {"material", "interface", "reduce"}
+
+
+def refusals(read: Callable[[], object]) -> list[tuple[str, int, tuple[str, ...]]]:
+    """Keyword, line and options of each problem that a deck is refused for."""
+    with pytest.raises(DeckError) as told:
+        read()
+    return [(problem.keyword, problem.line, problem.flags) for problem in told.value.problems]
 
 
 def deck(cells: Sequence[Cell], size: float = 10.0, kind: str = "C3D8", flipped: Sequence[int] = ()) -> str:

@@ -149,7 +149,7 @@ class Problems:
                     what=str(error),
                     file=getattr(where, "file", ""),
                     line=getattr(where, "line", 0),
-                    keyword=getattr(where, "keyword", ""),
+                    keyword=getattr(where, "keyword", "") or next(map(_skipped, flags), ""),
                     flags=flags,
                 )
             )
@@ -185,6 +185,11 @@ def _deck_error(
     error = DeckError(source, problems, given, hint=hint, command=command)
     error.take(form)
     return error
+
+
+def _skipped(flag: str) -> str:
+    """The word that an option leaves out, "" for other options."""
+    return flag.removeprefix("--skip ") if flag.startswith("--skip ") else ""
 
 
 def typed(flag: str) -> str:
