@@ -60,7 +60,7 @@ WAYS: dict[str, tuple[str | None, tuple[str, ...]]] = {
     # With what *BOUNDARY holds, beside the frequencies that ccx prints.
     "held": ("calculix", ("abaqus",)),
 }
-_FLAG = re.compile(r"--(density|contact|skip|material|format)(?: \"[^\"]+\"| '[^']+'| [^\s;\"']+)?")
+_FLAG = re.compile(r"--(density|contact|skip|material|format|pretension)(?: \"[^\"]+\"| '[^']+'| [^\s;\"']+)?")
 # Elements with stiffness: a model without them is another one, so that skipping them is no cure.
 _CARRIES = re.compile(
     r"^(C3D|S\d|STRI|SC\d|B3\d|M3D|T3D|CHEXA|CPENTA|CTETRA|CQUAD|CTRIA|CBAR|CBEAM|CROD|CONROD|CTUBE|CSHEAR)"
@@ -76,6 +76,7 @@ class Cures:
     density: dict[str, float] = field(default_factory=dict)
     contact: str = "refuse"
     skip: list[str] = field(default_factory=list)
+    pretension: str = "auto"
     materials: dict[str, Material] = field(default_factory=dict)
 
     def learn(self, error: MorembsError) -> bool:
@@ -106,11 +107,15 @@ class Cures:
             self.materials[owner] = isotropic(set=owner, young=2.1e5, poisson=0.3, density=DENSITY)
         elif name == "format":
             self.format = value
+        elif name == "pretension":
+            self.pretension = value
 
     @property
     def words(self) -> list[str]:
         """The options by name."""
+        bolts = self.pretension != "auto"
         given = {"density": self.density, "contact skip": self.contact != "refuse", "format": self.format}
+        given |= {f"pretension {self.pretension}": bolts}
         return [
             *(name for name, value in given.items() if value),
             *(f"skip {word}" for word in self.skip),
@@ -145,6 +150,7 @@ def imported(path: Path, format: str, engine: str | None, boundary: str = "drop"
                 density=cures.density or None,
                 contact=cures.contact,
                 skip=cures.skip,
+                pretension=cures.pretension,
                 engine=engine,
                 boundary=boundary,
                 dialect="calculix" if format == "abaqus" and engine != "calculix" else "auto",
