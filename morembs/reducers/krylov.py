@@ -12,7 +12,7 @@ matched as often as by two sides, damping stays damping and gyroscopic terms do 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -48,7 +48,8 @@ class Krylov(Reducer):
     Args:
         shifts_hz: expansion points i 2 pi f.
         real_shifts: real expansion points in 1/s.
-        moments: blocks at each point: one number, or one for each of ``shifts_hz`` and then of ``real_shifts``.
+        moments: blocks at each point: one number, or one for each of ``shifts_hz`` and then of ``real_shifts``. One
+            means as many as ``order`` needs.
         order: elastic coordinates that are kept, those with most energy in the responses between zero and the highest
             shift, where each frequency counts alike; moments are then matched approximately.
         tangential: number of load directions at each point, those that the basis so far carries worst; all by default.
@@ -130,6 +131,12 @@ class Krylov(Reducer):
             spaces.append(_LoadSpace(problem, self.outputs, "outputs", self.inertia_loads, counts))
             if spaces[0].names == spaces[1].names:
                 raise InputError("inputs and outputs name the same interfaces; leave two_sided out")
+        columns = min(self._columns(problem, space.F.shape[1]) for space in spaces)
+        if self.order is not None and self.moments == 1 and self.order > columns:
+            # One block at each point does not do; one more for columns that depend on others.
+            moments = 1 - (-self.order // columns)
+            basis = replace(self, moments=moments)._basis(problem)
+            return replace(basis, notes={**basis.notes, "moments": moments})
         for space in spaces:
             space.reserve(self._columns(problem, space.F.shape[1]))
         lost, moved = self._fill(problem, spaces)

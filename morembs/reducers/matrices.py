@@ -17,7 +17,6 @@ from morembs.importers.matrices.from_matrices import from_matrices
 from morembs.problem import Damping, Problem
 from morembs.reducers import REDUCERS
 from morembs.reducers.base import ReducedModel, Reducer
-from morembs.reducers.krylov import Krylov
 from morembs.reducers.tolerances import TOL
 
 if TYPE_CHECKING:
@@ -176,8 +175,7 @@ def reduce(
             "pymor.models.iosys.LTIModel takes E and A"
         )
     full = from_matrices(K, M, D, B, C)
-    held = [columns for columns in (full.inputs, full.outputs) if columns is not None]
-    reducer = _reducer(method, options, sum(len(columns.names) for columns in held))
+    reducer = _reducer(method, options)
     ports = [
         matrix_interface(full, name=name, matrix=name) for name, given in (("B", B), ("C", C)) if given is not None
     ]
@@ -186,16 +184,12 @@ def reduce(
     return _reduced(reducer, Problem(full, ports, damping=damping), ports)
 
 
-def _reducer(method: str, options: dict[str, Any], ports: int) -> Reducer:
+def _reducer(method: str, options: dict[str, Any]) -> Reducer:
     spelled = method if method in REDUCERS else method.replace("_", "-").lower()
     if spelled not in REDUCERS:
         raise InputError(f"method = {method!r} was given; {REDUCERS.advice(method)}")
     kind = REDUCERS[spelled]
     known = {each.name for each in fields(kind)}
-    if kind is Krylov and "order" in options and "moments" not in options:
-        # A moment at a shift brings a column for each port; one more for columns that depend on others.
-        shifts = max(len(options.get("shifts_hz", ())) + len(options.get("real_shifts", ())), 1)
-        options = {**options, "moments": 1 - (-int(options["order"]) // max(ports * shifts, 1))}
     wrong = next((name for name in options if name not in known), None)
     if wrong is not None:
         raise ArgumentError(f"method {spelled!r} has no option {wrong!r}; {nearest(wrong, known)}")

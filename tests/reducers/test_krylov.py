@@ -327,11 +327,13 @@ def test_options_that_make_no_sense_are_refused():
     with Problem(model, ends(model)) as problem:
         for reducer, words in (
             (Krylov(moments=50), "tangential"),
-            (Krylov(order=13), "12 columns"),
+            (Krylov(order=13, moments=[1]), "12 columns"),
             (Krylov(inputs=["lft"]), "'left'"),
         ):
             with pytest.raises(InputError, match=words):
                 reducer.reduce(problem)
+        larger = Krylov(order=13).reduce(problem)
+        assert larger.order - larger.rigid_count == 13 and larger.recipe["moments"] == 3
         with pytest.raises(SolverError, match=r"real shift 1e-300 1/s .* larger one, or 0\.0 among shifts_hz"):
             Krylov(shifts_hz=[], real_shifts=[1e-300]).reduce(problem)
     with Problem(bar()) as problem, pytest.raises(InputError, match="interface"):

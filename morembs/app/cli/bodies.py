@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from morembs.app.cli.messages import Failure, print_json, print_names, printing
-from morembs.app.cli.terminal import EPILOG, AsJson, messages, progress_line
+from morembs.app.cli.terminal import AsJson, example, messages, progress_line
+from morembs.app.kinds import HDF5, instead
 from morembs.base import stopping
 from morembs.base.errors import InputError
 from morembs.base.options import pairs
@@ -21,14 +22,33 @@ if TYPE_CHECKING:
     from morembs.body.recovery.recover import Recovered
 
 app = typer.Typer()
-BodyFile = Annotated[Path, typer.Argument(metavar="FILE.h5", help="A body file.", show_default=False)]
+
+
+def expect_bodies(files: Any) -> Any:
+    """Callback of arguments that are body files: other kinds of files are told from them.
+
+    Raises:
+        InputError: another kind of file; the message says the command for it.
+    """
+    for file in files if isinstance(files, list) else [files]:
+        said = instead(file, "a body file") if file is not None and file.suffix not in HDF5 else ""
+        if said:
+            raise InputError(f"{file}: {said}")
+    return files
+
+
+BodyFile = Annotated[
+    Path, typer.Argument(metavar="FILE.h5", help="A body file.", show_default=False, callback=expect_bodies)
+]
 Documents = list[dict[str, Any]] | None
 BodyName = Annotated[str | None, typer.Option("--body", help="Which body, where the file holds several.")]
 
 
-@app.command(epilog=EPILOG)
+@app.command(epilog=example("morembs info part.h5"))
 def info(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE.h5...", help="Body files.", show_default=False)],
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE.h5...", help="Body files.", show_default=False, callback=expect_bodies)
+    ],
     proof: Annotated[bool, typer.Option("--proof", help="Print the lemmas that limits of errors rest on.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -38,10 +58,11 @@ def info(
     each_file(files, as_json, lambda file, documents: show(file, documents, proof))
 
 
-@app.command(epilog=EPILOG)
+@app.command(epilog=example("morembs export part.h5 --to exudyn"))
 def export(
     files: Annotated[
-        list[Path] | None, typer.Argument(metavar="[FILE.h5...]", help="Body files.", show_default=False)
+        list[Path] | None,
+        typer.Argument(metavar="[FILE.h5...]", help="Body files.", show_default=False, callback=expect_bodies),
     ] = None,
     to: Annotated[str | None, typer.Option("--to", help="The target, one that --list names.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The file to write, by default beside FILE.")] = None,
@@ -147,7 +168,7 @@ def each_file(files: Sequence[Path], as_json: bool, work: Callable[[Path, Docume
         raise typer.Exit(min(fault.code for fault in failed))
 
 
-@app.command(epilog=EPILOG)
+@app.command(epilog=example("morembs recover part.h5 motion.csv -o motion.vtkhdf"))
 def recover(
     file: BodyFile,
     trajectory: Annotated[

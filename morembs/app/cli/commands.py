@@ -6,14 +6,14 @@ What a verb needs it imports itself: most of the time of short commands would go
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from typer.core import TyperGroup
 
 from morembs.app.cli.batch import app as batches
 from morembs.app.cli.bodies import app as bodies
@@ -22,7 +22,7 @@ from morembs.app.cli.messages import console, echo, print_json, printing, warn
 from morembs.app.cli.models import app as models
 from morembs.app.cli.modes import app as modes
 from morembs.app.cli.terminal import (
-    EPILOG,
+    EXIT_CODES,
     AsJson,
     Attached,
     Changes,
@@ -31,10 +31,12 @@ from morembs.app.cli.terminal import (
     Quiet,
     Report,
     each_job,
+    example,
     leave_with_input,
     messages,
 )
 from morembs.app.cli.update import app as updating
+from morembs.app.cli.verbs import Verbs
 from morembs.base.errors import InputError, MorembsError
 from morembs.base.progress import Progress
 from morembs.storage.contents import keeping_ledger
@@ -44,30 +46,32 @@ if TYPE_CHECKING:
     from morembs.app.jobs.order import Order
     from morembs.app.jobs.tables import Job
 
-
-class _Verbs(TyperGroup):
-    """The verbs, each with a ledger of its own: none of its results takes the place of what it has read."""
-
-    def invoke(self, ctx: Any) -> Any:
-        with keeping_ledger():
-            return super().invoke(ctx)
-
+    Load = Callable[[Path, Sequence[str]], Job]
 
 app = typer.Typer(
     name="morembs",
-    cls=_Verbs,
+    cls=Verbs,
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
-    epilog=EPILOG,
+    epilog=EXIT_CODES,
     help="Reduces finite-element models to small elastic bodies for multibody simulation.",
 )
 
 
-@app.command(epilog=EPILOG)
+@app.command(epilog=example("morembs reduce part.toml"))
 def reduce(
-    jobs: Jobs,
+    jobs: Annotated[
+        list[Path],
+        typer.Argument(metavar="JOB.toml...", help="Job files, or matrices: K.mtx M.mtx [D.mtx].", show_default=False),
+    ],
     changes: Changes = None,
+    method: Annotated[str | None, typer.Option(help="As --set reduce.method=NAME.")] = None,
+    order: Annotated[int | None, typer.Option(help="As --set reduce.order=COUNT.")] = None,
+    modes: Annotated[int | None, typer.Option(help="As --set reduce.modes=COUNT.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="As --set output.path=BODY.h5.")] = None,
+    loads: Annotated[Path | None, typer.Option("--input", metavar="B.mtx", help="Inputs of matrices.")] = None,
+    outputs: Annotated[Path | None, typer.Option("--output", metavar="C.mtx", help="Outputs of matrices.")] = None,
     report: Report = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -76,15 +80,20 @@ def reduce(
 ) -> None:
     """Reduce the models of job files and write their bodies."""
     from morembs.app.jobs.document import sections_of
-    from morembs.app.jobs.job import load_job
     from morembs.app.jobs.run import run_job
     from morembs.app.report.text import print_document
 
     if attached:
         leave_with_input()
+    counts = {"order": order, "modes": modes}
+    options = {key: value for key, value in counts.items() if value is not None}
+    with messages():
+        jobs, load = _loader(jobs, loads, outputs, method, options)
+    short = {"reduce.method": method, **{f"reduce.{key}": value for key, value in options.items()}, "output.path": out}
+    every = [*(f"{key}={value}" for key, value in short.items() if value is not None), *(changes or ())]
 
     def work(path: Path, progress: Progress) -> Done:
-        job = replace(load_job(path, changes or ()), attempt=attempt)
+        job = replace(load(path, every), attempt=attempt)
         shown: list[str] = []
 
         def tell(sentence: str) -> None:
@@ -94,10 +103,31 @@ def reduce(
         document = run_job(job, progress, tell).document()
         return document, lambda: print_document(console(), document, sections_of(document), shown)
 
-    each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()), report)
+    each_job(jobs, as_json, work, quiet, _order(jobs, every, load), report)
 
 
-@app.command(epilog=EPILOG)
+def _loader(
+    files: list[Path], loads: Path | None, outputs: Path | None, method: str | None, options: Mapping[str, int]
+) -> tuple[list[Path], Load]:
+    """Job files and what loads them; of matrices the one job that takes them.
+
+    Raises:
+        InputError: --input or --output without matrices, or matrices that make no job.
+    """
+    from morembs.app.jobs.job import job_of_text, load_job
+    from morembs.app.kinds import MATRIX, kind_of
+
+    if not all(kind_of(file) is MATRIX for file in files):
+        if loads is not None or outputs is not None:
+            raise InputError("--input and --output belong to matrices: morembs reduce K.mtx M.mtx --input B.mtx")
+        return files, load_job
+    from morembs.app.jobs.template import job_of_matrices
+
+    text = job_of_matrices(files, loads, outputs, method, options)
+    return [files[0].with_name(files[0].name.partition(".")[0] + ".toml")], partial(job_of_text, text)
+
+
+@app.command(epilog=example("morembs compare part.toml --picture compared.png"))
 def compare(
     jobs: Jobs,
     changes: Changes = None,
@@ -145,7 +175,7 @@ def compare(
     each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()), report)
 
 
-@app.command(epilog=EPILOG)
+@app.command(epilog=example("morembs check part.toml"))
 def check(
     jobs: Jobs, changes: Changes = None, as_json: AsJson = False, quiet: Quiet = False, attached: Attached = False
 ) -> None:
@@ -166,36 +196,46 @@ def check(
     each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()))
 
 
-@app.command(epilog=EPILOG)
+@app.command(epilog=example("morembs init part.msh --units mm-t-s"))
 def init(
-    file: Annotated[Path, typer.Argument(metavar="MESH", help="A mesh or a model file.", show_default=False)],
+    file: Annotated[
+        Path | None, typer.Argument(metavar="PART", help="A mesh, a deck or a model file.", show_default=False)
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="The job to write, by default beside the file.")
     ] = None,
     units: Annotated[
         str | None, typer.Option(help="Length, mass and time of the mesh.", show_default="by its size m-kg-s or mm-t-s")
     ] = None,
+    show: Annotated[bool, typer.Option("--show", help="Print the job, write nothing.")] = False,
 ) -> None:
-    """Write a first job for a mesh or a model file, with comments."""
+    """Write a first job for a mesh, a deck or a model file, with comments."""
     from morembs.app.jobs.template import job_text, refuse_existing
     from morembs.base.units import parse_units
     from morembs.storage.safefile import replacing
 
     with messages():
+        if file is None:
+            raise InputError("init needs a mesh, a deck or a model file: morembs init part.msh")
         if file.is_dir():
             raise InputError(f"{file} is a folder; expected a mesh or a model file")
         job = file.with_name(file.name.partition(".")[0] + ".toml") if out is None else out
         if job.suffix != ".toml":
             raise InputError(f"--out {str(job)!r} was given; expected a name that ends in .toml")
-        refuse_existing(job)
+        if not show:
+            refuse_existing(job)
         text = job_text(file, job.parent, None if units is None else parse_units(units))
+        if show:
+            with printing():
+                typer.echo(f"{text}\n# This job: morembs init {file}; then: morembs reduce {job}")
+            return
         with replacing(job) as written:
             written.write(text.encode())
         with printing([str(job)]):
             typer.echo(f"written: {job}; look at its units, materials and interfaces, then: morembs check {job}")
 
 
-@app.command(epilog=EPILOG)
+@app.command(epilog=example("morembs schema > job.schema.json"))
 def schema() -> None:
     """Print the JSON schema of job files, by which editors complete and check keys."""
     from morembs.app.jobs.job import job_tables
@@ -205,7 +245,7 @@ def schema() -> None:
         echo(json.dumps(json_schema(job_tables()), indent=2))
 
 
-def _order(jobs: Sequence[Path], changes: Sequence[str]) -> Order:
+def _order(jobs: Sequence[Path], changes: Sequence[str], load: Load | None = None) -> Order:
     """The order of jobs by their places; those that cannot be read say so in their turn."""
     from morembs.app.jobs.job import load_job
     from morembs.app.jobs.order import order_of, read_ahead
@@ -213,7 +253,7 @@ def _order(jobs: Sequence[Path], changes: Sequence[str]) -> Order:
     loaded: dict[int, Job] = {}
     for number, path in enumerate(jobs):
         with suppress(MorembsError):
-            loaded[number] = load_job(path, changes)
+            loaded[number] = (load or load_job)(path, changes)
     read_ahead(list(loaded.values()))
     return order_of(loaded, range(len(jobs)))
 
@@ -226,7 +266,7 @@ app.add_typer(models)
 app.add_typer(modes)
 
 
-@app.command(epilog=EPILOG)
+@app.command(epilog=example("morembs solvers"))
 def solvers(
     as_json: AsJson = False,
     tolerances: Annotated[
@@ -275,7 +315,7 @@ def _show_version(wanted: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+        bool, typer.Option("--version", "-V", callback=_show_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
     """Options of all verbs."""

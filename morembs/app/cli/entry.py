@@ -89,7 +89,7 @@ def _work(arguments: Sequence[str]) -> None:
     plain = [argument for argument in arguments if argument != "--json"]
     if list(arguments) == ["--version"]:
         echo(f"morembs {VERSION}")
-    elif plain[:1] == ["info"] and len(plain) == 2 and not plain[1].startswith("-") and len(arguments) - len(plain) < 2:
+    elif plain[:1] == ["info"] and len(plain) == 2 and plain[1].endswith(".h5") and len(arguments) - len(plain) < 2:
         from morembs.app.cli.report_stored import show
 
         documents: list[dict[str, Any]] = []

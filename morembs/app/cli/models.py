@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperCommand
 
 from morembs.app.cli.messages import print_json, print_names, printing
-from morembs.app.cli.terminal import EPILOG, AsJson, messages, progress_line
+from morembs.app.cli.terminal import AsJson, example, messages, progress_line
 from morembs.base.errors import InputError
 from morembs.base.options import pairs
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from morembs.importers.options import ImportOptions
 
 app = typer.Typer()
+IMPORT_EXAMPLE = example("morembs import part.inp --units mm-t-s -o part.model.h5")
 
 
 class _Import(TyperCommand):
@@ -39,7 +40,7 @@ class _Import(TyperCommand):
 COMMAND_LINE = "morembs.command_line"
 
 
-@app.command("import", cls=_Import, epilog=EPILOG)
+@app.command("import", cls=_Import, epilog=IMPORT_EXAMPLE)
 def import_model() -> None:
     """Convert a model of another program into a model file that jobs read."""
 
@@ -110,7 +111,7 @@ def _import_command() -> Any:
     _import.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     _import.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     verb = typer.Typer(add_completion=False)
-    verb.command("import", epilog=EPILOG)(_import)
+    verb.command("import", epilog=IMPORT_EXAMPLE)(_import)
     return typer.main.get_command(verb)
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from morembs.app.jobs.order import Order
 
 
-EPILOG = (
+EXIT_CODES = (
     "Exit codes: 0 done; 1 a fault of this program (a file holds the traceback); 2 input that cannot be used, a model "
     "that cannot be solved, or a result that cannot be written (one message on standard error); 130 interrupted; 143 "
     "terminated; a second signal ends the run without cleaning up. Of several jobs one that fails does not stop the "
@@ -61,6 +61,11 @@ def leave_with_input() -> None:
             os.kill(os.getpid(), signal.SIGTERM)
 
     Thread(target=wait, daemon=True).start()
+
+
+def example(command: str) -> str:
+    """What stands below the options of a verb."""
+    return f"Example: {command}"
 
 
 class LineProgress:

@@ -15,6 +15,7 @@ from morembs.app.jobs.stages.reduction import make_reducers
 from morembs.app.jobs.stages.stage import STAGES, in_order
 from morembs.app.jobs.tables import Job, JobTable, JobTables, ModesTable
 from morembs.app.jobs.tolerances import TOL
+from morembs.app.kinds import instead
 from morembs.base.errors import InputError
 from morembs.base.key_tables import read_table
 from morembs.base.options import Text, pairs, readings
@@ -55,17 +56,27 @@ def load_job(path: str | Path, changes: Sequence[str] = ()) -> Job:
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
-        data = tomllib.loads(text)
     except OSError as error:
         reason = error.strerror or type(error).__name__
-        raise InputError(f"job file {str(path)!r} cannot be read ({reason}); check the path") from error
+        raise InputError(f"job file {str(path)!r} cannot be read ({reason}); {_near(path)}") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"job file {str(path)!r} is not UTF-8 text; {_cure(path, 'expected a TOML file')}") from error
+        cure = instead(path, "a job") or "expected a TOML file"
+        raise InputError(f"job file {str(path)!r} is not UTF-8 text; {cure}") from error
+    return job_of_text(text, path, changes)
+
+
+def job_of_text(text: str, path: Path, changes: Sequence[str] = ()) -> Job:
+    """The job that ``text`` says, as if it were in the file ``path``.
+
+    Raises:
+        InputError: as ``load_job``.
+    """
+    try:
+        data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         # TOMLDecodeError among them; numbers of thousands of digits and endless nesting are others.
-        raise InputError(
-            f"job file {str(path)!r} is not valid TOML: {error}; {_cure(path, 'mend that line')}"
-        ) from error
+        cure = "" if path.suffix == ".toml" else instead(path, "a job")
+        raise InputError(f"job file {str(path)!r} is not valid TOML: {error}; {cure or 'mend that line'}") from error
     for key, value in pairs(changes).items():
         _change(data, key, value)
     wrong = next((word for word in _words_in(data) if "\0" in word), None)
@@ -79,15 +90,11 @@ def load_job(path: str | Path, changes: Sequence[str] = ()) -> Job:
     )
 
 
-def _cure(path: Path, otherwise: str) -> str:
-    """What to do about a job that is no TOML file: a mesh, a deck or a model file may have been given in its place."""
-    # Not at the top: sound jobs are read without.
-    from morembs.importers import IMPORTERS, READERS
-
-    endings = (*READERS, *IMPORTERS["mesh"].endings, *IMPORTERS["native"].endings)
-    if not path.name.lower().endswith(endings):
-        return otherwise
-    return f"a mesh, a deck or a model file was given, expected a job: morembs init {path} writes one for it"
+def _near(path: Path) -> str:
+    """What to do about a file that cannot be read: perhaps its ending was left out."""
+    endings = (".toml", ".msh")
+    near = [each for each in (path.with_name(f"{path.name}{ending}") for ending in endings) if each.exists()]
+    return f"did you mean {str(near[0])!r}?" if near else "check the path"
 
 
 def _words_in(value: Any) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +23,7 @@ from morembs.storage.contents import keeping_ledger, same_place
 
 # Formats whose files hold materials beside a mesh.
 DECKS = ("abaqus", "nastran", "ansys")
+_ROLES = ("stiffness", "mass", "damping")
 Selections = tuple[list[str], list[str]]
 
 
@@ -175,6 +176,29 @@ def _rest(name: str) -> list[str]:
         f"path = {_quoted(f'{name}.h5')}",
         f"# picture = {_quoted(f'{name}.png')}",
     ]
+
+
+def job_of_matrices(
+    files: Sequence[Path], loads: Path | None, outputs: Path | None, method: str | None, options: Mapping[str, object]
+) -> str:
+    """A job that reduces K, M and D of ``files``, in this order, with columns of ``loads`` and rows of ``outputs``.
+
+    Raises:
+        InputError: no two or three files, or none that a method needs.
+    """
+    if not 2 <= len(files) <= len(_ROLES):
+        count = f"{len(files)} {'matrix was' if len(files) == 1 else 'matrices were'} given"
+        raise InputError(f"{count}; expected stiffness and mass, and maybe damping: morembs reduce K.mtx M.mtx D.mtx")
+    named = {"B": loads, "C": outputs}
+    given = {name: file for name, file in named.items() if file is not None}
+    lines = ["[model]", *(f"{role} = {_quoted(str(file))}" for role, file in zip(_ROLES, files, strict=False))]
+    if given:
+        lines += [f"set = {{ {', '.join(f'{name} = {_quoted(str(file))}' for name, file in given.items())} }}"]
+    for name in given:
+        lines += ["", "[[interface]]", f"name = {_quoted(name)}", f"matrix = {_quoted(name)}"]
+    keys = [f"{key} = {value}" for key, value in options.items()]
+    lines += ["", "[[reduce]]", f"method = {_quoted(method or 'modal')}", *keys]
+    return "\n".join([*lines, "", "[output]", f"path = {_quoted(f'{files[0].name.partition(chr(46))[0]}.h5')}", ""])
 
 
 def _quoted(text: str) -> str:

@@ -1,0 +1,70 @@
+"""What kind of file a name on the command line is, and which command takes it."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+CAD = (".step", ".stp", ".iges", ".igs", ".brep")
+SURFACES = (".stl", ".obj", ".off")
+MATRICES = (".mtx", ".mtx.gz", ".mm")
+HDF5 = (".h5", ".hdf5")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of file: what it is called, and the command that takes it, with ``{}`` for its name."""
+
+    name: str
+    command: str
+
+
+JOB = Kind("a job", "morembs reduce {}")
+MESH = Kind("a mesh", "morembs init {}")
+DECK = Kind("a deck", "morembs init {}")
+MODEL = Kind("a model file", "morembs init {}")
+BODY = Kind("a body file", "morembs info {}")
+MATRIX = Kind("a matrix", "morembs reduce K.mtx M.mtx --input B.mtx --method krylov --order 20")
+CAD_PART = Kind("a CAD part", "morembs init {} --size 3mm")
+SURFACE = Kind("a surface without volume", "")
+# Kinds that ``init`` writes a job for.
+PARTS = (MESH, DECK, MODEL, CAD_PART)
+DECKS = ("abaqus", "nastran", "ansys")
+
+
+def kind_of(path: Path) -> Kind | None:
+    """The kind of a file by its ending, of HDF5 files by what they hold; None where neither says it."""
+    name = path.name.lower()
+    if name.endswith(".toml"):
+        return JOB
+    for endings, kind in ((CAD, CAD_PART), (SURFACES, SURFACE), (MATRICES, MATRIX)):
+        if name.endswith(endings):
+            return kind
+    if name.endswith(HDF5):
+        return _kind_of_hdf5(path)
+    # Not at the top: the table of formats takes as long to load as a short command.
+    from morembs.importers import IMPORTERS, READERS
+
+    format_name = next((key for key, importer in IMPORTERS.items() if name.endswith(importer.endings or ("\0",))), "")
+    if format_name in DECKS:
+        return DECK
+    return MESH if name.endswith((*READERS, *IMPORTERS["mesh"].endings)) else None
+
+
+def _kind_of_hdf5(path: Path) -> Kind:
+    from morembs.importers.model_file import is_model_file
+
+    return MODEL if path.name.lower().endswith(".model.h5") or is_model_file(path) else BODY
+
+
+def instead(path: Path, expected: str) -> str:
+    """What a file is in place of ``expected``, and the command that takes it; "" for an unknown kind."""
+    kind = kind_of(path)
+    if kind is None:
+        return ""
+    said = f"{kind.name} was given, expected {expected}"
+    if kind is SURFACE:
+        return f"{said}: fill it with tetrahedra, as Gmsh does, and give that mesh"
+    cure = kind.command.format(shlex.quote(str(path)))
+    return f"{said}: {cure}{' writes one for it' if kind in PARTS and expected == 'a job' else ''}"
