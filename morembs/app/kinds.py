@@ -30,6 +30,8 @@ CAD_PART = Kind("a CAD part", "morembs init {} --size 3mm")
 SURFACE = Kind("a surface without volume", "")
 # Kinds that ``init`` writes a job for.
 PARTS = (MESH, DECK, MODEL, CAD_PART)
+# What ``init`` expects.
+PART = "a mesh, a deck or a model file"
 DECKS = ("abaqus", "nastran", "ansys")
 
 
@@ -66,5 +68,7 @@ def instead(path: Path, expected: str) -> str:
     said = f"{kind.name} was given, expected {expected}"
     if kind is SURFACE:
         return f"{said}: fill it with tetrahedra, as Gmsh does, and give that mesh"
+    if kind in PARTS and expected == PART:
+        return ""
     cure = kind.command.format(shlex.quote(str(path)))
     return f"{said}: {cure}{' writes one for it' if kind in PARTS and expected == 'a job' else ''}"

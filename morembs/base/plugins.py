@@ -38,7 +38,7 @@ class Registry(MutableMapping[str, Entry], Generic[Entry]):
     def __init__(self, group: str, own: dict[str, Entry], fault: Callable[[str, object], str]) -> None:
         self.group, self._entries, self._fault = group, own, fault
         self.own = tuple(own)
-        # Short forms of names that the field uses: what a message proposes for them.
+        # Short forms that the field uses -> the name here, or a sentence where there is none.
         self.nicknames: dict[str, str] = {}
         self._broken: dict[str, str] = {}
         self._loaded = False
@@ -46,8 +46,9 @@ class Registry(MutableMapping[str, Entry], Generic[Entry]):
     def advice(self, name: str, *others: str) -> str:
         """Words for a message about ``name``, which is not in the table: why, or what comes near to it."""
         self._load()
-        meant = self.nicknames.get(name.lower().replace("_", "-"))
-        return self._broken.get(name) or (f"did you mean {meant!r}?" if meant else nearest(name, [*others, *self]))
+        meant = self.nicknames.get(name.lower().replace("_", "-"), "")
+        said = f"did you mean {meant!r}?" if meant in self._entries else meant
+        return self._broken.get(name) or said or nearest(name, [*others, *self])
 
     def take(self, own: dict[str, Entry]) -> None:
         """Add entries of this package, where the table must be there before them."""

@@ -39,7 +39,11 @@ REDUCERS: Registry[type[Reducer]] = Registry(
     "morembs.reducers", {reducer.method: reducer for reducer in _OWN}, subclass_fault(Reducer, "method")
 )
 
+_MEMBERS = "planar members are reduced in Python: morembs.dynamics.gmp"
 REDUCERS.nicknames = {
+    "gmp": _MEMBERS,
+    "global-modal-parameterisation": _MEMBERS,
+    "global-modal-parameterization": _MEMBERS,
     "bt": "balanced-truncation",
     "balanced": "balanced-truncation",
     "cb": "craig-bampton",

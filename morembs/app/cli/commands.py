@@ -211,14 +211,18 @@ def init(
 ) -> None:
     """Write a first job for a mesh, a deck or a model file, with comments."""
     from morembs.app.jobs.template import job_text, refuse_existing
+    from morembs.app.kinds import PART, instead
     from morembs.base.units import parse_units
     from morembs.storage.safefile import replacing
 
     with messages():
         if file is None:
-            raise InputError("init needs a mesh, a deck or a model file: morembs init part.msh")
+            raise InputError(f"init needs {PART}: morembs init part.msh")
         if file.is_dir():
-            raise InputError(f"{file} is a folder; expected a mesh or a model file")
+            raise InputError(f"{file} is a folder; expected {PART}")
+        other = instead(file, PART)
+        if other:
+            raise InputError(f"{file}: {other}")
         job = file.with_name(file.name.partition(".")[0] + ".toml") if out is None else out
         if job.suffix != ".toml":
             raise InputError(f"--out {str(job)!r} was given; expected a name that ends in .toml")
@@ -315,7 +319,7 @@ def _show_version(wanted: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", "-V", callback=_show_version, is_eager=True, help="Show the version.")
+        bool, typer.Option("--version", "-V", "-v", callback=_show_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
     """Options of all verbs."""

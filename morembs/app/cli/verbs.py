@@ -49,7 +49,11 @@ class Verbs(TyperGroup):
         try:
             code = super().main(args, *others, standalone_mode=False, **more)
         except UsageError as error:
-            tell(f"error: {_answer(error)}")
+            if error.format_message():
+                tell(f"error: {_answer(error)}")
+            else:
+                # Nothing was asked for: all verbs.
+                error.show()
             code = ExitCode.BAD_INPUT
         except MorembsError as error:
             fault = failure(error)

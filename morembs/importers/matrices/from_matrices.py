@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.base.units import Units, parse_units
@@ -18,6 +20,7 @@ from morembs.importers.matrices.named import square_csr
 from morembs.importers.to_model import model_of
 
 
+@checked
 def from_matrices(
     K: Any,
     M: Any,
@@ -65,6 +68,12 @@ def from_matrices(
     FEModel: dofs 60; nodes 20; matrices K, M; source bar again
     """
     given = {"K": K, "M": M, "D": D, "G": G, "N": N}
+    for role, value in given.items():
+        if isinstance(value, str | Path):
+            raise InputError(
+                f"{role} = {str(value)!r} was given; expected a matrix. Files are read by "
+                "morembs.import_model(stiffness=..., mass=..., damping=...)"
+            )
     missing = [role for role in ("K", "M") if given[role] is None]
     if missing:
         raise InputError(f"{' and '.join(missing)} of {name} is None; expected a stiffness and a mass matrix")

@@ -1,0 +1,106 @@
+"""What newcomers type and write is answered with what works: lists in tests/data/newcomers, begun before any answer."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse as sp
+import typer.main
+
+import morembs
+from morembs.app.cli.commands import app
+
+LISTS = Path(__file__).parent.parent / "data" / "newcomers"
+COMMANDS = tomllib.loads((LISTS / "commands.toml").read_text())["command"]
+CALLS = tomllib.loads((LISTS / "calls.toml").read_text())["call"]
+CHAIN = 1e4 * sp.diags_array([np.r_[np.full(11, 2.0), 1.0], -np.ones(11), -np.ones(11)], offsets=[0, 1, -1]).tocsr()
+JOB = """
+model = { stiffness = "K.mtx", mass = "M.mtx", set = { B = "B.mtx" } }
+interface = [{ name = "tip", matrix = "B" }]
+reduce = [{ method = "craig-bampton", modes = 4 }]
+output = { path = "bar.h5" }
+"""
+
+
+def run(typed: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """Exit code of a command line in this process, and all that it says."""
+    with pytest.raises(SystemExit) as end:
+        typer.main.get_command(app).main(typed.split()[1:], prog_name="morembs")
+    said = capsys.readouterr()
+    return int(end.value.code or 0), " ".join(f"{said.out} {said.err}".split())
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory, small_meshes: Path) -> Path:
+    folder = tmp_path_factory.mktemp("newcomer")
+    shutil.copy(small_meshes / "beam.msh", folder / "bar.msh")
+    shutil.copy(small_meshes / "bracket.inp", folder / "bracket.inp")
+    (folder / "part.step").write_text("ISO-10303-21;\n")
+    (folder / "surface.stl").write_text("solid s\nendsolid s\n")
+    for name, matrix in (("K", CHAIN), ("M", sp.eye_array(12).tocsr()), ("B", sp.csr_array(np.eye(12)[:, -1:]))):
+        scipy.io.mmwrite(folder / f"{name}.mtx", matrix)
+    (folder / "bar.toml").write_text(JOB)
+    mesh = morembs.read_mesh(folder / "bar.msh", "m-kg-s")
+    steel = morembs.isotropic(set="all", young=2e11, poisson=0.3, density=7850.0)
+    morembs.write_model(folder / "bar.model.h5", morembs.assemble(mesh, [steel]))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same with the body of the job."""
+    with pytest.raises(SystemExit) as end:
+        typer.main.get_command(app).main(["reduce", str(files / "bar.toml"), "--quiet"])
+    assert not end.value.code
+    return files
+
+
+@pytest.fixture
+def folder(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy, in which the command runs, of a user without a home of his own."""
+    shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("SHELL", "/bin/bash")
+    return tmp_path
+
+
+@pytest.mark.usefixtures("folder", "forked_jobs")
+@pytest.mark.parametrize("entry", COMMANDS, ids=lambda entry: entry["typed"].replace(" ", "_"))
+def test_a_command_line_is_answered_with_what_works(entry: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    code, said = run(entry["typed"], capsys)
+    assert entry["answer"] in said
+    assert code in (0, 2) and "Traceback" not in said
+    assert len(said) < 600 or code == 0 or entry["typed"] == "morembs"
+
+
+def test_the_answer_to_a_mesh_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for typed in ("morembs init bar.msh -o other.toml", "morembs check other.toml"):
+        assert run(typed, capsys)[0] == 0
+    code, said = run("morembs reduce K.mtx M.mtx --input B.mtx --method krylov --order 6 -o k.h5", capsys)
+    assert code == 0 and "krylov: 6 krylov = 6 coordinates" in said
+    assert len(morembs.read_body(folder / "k.h5").bodies["krylov"].stiffness_matrix) == 6
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("entry", CALLS, ids=lambda entry: entry["typed"])
+def test_a_call_is_answered_with_what_works(entry: dict[str, str]) -> None:
+    K = CHAIN
+    M = sp.eye_array(12).tocsr()
+    mesh = morembs.read_mesh("bar.msh", "m-kg-s")
+    names = {"morembs": morembs, "K": K, "M": M, "B": sp.csr_array(np.eye(12)[:, :1]), "diagonal": np.ones(12)}
+    names |= {"mesh": mesh, "model": SimpleNamespace()}
+    if "model" in entry["typed"]:
+        names["model"] = morembs.read_model("bar.model.h5")
+    if "answer" not in entry:
+        assert eval(entry["typed"], names) is not None  # noqa: S307
+        return
+    with pytest.raises((morembs.InputError, AttributeError, KeyError)) as caught:
+        eval(entry["typed"], names)  # noqa: S307
+    assert entry["answer"] in str(caught.value)
