@@ -31,9 +31,22 @@ import lazy_loader
 
 # First, as it quiets the idle threads of OpenBLAS before NumPy loads its copy.
 import morembs.linalg  # noqa: F401
+from morembs.base.errors import alike
 from morembs.base.former_names import accept_former_rooms
 from morembs.version import VERSION
 
 accept_former_rooms()
 __version__ = VERSION
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_imported, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    try:
+        return _imported(name)
+    except AttributeError as error:
+        # Python asks for names of its own, such as __path__; they get its own answer.
+        if name.startswith("_"):
+            raise
+        near = alike(name, __all__)
+        cure = f"did you mean {near!r}?" if near else "dir(morembs) lists what there is"
+        raise AttributeError(f"morembs has no {name!r}; {cure}", name=name) from error

@@ -13,7 +13,7 @@ from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
 from morembs.base.limits import PositiveCount
 from morembs.base.summary import hertz, kinds_words, summarised
-from morembs.base.types import Floats, Ints
+from morembs.base.types import Complexes, Floats, Ints
 from morembs.body.floating.frame import FloatingFrame
 from morembs.body.floating.ranking import RankedTerm
 from morembs.body.floating.spin import ReducedSpin
@@ -246,6 +246,10 @@ class Body(Viewed):
     @property
     def _one_sided(self) -> bool:
         return bool(np.array_equal(self.output_matrix, self.input_matrix.T))
+
+    def frequency_response(self, frequencies_hz: Any) -> Complexes:
+        """Motions of the interfaces (nf, m, m) under unit loads at ``frequencies_hz`` (nf,), rigid motion included."""
+        return self.reduced.frequency_response(frequencies_hz)
 
     @cached_property
     def reduced(self) -> ReducedModel:

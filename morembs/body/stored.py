@@ -69,6 +69,12 @@ class StoredBodies:
     are sentences about the model and the bodies.
     """
 
+    def __getattr__(self, name: str) -> Any:
+        bodies = self.__dict__.get("bodies") or {}
+        one = f"bodies[{next(iter(bodies), 'NAME')!r}].{name}"
+        cure = f"; a file may hold several bodies: take {one}" if name[0] != "_" and hasattr(Body, name) else ""
+        raise AttributeError(f"StoredBodies has no {name!r}{cure}")
+
     @derived("text", doc=f"`{FORMAT}`")
     def format(self) -> str:
         """What kind of file it is."""

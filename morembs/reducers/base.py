@@ -26,6 +26,7 @@ from morembs.problem import Problem
 from morembs.reducers.checks import refuse_singular_mass, refuse_wrong_stiffness
 from morembs.reducers.problem_summary import ProblemSummary, ShiftedFactorisations
 from morembs.reducers.tolerances import TOL
+from morembs.reducers.transfer_function import TransferFunction
 from morembs.responses.massless import massless_motions, massless_words
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ class Basis:
 @with_old_names(left="W")
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ReducedModel(FormerMethod):
+class ReducedModel(FormerMethod, TransferFunction):
     """M q'' + D q' + K q = B f, interface displacements C q: the projection on ``V`` (Nc, n).
 
     Of a model with gyroscopic or circulatory matrices ``D`` is V'(D + G)V and ``K`` V'(K + N)V, with ``W`` the same

@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from morembs.base.arguments import check_value
 from morembs.base.errors import ArgumentError, InputError, nearest
-from morembs.base.optional import optional
 from morembs.base.summary import summarised
-from morembs.base.types import Complexes, Floats
+from morembs.base.types import Floats
 from morembs.fem.interface import Interface, matrix_interface
 from morembs.importers.matrices.from_matrices import from_matrices
 from morembs.problem import Damping, Problem
 from morembs.reducers import REDUCERS
 from morembs.reducers.base import ReducedModel, Reducer
-from morembs.reducers.tolerances import TOL
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from morembs.reducers.transfer_function import TransferFunction
 
 
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ReducedSystem:
+class ReducedSystem(TransferFunction):
     """M q'' + D q' + K q = B u, y = C q of matrices that were reduced; ``V`` q are the coordinates of the full system.
 
     ``M``, ``D``, ``K`` (n, n), ``B`` (n, m), ``C`` (p, n), ``V`` (N, n). With a loss factor
@@ -59,80 +55,9 @@ class ReducedSystem:
         """Number of coordinates."""
         return len(self.K)
 
-    def frequency_response(self, frequencies_hz: Any) -> Complexes:
-        """Transfer matrices H (nf, p, m) at ``frequencies_hz`` (nf,), rigid motion included."""
-        w = 2 * np.pi * np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
-        K = (1 + 1j * self.structural) * self.K
-        H = [self.C @ np.linalg.solve(K + 1j * each * self.D - each**2 * self.M, self.B.astype(complex)) for each in w]
-        return np.asarray(H, dtype=np.complex128).reshape(len(w), len(self.C), self.B.shape[1])
-
-    def bode(self, frequencies_hz: Any) -> tuple[Floats, Floats]:
-        """Magnitudes (nf, p, m) in dB and unwrapped phases (nf, p, m) in degrees at ``frequencies_hz`` (nf,)."""
-        H = self.frequency_response(frequencies_hz)
-        with np.errstate(divide="ignore"):
-            return 20 * np.log10(np.abs(H)), np.degrees(np.unwrap(np.angle(H), axis=0))
-
     def frequencies_hz(self) -> Floats:
         """Undamped eigenfrequencies (n,), ascending."""
         return np.sqrt(np.maximum(self.model.modes()[0], 0.0)) / (2 * np.pi)
-
-    def plot(self, frequencies_hz: Any = None) -> Figure:
-        """Bode plot of every output over every input, by default from below the first mode to beyond the last."""
-        from matplotlib.figure import Figure
-
-        f = self._shown() if frequencies_hz is None else np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
-        magnitude, phase = self.bode(f)
-        figure = Figure(layout="constrained")
-        upper, lower = figure.subplots(2, 1, sharex=True)
-        for i in range(len(self.C)):
-            for j in range(self.B.shape[1]):
-                upper.semilogx(f, magnitude[:, i, j], label=f"output {i + 1}, input {j + 1}")
-                lower.semilogx(f, phase[:, i, j])
-        upper.set_ylabel("magnitude in dB")
-        lower.set_ylabel("phase in degrees")
-        lower.set_xlabel("frequency in Hz")
-        if len(self.C) * self.B.shape[1] > 1:
-            upper.legend()
-        return figure
-
-    def _shown(self) -> Floats:
-        own = self.frequencies_hz()
-        elastic = own[own > TOL.shown_frequency * own[-1]]
-        return np.geomspace(elastic[0] / 10, 2 * elastic[-1], TOL.shown_points)
-
-    def _first_order(self) -> tuple[Floats, Floats, Floats, Floats]:
-        if self.structural:
-            raise InputError(
-                f"the system has a loss factor, structural = {self.structural:g}, which has no place in the time "
-                "domain; take Damping(modal=...) or Damping(beta=...)"
-            )
-        n, zero = self.order, np.zeros((self.order, self.order))
-        lower = -np.linalg.solve(self.M, np.hstack([self.K, self.D]))
-        return (
-            np.vstack([np.hstack([zero, np.eye(n)]), lower]),
-            np.vstack([np.zeros_like(self.B), np.linalg.solve(self.M, self.B)]),
-            np.hstack([self.C, np.zeros_like(self.C)]),
-            np.zeros((len(self.C), self.B.shape[1])),
-        )
-
-    def to_scipy(self) -> Any:
-        """``scipy.signal.StateSpace`` with the states q, q'.
-
-        Raises:
-            InputError: structural damping.
-        """
-        from scipy.signal import StateSpace
-
-        return StateSpace(*self._first_order())
-
-    def to_control(self) -> Any:
-        """``control.StateSpace`` with the states q, q'.
-
-        Raises:
-            InputError: structural damping, or python-control is not installed.
-        """
-        control = optional("control", "to_control()")
-        return control.StateSpace(*self._first_order())
 
 
 def reduce(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,7 @@ def print_forecast(console: Console, forecast: Mapping[str, Any]) -> None:
         say(console, f"solver: {forecast['choice']}")
     for text in forecast["warnings"]:
         console.print(f"[yellow]warning:[/] {escape(text)}", highlight=False, soft_wrap=True)
+    say(console, f"to run it: morembs reduce {shlex.quote(forecast['job'])}")
 
 
 def _shown(key: str, value: Any) -> str:

@@ -41,6 +41,14 @@ KEYS = {
 }
 
 
+def without_flag_types(command: Any) -> Any:
+    """The command; its options that are said or not show no type."""
+    for parameter in command.params:
+        if getattr(parameter, "is_flag", False):
+            parameter.metavar = ""
+    return command
+
+
 class Verbs(TyperGroup):
     """The verbs, each with a ledger of its own: none of its results takes the place of what it has read."""
 
@@ -83,20 +91,10 @@ class Verbs(TyperGroup):
             args = _arguments_of_file(args)
         return super().parse_args(ctx, args)
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """TEMPORARY."""
-        from morembs.app.cli.models import import_command
-
-        name, command, rest = super().resolve_command(ctx, args)
-        return name, (import_command() if name == "import" else command), rest
-
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """A verb; options that are said or not have no type to show."""
         command = super().get_command(ctx, cmd_name)
-        for parameter in () if command is None else command.params:
-            if getattr(parameter, "is_flag", False):
-                parameter.metavar = ""
-        return command
+        return command if command is None else without_flag_types(command)
 
 
 def _arguments_of_file(args: Sequence[str]) -> list[str]:
