@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperCommand
 
 from morembs.app.cli.messages import print_json, print_names, printing
-from morembs.app.cli.terminal import AsJson, example, messages, progress_line
+from morembs.app.cli.terminal import AsJson, example, messages, progress_line, without_flag_types
 from morembs.base.errors import InputError
 from morembs.base.options import pairs
 
@@ -32,7 +32,7 @@ class _Import(TyperCommand):
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
         """That of the command with its options, which keeps its command line."""
-        context = _import_command().make_context(info_name, [*args], parent, **extra)
+        context = import_command().make_context(info_name, [*args], parent, **extra)
         context.meta[COMMAND_LINE] = args
         return context
 
@@ -103,7 +103,7 @@ _import.__doc__ = import_model.__doc__
 
 
 @cache
-def _import_command() -> Any:
+def import_command() -> Any:
     """An option for each field of ``ImportOptions``; these are loaded only where it is used."""
     own = signature(_import, eval_str=True).parameters
     context, first, *others = (parameter for parameter in own.values() if parameter.kind is not Parameter.VAR_KEYWORD)
@@ -112,7 +112,7 @@ def _import_command() -> Any:
     _import.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     verb = typer.Typer(add_completion=False)
     verb.command("import", epilog=IMPORT_EXAMPLE)(_import)
-    return typer.main.get_command(verb)
+    return without_flag_types(typer.main.get_command(verb))
 
 
 def _import_options() -> Iterator[Parameter]:

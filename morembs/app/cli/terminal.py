@@ -68,6 +68,14 @@ def example(command: str) -> str:
     return f"Example: {command}"
 
 
+def without_flag_types(command: Any) -> Any:
+    """The command; its options that are said or not show no type."""
+    for parameter in command.params:
+        if getattr(parameter, "is_flag", False):
+            parameter.metavar = ""
+    return command
+
+
 class LineProgress:
     """Lines on standard error where no terminal is: a stage that begins, and each quarter of a minute what it does.
 

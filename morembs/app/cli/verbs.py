@@ -12,6 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from morembs.app.cli.messages import echo, failure, tell
+from morembs.app.cli.terminal import without_flag_types
 from morembs.app.kinds import BODY, JOB, MATRIX, PARTS, SURFACE, instead, kind_of
 from morembs.base.errors import ExitCode, InputError, MorembsError
 from morembs.storage.contents import keeping_ledger
@@ -39,14 +40,6 @@ KEYS = {
     "view": "morembs reduce JOB.toml --report PAGE.html, or a body in ParaView, which opens its HDF5 file",
     "simulate": "morembs export BODY.h5 --to exudyn, or morembs.dynamics.multibody in Python",
 }
-
-
-def without_flag_types(command: Any) -> Any:
-    """The command; its options that are said or not show no type."""
-    for parameter in command.params:
-        if getattr(parameter, "is_flag", False):
-            parameter.metavar = ""
-    return command
 
 
 class Verbs(TyperGroup):
