@@ -45,10 +45,10 @@ KEYS = {
 class Verbs(TyperGroup):
     """The verbs, each with a ledger of its own: none of its results takes the place of what it has read."""
 
-    def main(self, args: Sequence[str] | None = None, *others: Any, standalone_mode: bool = True, **more: Any) -> Any:
+    def main(self, args: Sequence[str] | None = None, standalone_mode: bool = True, **more: Any) -> Any:  # type: ignore[override]
         """As of typer, but what does not fit is answered in one line, with a command that fits."""
         try:
-            code = super().main(args, *others, standalone_mode=False, **more)
+            code = super().main(args, standalone_mode=False, **more)
         except UsageError as error:
             if error.format_message():
                 tell(f"error: {_answer(error)}")
