@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from morembs.app.cli.messages import echo, print_json, printing, tell
-from morembs.app.cli.terminal import AsJson, Changes, Quiet, Report, example, messages
+from morembs.app.cli.terminal import AsJson, Changes, Quiet, Report, Verb, example, messages
 from morembs.base.progress import duration_words
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ app = typer.Typer()
 _STAGE = re.compile(r"\[[\d,]+ s\] (.+)")
 
 
-@app.command(epilog=example("morembs batch jobs --report night.html"))
+@app.command(cls=Verb, epilog=example("morembs batch jobs --report night.html"))
 def batch(
     jobs: Annotated[
         list[Path], typer.Argument(metavar="JOB.toml|FOLDER...", help="Jobs, folders with jobs.", show_default=False)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from morembs.app.cli.messages import Failure, print_json, print_names, printing
-from morembs.app.cli.terminal import AsJson, example, messages, progress_line
+from morembs.app.cli.terminal import AsJson, Verb, example, messages, progress_line
 from morembs.app.kinds import HDF5, instead
 from morembs.base import stopping
 from morembs.base.errors import InputError
@@ -44,7 +44,7 @@ Documents = list[dict[str, Any]] | None
 BodyName = Annotated[str | None, typer.Option("--body", help="Which body, where the file holds several.")]
 
 
-@app.command(epilog=example("morembs info part.h5"))
+@app.command(cls=Verb, epilog=example("morembs info part.h5"))
 def info(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE.h5...", help="Body files.", show_default=False, callback=expect_bodies)
@@ -58,7 +58,7 @@ def info(
     each_file(files, as_json, lambda file, documents: show(file, documents, proof))
 
 
-@app.command(epilog=example("morembs export part.h5 --to exudyn"))
+@app.command(cls=Verb, epilog=example("morembs export part.h5 --to exudyn"))
 def export(
     files: Annotated[
         list[Path] | None,
@@ -168,7 +168,7 @@ def each_file(files: Sequence[Path], as_json: bool, work: Callable[[Path, Docume
         raise typer.Exit(min(fault.code for fault in failed))
 
 
-@app.command(epilog=example("morembs recover part.h5 motion.csv -o motion.vtkhdf"))
+@app.command(cls=Verb, epilog=example("morembs recover part.h5 motion.csv -o motion.vtkhdf"))
 def recover(
     file: BodyFile,
     trajectory: Annotated[

@@ -30,6 +30,7 @@ from morembs.app.cli.terminal import (
     Jobs,
     Quiet,
     Report,
+    Verb,
     each_job,
     example,
     leave_with_input,
@@ -59,7 +60,7 @@ app = typer.Typer(
 )
 
 
-@app.command(epilog=example("morembs reduce part.toml"))
+@app.command(cls=Verb, epilog=example("morembs reduce part.toml"))
 def reduce(
     jobs: Annotated[
         list[Path],
@@ -127,7 +128,7 @@ def _loader(
     return [files[0].with_name(files[0].name.partition(".")[0] + ".toml")], partial(job_of_text, text)
 
 
-@app.command(epilog=example("morembs compare part.toml --picture compared.png"))
+@app.command(cls=Verb, epilog=example("morembs compare part.toml --picture compared.png"))
 def compare(
     jobs: Jobs,
     changes: Changes = None,
@@ -175,7 +176,7 @@ def compare(
     each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()), report)
 
 
-@app.command(epilog=example("morembs check part.toml"))
+@app.command(cls=Verb, epilog=example("morembs check part.toml"))
 def check(
     jobs: Jobs, changes: Changes = None, as_json: AsJson = False, quiet: Quiet = False, attached: Attached = False
 ) -> None:
@@ -196,7 +197,7 @@ def check(
     each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()))
 
 
-@app.command(epilog=example("morembs init part.msh --units mm-t-s"))
+@app.command(cls=Verb, epilog=example("morembs init part.msh --units mm-t-s"))
 def init(
     file: Annotated[
         Path | None, typer.Argument(metavar="PART", help="A mesh, a deck or a model file.", show_default=False)
@@ -239,7 +240,7 @@ def init(
             typer.echo(f"written: {job}; look at its units, materials and interfaces, then: morembs check {job}")
 
 
-@app.command(epilog=example("morembs schema > job.schema.json"))
+@app.command(cls=Verb, epilog=example("morembs schema > job.schema.json"))
 def schema() -> None:
     """Print the JSON schema of job files, by which editors complete and check keys."""
     from morembs.app.jobs.job import job_tables
@@ -270,7 +271,7 @@ app.add_typer(models)
 app.add_typer(modes)
 
 
-@app.command(epilog=example("morembs solvers"))
+@app.command(cls=Verb, epilog=example("morembs solvers"))
 def solvers(
     as_json: AsJson = False,
     tolerances: Annotated[

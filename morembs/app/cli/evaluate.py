@@ -15,7 +15,7 @@ import typer
 from morembs.app.cli.bodies import BodyFile, BodyName, values_of
 from morembs.app.cli.families import parametric_of, read_values
 from morembs.app.cli.messages import print_json, printing, warn
-from morembs.app.cli.terminal import AsJson, example, messages
+from morembs.app.cli.terminal import AsJson, Verb, example, messages
 from morembs.app.report.style import STYLE
 from morembs.base.errors import InputError
 from morembs.storage.safefile import check_writable
@@ -35,7 +35,7 @@ Values = Annotated[Path | None, typer.Option("--table", metavar="FILE.csv", help
 KIND = {"bound": "proven bound", "estimate": "estimate of a bound"}
 
 
-@app.command(epilog=example("morembs evaluate part.h5 --at young=2.1e11"))
+@app.command(cls=Verb, epilog=example("morembs evaluate part.h5 --at young=2.1e11"))
 def evaluate(
     file: BodyFile,
     at: At = None,

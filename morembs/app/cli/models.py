@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperCommand
 
 from morembs.app.cli.messages import print_json, print_names, printing
-from morembs.app.cli.terminal import AsJson, example, messages, progress_line, without_flag_types
+from morembs.app.cli.terminal import AsJson, Verb, example, messages, progress_line
 from morembs.base.errors import InputError
 from morembs.base.options import pairs
 
@@ -111,8 +111,8 @@ def import_command() -> Any:
     _import.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     _import.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     verb = typer.Typer(add_completion=False)
-    verb.command("import", epilog=IMPORT_EXAMPLE)(_import)
-    return without_flag_types(typer.main.get_command(verb))
+    verb.command("import", cls=Verb, epilog=IMPORT_EXAMPLE)(_import)
+    return typer.main.get_command(verb)
 
 
 def _import_options() -> Iterator[Parameter]:

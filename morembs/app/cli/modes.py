@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from morembs.app.cli.messages import console, print_json, printing, warn
-from morembs.app.cli.terminal import AsJson, Changes, example, messages, progress_line
+from morembs.app.cli.terminal import AsJson, Changes, Verb, example, messages, progress_line
 from morembs.base.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 
-@app.command(epilog=example("morembs modes part.toml --count 20"))
+@app.command(cls=Verb, epilog=example("morembs modes part.toml --count 20"))
 def modes(
     job: Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job file.", show_default=False)],
     changes: Changes = None,
@@ -65,7 +65,7 @@ def modes(
                 typer.echo(f"written: {out}")
 
 
-@app.command(epilog=example("morembs campbell rotor.toml -o campbell.csv --png"))
+@app.command(cls=Verb, epilog=example("morembs campbell rotor.toml -o campbell.csv --png"))
 def campbell(
     file: Annotated[
         Path, typer.Argument(metavar="JOB|BODY.h5", help=r"A job with \[spin], or its body file.", show_default=False)

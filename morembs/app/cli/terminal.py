@@ -14,6 +14,7 @@ from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from morembs.app.cli.messages import Failure, failure, print_json, printing, tell, without_nan
 from morembs.app.cli.tolerances import TOL
@@ -68,12 +69,20 @@ def example(command: str) -> str:
     return f"Example: {command}"
 
 
-def without_flag_types(command: Any) -> Any:
-    """The command; its options that are said or not show no type."""
-    for parameter in command.params:
+def without_flag_types(parameters: list[Any]) -> list[Any]:
+    """The parameters of a help page; options that are said or not, --help too, show no type."""
+    for parameter in parameters:
         if getattr(parameter, "is_flag", False):
             parameter.metavar = ""
-    return command
+    return parameters
+
+
+class Verb(TyperCommand):
+    """A verb."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """As of typer."""
+        return without_flag_types(super().get_params(ctx))
 
 
 class LineProgress:

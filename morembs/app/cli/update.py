@@ -11,7 +11,7 @@ import typer
 from morembs.app.cli.bodies import BodyFile, BodyName, values_of
 from morembs.app.cli.families import parametric_of
 from morembs.app.cli.messages import print_json, printing
-from morembs.app.cli.terminal import AsJson, example, messages
+from morembs.app.cli.terminal import AsJson, Verb, example, messages
 
 if TYPE_CHECKING:
     from morembs.parametric.update import Updated
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 
-@app.command(epilog=example("morembs update part.h5 --measured frequencies.csv -o updated.h5"))
+@app.command(cls=Verb, epilog=example("morembs update part.h5 --measured frequencies.csv -o updated.h5"))
 def update(
     file: BodyFile,
     measured: Annotated[

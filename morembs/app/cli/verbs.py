@@ -84,10 +84,9 @@ class Verbs(TyperGroup):
             args = _arguments_of_file(args)
         return super().parse_args(ctx, args)
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """A verb; options that are said or not have no type to show."""
-        command = super().get_command(ctx, cmd_name)
-        return command if command is None else without_flag_types(command)
+    def get_params(self, ctx: Any) -> list[Any]:
+        """As of typer."""
+        return without_flag_types(super().get_params(ctx))
 
 
 def _arguments_of_file(args: Sequence[str]) -> list[str]:
