@@ -24,7 +24,7 @@ from morembs.base.types import Floats, Ints
 from morembs.fem.elements import TYPES, ElementType
 from morembs.fem.fe_model import DofMap, FEModel
 from morembs.fem.formulations import Formulation, Geometry, element_mass, formulation_of, geometry
-from morembs.fem.material import Material, refuse_other_materials
+from morembs.fem.material import Material
 from morembs.fem.mesh import ElementBlock, Mesh, material_of_elements
 from morembs.fem.middle_nodes import mesh_in_order
 from morembs.fem.surface import seam_faces
@@ -86,7 +86,6 @@ def assemble(
     >>> assemble(mesh, [steel]).K.shape
     (60, 60)
     """
-    refuse_other_materials(materials)
     other_mass = mass_warnings(mesh, mass_integration)
     mesh = mesh_in_order(mesh)
     owner = material_of_elements(mesh, materials)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from morembs.base.arguments import check_value, checked, fits
-from morembs.base.errors import InputError, shown
+from morembs.base.arguments import check_value, checked
+from morembs.base.errors import InputError
 from morembs.base.limits import PoissonRatio, Positive
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
@@ -114,16 +113,6 @@ def orthotropic(
             raise InputError(f"material of set {set!r}: axes must be three orthonormal rows; got {Q.tolist()}")
         C = _rotated(C, Q)
     return Material(set=set, stiffness=C, density=density)
-
-
-def refuse_other_materials(given: object) -> None:
-    """Refuse what is no list of materials.
-
-    Raises:
-        InputError: as said.
-    """
-    if not fits(given, Sequence[Material]):
-        raise InputError(f"materials = {shown(given)} was given; expected a list, materials=[isotropic(...)]")
 
 
 def _rotated(C: Floats, Q: Floats) -> Floats:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from morembs.base import progress
+from morembs.base.arguments import check_value
 from morembs.base.errors import SolverError
 from morembs.base.progress import Progress, listening
 from morembs.base.units import Units
@@ -19,7 +20,7 @@ from morembs.body.diagnostics.findings import Diagnosis
 from morembs.body.diagnostics.units import Outlook, model_outlook
 from morembs.body.diagnostics.warnings import diagnosis_of, imported_warnings
 from morembs.fem import FEModel
-from morembs.fem.material import Material, refuse_other_materials
+from morembs.fem.material import Material
 from morembs.fem.parts import parts_of
 from morembs.importers.advice import PYTHON, advising
 from morembs.importers.decks.problems import Form
@@ -112,7 +113,7 @@ def import_model(path: str | Path | None = None, *, materials: Sequence[Material
     >>> import_model("bar.vtk", materials=[steel])
     FEModel: dofs 60; nodes 20; elements 4; matrices K, M; source bar.vtk
     """
-    refuse_other_materials(materials)
+    check_value("materials", materials, Sequence[Material])
     given = read_import_options(file=path, besides=["materials"], **options)
     return read_files_model(given, materials, PYTHON)
 

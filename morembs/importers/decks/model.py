@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from morembs.base.arguments import check_value
 from morembs.base.units import Units, parse_units
 from morembs.fem import FEModel, Mesh
-from morembs.fem.material import Material, refuse_other_materials
+from morembs.fem.material import Material
 from morembs.importers.advice import PYTHON, advising
 from morembs.importers.decks.join import import_deck, mesh_of
 from morembs.importers.decks.materials import complete
@@ -44,7 +45,7 @@ class Deck(DeckTables):
         Raises:
             InputError: a material or density for a set that is not there or lacks none, or both for one set.
         """
-        refuse_other_materials(materials)
+        check_value("materials", materials, Sequence[Material])
         return complete(self, materials)
 
     def imported(self, materials: Sequence[Material] = ()) -> Imported:
@@ -56,7 +57,7 @@ class Deck(DeckTables):
         Raises:
             DeckError: all that keeps the deck from becoming a model: an ``InputError`` with ``problems``.
         """
-        refuse_other_materials(materials)
+        check_value("materials", materials, Sequence[Material])
         return import_deck(self, materials)
 
     @advising(PYTHON)
