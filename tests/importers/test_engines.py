@@ -14,6 +14,7 @@ import morembs
 from morembs import InputError
 from morembs.app.cli import app
 from morembs.fem import FEModel, rigid_motion
+from morembs.fem.elements import TYPES
 from morembs.fem.material import isotropic, orthotropic
 from morembs.importers import import_file
 from morembs.importers.abaqus.assembly import Assembly
@@ -446,6 +447,16 @@ def test_elements_that_are_left_out_are_cured_only_where_others_stay(tmp_path):
         with pytest.raises(DeckError) as told:
             flat_text(tmp_path, text)
         assert told.value.problems[0].flags == flags and ("--skip" in str(told.value)) is bool(flags)
+
+
+def test_elements_of_27_nodes_are_none_of_calculix(tmp_path):
+    nodes = "".join(f"{i},{x},{y},{z}\n" for i, (x, y, z) in enumerate(TYPES["hex27"].reference.tolist(), start=1))
+    order = list(range(1, 28))
+    rows = f"1,{','.join(map(str, order[:15]))},\n{','.join(map(str, order[15:]))}\n"
+    section = "*SOLID SECTION,ELSET=E,MATERIAL=STEEL\n"
+    with pytest.raises(DeckError, match="elements C3D27 of 27 nodes, which CalculiX has not") as told:
+        flat_text(tmp_path, f"*NODE\n{nodes}*ELEMENT,TYPE=C3D27,ELSET=E\n{rows}{STEEL}{section}")
+    assert len(told.value.problems) == 1 and not told.value.answer
 
 
 def test_steps_end_as_in_calculix(tmp_path):

@@ -72,7 +72,8 @@ def read_abaqus_deck(
         pretension: bolts with *PRE-TENSION SECTION are "locked", as one piece, or "cut", so that the faces part along
             the normal by one dof; "auto" refuses them.
 
-    Peak memory: the numbers of the mesh about twice, besides a piece of the file of a few MB.
+    Peak memory: the numbers of the mesh about twice, besides a piece of the file of a few MB and the text of loads,
+    supports and properties.
 
     Raises:
         DeckError: it makes no sense; what else keeps it from becoming a model is among the ``problems`` of the deck.

@@ -65,13 +65,13 @@ def read_deck(
     outside: bool = False,
     dialect: str = "auto",
     options: DeckOptions | None = None,
-    for_calculix: bool = False,
+    is_for_calculix: bool = False,
 ) -> Contents:
     """The deck of a file; ``outside`` allows to include files from beyond its folder.
 
     ``dialect`` "auto" looks at keywords and at comments of the head; where they do not tell one program, a deck without
-    parts is taken for one of CalculiX. What a model cannot carry is among its ``problems``; ``for_calculix`` keywords
-    that CalculiX does not have.
+    parts is taken for one of CalculiX. What a model cannot carry is among its ``problems``; where it
+    ``is_for_calculix``, keywords that CalculiX does not have.
 
     Raises:
         InputError: the text is not an input deck.
@@ -80,7 +80,7 @@ def read_deck(
     deck = Contents(path.name, options, Problems(path.name, options.flags))
     said: list[str] = []
     with deck.problems.ending():
-        reader = DeckReader(deck, for_calculix=for_calculix)
+        reader = DeckReader(deck, is_for_calculix=is_for_calculix)
         for card, pieces in cards(path, outside=outside, warnings=said):
             reader.take(card, pieces)
         deck.warnings += said if reader.open != ["STEP"] else []
@@ -93,7 +93,7 @@ def read_deck(
                 f"{path.name} ends inside *{reader.open[-1]}: the part, assembly, instance or step is not ended "
                 f"(*END {reader.open[-1]} is missing); the file may be cut off"
             )
-    if not for_calculix:
+    if not is_for_calculix:
         _others(deck)
     with open_text(path) as file:
         deck.dialects |= dialects_of_comments(file.read(TOL.head_bytes))
@@ -136,10 +136,10 @@ def _others(deck: Contents) -> None:
 
 
 class DeckReader:
-    """Puts each card where it belongs; ``for_calculix``: what that takes is no problem."""
+    """Puts each card where it belongs; ``is_for_calculix``: what that takes is no problem."""
 
-    def __init__(self, deck: Contents, *, for_calculix: bool) -> None:
-        self.deck, self.for_calculix = deck, for_calculix
+    def __init__(self, deck: Contents, *, is_for_calculix: bool) -> None:
+        self.deck, self.is_for_calculix = deck, is_for_calculix
         self.open: list[str] = []
         self.scope = deck.top
         self.material: list[tuple[Card, Rows]] | None = None
@@ -273,7 +273,7 @@ class DeckReader:
     def _skips(self, code: str) -> bool:
         """Whether elements of a type are left out as asked."""
         options = self.deck.options
-        return options.skips(code) or (code in GAPS and options.contact == "skip" and not self.for_calculix)
+        return options.skips(code) or (code in GAPS and options.contact == "skip" and not self.is_for_calculix)
 
     def _set(self, card: Card, pieces: Iterator[bytes]) -> None:
         sets = self.scope.node_sets if card.keyword == "NSET" else self.scope.element_sets
@@ -292,7 +292,7 @@ class DeckReader:
         if word == "SURFACE":
             scope.surfaces.append((card, rows))
         elif word in PROPERTIES:
-            if word == "SOLID SECTION" and not self.for_calculix and len([row for row in rows if row]) > 1:
+            if word == "SOLID SECTION" and not self.is_for_calculix and len([row for row in rows if row]) > 1:
                 raise InputError(f"{card} has several data lines; expected one, its thickness, or none")
             scope.properties.append((card, rows))
         elif word == "ORIENTATION":
@@ -305,7 +305,7 @@ class DeckReader:
         elif word in CONTACT:
             self._contact(card, rows)
         elif word in CONSTRAINTS or (
-            word == PRETENSION and (self.for_calculix or self.deck.options.pretension != "auto")
+            word == PRETENSION and (self.is_for_calculix or self.deck.options.pretension != "auto")
         ):
             scope.constraints.append((card, rows, None, []))
         elif word in ("KINEMATIC", "DISTRIBUTING"):
@@ -321,10 +321,10 @@ class DeckReader:
         deck, contact = self.deck, self.deck.options.contact
         if contact == "skip":
             deck.skip(card)
-        elif contact == "tie" and (not self.for_calculix or card.keyword == "CONTACT PAIR"):
+        elif contact == "tie" and (not self.is_for_calculix or card.keyword == "CONTACT PAIR"):
             self.scope.constraints.append((card, rows, None, []))
         else:
-            own = " (in own assembly)" if self.for_calculix and card.keyword == "CONTACT" else ""
+            own = " (in own assembly)" if self.is_for_calculix and card.keyword == "CONTACT" else ""
             cure = f"--contact skip leaves it out; --contact tie glues it{own}"
             what = f"{card} cannot be read: contact is not linear; {cure}"
             deck.problems.add(

@@ -216,7 +216,7 @@ class MeshText:
         for code, meaning in theirs.items():
             if (meaning.formulation, meaning.mass) == meant:
                 return code
-        code = next((own for own, meaning in theirs.items() if meaning.formulation == meant[0]), codes[0])
+        code = solid_code(part.shape, meant[0], self.dialect) or codes[0]
         self.warnings.append(
             f"{len(part.ids)} elements {part.code} of {self.deck.program} are written as {code} of {self.program}, "
             f"which has the formulation {theirs[code].formulation!r} and the mass {theirs[code].mass!r} in place of "
@@ -292,6 +292,11 @@ class MeshText:
         place[group[: len(unique)]] = first
         number = np.concatenate(numbers) if numbers else np.empty(0, dtype=np.int64)
         return [f"{number[i]}, {sides[i]}" for i in np.sort(place[group[len(unique) :]]).tolist()]
+
+
+def solid_code(shape: str, formulation: str, dialect: str = "calculix") -> str:
+    """The type of solids of a shape and formulation in a program, "" where it has none."""
+    return next((code for code in _SOLIDS[shape] if meaning_of(code, dialect).formulation == formulation), "")
 
 
 def _corners(shape: str) -> int:

@@ -21,13 +21,17 @@ def read_for_engine(path: Path, options: DeckOptions, *, outside: bool = False) 
     Raises:
         InputError: the text is no deck.
     """
-    deck = read_deck(path, outside=outside, dialect="calculix", options=options, for_calculix=True)
+    deck = read_deck(path, outside=outside, dialect="calculix", options=options, is_for_calculix=True)
     _refuse_others(deck)
     deck.dialects |= {"abaqus"} if deck.parts else set()
     return deck
 
 
 def _refuse_others(deck: Contents) -> None:
+    large = [code for code, count in deck.counts.items() if count and SOLIDS.get(code) == "hex27"]
+    if large:
+        what = f"{deck.name} has elements {', '.join(large)} of 27 nodes, which CalculiX has not; own assembly has them"
+        deck.problems.add(Problem(what=what, file=deck.name, keyword="ELEMENT"))
     others = {code: count for code, count in deck.counts.items() if count and not _is_own(code)}
     asked = {code: others.pop(code) for code in list(others) if deck.options.skips(code)}
     deck.skipped |= {f"elements {code}": count for code, count in asked.items()}

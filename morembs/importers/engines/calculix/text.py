@@ -7,20 +7,8 @@ import numpy as np
 from morembs.base.types import Bools, Ints
 from morembs.fem import ElementBlock
 from morembs.importers.abaqus.assembly import Assembly
-from morembs.importers.decks.writers.calculix_mesh import entry_lines, numeral
+from morembs.importers.decks.writers.calculix_mesh import entry_lines, numeral, solid_code
 
-# Types by shape and formulation, as ``formulations`` has them for CalculiX.
-_CODES = {
-    ("tet4", "full"): "C3D4",
-    ("tet10", "full"): "C3D10",
-    ("wedge6", "reduced"): "C3D6",
-    ("wedge15", "full"): "C3D15",
-    ("hex8", "full"): "C3D8",
-    ("hex8", "mean-strain"): "C3D8R",
-    ("hex8", "incompatible"): "C3D8I",
-    ("hex20", "full"): "C3D20",
-    ("hex20", "reduced"): "C3D20R",
-}
 # Elements on single nodes that CalculiX has; most masses and distributing couplings are added to its matrices.
 _DISCRETE = ("SPRING1", "SPRING2", "SPRINGA")
 
@@ -41,7 +29,7 @@ def element_lines(assembly: Assembly, blocks: tuple[ElementBlock, ...], masses: 
 
     number = 0
     for part in blocks:
-        block(_CODES[part.type, part.formulation], number + np.arange(len(part.nodes)), part.nodes)
+        block(solid_code(part.type, part.formulation), number + np.arange(len(part.nodes)), part.nodes)
         number += len(part.nodes)
     for element in assembly.discrete:
         if element.code in _DISCRETE or element.number in masses:
