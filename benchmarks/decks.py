@@ -108,7 +108,8 @@ class Cures:
         elif name == "format":
             self.format = value
         elif name == "pretension":
-            self.pretension = value
+            # As ccx has it; own assembly offers both.
+            self.pretension = "cut"
 
     @property
     def words(self) -> list[str]:

@@ -382,6 +382,14 @@ def test_damaged_decks_end_in_one_message(tmp_path):
     assert refused > 100
 
 
+def test_comments_behind_a_mark_are_read_over_at_the_top(deck):
+    """As by ccx; other lines before the first keyword are no deck."""
+    plain, marked = deck(SOLID), deck(">** Structure: a cube\n**\n> ** Test: none\n" + SOLID)
+    assert np.array_equal(plain.mesh.nodes.xyz, marked.mesh.nodes.xyz) and not marked.warnings
+    with pytest.raises(InputError, match="begins with data"):
+        deck(">** Structure\n1, 0., 0., 0.\n" + SOLID)
+
+
 @pytest.mark.parametrize("form", ["{:5d},{:13.6e},{:13.6e},{:13.6e}", "{}, {:.8f}, {:.8f}, {:.8f}"])
 def test_a_last_number_that_is_shorter_than_those_above_is_cut_off(form, deck):
     """Of lines that are written in one format; without an end of line the last may be whole."""

@@ -25,6 +25,8 @@ _WITH_INPUT = ("NODE", "ELEMENT", "NSET", "ELSET")
 _BEGIN = re.compile(rb"\*[ \t]*[A-Za-z]|[-+.0-9][-+.0-9eEdD, \t]*$")
 # Data that are an include without its star.
 _NO_STAR = re.compile(rb"^[ \t]*INCLUDE[ \t]*,[ \t]*INPUT[ \t]*=", re.MULTILINE | re.IGNORECASE)
+# Comments at the top of a file behind other characters, such as the mark of a quotation; ccx reads over them.
+_STRAY_COMMENTS = re.compile(rb"(?:[^\w*,\n]{1,4}\*\*[^\n]*\n|[ \t]*\n)+")
 # They take a title or nothing, so numbers of an included file behind them are those of a block that lost its keyword.
 _WITHOUT_DATA = ("HEADING", "PREPRINT")
 # Last lines that are whole without an end of line: cut off, they would be other words. *END alone is of old decks.
@@ -118,7 +120,7 @@ def _last_line(card: Card | None, data: bytes, line: bytes, file: str) -> list[s
 
 def _data(card: Card | None, piece: bytes, path: Path, *, swallowed: bool) -> Iterator[tuple[Card, bytes]]:
     """Data of a card; ``swallowed`` where the card stands in the file that includes this one."""
-    if not piece.strip():
+    if not piece.strip() or (card is None and _STRAY_COMMENTS.fullmatch(piece)):
         return
     if card is None or (swallowed and card.keyword in _WITHOUT_DATA):
         behind = "no *NODE block or the like" if card is None else f"*{card.keyword}, which takes none,"
