@@ -39,7 +39,7 @@ def enclosures(reference: CertifiedReference) -> Floats:
     2 e^2 / (gap + (gap^2 + 4 e^2)^(1/2)) (Li and Li 2005; Weyl where there is no gap). Round-off in K is counted.
     """
     theta, k = reference.values[: len(reference.sigma)], len(reference.sigma)
-    off = reference.unsure[:k]
+    radius = reference.unsure[:k]
     each = reference.sigma**2 / theta**3
     coupled = float(np.sqrt(each.sum()))
     # The complement has nothing above 1 / lam^.
@@ -47,7 +47,7 @@ def enclosures(reference: CertifiedReference) -> Floats:
     gap = np.maximum(1 / theta - beyond, 0.0)
     moved = 2 * coupled**2 / np.maximum(gap + np.sqrt(gap**2 + 4 * coupled**2), np.finfo(float).tiny)
     low = 1 / (1 / theta + moved)
-    return np.asarray(eigenvalue_in_hz(np.stack([low - off, theta + off], axis=1)))
+    return np.asarray(eigenvalue_in_hz(np.stack([low - radius, theta + radius], axis=1)))
 
 
 def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
@@ -83,8 +83,8 @@ def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
         mac[first:last] = s.min() ** 2 if last - first == block.shape[1] else 0.0
         true = b[first:last].T @ b[first:last]
         if excited[first:last].any():
-            off = np.linalg.norm(outputs[partners].T @ inputs[partners] - true)
-            residue[first:last] = off / np.linalg.norm(true)
+            error = np.linalg.norm(outputs[partners].T @ inputs[partners] - true)
+            residue[first:last] = error / np.linalg.norm(true)
     return Poles(
         frequencies_hz=in_hz(omega[band]),
         enclosure_hz=limits[band],

@@ -59,14 +59,14 @@ def _complement(reference: CertifiedReference) -> Lemma:
 
 
 def _residual(reference: CertifiedReference) -> Lemma:
-    off, order = float(reference.off.max(initial=0.0)), len(reference.values)
+    bound, order = float(reference.error_bounds.max(initial=0.0)), len(reference.values)
     # Without a damping matrix what else makes an estimate is the damping table.
     doubtful = not reference.proven and (reference.problem.D is not None or not len(reference.model.damping.jumps))
     what = "by residuals at frequencies of the band" if doubtful else "on all of the band"
-    size = f"at most {upwards(off)} times the envelope" if np.isfinite(off) else "unbounded"
+    size = f"at most {upwards(bound)} times the envelope" if np.isfinite(bound) else "unbounded"
     statement = f"|H - H_ref| is {size}, {what}, for the reference of {order} modes"
     statement = "; ".join([statement, *reference.doubts]) if doubtful else statement
-    return _lemma("reference-residual", statement, ESTIMATE if doubtful else PROVEN, error=off, order=order)
+    return _lemma("reference-residual", statement, ESTIMATE if doubtful else PROVEN, error=bound, order=order)
 
 
 def _damping(reference: CertifiedReference) -> Lemma:

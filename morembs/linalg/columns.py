@@ -117,6 +117,6 @@ def without_rigid_motion(K: Floats, M: Floats, rigid: Floats) -> Floats:
         return K
     W = sl.solve(rigid.T @ M @ rigid, rigid.T @ M, assume_a="pos").T
     E -= 0.5 * W @ (rigid.T @ E)
-    off = E @ W.T
+    half = E @ W.T
     # In one sum, so that symmetry holds to the last bit.
-    return np.asarray(K - (off + off.T))
+    return np.asarray(K - (half + half.T))

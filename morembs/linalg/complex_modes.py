@@ -124,14 +124,15 @@ def complex_modes(
             cut = "" if why else _cut(modes.frequencies, count)
             if isinstance(cut, str):
                 return _first(modes, count, 0.0, why or "the last modes are one cluster")
-            known = int((modes.frequencies < cut).sum())
+            count_below = int((modes.frequencies < cut).sum())
             true = frequencies_below(K, M, G, cut, solver)
-            if true == known:
+            if true == count_below:
                 return _first(modes, count, cut, "")
-            progress.update(f"complex modes: {true} below {cut:.6g} rad/s, {known} found")
-            V = np.hstack([V, _more(pencil, V, 2 * max(true - known, 1))])
+            progress.update(f"complex modes: {true} below {cut:.6g} rad/s, {count_below} found")
+            V = np.hstack([V, _more(pencil, V, 2 * max(true - count_below, 1))])
     raise SolverError(
-        f"a count finds {true} complex modes below {cut:.6g} rad/s, the eigensolver {known}; ask for a few modes more"
+        f"a count finds {true} complex modes below {cut:.6g} rad/s, the eigensolver {count_below}; ask for a few "
+        "modes more"
     )
 
 

@@ -50,8 +50,8 @@ class DynamicStiffness(Closing):
         symmetric = len(parts)
         for A, what in ((G, "the gyroscopic matrix"), (N, "the circulatory matrix")):
             if A is not None:
-                whole = General.of(A, what, regular=False)
-                parts.append(Lower(whole.indptr, whole.indices, whole.skew))
+                general = General.of(A, what, regular=False)
+                parts.append(Lower(general.indptr, general.indices, general.skew))
         if any(part.n != stiffness.n for part in parts):
             raise InputError(
                 f"K, M and D have {[stiffness.n, *(part.n for part in parts)]} rows; expected equal numbers"

@@ -161,10 +161,10 @@ def accurate_eigh(
     values, Y = sl.eigh(A, M)
     soft = int((values < TOL.soft_eigenvalue * values[-1]).sum()) if len(values) else 0
     while soft:
-        some = Y[:, :soft]
-        part = some.T @ A @ some if projected is None else projected(some)
+        soft_vectors = Y[:, :soft]
+        part = soft_vectors.T @ A @ soft_vectors if projected is None else projected(soft_vectors)
         values[:soft], Q = sl.eigh(symmetric(part))
-        Y[:, :soft] = some @ Q
+        Y[:, :soft] = soft_vectors @ Q
         # At least the highest of them is known now.
         soft = min(soft - 1, int((values[:soft] < TOL.soft_eigenvalue * values[soft - 1]).sum()))
     return values, Y

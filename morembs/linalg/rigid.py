@@ -109,19 +109,19 @@ def _forces(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float)
     """Forces (N, k) of ``A`` under ``Phi`` against the terms that cancel in them, and the level of round-off."""
     force = A @ Phi
     force[np.abs(force) <= TOL.cancelled_force * size] = 0.0
-    whole = size.max(axis=1, initial=0.0)[:, None]
-    ratio = np.divide(force, whole, out=np.zeros_like(force), where=whole > 0)
+    row_magnitudes = size.max(axis=1, initial=0.0)[:, None]
+    ratio = np.divide(force, row_magnitudes, out=np.zeros_like(force), where=row_magnitudes > 0)
     # What each term may be off by its last digit adds up to no more than that part of all.
-    return ratio, max(_round_off(ratio, _work(force, Phi, whole, node), node), last)
+    return ratio, max(_round_off(ratio, _work(force, Phi, row_magnitudes, node), node), last)
 
 
-def _work(force: Floats, Phi: Floats, whole: Floats, node: Ints) -> Floats:
+def _work(force: Floats, Phi: Floats, row_magnitudes: Floats, node: Ints) -> Floats:
     """Work (nodes, k) of the forces at each node, against that of all that cancels there."""
     count = int(node.max(initial=-1)) + 1
     gather = sp.csr_array((np.ones(len(node)), (node, np.arange(len(node)))), shape=(count, len(node)))
     done = gather @ (force * Phi)
-    most = (gather @ (whole * np.abs(Phi))).max(axis=1, initial=0.0)[:, None]
-    return np.asarray(np.divide(done, most, out=np.zeros_like(done), where=most > 0))
+    magnitude = (gather @ (row_magnitudes * np.abs(Phi))).max(axis=1, initial=0.0)[:, None]
+    return np.asarray(np.divide(done, magnitude, out=np.zeros_like(done), where=magnitude > 0))
 
 
 def _round_off(ratio: Floats, work: Floats, node: Ints) -> float:

@@ -73,8 +73,8 @@ class SecondOrderArnoldi:
 
     def _second_level(self, upper: Values, lower: Values) -> None:
         """New columns of [S1; S2], orthonormalised against the known ones."""
-        k, known = len(upper), self.upper.shape[1]
-        grown = [np.vstack([S, np.zeros((k - len(S), known))]) for S in (self.upper, self.lower)]
+        k, width = len(upper), self.upper.shape[1]
+        grown = [np.vstack([S, np.zeros((k - len(S), width))]) for S in (self.upper, self.lower)]
         S, T = np.vstack(grown), np.vstack([upper, lower])
         start = np.linalg.norm(T, axis=0)
         for _ in range(2):
@@ -83,7 +83,7 @@ class SecondOrderArnoldi:
         T = orthonormal(T - S @ (S.conj().T @ T), None, passes=TOL.krylov_passes)
         both = np.hstack([S, T])
         self.upper, self.lower = both[:k], both[k:]
-        self.last = slice(known, known + T.shape[1])
+        self.last = slice(width, width + T.shape[1])
 
     def _vectors(self, C: Values) -> Values:
         """Q C (N, j), a block of Q at a time."""

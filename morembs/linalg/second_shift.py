@@ -33,10 +33,10 @@ def first_look(lanczos: BlockLanczos, count: int, *, what: str) -> float | None:
         if lanczos.size <= count:
             continue
         theta, _, residual = lanczos.ritz()
-        known = int(np.argmin(np.append(residual <= TOL.rough_residual * np.abs(theta), False)))
-        progress.update(f"{min(known, count)} of {count} {what} known roughly")
-        if known > count:
-            values = 1.0 / theta[count - 1 : min(known, count + max(2, count // 10))]
+        accurate = int(np.argmin(np.append(residual <= TOL.rough_residual * np.abs(theta), False)))
+        progress.update(f"{min(accurate, count)} of {count} {what} known roughly")
+        if accurate > count:
+            values = 1.0 / theta[count - 1 : min(accurate, count + max(2, count // 10))]
             k = int(np.argmax(values[1:] / values[:-1]))
             return float(0.5 * (values[k] + values[k + 1]))
     return None

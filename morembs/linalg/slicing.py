@@ -85,13 +85,13 @@ def sliced_modes(
 
 
 def _slice(
-    shifted: ShiftedInverse, M: sp.csr_array, known: Floats, near: Ints, missing: int, limit: float, capacity: int
+    shifted: ShiftedInverse, M: sp.csr_array, vectors: Floats, near: Ints, missing: int, limit: float, capacity: int
 ) -> tuple[Floats, Floats]:
-    """Converged modes up to ``limit``, at least the ``missing`` ones below the shift, without the ``known`` ones.
+    """Converged modes up to ``limit``, at least the ``missing`` ones below the shift, without the ``vectors`` ones.
 
     Those ``near`` the shift are taken out of the space; others seldom converge in it, and are left out then.
     """
-    space, locked = Space(M, budget=shifted.body.statics.budget), known[:, near]
+    space, locked = Space(M, budget=shifted.body.statics.budget), vectors[:, near]
 
     def flexibility(F: Floats) -> Floats:
         U = shifted.apply(F)
@@ -120,7 +120,7 @@ def _slice(
             right &= np.abs(theta) > np.abs(theta[~good]).max(initial=0.0)
             chosen = (good & (theta < 0)) | right
             new, V = values[chosen], lanczos.vectors(Y[:, chosen])
-            fresh = (space.dot(known, M @ V) ** 2).sum(axis=0) < 0.5
+            fresh = (space.dot(vectors, M @ V) ** 2).sum(axis=0) < 0.5
             if int((new[fresh] < shifted.sigma).sum()) >= missing or not lanczos.pending.shape[1]:
                 return new[fresh], V[:, fresh]
     raise SolverError(
@@ -133,8 +133,8 @@ def _make_room(lanczos: BlockLanczos, missing: int, room: int) -> None:
     theta, _, _ = lanczos.ritz()
     below = np.flatnonzero(theta < 0)
     # A space that has fewer values below the shift than modes are missing cannot hold them.
-    few = len(below) < missing
-    needed = lanczos.size if few else int(below[missing - 1]) + 1 if missing else lanczos.size // 2
+    lacks_modes = len(below) < missing
+    needed = lanczos.size if lacks_modes else int(below[missing - 1]) + 1 if missing else lanczos.size // 2
     keep = needed + lanczos.block
     if keep > TOL.needed_part * lanczos.capacity and lanczos.capacity < room:
         lanczos.enlarge(min(2 * lanczos.capacity, room))

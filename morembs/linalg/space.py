@@ -92,8 +92,8 @@ class Columns:
         width = self.budget.columns(len(V))
         test = V if W is None else W
         parts = [self.dot(test, A @ V[:, at : at + width]) for at in range(0, V.shape[1], width)]
-        whole = np.hstack(parts) if parts else np.zeros((0, 0))
-        return symmetric(whole) if W is None else whole
+        product = np.hstack(parts) if parts else np.zeros((0, 0))
+        return symmetric(product) if W is None else product
 
     def fix_signs(self, V: Floats) -> Floats:
         """As the function ``columns.fix_signs``, in place."""

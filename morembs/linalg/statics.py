@@ -41,15 +41,15 @@ class Statics(Closing):
 
     ``System.inverse`` of a problem does not serve here: K is singular, and what makes it regular is supports, which
     belong to statics alone.
-    ``held`` (N, h) are rigid motions that the stiffness holds, perhaps softly.
+    ``held_motions`` (N, h) are rigid motions that the stiffness holds, perhaps softly.
 
     Raises:
         SingularMatrixError: K has more zero-energy motions than Z.
         SolverError: no method fits into the memory budget.
     """
 
-    def __init__(self, pencil: DynamicStiffness, Z: Floats, held: Floats | None = None) -> None:
-        self.pencil, self.Z, self.held = pencil, Z, Z[:, :0] if held is None else held
+    def __init__(self, pencil: DynamicStiffness, Z: Floats, held_motions: Floats | None = None) -> None:
+        self.pencil, self.Z, self.held_motions = pencil, Z, Z[:, :0] if held_motions is None else held_motions
         self.supports = support_dofs(Z)
         supported = pencil.with_springs(self.supports) if Z.shape[1] else pencil.lower
         solver = pencil.solver.with_near_null_space(Z).with_memory(pencil.budget.room_for_factor())
@@ -164,18 +164,19 @@ class ConstrainedStatics:
         U, lam = np.zeros((len(self.statics.Z), self.count)), np.zeros((self.count, self.count))
         self._meet_motions(U, lam)
         for step in range(TOL.refinement_steps):
-            off, lost = self._missed(U), self._lost(self._energy(U, lam), lam)
+            imposed_error, lost_energy = self._missed(U), self._lost(self._energy(U, lam), lam)
             # Equilibrium, of which rigid motion needs more digits than elastic motion does, takes a step of its own.
             allowed = TOL.lost_energy if step else TOL.sure_energy
-            if (off <= TOL.imposed_error and lost <= allowed) or step == TOL.refinement_steps - 1:
+            if (imposed_error <= TOL.imposed_error and lost_energy <= allowed) or step == TOL.refinement_steps - 1:
                 break
             self._refine(U, lam)
-        if not off <= TOL.imposed_error:
+        if not imposed_error <= TOL.imposed_error:
             raise SolverError(
-                f"unit interface displacements could be imposed to {off:.1e} only (needed {TOL.imposed_error:.0e}); "
-                "points far from the body, or interfaces that nearly depend on each other, cost these digits"
+                f"unit interface displacements could be imposed to {imposed_error:.1e} only (needed "
+                f"{TOL.imposed_error:.0e}); points far from the body, or interfaces that nearly depend on each other, cost "
+                "these digits"
             )
-        self._refuse_lost_energy(lost)
+        self._refuse_lost_energy(lost_energy)
         # Loads have no part in rigid motion, of which the energy has round-off of all rows.
         return U, -symmetric(lam)
 
@@ -216,7 +217,7 @@ class ConstrainedStatics:
 
     def _lost(self, condensed: Floats, lam: Floats) -> float:
         """Largest relative difference of the energies of unit interface displacements, by fields and by loads."""
-        s = _sizes(condensed, self.scale[: self.count])
+        s = _scales_of(condensed, self.scale[: self.count])
         H = s[:, None] * (self.C.T @ self.statics.Z)
         Q = sl.qr(H)[0][:, H.shape[1] :] if H.shape[1] else np.eye(self.count)
         A, B = (Q.T @ (symmetric(E) / np.outer(s, s)) @ Q for E in (condensed, -lam))
@@ -257,8 +258,8 @@ def _scales(flexibility: Floats, H: Floats) -> Floats:
     """
     rigid = np.linalg.norm(H, axis=1)
     # Motions at a hinge have nothing but round-off there.
-    known = (flexibility > 0) & (rigid > 1e-9 * rigid.max(initial=0.0))
-    ratio = float(np.median(rigid[known] / np.sqrt(flexibility[known]))) if known.any() else 1.0
+    translating = (flexibility > 0) & (rigid > 1e-9 * rigid.max(initial=0.0))
+    ratio = float(np.median(rigid[translating] / np.sqrt(flexibility[translating]))) if translating.any() else 1.0
     size = np.sqrt(np.maximum(flexibility, 0.0))
     least = rigid / ratio
     top = 1.0 / np.where(size > TOL.support_flexibility * least, size, np.where(least > 0, least, 1.0))
@@ -266,7 +267,7 @@ def _scales(flexibility: Floats, H: Floats) -> Floats:
     return np.concatenate([top, 1.0 / np.where(coupled > 0, coupled, 1.0)])
 
 
-def _sizes(A: Floats, usual: Floats) -> Floats:
+def _scales_of(A: Floats, usual: Floats) -> Floats:
     """Roots (c,) of the diagonal of ``A`` (c, c), those ``usual`` for their flexibility where it is round-off."""
     diagonal = np.diag(A)
     return np.asarray(np.sqrt(np.where(diagonal > TOL.rigid_energy * usual**2, diagonal, usual**2)))

@@ -66,8 +66,8 @@ class ShiftedInverse(Closing):
         elif self.body.rows is None:
             # Twice: round-off of the first time would leave the subspace.
             for _ in range(2):
-                off = self.scale[:, None] * (self.body.C.T @ U)
-                U -= self.X @ (self.scale[:, None] * sl.lu_solve(self.schur, off))
+                constraint_forces = self.scale[:, None] * (self.body.C.T @ U)
+                U -= self.X @ (self.scale[:, None] * sl.lu_solve(self.schur, constraint_forces))
         return U
 
     def close(self) -> None:
@@ -140,10 +140,10 @@ def require_room_to_count(solver: LinearSolver, lower: Lower, room: int | None) 
     try:
         return solver.with_memory(max(room - beside, 0)).inertia_forecast(lower)
     except BudgetError as error:
-        more = current_budget().raise_for(error.needed + beside - room)
+        budget = current_budget().raise_for(error.needed + beside - room)
         raise BudgetError(
             f"the memory budget leaves {room / 1e6:.0f} MB for the Sturm count that proves the modes complete; it "
-            f"needs {(error.needed + beside) / 1e6:.0f} MB: raise the budget by {enough_megabytes(more)} MB or more, "
+            f"needs {(error.needed + beside) / 1e6:.0f} MB: raise the budget by {enough_megabytes(budget)} MB or more, "
             "or take a coarser mesh",
             needed=error.needed + beside,
         ) from None

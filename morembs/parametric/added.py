@@ -104,8 +104,8 @@ def with_preload(varied: VariedModel, geometric: sp.csr_array, critical: float |
             f"up to {own.high:.4g}; lower its upper end"
         )
     for k, parameter in enumerate(varied.parameters):
-        whole = (varied.young if parameter.kind == "young" else varied.density) == k
-        if parameter.kind in ("morph", "spring") or (parameter.kind in ("young", "density") and not whole.all()):
+        elements = (varied.young if parameter.kind == "young" else varied.density) == k
+        if parameter.kind in ("morph", "spring") or (parameter.kind in ("young", "density") and not elements.all()):
             raise InputError(
                 f"parameter {parameter.name} ({parameter.kind}) changes the stress of the preload in another way than "
                 'by a factor; beside a preload young and density of the set "all" can vary, and the damping'

@@ -110,8 +110,8 @@ class GreedySearch:
         self.kept = self.space.size
         self.proofs = Proofs(self.space)
         # Many cells help little where the norm is the matter.
-        few = loose is None and self.problem.loose is not None
-        self.cells = self.proofs.cells(TOL.max_cells) if few else self.proofs.cells()
+        leaves_loose = loose is None and self.problem.loose is not None
+        self.cells = self.proofs.cells(TOL.max_cells) if leaves_loose else self.proofs.cells()
 
     def _deflated(self) -> float:
         """The multiple of the upper frequency below which modes of the anchor are deflated."""
@@ -153,9 +153,9 @@ class GreedySearch:
 
     def _next(self) -> Worst:
         """Where the bound is largest, as an earlier run knows or from the training set."""
-        known = self.steps.known[len(self.points) :]
-        if known:
-            return Worst(value=known[0].value, p=known[0].p, hz=known[0].hz)
+        steps = self.steps.known[len(self.points) :]
+        if steps:
+            return Worst(value=steps[0].value, p=steps[0].p, hz=steps[0].hz)
         model, bound = self._bound(proof=False)
         return self.worst(model, replace(bound, rounding_K=None, rounding_M=None))
 
@@ -174,16 +174,16 @@ class GreedySearch:
     def _more_deflated(self, model: ParametricModel) -> Floats:
         """Orthonormal coordinates (n, k) of the deflated modes with those of the softest bodies, where modes of the
         anchor alone are too far from them."""
-        known, ends = self.deflated, self.proofs.soft
+        deflated, ends = self.deflated, self.proofs.soft
         columns = []
         for cell in self.cells:
             p = np.where(np.isin(np.arange(len(ends)), self.proofs.curved), 0.5 * (cell.low + cell.high), ends)
             K, M = model.matrices(p)
             _, values, Y = ritz_pairs(K, M, model.rigid_at(p))
             columns.append(Y[:, values < (TOL.corner_modes_up_to * self.high) ** 2])
-        beside = np.hstack(columns)[known:]
-        U, sizes, _ = sl.svd(beside, full_matrices=False)
-        return np.asarray(sl.block_diag(np.eye(known), U[:, sizes > TOL.new_direction * sizes.max(initial=0.0)]))
+        beside = np.hstack(columns)[deflated:]
+        U, norms, _ = sl.svd(beside, full_matrices=False)
+        return np.asarray(sl.block_diag(np.eye(deflated), U[:, norms > TOL.new_direction * norms.max(initial=0.0)]))
 
     def _take(self, worst: Worst) -> bool:
         """Responses and modes at the ``worst`` p join the space, more of them where it was taken before; whether there
@@ -250,7 +250,7 @@ class GreedySearch:
 
     def _cut(self, model: ParametricModel, bound: ParametricBound) -> ParametricBasis:
         """The least part of the space that keeps the tolerance."""
-        wanted, whole = self.wanted, self.space.size
+        wanted, size = self.wanted, self.space.size
         T = self._decomposition(model)
         order = np.argsort([-self._relative(model, bound, p) for p in self.training])
 
@@ -259,13 +259,13 @@ class GreedySearch:
 
         # More columns mend no round-off.
         bare = replace(bound, rounding_K=None, rounding_M=None)
-        low, high = self.kept, min(whole, wanted.order_limit)
+        low, high = self.kept, min(size, wanted.order_limit)
         worst = self.worst(*of(high), points=self.training[order])
         if worst.value > wanted.tolerance and not wanted.accept_bound:
             raise self._unreached(worst, high, model, bare)
         while worst.value <= wanted.tolerance and low < high:
             middle = (low + high) // 2
-            progress.update(f"{middle} of {whole} columns")
+            progress.update(f"{middle} of {size} columns")
             if self.worst(*of(middle), points=self.training[order], enough=wanted.tolerance).value <= wanted.tolerance:
                 high = middle
             else:
@@ -286,7 +286,7 @@ class GreedySearch:
             points=np.array(self.points),
             factorisations=self.factorisations,
             counts=self.proofs.count,
-            collected=whole,
+            collected=size,
             kind="bound" if kind_of(proof) == PROVEN else "estimate",
             floor=self.floor,
         )

@@ -152,19 +152,19 @@ class Proofs:
         left, done = list(cells), list[tuple[Cell, float, bool]]()
         while left:
             cell = left.pop(0)
-            value, whole, held = self._least(cell, reduced, W_r, W, sigma)
-            lossy = value < min(enough, TOL.proven_share * whole) and len(self.curved) > 0
+            value, at_corners, is_proven = self._least(cell, reduced, W_r, W, sigma)
+            lossy = value < min(enough, TOL.proven_share * at_corners) and len(self.curved) > 0
             if lossy and len(left) + len(done) + 2 <= max(TOL.max_cells, len(cells)):
                 ends = cell.halves(self.curved, problem.box.high - problem.box.low)
                 left[:0] = [replace(cell, low=low, high=high) for low, high in ends]
             else:
-                done.append((cell, value, held))
+                done.append((cell, value, is_proven))
         return BoxCells(
             low=np.array([cell.low for cell, _, _ in done]),
             high=np.array([cell.high for cell, _, _ in done]),
             alpha=np.array([cell.alpha for cell, _, _ in done]),
             least=np.array([value for _, value, _ in done]),
-            proven=np.array([held and cell.proven for cell, _, held in done]),
+            proven=np.array([is_proven and cell.proven for cell, _, is_proven in done]),
         )
 
     def _least(

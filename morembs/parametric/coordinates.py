@@ -37,7 +37,7 @@ class LoadCoordinates:
         """Coordinates (q, k) of ``loads`` (Nc, k), which join the basis, and norms (k,) of what is left out: below
         ``cut`` times ``scale`` (k,)."""
         Z = np.asfortranarray(self.flexibility(loads))
-        known = self.space.project_out(self.basis, Z)
+        inside = self.space.project_out(self.basis, Z)
         G = symmetric(Z.T @ (self.K @ Z))
         values, U = sl.eigh(G / np.outer(scale, scale))
         good = values > self.cut**2
@@ -49,7 +49,7 @@ class LoadCoordinates:
             self.basis.append(self.space.budget.store(np.asfortranarray(Q)))
             new = self.space.dot(Q, self.K @ Z)
             self.space.subtract(Q, new, Z)
-        return np.vstack([known, new]), m_norms(Z, self.K @ Z)
+        return np.vstack([inside, new]), m_norms(Z, self.K @ Z)
 
 
 def padded(parts: list[Floats], size: int) -> Floats:

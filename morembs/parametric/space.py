@@ -38,8 +38,8 @@ class GlobalSpace:
         Nc = self.K.shape[0]
         self.supports = statics.supports
         count = len(self.supports)
-        held = sp.csc_array((np.ones(count), (self.supports, np.arange(count))), shape=(Nc, count))
-        self.held = ConstrainedStatics(statics, held, "the supports") if count else None
+        columns = sp.csc_array((np.ones(count), (self.supports, np.arange(count))), shape=(Nc, count))
+        self.held = ConstrainedStatics(statics, columns, "the supports") if count else None
         self.coordinates = LoadCoordinates(
             self.held.flexibility if self.held is not None else statics.apply, replace(problem.space, M=self.K), cut
         )

@@ -88,8 +88,8 @@ class Updated:
     @property
     def misfit(self) -> float:
         """Root mean square of the differences of frequencies over their standard deviations."""
-        off = (self.frequencies_hz - self.measured.frequencies_hz) / self.measured.sigma_hz
-        return float(np.sqrt(np.mean(off**2)))
+        deviation = (self.frequencies_hz - self.measured.frequencies_hz) / self.measured.sigma_hz
+        return float(np.sqrt(np.mean(deviation**2)))
 
     @property
     def values(self) -> dict[str, float]:
@@ -174,8 +174,8 @@ class _Fit:
 
     def residuals(self, x: Floats) -> Floats:
         at, pairs = self._paired(x)
-        off = (at.frequencies_hz[pairs] - self.measured.frequencies_hz) / self.measured.sigma_hz
-        return np.concatenate([off, self._weights() * (self._values(x) - self.model.box.nominal)[self._known()]])
+        deviation = (at.frequencies_hz[pairs] - self.measured.frequencies_hz) / self.measured.sigma_hz
+        return np.concatenate([deviation, self._weights() * (self._values(x) - self.model.box.nominal)[self._known()]])
 
     def jacobian(self, x: Floats) -> Floats:
         """Derivatives of the residuals by x."""
@@ -256,5 +256,5 @@ class _Fit:
 
 def _mac(A: Floats, B: Floats) -> Floats:
     """Modal assurance criterion (k, l) of the columns of two sets of shapes."""
-    sizes = np.outer(np.einsum("ij,ij->j", A, A), np.einsum("ij,ij->j", B, B))
-    return np.asarray((A.T @ B) ** 2 / np.maximum(sizes, np.finfo(float).tiny))
+    squares = np.outer(np.einsum("ij,ij->j", A, A), np.einsum("ij,ij->j", B, B))
+    return np.asarray((A.T @ B) ** 2 / np.maximum(squares, np.finfo(float).tiny))

@@ -73,8 +73,10 @@ def volume_ratios(
                     for axis, (bend, z) in enumerate(zip(bends, fine, strict=True)):
                         curved = list(tables)
                         curved[axis] = bend
-                        most = float(np.abs(on_grid(curved, piece)).max(initial=0.0))
-                        margin[group] = max(margin[group], TOL.ratio_error + len(axes) * most * (z[1] - z[0]) ** 2 / 8)
+                        largest = float(np.abs(on_grid(curved, piece)).max(initial=0.0))
+                        margin[group] = max(
+                            margin[group], TOL.ratio_error + len(axes) * largest * (z[1] - z[0]) ** 2 / 8
+                        )
         if lows:
             low[group], high[group] = np.min(lows, axis=0), np.max(highs, axis=0)
     return VolumeRatios(which=morph.which, points=fine, low=low, high=high, margin=margin)

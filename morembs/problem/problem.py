@@ -304,17 +304,18 @@ class Problem(Closing):
             self.__dict__.pop(name, None)
 
     def _at_least(
-        self, known: Modes | None, body: ConstrainedStatics, count: int | None, below: float | None, what: str
+        self, latest: Modes | None, body: ConstrainedStatics, count: int | None, below: float | None, what: str
     ) -> Modes:
-        enough = known is not None and (
-            (count is not None and len(known.eigenvalues) >= count)
+        enough = latest is not None and (
+            (count is not None and len(latest.eigenvalues) >= count)
             # The limit of the last call comes back as it was given to the eigensolver, up to round-off.
             or (
-                below is not None and known.verified_below >= below * (1 + LINALG.eigenvalue_gap) * (1 - TOL.same_limit)
+                below is not None
+                and latest.verified_below >= below * (1 + LINALG.eigenvalue_gap) * (1 - TOL.same_limit)
             )
         )
-        if known is not None and enough:
-            return known
+        if latest is not None and enough:
+            return latest
         with listening(listener() or self.listener):
             modes = lowest_modes(body, self.M, count=count, below=below, what=what)
         refuse_lost_modes(modes, self.system.roundoff(modes.vectors), what)
@@ -323,6 +324,6 @@ class Problem(Closing):
 
 def _cut(modes: Modes, count: int | None, below: float | None) -> Modes:
     if count is None:
-        most = np.inf if below is None else below * (1 + LINALG.eigenvalue_gap)
-        count = int((modes.eigenvalues <= most).sum())
+        highest = np.inf if below is None else below * (1 + LINALG.eigenvalue_gap)
+        count = int((modes.eigenvalues <= highest).sum())
     return modes.first(count)

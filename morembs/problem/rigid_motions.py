@@ -28,8 +28,8 @@ from morembs.problem.tolerances import TOL
 
 def need_factor(model: FEModel, K: sp.csr_array) -> bool:
     """Whether the motions of ``K`` show in a factorisation only: many coordinates without places that are coupled."""
-    most = LINALG.dense_rows
-    return not has_places(model) and K.shape[0] > most and int(np.bincount(groups_of(K)[1]).max()) > most
+    limit = LINALG.dense_rows
+    return not has_places(model) and K.shape[0] > limit and int(np.bincount(groups_of(K)[1]).max()) > limit
 
 
 def rigid_motions(
@@ -48,7 +48,7 @@ def rigid_motions(
     size, last = terms_in_rows(model, coupling, model.K, Phi), max(decimal_precision(model.K.data), model.strained)
     current_budget().release_pages()
     rows = nodes_of_rows(model, coupling)
-    free, held = rigid_null_space(K, Phi, size, rows, last)
+    free, supported = rigid_null_space(K, Phi, size, rows, last)
     if massless.shape[1]:
         loose = rigid_null_space(K, massless, terms_in_rows(model, coupling, model.K, massless), rows, last)[0].shape[1]
         _refuse_massless(loose)
@@ -58,8 +58,8 @@ def rigid_motions(
     else:
         Z = null_space(K, solver.with_memory(current_budget().left()), last)
         if Z.shape[1] > free.shape[1]:
-            free, held = Z, Phi[:, :0]
-    return _orthonormal(free, M), _orthonormal(held, M)
+            free, supported = Z, Phi[:, :0]
+    return _orthonormal(free, M), _orthonormal(supported, M)
 
 
 def terms_in_rows(model: FEModel, coupling: Coupling, A: sp.csr_array, Phi: Floats) -> Floats:
@@ -153,16 +153,16 @@ def _refuse_free_parts(
     if int(found.sum()) <= free:
         return
     part = _parts(model, coupling, group)[group]
-    sizes = np.sort(np.bincount(part))[::-1]
+    counts = np.sort(np.bincount(part))[::-1]
     loose = model.nodes.ids[nodes_of_rows(model, coupling)[order[ends[int(np.argmax(found))] - 1]]]
     expected = "one free body has 6" if free == Phi.shape[1] == 6 else f"the whole model has {free}"
-    if len(sizes) == 1:
+    if len(counts) == 1:
         raise InputError(
             f"the model has a mechanism: {int(found.sum())} rigid-body modes where {expected}: dofs at node {loose} "
             "move against the rest; look for parts that touch in a node or an edge only, or nodes that should be merged"
         )
     raise InputError(
-        f"the model has {len(sizes)} unconnected parts (of {', '.join(map(str, sizes[:5].tolist()))} dofs) and "
+        f"the model has {len(counts)} unconnected parts (of {', '.join(map(str, counts[:5].tolist()))} dofs) and "
         f"{int(found.sum())} rigid-body modes where {expected}: nothing holds the part at node {loose} to the rest; "
         "join the parts (merge coincident nodes), hold each of them, or reduce them one by one"
     )

@@ -31,10 +31,10 @@ def refuse_lost_supports(statics: Statics, M: sp.csr_array) -> None:
     Raises:
         SolverError: as said.
     """
-    held = statics.held
-    if not held.shape[1]:
+    motions = statics.held_motions
+    if not motions.shape[1]:
         return
-    change = statics.apply(statics.supported(held)) - held
+    change = statics.apply(statics.supported(motions)) - motions
     # The motions are M-orthonormal.
     lost = float(np.sqrt(np.linalg.norm(change.T @ (M @ change), 2)))
     if not lost <= TOL.lost_digits:
@@ -50,32 +50,32 @@ def refuse_lost_modes(modes: Modes, roundoff: Floats, what: str) -> None:
     Raises:
         SolverError: as said.
     """
-    off = TOL.usual_roundoff * roundoff
-    lost = np.flatnonzero(off > TOL.lost_digits * modes.eigenvalues)
+    error = TOL.usual_roundoff * roundoff
+    lost = np.flatnonzero(error > TOL.lost_digits * modes.eigenvalues)
     if len(lost):
-        k = int(lost[np.argmax(off[lost] / np.maximum(modes.eigenvalues[lost], np.finfo(float).tiny))])
+        k = int(lost[np.argmax(error[lost] / np.maximum(modes.eigenvalues[lost], np.finfo(float).tiny))])
         raise SolverError(
             f"round-off in the stiffness matrix hides {len(lost)} of the {what}: that at "
             f"{modes.frequencies_hz[k]:.6g} Hz has a stiffness of {modes.eigenvalues[k]:.3g} (rad/s)2, known to "
-            f"{off[k]:.1e} only (needed {TOL.lost_digits:.0e} of it); {SOFTER}"
+            f"{error[k]:.1e} only (needed {TOL.lost_digits:.0e} of it); {SOFTER}"
         )
 
 
-def refuse_other_geometry(model: FEModel, coupling: Coupling, system: System, held: Floats) -> None:
+def refuse_other_geometry(model: FEModel, coupling: Coupling, system: System, held_motions: Floats) -> None:
     """Refuse coordinates or dofs that are not those of K: they strain it, and it has other motions without energy.
 
-    ``held`` (Nc, h) are the rigid motions that K holds.
+    ``held_motions`` (Nc, h) are the rigid motions that K holds.
 
     Raises:
         InputError: as said.
     """
-    if not held.shape[1] or model.dependent is not None or not has_places(model):
+    if not held_motions.shape[1] or model.dependent is not None or not has_places(model):
         return
     share = share_of_other_geometry(model.K, model.nodes, model.dofs)
     if not share:
         return
     # Frames of interfaces may hold what they do not fit.
-    lower = sp.csr_array(model.K - _shift_above_roundoff(coupling, system, model.K, held[:, :0]) * model.M)
+    lower = sp.csr_array(model.K - _shift_above_roundoff(coupling, system, model.K, held_motions[:, :0]) * model.M)
     try:
         count = _solver(system).negative_eigenvalues(lower, "K - sigma M")
     except SingularMatrixError:

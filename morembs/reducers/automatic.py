@@ -127,7 +127,7 @@ class AutoReducer(OfResponses):
             SolverError: a reference without a limit, a tolerance below round-off, or a band far above all modes.
         """
         highest_hz = float(eigenvalue_in_hz(certified.values.max()))
-        far, endless = self.band_hz[1] > TOL.far_band * highest_hz, ~np.isfinite(certified.off)
+        far, endless = self.band_hz[1] > TOL.far_band * highest_hz, ~np.isfinite(certified.error_bounds)
         if endless.any() and certified.undamped:
             raise InputError(
                 "a transfer error of an undamped model has no bound at its resonances; give damping, or a "

@@ -140,7 +140,7 @@ def _operator(problem: Problem, rows: Ints) -> StressOperator:
     # A model that is held lacks dofs; the operator needs elements and materials only.
     N = 3 * len(model.nodes)
     empty = sp.csr_array((N, N))
-    whole = FEModel(
+    model_of_parts = FEModel(
         K=empty,
         M=empty,
         nodes=model.nodes,
@@ -149,7 +149,7 @@ def _operator(problem: Problem, rows: Ints) -> StressOperator:
         materials=model.materials,
     )
     with problem.budget.in_use():
-        return stress_operator(whole, rows)
+        return stress_operator(model_of_parts, rows)
 
 
 def chain(xyz: Floats, ids: Ints) -> Ints:
@@ -204,9 +204,9 @@ def _walk(xyz: Floats, start: int) -> Ints:
     for k in range(len(xyz)):
         order[k] = at
         left[at] = False
-        rest = np.flatnonzero(left)
-        if len(rest):
-            at = int(rest[np.argmin(np.linalg.norm(xyz[rest] - xyz[at], axis=1))])
+        remaining = np.flatnonzero(left)
+        if len(remaining):
+            at = int(remaining[np.argmin(np.linalg.norm(xyz[remaining] - xyz[at], axis=1))])
     return order
 
 

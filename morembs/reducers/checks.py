@@ -61,10 +61,10 @@ def refuse_wrong_stiffness(
     Vx = problem.space.multiply_into(V, x[:, None], np.empty((len(V), 1)))
     given = K @ x
     true = problem.space.dot(V if W is None else W, problem.K @ Vx)[:, 0]
-    off = float(np.linalg.norm(scale * (Y.T @ (true - given))))
-    if not off <= TOL.stiffness_error * max(np.linalg.norm(scale * (Y.T @ given)), np.sqrt(n)):
+    error = float(np.linalg.norm(scale * (Y.T @ (true - given))))
+    if not error <= TOL.stiffness_error * max(np.linalg.norm(scale * (Y.T @ given)), np.sqrt(n)):
         raise SolverError(
-            f"method {method!r} gave a reduced stiffness that is not W' K V of its basis: {off / np.sqrt(n):.1e} of "
+            f"method {method!r} gave a reduced stiffness that is not W' K V of its basis: {error / np.sqrt(n):.1e} of "
             "it is missing or too much; take another method, and report this with the model"
         )
     if not coupled:

@@ -113,8 +113,8 @@ class FamilySearch:
             columns = candidates[family](self.tolerance, exponent)
             order, C = self._certified(columns, min(fewer, TOL.no_order if smallest is None else smallest.shape[1]))
             if order is not None:
-                known = self.reached[family]
-                self.reached[family] = order if known is None else min(known, order)
+                least = self.reached[family]
+                self.reached[family] = order if least is None else min(least, order)
             smallest = C if C is not None else smallest
         return smallest
 
@@ -127,14 +127,14 @@ class FamilySearch:
                 return None, None
             if C.shape[1] >= fewer:
                 return C.shape[1], None
-            if self._decided(C):
+            if self._holds(C):
                 return C.shape[1], C
         for order in range(C.shape[1] + 1, min(columns.shape[1] + 1, fewer)):
-            if self._decided(columns[:, :order]):
+            if self._holds(columns[:, :order]):
                 return order, columns[:, :order]
         return None, None
 
-    def _decided(self, C: Floats) -> bool:
+    def _holds(self, C: Floats) -> bool:
         """Whether the tolerance holds on all of the band; if not, the worst frequency joins the samples."""
         low, high = angular_band(self.certified.band_hz)
         verdict = decide(self.standard, self._response(C), low, high, self.measure, self.tolerance)
@@ -145,7 +145,7 @@ class FamilySearch:
 
     def cannot_reach_tolerance(self) -> bool:
         """Whether not even all modes of the reference hold the tolerance: what is not known of it counts at zeros."""
-        if self.measure != "pointwise" or self._decided(np.eye(len(self.reference.values))):
+        if self.measure != "pointwise" or self._holds(np.eye(len(self.reference.values))):
             return False
         size = self.standard.layout.norms(self.standard.H.at(self.samples))[:, 0]
         e = self.standard.modes.moduli(self.samples)[0] @ self.standard.residue_norms[:, 0]
@@ -184,18 +184,18 @@ class FamilySearch:
 
     def _cut(self, columns: Floats) -> tuple[Floats, float]:
         """The first of ``columns``, as few as hold the tolerance at the samples, and their error."""
-        few, many = self.fixed.shape[1], columns.shape[1]
+        lower, upper = self.fixed.shape[1], columns.shape[1]
         error = self.error(columns)
         if error > self.tolerance:
             return columns, error
-        while few < many:
-            middle = (few + many) // 2
+        while lower < upper:
+            middle = (lower + upper) // 2
             tried = self.error(columns[:, :middle])
             if tried <= self.tolerance:
-                many, error = middle, tried
+                upper, error = middle, tried
             else:
-                few = middle + 1
-        return columns[:, :many], error
+                lower = middle + 1
+        return columns[:, :upper], error
 
     def error(self, C: Floats) -> float:
         """Largest error at the samples."""
@@ -205,8 +205,8 @@ class FamilySearch:
         """Errors (nf,) at the samples by the measure."""
         if not C.shape[1]:
             return np.ones(len(self.samples))
-        off = self._reduced(C)[0].response(self.samples) - self.full
-        errors = np.asarray((self._norms(off) / self.scale).max(axis=1))
+        difference = self._reduced(C)[0].response(self.samples) - self.full
+        errors = np.asarray((self._norms(difference) / self.scale).max(axis=1))
         if errors.max() < self.worst.upper:
             j = int(errors.argmax())
             self.worst = Limit(lower=errors[j], upper=errors[j], at_hz=in_hz(self.samples[j]))

@@ -195,7 +195,7 @@ class Gramian(OfResponses):
             Space(X).project_out(first, S)
             svd.add(S)
         tail = np.sqrt(np.append(np.cumsum(svd.sigma[::-1] ** 2)[::-1], 0.0) / energy)
-        fixed, most = first.shape[1], first.shape[1] + len(svd.sigma)
+        fixed, largest_order = first.shape[1], first.shape[1] + len(svd.sigma)
         # Exactly one of the two is given.
         count = int(np.argmax(tail <= self.tolerance)) if self.tolerance else (self.order or 0) - fixed
         if count < 0:
@@ -205,8 +205,8 @@ class Gramian(OfResponses):
             )
         if count > len(svd.sigma):
             raise InputError(
-                f"order = {self.order} was given, but the responses of the band span {most} directions only; take "
-                f"order = {most} or less, a wider band or more points"
+                f"order = {self.order} was given, but the responses of the band span {largest_order} directions only; "
+                f"take order = {largest_order} or less, a wider band or more points"
             )
         notes |= {"part_left_out": float(tail[count]), "static_directions": fixed}
         return first, svd.vectors[:, :count]

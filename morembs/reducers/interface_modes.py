@@ -73,7 +73,7 @@ class FixedInterfaceBody(Closing):
         """Displacements (Nc, k) under the loads ``F`` (Nc, k) with the interfaces at rest."""
         if self.rows is None:
             return self.constrained.flexibility(F)
-        return self._whole(self.constrained.flexibility(F[self.rows]))
+        return self._with_interface_rows(self.constrained.flexibility(F[self.rows]))
 
     def modes(self, count: int | None, below: float | None) -> Modes:
         """Fixed-interface modes, proven complete by a Sturm count; (Nc, k) vectors."""
@@ -83,7 +83,7 @@ class FixedInterfaceBody(Closing):
         if count is None and below is not None:
             count = int((modes.eigenvalues <= below * (1 + LINALG.eigenvalue_gap)).sum())
         modes = modes.first(len(modes.eigenvalues) if count is None else count)
-        return replace(modes, vectors=self._whole(modes.vectors))
+        return replace(modes, vectors=self._with_interface_rows(modes.vectors))
 
     def close(self) -> None:
         """Release the factor, where there is one of its own."""
@@ -91,10 +91,10 @@ class FixedInterfaceBody(Closing):
             self.statics.close()
             self.statics.pencil.close()
 
-    def _whole(self, inner: Floats) -> Floats:
-        whole = self.problem.budget.empty((self.problem.K.shape[0], inner.shape[1]), order="F")
-        whole[self.rows] = inner
-        return np.asarray(whole)
+    def _with_interface_rows(self, inner: Floats) -> Floats:
+        columns = self.problem.budget.empty((self.problem.K.shape[0], inner.shape[1]), order="F")
+        columns[self.rows] = inner
+        return np.asarray(columns)
 
 
 def interface_modes(
@@ -116,17 +116,17 @@ def interface_modes(
     Raises:
         InputError: more modes than there are.
     """
-    most = problem.B.shape[1] - problem.rigid.shape[1]
-    if count is not None and count > most:
+    limit = problem.B.shape[1] - problem.rigid.shape[1]
+    if count is not None and count > limit:
         raise InputError(
-            f"interface_modes = {count} was given, but {problem.B.shape[1]} interface dofs have {most} elastic "
+            f"interface_modes = {count} was given, but {problem.B.shape[1]} interface dofs have {limit} elastic "
             "characteristic modes; ask for fewer"
         )
     if from_all is None:
-        from_all = problem.B.shape[1] <= TOL.dense_interface or (count is not None and TOL.dense_part * count > most)
+        from_all = problem.B.shape[1] <= TOL.dense_interface or (count is not None and TOL.dense_part * count > limit)
     if from_all:
         return _all(problem, count, below)
-    return _lowest(problem, fixed_body, most, count, below)
+    return _lowest(problem, fixed_body, limit, count, below)
 
 
 def static_error(problem: Problem, fixed_body: FixedInterfaceBody, modes: InterfaceModes) -> float:
@@ -141,12 +141,12 @@ def static_error(problem: Problem, fixed_body: FixedInterfaceBody, modes: Interf
             for B in (problem.B[:, columns] for columns in problem.coupling.columns.values())
         ]
     )
-    whole = np.einsum("ij,ij->j", F, _flexibility(problem, fixed_body)(F))
+    energy = np.einsum("ij,ij->j", F, _flexibility(problem, fixed_body)(F))
     kept = problem.space.dot(modes.vectors, F)
-    known = np.einsum("ij,ij->j", kept, kept / modes.eigenvalues[:, None]) if len(kept) else np.zeros(len(whole))
+    kept_energy = np.einsum("ij,ij->j", kept, kept / modes.eigenvalues[:, None]) if len(kept) else np.zeros(len(energy))
     # A load that inertia alone balances, or that is zero, has no compliance to speak of.
-    real = whole > 1e-10 * whole.max(initial=0.0)
-    return float(np.clip(1.0 - known[real] / whole[real], 0.0, 1.0).max(initial=0.0))
+    real = energy > 1e-10 * energy.max(initial=0.0)
+    return float(np.clip(1.0 - kept_energy[real] / energy[real], 0.0, 1.0).max(initial=0.0))
 
 
 def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceModes:
@@ -176,22 +176,22 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
 
 
 def _lowest(
-    problem: Problem, fixed_body: FixedInterfaceBody, most: int, count: int | None, below: float | None
+    problem: Problem, fixed_body: FixedInterfaceBody, limit: int, count: int | None, below: float | None
 ) -> InterfaceModes:
     flexibility = _flexibility(problem, fixed_body)
     rng = np.random.default_rng(3)
     start = flexibility(problem.M @ rng.standard_normal((problem.K.shape[0], TOL.block_columns)))
     wanted = 4 * TOL.block_columns if count is None else count + 1
-    lanczos = BlockLanczos(flexibility, problem.space, start, capacity=_capacity(wanted, most))
+    lanczos = BlockLanczos(flexibility, problem.space, start, capacity=_capacity(wanted, limit))
     while True:
         theta, V = largest(lanczos, wanted, what="characteristic modes")
         values = 1.0 / theta
         if below is None or values[-1] > below * (1 + LINALG.eigenvalue_gap):
             break
         wanted *= 2
-        if TOL.dense_part * wanted > most:
+        if TOL.dense_part * wanted > limit:
             return _all(problem, count, below)
-        lanczos.enlarge(_capacity(wanted, most))
+        lanczos.enlarge(_capacity(wanted, limit))
     kept = wanted if count is None else count
     if count is None and below is not None:
         kept = int((values <= below * (1 + LINALG.eigenvalue_gap)).sum())
@@ -202,8 +202,8 @@ def _lowest(
     )
 
 
-def _capacity(wanted: int, most: int) -> int:
-    return min(2 * wanted + 8 * TOL.block_columns, most)
+def _capacity(wanted: int, limit: int) -> int:
+    return min(2 * wanted + 8 * TOL.block_columns, limit)
 
 
 def _flexibility(problem: Problem, fixed_body: FixedInterfaceBody) -> Callable[[Floats], Floats]:

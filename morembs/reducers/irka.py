@@ -271,8 +271,8 @@ def _of_modes(band: _Band, met: _Run, order: int) -> _Run:
     """The model of the ``order`` strongest modes in place of the best one ``met``; its shifts are mirrored poles."""
     first = np.sort(np.argsort(-_strength(band), kind="stable")[:order])
     X, values, decay = np.eye(len(band.B))[:, first], band.reference.values[first], band.decay[first]
-    turned = np.sqrt(values - np.minimum((decay - band.delta) ** 2, values))
-    shifts = _Shifts(s=decay + 1j * turned, b=band.B[first].astype(complex))
+    imaginary = np.sqrt(values - np.minimum((decay - band.delta) ** 2, values))
+    shifts = _Shifts(s=decay + 1j * imaginary, b=band.B[first].astype(complex))
     return replace(met, C=X, shifts=shifts, error=band.error(X))
 
 

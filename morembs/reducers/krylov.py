@@ -348,9 +348,9 @@ def _two_sided(problem: Problem, V: Floats, W: Floats, notes: dict[str, object])
         # The smaller space takes directions of the other one, which loses no moment.
         small, large = (V, W) if V.shape[1] < W.shape[1] else (W, V)
         missing = large.shape[1] - small.shape[1]
-        more = problem.space.complement(small, np.array(large, order="F"), passes=LINALG.krylov_passes)[:, :missing]
+        added = problem.space.complement(small, np.array(large, order="F"), passes=LINALG.krylov_passes)[:, :missing]
         notes["filled"] = f"{missing} columns of the {'outputs' if small is V else 'inputs'} serve both sides"
-        joined = problem.space.hstack(small, more)
+        joined = problem.space.hstack(small, added)
         V, W = (joined, W) if small is V else (V, joined)
     U, cosines, T = np.linalg.svd(W.T @ (problem.M @ V))
     if cosines[-1] < TOL.paired_cosine:

@@ -180,13 +180,13 @@ def _constant_flexibility(problem: Problem, reduced: ReducedModel) -> Callable[[
 
     def static(F: Floats) -> tuple[Floats, Floats]:
         X = pencil.flexibility(F)
-        whole = np.einsum("ij,ij->j", F, X)
+        compliance = np.einsum("ij,ij->j", F, X)
         for _ in range(2):
             # The second time takes round-off of the solve out.
             if factor is None:
                 break
             problem.space.subtract(W, sl.cho_solve(factor, problem.space.dot(W, problem.K @ X)), X)
-        return X, whole
+        return X, compliance
 
     return static
 

@@ -17,7 +17,7 @@ import scipy.linalg as sl
 from morembs.base import progress
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError, SolverError
-from morembs.base.former_names import with_progress_argument
+from morembs.base.former_names import with_old_names, with_progress_argument
 from morembs.base.limits import DampingFloor
 from morembs.base.summary import summarised, upwards
 from morembs.base.types import Complexes, Floats
@@ -60,6 +60,7 @@ def floor_of(
     return 0.0 if damping.ratio(np.append(jumps[(jumps > low) & (jumps < high)], low)).all() else TOL.damping_floor
 
 
+@with_old_names(off="error_bounds")
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CertifiedReference:
@@ -68,13 +69,13 @@ class CertifiedReference:
     ``model`` are its n modes, with the damping ``floor``; their stiffness is uncertain by ``unsure`` (n,), and with
     couplings of the square root of its products, and their scaled loads ``b`` (n, m) are by ``b_off`` (n, m).
     ``vectors`` (Nc, k) and ``sigma`` (k,) are those of the modes below ``cut``, all of which are there; ``edges``
-    (nc + 1,) in rad/s and ``off`` (nc,) limits of ``|H - H_ref|`` over the envelope. ``solve_errors`` (n,) limit the
-    errors of solutions in the modes, in the energy of G s_p / theta_p, and ``start`` the norm of r_0 in that of
-    K^-1 (``residual_bound``). ``off`` is an estimate where there are ``doubts``, which say why. The modes below
+    (nc + 1,) in rad/s and ``error_bounds`` (nc,) limits of ``|H - H_ref|`` over the envelope. ``solve_errors`` (n,)
+    limit the errors of solutions in the modes, in the energy of G s_p / theta_p, and ``start`` the norm of r_0 in that
+    of K^-1 (``residual_bound``). ``error_bounds`` are estimates where there are ``doubts``, which say why. Modes below
     ``cut`` are ``counted``, or LAPACK found all modes; beside their vectors K >= ``least`` M.
 
     >>> reference = certified_reference(problem, [0.0, 3000.0])
-    >>> reference.proven, bool(reference.off.max() < 1e-6)
+    >>> reference.proven, bool(reference.error_bounds.max() < 1e-6)
     (True, True)
     """
 
@@ -87,7 +88,7 @@ class CertifiedReference:
     sigma: Floats
     cut: float
     edges: Floats
-    off: Floats
+    error_bounds: Floats
     doubts: tuple[str, ...]
     solve_errors: Floats
     start: float
@@ -98,14 +99,14 @@ class CertifiedReference:
         return {
             "band": list(self.band_hz),
             "modes": len(self.values),
-            "error": upwards(float(self.off.max(initial=0.0))),
+            "error": upwards(float(self.error_bounds.max(initial=0.0))),
             "proven": self.proven,
             "damping floor": self.floor or None,
         }
 
     @property
     def proven(self) -> bool:
-        """Whether ``off`` are limits."""
+        """Whether ``error_bounds`` are limits."""
         return not self.doubts
 
     @property
@@ -168,7 +169,7 @@ class CertifiedReference:
             layout=layout,
             floor=floor,
             edges=self.edges,
-            cell_uncertainty=self.off,
+            cell_uncertainty=self.error_bounds,
         )
 
     def H(self, omega: Floats) -> Complexes:
@@ -186,8 +187,8 @@ class CertifiedReference:
         low, high = angular_band(self.band_hz)
         inside = _inside(np.sqrt(self.values), (low, high))
         omega = np.concatenate([[low, high], inside])
-        off, e = self._lost(omega)
-        part = off / e
+        loss, e = self._lost(omega)
+        part = loss / e
         return float(part.max()), float(in_hz(omega[part.argmax()]))
 
     def _lost(self, omega: Floats) -> tuple[Floats, Floats]:
@@ -195,8 +196,8 @@ class CertifiedReference:
         standard = self.standard()
         size = standard.modes.moduli(omega)[0]
         e = size @ standard.residue_norms[:, 0]
-        off = standard.rounding.at(size).size()[:, 0]
-        return np.asarray(off + (standard.uncertainty(omega, omega) + standard.floor) * e), e
+        loss = standard.rounding.at(size).size()[:, 0]
+        return np.asarray(loss + (standard.uncertainty(omega, omega) + standard.floor) * e), e
 
     @property
     def undamped(self) -> bool:
@@ -278,7 +279,7 @@ class _Build:
             sigma=np.zeros(len(self.modes.eigenvalues)),
             cut=self.cut,
             edges=np.array(self.band),
-            off=np.array([max(model.error, TOL.damped_error)]),
+            error_bounds=np.array([max(model.error, TOL.damped_error)]),
             doubts=("the error of the full response, with the model's own damping, is an estimate",),
             solve_errors=np.zeros(len(model.values)),
             start=0.0,
@@ -306,9 +307,9 @@ class _Build:
             if error <= enough or not krylov.lanczos.pending.shape[1]:
                 reference = self._reference(krylov)
                 # A larger space has no part in what solutions are off by.
-                if reference.off.max() <= self.tolerance or reference.undamped or self.hidden:
+                if reference.error_bounds.max() <= self.tolerance or reference.undamped or self.hidden:
                     return reference
-                error = float(reference.off.max())
+                error = float(reference.error_bounds.max())
             errors.append(error)
             # Where round-off hides the rest, limits say how much.
             if has_stagnated(errors) or not krylov.extend(error):
@@ -339,7 +340,7 @@ class _Build:
         space, values, Y = self._ritz_pairs(krylov)
         modes = space.modes(Y, values, k, self.band[1])
         start = self._start(krylov, space, modes)
-        modes, residual, edges, off = self._bounded(space, modes, start)
+        modes, residual, edges, bounds = self._bounded(space, modes, start)
         sigma = modes.values * np.sqrt(residual.own)
         model = ModalReference(
             values=modes.values,
@@ -349,7 +350,7 @@ class _Build:
             inputs=problem.B.shape[1],
             V=space.V,
             Y=modes.Y,
-            error=float(off.max()),
+            error=float(bounds.max()),
             problem=problem,
         )
         return CertifiedReference(
@@ -362,7 +363,7 @@ class _Build:
             sigma=sigma[:k],
             cut=self.cut,
             edges=edges,
-            off=off,
+            error_bounds=bounds,
             doubts=self._doubts(krylov, modes, residual, sigma),
             solve_errors=modes.lost,
             start=start,
@@ -400,15 +401,15 @@ class _Build:
             cut=self.cut,
             damping=self.damping,
         )
-        edges, off = residual.bounds(self.band, self.tolerance)
+        edges, bounds = residual.bounds(self.band, self.tolerance)
         self.hidden = False
-        if off.max() > self.tolerance and residual.poles.z.imag.any():
+        if bounds.max() > self.tolerance and residual.poles.z.imag.any():
             modes = space.refine(modes)
             residual = replace(residual, lost=modes.lost)
-            edges, off = residual.bounds(self.band, self.tolerance)
+            edges, bounds = residual.bounds(self.band, self.tolerance)
             without = replace(residual, lost=np.zeros(len(residual.lost))).bounds(self.band, self.tolerance)[1]
-            self.hidden = off.max() > self.tolerance >= without.max()
-        return modes, residual, edges, off
+            self.hidden = bounds.max() > self.tolerance >= without.max()
+        return modes, residual, edges, bounds
 
     def _loads(self, space: ReferenceBasis, modes: RitzModes) -> Floats:
         """(n, p) of the modes, those of inertia behind those of the interfaces."""
@@ -435,8 +436,8 @@ class _Build:
             doubts += ("the solver is too inexact to say how far its solutions are off, so that limits are estimates",)
         values, jumps = left.values, self.damping.jumps**2
         jumps = jumps[jumps >= left.softest]
-        off = values * (sigma / np.sqrt(np.maximum(values, TOL.closest_mode)) + TOL.closest_mode)
-        straddled = (np.abs(values[:, None] - jumps) <= off[:, None]).any()
+        deviation = values * (sigma / np.sqrt(np.maximum(values, TOL.closest_mode)) + TOL.closest_mode)
+        straddled = (np.abs(values[:, None] - jumps) <= deviation[:, None]).any()
         if len(jumps) and (straddled or len(values) < krylov.room):
             doubts += (
                 "the modal damping table jumps among modes that the reference does not know one by one, so that "

@@ -45,11 +45,11 @@ class BlockIndex:
     def norms(self, X: NDArray[np.complex128]) -> Floats:
         """(..., 1 + nb) Frobenius norms of the whole and of the blocks of entries ``X`` (..., e)."""
         size = squares(np.asarray(X, dtype=complex))
-        whole = size.sum(axis=-1, keepdims=True)
+        total = size.sum(axis=-1, keepdims=True)
         if not self.pairs:
-            return np.asarray(np.sqrt(whole))
+            return np.asarray(np.sqrt(total))
         parts = np.add.reduceat(size[..., self.order], self.starts, axis=-1) * self.share
-        return np.asarray(np.sqrt(np.concatenate([whole, parts], axis=-1)))
+        return np.asarray(np.sqrt(np.concatenate([total, parts], axis=-1)))
 
     def lengths(self, b: NDArray[np.number]) -> Floats:
         """(P, 1 + ni) norms of the rows ``b`` (P, m) and of their parts at each interface."""
@@ -67,6 +67,6 @@ class BlockIndex:
         Modes that are ``alike`` have equal shares in the product of their norms, which no rotation among them changes.
         """
         own = self.lengths(b)
-        for some in alike:
-            own[some] = np.sqrt((own[some] ** 2).mean(axis=0))
+        for cluster in alike:
+            own[cluster] = np.sqrt((own[cluster] ** 2).mean(axis=0))
         return self.products(own, own)

@@ -157,12 +157,12 @@ class Comparison:
         grown = [((1 + half / near[:, s]) * (1 + half / far[:, s]))[..., None] for s in (slice(1, None), slice(-1))]
         least = np.minimum(e[:, 1:] / grown[0], e[:, :-1] / grown[1])
         lost, shrunk = standard.rounding.at(inverse), _shrunk(half, near, far)
-        most = np.maximum(e[:, 1:] * shrunk[0][..., None], e[:, :-1] * shrunk[1][..., None])
-        floor, floor_most = lost.size() + standard.floor * e, _most(lost, shrunk) + standard.floor * most
+        largest = np.maximum(e[:, 1:] * shrunk[0][..., None], e[:, :-1] * shrunk[1][..., None])
+        floor, floor_most = lost.size() + standard.floor * e, _largest_loss(lost, shrunk) + standard.floor * largest
         inverse, near, far = _inverse(self.body.terms, grid)
         lost = self.body.rounding.at(inverse)
-        own, own_most = lost.size(), _most(lost, _shrunk(half, near, far))
-        return e, least, most, floor + own, floor_most + own_most
+        own, own_most = lost.size(), _largest_loss(lost, _shrunk(half, near, far))
+        return e, least, largest, floor + own, floor_most + own_most
 
 
 def _quotients(error: Floats, envelope: Floats, divisor: Floats, H: Floats) -> Floats:
@@ -180,7 +180,7 @@ def _inverse(terms: PoleResidueForm, grid: Floats) -> tuple[Floats, Floats, Floa
     return inverse, near, np.maximum(near, grid)
 
 
-def _most(lost: RoundoffSums, shrunk: list[Floats]) -> Floats:
+def _largest_loss(lost: RoundoffSums, shrunk: list[Floats]) -> Floats:
     """(nc, n - 1, 1 + nb) the largest that is lost between the points of cells."""
     return np.maximum(lost.part(slice(1, None)).size(shrunk[0]), lost.part(slice(-1)).size(shrunk[1]))
 

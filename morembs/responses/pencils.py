@@ -55,8 +55,8 @@ def response_of(
     rotations = _towards_rigid(M, K, theta, L, X, rigid), _towards_rigid(M.T, K.T, theta, X, L, rigid)
     outputs, inputs = C @ X, B.T @ L
     off_c, off_b = (
-        off[:, rigid:] + np.abs(rows[:, :rigid]) @ turn
-        for off, rows, turn in ((off_c, outputs, rotations[0]), (off_b, inputs, rotations[1]))
+        error[:, rigid:] + np.abs(rows[:, :rigid]) @ turn
+        for error, rows, turn in ((off_c, outputs, rotations[0]), (off_b, inputs, rotations[1]))
     )
     outputs, inputs, theta, X, L = outputs[:, rigid:].T, inputs[:, rigid:].T, theta[rigid:], X[:, rigid:], L[:, rigid:]
     loss = abs(1 + 1j * structural)
@@ -64,13 +64,13 @@ def response_of(
     coupled = L.T @ D @ X
     d, stiffness = np.diag(coupled), theta * (1 + 1j * structural)
     left = loss * np.abs(L.T @ K @ X - np.diag(theta)) + highest**2 * np.abs(L.T @ M @ X - np.eye(len(theta)))
-    off = np.abs(coupled - np.diag(d))
-    if (off.sum(axis=1) <= TOL.uncoupled_damping * np.abs(d) + 4 * len(d) * EPS * np.abs(d).max(initial=0.0)).all():
+    error = np.abs(coupled - np.diag(d))
+    if (error.sum(axis=1) <= TOL.uncoupled_damping * np.abs(d) + 4 * len(d) * EPS * np.abs(d).max(initial=0.0)).all():
         N = layout.rows(outputs, inputs)
         return Response(
             terms=PoleResidueForm.second_order(stiffness, d, N.real if symmetric else N),
             rounding=RoundoffBound.of(
-                layout, outputs, inputs, *absorb_couplings(s, t, left + highest * off), off_c.T, off_b.T
+                layout, outputs, inputs, *absorb_couplings(s, t, left + highest * error), off_c.T, off_b.T
             ),
         )
     return _first_order(stiffness, coupled, outputs, inputs, absorb_couplings(s, t, left), (off_c.T, off_b.T), layout)
@@ -89,11 +89,11 @@ def _first_order(
     outputs: Complexes,
     inputs: Complexes,
     lost: tuple[Floats, Floats],
-    off: tuple[Floats, Floats],
+    row_errors: tuple[Floats, Floats],
     layout: BlockIndex,
 ) -> Response:
     """Poles of q'' + D q' + stiffness q = inputs, from the states (omega q, q'); ``lost`` s and t of the modes, and
-    ``off`` of their rows."""
+    ``row_errors`` of their rows."""
     omega = np.sqrt(stiffness)
     k = len(omega)
     A = np.block([[np.zeros((k, k)), np.diag(omega)], [-np.diag(omega), -D]])
@@ -108,8 +108,8 @@ def _first_order(
     s, t = absorb_couplings(s, t, np.abs(L.T @ A @ X - np.diag(mu)) + np.abs(mu) * np.abs(L.T @ X - np.eye(2 * k)))
     c, b = top.T @ outputs, bottom.T @ inputs
     off_c, off_b = (
-        np.abs(side).T @ (rows + 4 * EPS * np.abs(known))
-        for side, rows, known in ((top, off[0], outputs), (bottom, off[1], inputs))
+        np.abs(side).T @ (rows + 4 * EPS * np.abs(values))
+        for side, rows, values in ((top, row_errors[0], outputs), (bottom, row_errors[1], inputs))
     )
     return Response(
         terms=PoleResidueForm.first_order(mu, layout.rows(c, b)),

@@ -92,13 +92,13 @@ class PoleResidueForm:
         """
         along = [np.abs(middle[:, None] - z.real) for z in self.z.T]
         across = np.abs(self.z.imag.T)
-        distances = [np.hypot(along_axis, off) for along_axis, off in zip(along, across, strict=True)]
+        distances = [np.hypot(along_axis, across_axis) for along_axis, across_axis in zip(along, across, strict=True)]
         bounds = np.full((len(middle), norms.shape[1]), np.inf)
         for rho in RHO:
             A, B = (half[:, None] * (rho + sign / rho) / 2 for sign in (1.0, -1.0))
             least = [
-                np.maximum(np.maximum(off - B, along_axis - A), length - A)
-                for along_axis, off, length in zip(along, across, distances, strict=True)
+                np.maximum(np.maximum(across_axis - B, along_axis - A), length - A)
+                for along_axis, across_axis, length in zip(along, across, distances, strict=True)
             ]
             free = reduce(np.minimum, least).min(axis=1, initial=np.inf) > 0
             inverse = 1.0 / reduce(np.multiply, [np.where(free[:, None], distance, 1.0) for distance in least])

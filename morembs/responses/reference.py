@@ -146,12 +146,12 @@ def _damped(problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, 
         raise InputError(reason)
     F = unit_loads(problem, inertia)
     space = problem.shared(("damped reference", inertia), lambda: DampedSpace(problem, D, F, omega))
-    V, values, Y, seen, error = space.until(omega, tolerance)
+    V, values, Y, D_modes, error = space.until(omega, tolerance)
     # Only models that are taken whole come here with Rayleigh damping beside their matrix.
-    seen = seen + np.diag(problem.damping.of_modes(values))
+    D_modes = D_modes + np.diag(problem.damping.of_modes(values))
     return ModalReference(
         values=values,
-        D=seen,
+        D=D_modes,
         damping=problem.damping,
         F=Y.T @ problem.space.dot(V, F),
         inputs=problem.B.shape[1],
@@ -298,9 +298,9 @@ class ReferenceSpace:
         """Take rigid-body motion out of the next block: it was round-off before the block was scaled up."""
         lanczos, M = self.lanczos, self.problem.M
         Q, MQ = lanczos.pending, lanczos.M_pending
-        known = [self.problem.rigid, lanczos.V[:, : lanczos.size]]
+        bases = [self.problem.rigid, lanczos.V[:, : lanczos.size]]
         for _ in range(2):
-            out = float(np.abs(self.problem.space.project_out_once(known, Q, MQ)).max(initial=0.0))
+            out = float(np.abs(self.problem.space.project_out_once(bases, Q, MQ)).max(initial=0.0))
             if out > TOL.no_change:
                 MQ = M @ Q
             if out < TOL.large_change:
@@ -312,12 +312,12 @@ class ReferenceSpace:
 
     def _border(self) -> None:
         """V' K V with the newest block of V."""
-        lanczos, known = self.lanczos, self.stiffness
+        lanczos, stiffness = self.lanczos, self.stiffness
         self.problem.budget.release_if_tight()
         new = lanczos.V[:, lanczos.last]
         columns = self.problem.space.dot(lanczos.V[:, : lanczos.size], self.problem.K @ new)
         self.stiffness = np.zeros((lanczos.size, lanczos.size))
-        self.stiffness[: len(known), : len(known)] = known
+        self.stiffness[: len(stiffness), : len(stiffness)] = stiffness
         self.stiffness[:, lanczos.last] = columns
         self.stiffness[lanczos.last] = columns.T
 
@@ -342,12 +342,12 @@ class ReferenceSpace:
             return 0.0
         T, last = lanczos.T[: lanczos.size, : lanczos.size], Y[lanczos.last]
         outside = np.einsum("ij,ik,kj->j", last, lanczos.residual_gram, last)
-        off = np.sqrt(np.maximum(((T @ Y - Y / values) ** 2).sum(axis=0) + outside, 0.0))
+        residuals = np.sqrt(np.maximum(((T @ Y - Y / values) ** 2).sum(axis=0) + outside, 0.0))
         stiffness = values * (1 + 1j * reference.damping.structural)
         H = np.abs(reference.F.T @ reference.states(1j * omega)).max(axis=(1, 2))
         change = np.zeros(len(omega))
         for jump in jumps:
-            unsure = np.abs(1 / values - 1 / jump**2) <= off
+            unsure = np.abs(1 / values - 1 / jump**2) <= residuals
             if not unsure.any():
                 continue
             omega_k, F = np.sqrt(values[unsure]), np.abs(reference.F[unsure])
@@ -387,8 +387,8 @@ class ReferenceSpace:
             return gain * float(residual.max()) / float(np.abs(H).max())
 
         # A few frequencies refuse most spaces; one that they accept is looked at everywhere.
-        few = omega[:: max(1, len(omega) // TOL.first_samples)]
-        worst = max(at(w) for w in few)
+        samples = omega[:: max(1, len(omega) // TOL.first_samples)]
+        worst = max(at(w) for w in samples)
         if worst > tolerance and lanczos.pending.shape[1]:
             return worst
         return max(worst, max(at(w) for w in omega))

@@ -123,9 +123,9 @@ class Residual:
         poles, slope, k = self.poles, self.slope, self.k
         if not poles.z.imag.any() and ((poles.z.real >= low) & (poles.z.real <= high)).any():
             return np.array(band), np.array([np.inf])
-        size, own, most = -poles.N[:, 0], self.own, high**2 + high * slope
+        size, own, numerator_limit = -poles.N[:, 0], self.own, high**2 + high * slope
         # Modes that are as good as exact count one by one: their share in T^2 over their own part of the envelope.
-        each = own * most**2 / self._weakest(np.array([low]), np.array([high]))[0]
+        each = own * numerator_limit**2 / self._weakest(np.array([low]), np.array([high]))[0]
         order = [p for p in np.argsort(each) if p < k]
         fits = [
             p
@@ -134,8 +134,8 @@ class Residual:
         ]
         others = np.ones(len(size), dtype=bool)
         others[fits] = False
-        hidden, modal, above = (self.lost * np.sqrt(size) * most)[others], self._modal(), self._above(band)
-        coupled = most[:k] + (high * slope[:k] if self.ratio else 0.0)
+        hidden, modal, above = (self.lost * np.sqrt(size) * numerator_limit)[others], self._modal(), self._above(band)
+        coupled = numerator_limit[:k] + (high * slope[:k] if self.ratio else 0.0)
         single_modes, double = float(2 * len(fits) * each[fits].sum()), 2.0 if fits else 1.0
         rows = (self.tau.T[others, :, None] * self.b[others, None, :]).reshape(-1, len(self.tau) * self.b.shape[1])
         T, norms = PoleResidueForm(z=poles.z[others], N=rows), np.linalg.norm(rows, axis=1)[:, None]

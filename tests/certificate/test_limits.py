@@ -64,7 +64,7 @@ def test_the_reference_is_known_to_its_uncertainty(damping):
             reference = certified_reference(problem, band, tolerance=tolerance)
             off = norms(reference.H(omega) - H)
             assert (off <= reference.uncertainty(omega)).all() and reference.proven
-            assert (reference.off <= tolerance).all()
+            assert (reference.error_bounds <= tolerance).all()
 
 
 def test_a_changed_body_has_a_larger_limit():

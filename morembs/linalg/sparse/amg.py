@@ -173,8 +173,8 @@ def by_nodes(A: sp.csr_array, near: Floats | None, starts: Ints) -> tuple[sp.bsr
     """
     n = A.shape[0]
     width = TOL.node_rows if len(starts) <= n / 2 else 1
-    sizes = np.diff(np.append(starts, n))
-    offset = np.arange(n) - np.repeat(starts, sizes)
+    counts = np.diff(np.append(starts, n))
+    offset = np.arange(n) - np.repeat(starts, counts)
     head = offset % width == 0
     place = (np.cumsum(head) - 1) * width + offset % width
     size = int(np.count_nonzero(head)) * width
@@ -237,11 +237,11 @@ class AmgSession(Session):
         """
         if self._starts is None:
             self._starts = node_graph(A)[1] if A.n > TOL.coarsest_rows else np.arange(A.n)
-        whole = A.full()
+        matrix = A.full()
         # Symmetric, so its columns are its rows; PyAMG takes indices of 32 bits only.
-        indices, indptr = (index.astype(np.int32, copy=False) for index in (whole.indices, whole.indptr))
-        rows = sp.csr_array((whole.data, indices, indptr), shape=whole.shape)
-        del whole
+        indices, indptr = (index.astype(np.int32, copy=False) for index in (matrix.indices, matrix.indptr))
+        rows = sp.csr_array((matrix.data, indices, indptr), shape=matrix.shape)
+        del matrix
         hierarchy = Hierarchy(rows, self.near, self._starts)
         kept = hierarchy.nbytes + (int(rows.data.nbytes) if hierarchy.levels else _bytes(rows))
         self._A, self._hierarchy = rows, hierarchy

@@ -92,11 +92,11 @@ class _CholmodSession(Session):
         self.eliminate(A, metis_ordering(A))
         factor, common = self.factor, self.common
         entries = int(factor.xsize)
-        held = 8 * entries + int(common.memory_inuse)
+        kept_bytes = 8 * entries + int(common.memory_inuse)
         # Integers of our copy of the matrix; then the permuted copy that CHOLMOD makes, with its values.
         matrix = 8 * (self.lower_nnz + self.n) + 16 * self.lower_nnz + 8 * self.n
-        peak = held + matrix + 8 * int(factor.maxcsize)
-        return self.forecast(entries=entries, flops=float(common.fl), memory=peak, kept=held)
+        peak = kept_bytes + matrix + 8 * int(factor.maxcsize)
+        return self.forecast(entries=entries, flops=float(common.fl), memory=peak, kept=kept_bytes)
 
     def _factorize(self, A: Lower) -> FactorSize:
         matrix = self.library.sparse(A)

@@ -207,25 +207,25 @@ def _solve(S: Values, C: Values) -> Values:
 def _basis(Z: Values) -> Values:
     """T (j, p) such that Z T is orthonormal and spans what Z does, columns that depend on others left out."""
     size = _norms(Z)
-    held = np.flatnonzero((size > 0) & np.isfinite(size))
-    if not len(held):
+    nonzero = np.flatnonzero((size > 0) & np.isfinite(size))
+    if not len(nonzero):
         return Z[:0, :0]
-    scale = 1.0 / size[held]
-    G = (Z.conj().T @ Z if Z.dtype.kind == "c" else Z.T @ Z)[np.ix_(held, held)] * np.outer(scale, scale)
+    scale = 1.0 / size[nonzero]
+    G = (Z.conj().T @ Z if Z.dtype.kind == "c" else Z.T @ Z)[np.ix_(nonzero, nonzero)] * np.outer(scale, scale)
     values, V = np.linalg.eigh(G)
     good = values > TOL.dependent_direction * values[-1]
     T = np.zeros((Z.shape[1], int(good.sum())), dtype=Z.dtype)
-    T[held] = scale[:, None] * V[:, good] / np.sqrt(values[good])
+    T[nonzero] = scale[:, None] * V[:, good] / np.sqrt(values[good])
     return T
 
 
 def _subtract(Y: Values, P: Values, C: Values, columns: NDArray[np.int64] | None = None) -> None:
     """Y -= P C in place, or these columns of Y, a slice of rows at a time."""
     step = TOL.product_rows
-    some = columns is not None and len(columns) < Y.shape[1]
+    is_part = columns is not None and len(columns) < Y.shape[1]
     for first in range(0, len(Y), step):
         rows = slice(first, first + step)
-        if some:
+        if is_part:
             Y[rows, columns] -= P[rows] @ C
         else:
             Y[rows] -= P[rows] @ C

@@ -285,8 +285,8 @@ def check_factor(factor: Factorization, A: Lower, what: str) -> None:
         # D A D x = b means A (D x) = b / d.
         x = factor.solve(b / d, transposed=other) / d
         growth = float(np.linalg.norm(x, axis=0).max())
-        seen = growth * np.sqrt(A.n / vectors) if on_disk else growth
-        if not np.isfinite(growth) or norm * seen > TOL.singular_condition:
+        expected_growth = growth * np.sqrt(A.n / vectors) if on_disk else growth
+        if not np.isfinite(growth) or norm * expected_growth > TOL.singular_condition:
             raise SingularMatrixError(f"{what} is singular (condition above {TOL.singular_condition:.0e}); {MECHANISM}")
         used = A.transposed() if other else A
         residual = float(np.linalg.norm(d * (used @ (d * x)) - b, axis=0).max()) / (norm * growth + 1.0)

@@ -78,8 +78,8 @@ class Instance:
         rows = A.indices.astype(np.int32) + np.int32(1)
         columns = np.repeat(np.arange(1, A.n + 1, dtype=np.int32), np.diff(A.indptr))
         if isinstance(A, General):
-            off = rows != columns
-            rows, columns = np.append(rows, columns[off]), np.append(columns, rows[off])
+            off_diagonal = rows != columns
+            rows, columns = np.append(rows, columns[off_diagonal]), np.append(columns, rows[off_diagonal])
         self._data.n, self._data.nnz = A.n, len(rows)
         self.give("irn", rows)
         self.give("jcn", columns)

@@ -71,8 +71,8 @@ def _ordered(A: Lower) -> Ints | None:
     vertices = graph.shape[0]
     if vertices < TOL.smallest_graph or graph.nnz == 0 or graph.nnz > np.iinfo(integer).max:
         return None
-    sizes = np.diff(np.append(starts, n))
-    arrays = [np.ascontiguousarray(array, dtype=integer) for array in (graph.indptr, graph.indices, sizes)]
+    counts = np.diff(np.append(starts, n))
+    arrays = [np.ascontiguousarray(array, dtype=integer) for array in (graph.indptr, graph.indices, counts)]
     order, position = np.empty(vertices, dtype=integer), np.empty(vertices, dtype=integer)
     count = np.array([vertices], dtype=integer)
     xadj, adjncy, weights = (ctypes.c_void_p(array.ctypes.data) for array in arrays)
@@ -88,7 +88,7 @@ def _ordered(A: Lower) -> Ints | None:
     if code != METIS["METIS_OK"]:
         log.warning("METIS failed with code %d; the solver orders the matrix itself", code)
         return None
-    return explode(order.astype(np.int64), starts, sizes)
+    return explode(order.astype(np.int64), starts, counts)
 
 
 def node_graph(A: Lower) -> tuple[sp.csr_array, Ints]:
@@ -162,6 +162,6 @@ def _quotient(A: Lower, first: NDArray[np.bool_]) -> sp.csr_array:
     return sp.csr_array(half + half.T)
 
 
-def explode(order: Ints, starts: Ints, sizes: Ints) -> Ints:
+def explode(order: Ints, starts: Ints, counts: Ints) -> Ints:
     """Rows of the groups in ``order``."""
-    return np.asarray(_places(starts[order], sizes[order])[0], dtype=np.int64)
+    return np.asarray(_places(starts[order], counts[order])[0], dtype=np.int64)

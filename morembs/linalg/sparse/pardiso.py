@@ -123,8 +123,8 @@ class _PardisoSession(Session):
     def _analyse(self, A: Lower) -> Forecast:
         self._open(A, wide=A.nnz > np.iinfo(np.int32).max)
         iparm = self._handles[-1].iparm
-        sizes = (Place.PEAK_OF_ANALYSIS, Place.KEPT_BY_ANALYSIS, Place.KEPT_BY_FACTOR)
-        peak, symbolic, numeric = (Unit.KIBIBYTE * int(iparm[place]) for place in sizes)
+        places = (Place.PEAK_OF_ANALYSIS, Place.KEPT_BY_ANALYSIS, Place.KEPT_BY_FACTOR)
+        peak, symbolic, numeric = (Unit.KIBIBYTE * int(iparm[place]) for place in places)
         integers = iparm.itemsize * (self.lower_nnz + 2 * self.n)
         kept = symbolic + numeric + integers
         flops = 1e6 * float(iparm[Place.MEGAFLOPS])

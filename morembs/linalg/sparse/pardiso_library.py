@@ -88,8 +88,8 @@ def mkl_file() -> str | None:
         except metadata.PackageNotFoundError:
             files = []
         paths = [path for path in (Path(str(file.locate())) for file in files) if name.match(path.name)]
-    held = [str(path) for path in paths if path.is_file()]
-    return held[0] if held else find_library("mkl_rt")
+    libraries = [str(path) for path in paths if path.is_file()]
+    return libraries[0] if libraries else find_library("mkl_rt")
 
 
 @cache

@@ -143,19 +143,19 @@ class Rank:
 
     def _give(self, number: int, data: Any, command: dict[str, Any]) -> None:
         """Map the arrays of a command; those that it does not name are taken back."""
-        held = self._held[number]
+        arrays = self._held[number]
         for name in COUNTS:
             setattr(data, name, command["counts"][name])
         for name, kind in ARRAYS.items():
             file = command["arrays"].get(name)
             if file is None:
-                held.pop(name, None)
+                arrays.pop(name, None)
                 setattr(data, name, None)
-            elif name not in held or held[name][0] != file:
+            elif name not in arrays or arrays[name][0] != file:
                 # Solutions overwrite their right-hand sides in the file; nothing else is written to.
                 mode: Any = "r+" if name == "rhs" else "c"
                 array = np.memmap(self.folder / file, dtype=kind or command["dtype"], mode=mode)
-                held[name] = file, array
+                arrays[name] = file, array
                 setattr(data, name, array.ctypes.data)
 
 

@@ -180,8 +180,8 @@ class Ranks:
             )
         last = [line.strip() for line in words.splitlines() if line.strip(" -\n")]
         # A message has 300 characters of it at most.
-        told = " ".join(last)[:300] or "without a word"
-        return InputError(f"ranks = {self.count}: mpirun could not start them: {told}")
+        last_words = " ".join(last)[:300] or "without a word"
+        return InputError(f"ranks = {self.count}: mpirun could not start them: {last_words}")
 
     def died(self) -> SolverError:
         """The error for ranks that are gone, once mpirun has said which."""
@@ -197,9 +197,9 @@ class Ranks:
 
     def _refuse_other(self, hello: dict[str, Any]) -> None:
         if hello["header"] != hello["library"]:
-            told = f"version {hello['library']}" if hello["library"] else "none"
+            library = f"version {hello['library']}" if hello["library"] else "none"
             raise InputError(
-                f"ranks = {self.count}: the header of MUMPS says {hello['header']}, its library {told}; install "
+                f"ranks = {self.count}: the header of MUMPS says {hello['header']}, its library {library}; install "
                 "both of one version"
             )
 

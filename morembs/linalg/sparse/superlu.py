@@ -52,24 +52,24 @@ class _SuperLUSession(Session):
         return self.forecast(entries=entries, flops=0.5 * entries**1.5, memory=size, kept=size)
 
     def _factorize(self, A: Lower) -> FactorSize:
-        whole = A.full()
+        matrix = A.full()
         definite = self.structure == "spd"
         if self._order is not None:
-            whole = sp.csc_array(whole[self._order][:, self._order])
-        lu = self._decomposed(whole, pivots=False)
-        if not definite and _backward_error(lu, whole) > TOL.backward_error:
+            matrix = sp.csc_array(matrix[self._order][:, self._order])
+        lu = self._decomposed(matrix, pivots=False)
+        if not definite and _backward_error(lu, matrix) > TOL.backward_error:
             # Pivots off the diagonal cost fill and the inertia, but save the solution.
-            lu = self._decomposed(whole, pivots=True)
-        self._lu, self._A = lu, None if definite else whole
+            lu = self._decomposed(matrix, pivots=True)
+        self._lu, self._A = lu, None if definite else matrix
         entries = int(lu.nnz)
         return FactorSize(entries=entries, memory=self._entry * entries)
 
-    def _decomposed(self, whole: sp.csc_array, *, pivots: bool) -> Any:
+    def _decomposed(self, matrix: sp.csc_array, *, pivots: bool) -> Any:
         order = "MMD_AT_PLUS_A" if self._order is None else "NATURAL"
         try:
             if pivots:
-                return spla.splu(whole, permc_spec="COLAMD" if self._order is None else order)
-            return spla.splu(whole, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+                return spla.splu(matrix, permc_spec="COLAMD" if self._order is None else order)
+            return spla.splu(matrix, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         except RuntimeError as error:
             if "singular" in str(error):
                 raise SingularMatrixError(f"the matrix is exactly singular; {MECHANISM}") from None

@@ -121,18 +121,18 @@ class Lower:
         half, other = self._halves()
         strict = sp.csc_array(other.T)
         strict.setdiag(0.0)
-        whole = sp.csc_array(half + strict)
-        whole.sort_indices()
-        return whole
+        matrix = sp.csc_array(half + strict)
+        matrix.sort_indices()
+        return matrix
 
     def diagonal(self) -> Values:
         """Diagonal (n,)."""
         result = np.zeros(self.n, dtype=self.data.dtype)
         begin = self.indptr[:-1]
-        held = np.flatnonzero(np.diff(self.indptr) > 0)
-        first = begin[held]
-        on = self.indices[first] == held
-        result[held[on]] = self.data[first[on]]
+        filled = np.flatnonzero(np.diff(self.indptr) > 0)
+        first = begin[filled]
+        on = self.indices[first] == filled
+        result[filled[on]] = self.data[first[on]]
         return result
 
     def __matmul__(self, X: Values) -> Values:
@@ -166,8 +166,8 @@ class Lower:
             row = self.indices[begin:end]
             values = self._magnitudes(slice(begin, end)) * d[row] * d[column]
             total[first:last] += np.bincount(column - first, values, last - first)
-            off = row != column
-            total += np.bincount(row[off], values[off], self.n)
+            off_diagonal = row != column
+            total += np.bincount(row[off_diagonal], values[off_diagonal], self.n)
         return float(total.max(initial=0.0))
 
 
@@ -190,14 +190,14 @@ class General(Lower):
             return A
         if isinstance(A, Lower):
             return cls(A.indptr, A.indices, A.data, np.zeros_like(A.data))
-        whole = sp.coo_array(A)
-        if whole.shape[0] != whole.shape[1] or not whole.shape[0]:
-            raise InputError(f"{what} has the shape {whole.shape}; a square one is needed")
-        row, column = whole.coords
-        values = whole.data.astype(np.complex128 if np.iscomplexobj(whole.data) else np.float64)
+        entries = sp.coo_array(A)
+        if entries.shape[0] != entries.shape[1] or not entries.shape[0]:
+            raise InputError(f"{what} has the shape {entries.shape}; a square one is needed")
+        row, column = entries.coords
+        values = entries.data.astype(np.complex128 if np.iscomplexobj(entries.data) else np.float64)
         if not np.isfinite(values).all():
             raise InputError(f"{what} has values that are not finite; check the input matrices")
-        empty = np.flatnonzero(np.bincount(row, minlength=whole.shape[0]) == 0)
+        empty = np.flatnonzero(np.bincount(row, minlength=entries.shape[0]) == 0)
         if regular and len(empty):
             raise SingularMatrixError(
                 f"{what} has {len(empty)} rows that are zero (the first is row {empty[0]}); remove these dofs"
@@ -205,7 +205,7 @@ class General(Lower):
         ends = np.maximum(row, column), np.minimum(row, column)
         # Sums of duplicates keep zeros, so that both parts have one pattern.
         half, skew = (
-            sp.csc_array(sp.coo_array((values * weight, ends), shape=whole.shape))
+            sp.csc_array(sp.coo_array((values * weight, ends), shape=entries.shape))
             for weight in (0.5 + 0.5 * (row == column), 0.5 * np.sign(row - column))
         )
         kind = np.int32 if half.nnz <= np.iinfo(np.int32).max else np.int64

@@ -109,7 +109,7 @@ class _UmfpackSession(Session):
         self._indices = [np.ascontiguousarray(a, dtype=np.int64) for a in (self._pattern.indptr, self._pattern.indices)]
         self._symbolic, self._numeric = ctypes.c_void_p(), ctypes.c_void_p()
         # The matrix, for a correction where pivots may be small.
-        self._whole: sp.csc_array | None = None
+        self._matrix: sp.csc_array | None = None
         self.results, self._control = np.zeros(Info.LENGTH), np.zeros(Control.LENGTH)
         self._function("defaults")(_pointer(self._control))
         self._control[Control.STRATEGY] = Code.SYMMETRIC_STRATEGY
@@ -163,19 +163,19 @@ class _UmfpackSession(Session):
             raise SingularMatrixError(f"the matrix is exactly singular; {MECHANISM}")
         if self.structure != "spd":
             pattern = self._pattern
-            self._whole = sp.csc_array((values, pattern.indices, pattern.indptr), shape=pattern.shape)
+            self._matrix = sp.csc_array((values, pattern.indices, pattern.indptr), shape=pattern.shape)
         results = self.results
-        held = int(results[Info.SIZE] * results[Info.UNIT])
+        memory = int(results[Info.SIZE] * results[Info.UNIT])
         entries = int(results[Info.L] + results[Info.U])
-        return FactorSize(entries=entries, memory=held, flops=float(results[Info.FLOPS]))
+        return FactorSize(entries=entries, memory=memory, flops=float(results[Info.FLOPS]))
 
     def _solve(self, B: Values) -> Values:
         """The solution, corrected once where its componentwise backward error is large."""
         X = self.substitute(B)
-        if self._whole is None:
+        if self._matrix is None:
             return X
-        residual = B - self._whole @ X
-        scale = abs(self._whole) @ np.abs(X) + np.abs(B)
+        residual = B - self._matrix @ X
+        scale = abs(self._matrix) @ np.abs(X) + np.abs(B)
         error = np.divide(np.abs(residual), scale, out=np.zeros(scale.shape), where=scale > 0).max(axis=0)
         poor = np.flatnonzero(error > TOL.refined_error)
         if len(poor):
@@ -216,7 +216,7 @@ class _UmfpackSession(Session):
         return D if code == 0 and np.array_equal(P, Q) else None
 
     def _forget(self) -> None:
-        self._whole = None
+        self._matrix = None
         self._function("free_numeric")(ctypes.byref(self._numeric))
 
     def _free(self) -> None:
