@@ -173,8 +173,8 @@ class ConstrainedStatics:
         if not imposed_error <= TOL.imposed_error:
             raise SolverError(
                 f"unit interface displacements could be imposed to {imposed_error:.1e} only (needed "
-                f"{TOL.imposed_error:.0e}); points far from the body, or interfaces that nearly depend on each other, cost "
-                "these digits"
+                f"{TOL.imposed_error:.0e}); points far from the body, or interfaces that nearly depend on each other, "
+                "cost these digits"
             )
         self._refuse_lost_energy(lost_energy)
         # Loads have no part in rigid motion, of which the energy has round-off of all rows.

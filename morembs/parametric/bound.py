@@ -183,10 +183,7 @@ class ParametricBound:
         static_truncation = self.rest_B + (eK @ size) @ np.abs(static) + (eM @ np.abs(Z)) @ np.abs(b_rigid)
         static_truncation += (eM @ size)[:soft] @ np.abs(b[:soft])
         alpha_cell, least, _ = self.cells.at(p)
-        unsure_K, unsure_M = (
-            np.zeros((len(values),) * 2) if terms is None else Y.T @ np.tensordot(np.abs(theta), terms, 1) @ Y
-            for theta, terms in ((theta_K, self.rounding_K), (theta_M, self.rounding_M))
-        )
+        unsure_K, unsure_M = _form(theta_K, self.rounding_K, Y), _form(theta_M, self.rounding_M, Y)
         alpha = alpha_cell * ratio(self.law_K.monotone, p, self.anchor).min()
         # Without alpha there is no bound; residuals still tell where it is missed most.
         part = alpha if alpha > 0 else 1.0
@@ -274,6 +271,13 @@ class ParametricBound:
             X = X + null_space @ sl.lstsq(MY @ null_space, remainder - MY @ X, lapack_driver="gelsy")[0]
         truncation = self.rest_F + (eM @ np.abs(Z)) @ np.abs(rigid) + (eM @ np.abs(Y)) @ np.abs(X)
         return float(np.linalg.norm(remainder - MY @ X, 2) ** 2 + (truncation**2).sum())
+
+
+def _form(theta: Floats, terms: Floats | None, Y: Floats) -> Floats:
+    """(e, e) of Y' sum_q |theta_q| terms_q Y, zero without ``terms``."""
+    if terms is None:
+        return np.zeros((Y.shape[1],) * 2)
+    return np.asarray(Y.T @ np.tensordot(np.abs(theta), terms, 1) @ Y)
 
 
 def ratio(law: Law, p: Floats, reference: Floats) -> Floats:

@@ -279,16 +279,7 @@ class Reducer(ABC):
         if massless and self.certified_band is not None:
             raise InputError(f'method "{self.method}" promises an error, and {massless_words(massless)}')
         basis = self._basis(problem)
-        if set(basis.kinds) <= {"rigid"}:
-            raise InputError(
-                f'method "{self.method}" with these options leaves no elastic coordinate, only {len(basis.kinds)} '
-                "rigid-body modes; ask for at least one mode (or a higher up_to_hz), or take a rigid body of the "
-                "simulation program"
-            )
-        if basis.K.shape != (basis.V.shape[1],) * 2 or (basis.W is not None and basis.W.shape != basis.V.shape):
-            raise SolverError(
-                f'method "{self.method}" gave a basis of {basis.V.shape[1]} columns and a stiffness {basis.K.shape}'
-            )
+        self._refuse_unfit(basis)
         V, space = basis.V, problem.space
         outputs = _interface_motions(basis, problem)
         if basis.W is None:
@@ -331,6 +322,19 @@ class Reducer(ABC):
             is_projection=basis.V_velocity is None,
             structural=structural,
         )
+
+    def _refuse_unfit(self, basis: Basis) -> None:
+        """Refuse a basis without elastic coordinates, or whose arrays do not fit each other."""
+        if set(basis.kinds) <= {"rigid"}:
+            raise InputError(
+                f'method "{self.method}" with these options leaves no elastic coordinate, only {len(basis.kinds)} '
+                "rigid-body modes; ask for at least one mode (or a higher up_to_hz), or take a rigid body of the "
+                "simulation program"
+            )
+        if basis.K.shape != (basis.V.shape[1],) * 2 or (basis.W is not None and basis.W.shape != basis.V.shape):
+            raise SolverError(
+                f'method "{self.method}" gave a basis of {basis.V.shape[1]} columns and a stiffness {basis.K.shape}'
+            )
 
 
 def _skew_projected(space: Space, V: Floats, A: sp.csr_array) -> Floats:
