@@ -19,7 +19,8 @@ from certificates import Drawn, asked, drawn, exact_modes, long_modes
 from morembs.base.types import Floats
 from morembs.problem import Problem
 from morembs.responses import certified
-from morembs.responses.certified import CertifiedReference, certified_reference
+from morembs.responses.certified import certified_reference
+from morembs.responses.certified_reference import CertifiedReference
 from morembs.responses.residual_bound import Residual
 
 TOLERANCES, FREQUENCIES, SAMPLES = 10.0 ** -np.arange(1, 8), 40, 200

@@ -56,7 +56,8 @@ from .reducers import (
 from .reducers.matrices import ReducedSystem, reduce
 from .reducers.pymor import from_pymor, to_pymor
 from .responses.band import band_frequencies
-from .responses.certified import CertifiedReference, certified_reference
+from .responses.certified import certified_reference
+from .responses.certified_reference import CertifiedReference
 from .responses.direct import direct_response
 from .responses.measures import Limit
 

@@ -70,7 +70,7 @@ def test_a_name_of_exporters_warns_and_gives_the_new_one() -> None:
         ("base.budget", "Budget", "relax", "release_if_tight"),
         ("linalg.sparse.solver", "LinearSolver", "knowing", "with_near_null_space"),
         ("problem", "Problem", "elastic", "free_free"),
-        ("responses.certified", "CertifiedReference", "off", "error_bounds"),
+        ("responses.certified_reference", "CertifiedReference", "off", "error_bounds"),
         ("problem", "Problem", "internal", "fixed_interface"),
         ("reducers", "Basis", "left", "W"),
         ("reducers", "Basis", "inertial", "V_velocity"),

@@ -26,7 +26,8 @@ from morembs.certificate.tolerances import TOL
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 from morembs.responses.band import band_frequencies, checked_band
-from morembs.responses.certified import CertifiedReference, certified_reference
+from morembs.responses.certified import certified_reference
+from morembs.responses.certified_reference import CertifiedReference
 from morembs.responses.direct import direct_response, elastic_statics
 from morembs.responses.layout import BlockIndex
 from morembs.responses.loads import static_response

@@ -14,7 +14,7 @@ from morembs.certificate.record import ErrorLimits
 from morembs.certificate.tolerances import TOL
 from morembs.reducers.base import ReducedModel
 from morembs.responses.cells import BandCells
-from morembs.responses.certified import CertifiedReference
+from morembs.responses.certified_reference import CertifiedReference
 from morembs.responses.layout import BlockIndex
 from morembs.responses.measures import MEASURES, Limit, ReferenceResponse, compare
 from morembs.responses.pencils import response_of

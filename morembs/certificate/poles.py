@@ -13,7 +13,7 @@ from morembs.base.types import Floats, Ints
 from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.certificate.tolerances import TOL
 from morembs.reducers.base import ReducedModel
-from morembs.responses.certified import CertifiedReference
+from morembs.responses.certified_reference import CertifiedReference
 from morembs.responses.pencils import modes_of
 
 

@@ -8,7 +8,7 @@ from morembs.base.summary import upwards
 from morembs.base.units import eigenvalue_in_hz
 from morembs.certificate.poles import enclosures
 from morembs.certificate.record import ErrorLimits
-from morembs.responses.certified import CertifiedReference
+from morembs.responses.certified_reference import CertifiedReference
 from morembs.storage.lemma import ESTIMATE, PROVEN, Lemma
 
 

@@ -30,7 +30,8 @@ from morembs.reducers.families import OfResponses
 from morembs.reducers.family_search import FamilySearch
 from morembs.reducers.tolerances import TOL
 from morembs.responses.band import Band, band_frequencies
-from morembs.responses.certified import CertifiedReference, certified_reference, floor_of
+from morembs.responses.certified import certified_reference, floor_of
+from morembs.responses.certified_reference import CertifiedReference
 from morembs.responses.measures import Measure
 from morembs.responses.tolerances import TOL as RESPONSES
 

@@ -16,7 +16,7 @@ from morembs.linalg.eigen import accurate_eigh
 from morembs.linalg.quadrature import trapezoid
 from morembs.problem.damping import Damping
 from morembs.reducers.tolerances import TOL
-from morembs.responses.certified import CertifiedReference
+from morembs.responses.certified_reference import CertifiedReference
 from morembs.responses.loads import load_scale
 from morembs.responses.measures import Limit, compare, decide
 from morembs.responses.pencils import response_of
