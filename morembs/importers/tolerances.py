@@ -44,6 +44,8 @@ class ImporterTolerances:
     parallel: float = 1e-8
     # The same of a beam and the orientation of its section.
     parallel_orientation: float = 1e-9
+    # Part of a beam's length across the global z axis below which it lies along it (Element Reference, BEAM188).
+    across_z: float = 1e-4
     # Pivot over the largest below which an equation of Abaqus says the same as others on its node.
     repeated_pivot: float = 1e-10
     # Pivot over the largest below which dependent components do not follow from the others.

@@ -276,10 +276,16 @@ def test_archives_and_universal_files_become_decks_of_each_program(kind, format,
 @pytest.mark.parametrize("format", ["calculix", "abaqus", "nastran"])
 def test_values_of_single_elements_that_are_not_written_are_refused(format, tmp_path):
     deck = frame()
+    nodes = replace(deck.elements[0], values={"colour": np.ones((12, 4))})
+    with pytest.raises(InputError, match="CQUAD4 elements have colour of their own"):
+        replace(deck, elements=(nodes, deck.elements[1])).write(tmp_path / "flat", format)
     if format != "nastran":
-        plate = replace(deck.elements[0], values={"thickness": np.full((12, 4), 0.01)})
-        with pytest.raises(InputError, match="CQUAD4 elements have thickness of their own"):
-            replace(deck, elements=(plate, deck.elements[1])).write(tmp_path / "flat", format)
+        thick = replace(deck.elements[0], values={"thickness": np.arange(1.0, 49).reshape(12, 4)})
+        with pytest.raises(InputError, match="CQUAD4 1 is not as thick at all corners"):
+            replace(deck, elements=(thick, deck.elements[1])).write(tmp_path / "flat", format)
+        pins = replace(deck.elements[1], values={"released": np.ones((2, 2, 6))})
+        with pytest.raises(InputError, match="CBAR 13 has pins"):
+            replace(deck, elements=(deck.elements[0], pins)).write(tmp_path / "flat", format)
     nodal = replace(deck.sections[0], code="*SHELL SECTION, NODAL THICKNESS")
     with pytest.raises(InputError, match="takes the thickness from nodes"):
         replace(deck, sections=(nodal, deck.sections[1])).write(tmp_path / "flat", format)
@@ -350,6 +356,52 @@ def test_shells_and_beams_are_those_of_a_deck_by_hand_in_ccx(tmp_path):
     theirs = own_frequencies((tmp_path / "flat.inp").read_text(), tmp_path)
     assert theirs == pytest.approx(own_frequencies(text, tmp_path), rel=1e-9)
     assert 0 < theirs[0] < theirs[-1]
+
+
+@needs_ccx
+def test_shells_and_bars_of_bulk_data_are_those_of_a_deck_by_hand_in_ccx(tmp_path):
+    """Thickness, offset and direction of single elements are in sections of their own."""
+    deck = frame()
+    deck.write(tmp_path / "hand.inp", "calculix")
+    deck.write(tmp_path / "frame.bdf", "nastran")
+    said = read(tmp_path / "frame.bdf").write(tmp_path / "flat.inp", "calculix")
+    assert sum("are written as" in sentence and "[formulation-differs]" in sentence for sentence in said) == 2
+    wanted = own_frequencies((tmp_path / "hand.inp").read_text(), tmp_path)
+    assert own_frequencies((tmp_path / "flat.inp").read_text(), tmp_path) == pytest.approx(wanted, rel=1e-6)
+    thick = np.repeat([[0.02] * 4, [0.03] * 4], 6, axis=0)
+    values = {"thickness": thick, "offset": np.repeat([0.0, 0.004], 6), "angle": np.full(12, 30.0)}
+    single = replace(deck, elements=(replace(deck.elements[0], values=values), deck.elements[1]))
+    two = replace(deck.sections[0], set="thick", thickness=0.03, offset=0.004)
+    whole = replace(
+        deck, element_sets={**deck.element_sets, "thick": np.array([[7, 12]])}, sections=(*deck.sections, two)
+    )
+    found = []
+    for own in (single, whole):
+        own.write(tmp_path / "flat.inp", "calculix")
+        found.append(own_frequencies((tmp_path / "flat.inp").read_text(), tmp_path))
+    assert found[0] == pytest.approx(found[1], rel=1e-6) and found[0] != pytest.approx(wanted, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("card", "property_", "lines"),
+    [
+        (
+            "CQUAD8,1,1,1,2,3,4,5,6\n,7,8\n",
+            "PSHELL,1,1,.01,1,,1\n",
+            ["*ELEMENT, TYPE=S8R", "1, 1, 2, 3, 4, 5, 6, 7, 8"],
+        ),
+        ("CBAR,1,1,1,2,0.,0.,1.\n", "PBARL,1,1,,BAR\n,.1,.2\n", ["SECTION=RECT", "0.2, 0.1", "0.0, 0.0, 1.0"]),
+        ("CBAR,1,1,1,2,0.,0.,1.\n", "PBARL,1,1,,ROD\n,.1\n", ["SECTION=CIRC", "0.1\n"]),
+        ("CROD,1,1,1,2\n", "PROD,1,1,.002\n", ["*ELEMENT, TYPE=T3D2", "*SOLID SECTION", "0.002"]),
+    ],
+)
+def test_shells_and_bars_of_bulk_data_in_words_of_calculix(card, property_, lines, again, tmp_path):
+    at = [(0, 0), (1, 0), (1, 1), (0, 1), (0.5, 0), (1, 0.5), (0.5, 1), (0, 0.5)]
+    grids = "".join(f"GRID,{i},,{x},{y},0.\n" for i, (x, y) in enumerate(((float(x), float(y)) for x, y in at), 1))
+    first, second, _ = again(f"BEGIN BULK\n{grids}{card}{property_}MAT1,1,2.1+11,,.3,7850.\n", "nastran", "calculix")
+    text = (tmp_path / "second.inp").read_text()
+    assert all(line in text for line in lines)
+    assert np.array_equal(second.elements[0].nodes, first.elements[0].nodes)
 
 
 @needs_ccx

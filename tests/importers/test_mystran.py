@@ -465,8 +465,8 @@ def test_all_problems_are_told_at_once_with_their_cures(tmp_path):
     ("line", "message"),
     [
         (
-            ["--engine", "mystran", "--format", "ansys"],
-            "--engine mystran reads Nastran bulk data, and decks of Abaqus; deck.bdf is an archive of ANSYS",
+            ["--engine", "mystran", "--format", "unv"],
+            "--engine mystran reads Nastran bulk data, decks of Abaqus, and archives of ANSYS; deck.bdf is",
         ),
         (["--engine", "mystran:/nowhere/mystran"], "no file that can be run"),
         (["--engine", "mystran", "--boundary", "hold"], 'expected "drop" or "keep"'),
@@ -567,6 +567,99 @@ def test_beams_and_trusses_of_an_abaqus_deck_bend_as_theory_says(tmp_path):
     y, z = (model.K.diagonal()[first & (model.dofs.component == axis)][0] for axis in (1, 2))
     shear = [1 + 2 * 1.3 / (5 / 6) * (height / 0.05) ** 2 for height in (0.02, 0.01)]
     assert y / z == pytest.approx(4.0 * shear[1] / shear[0], rel=1e-3)
+
+
+ANSYS = "MP,EX,1,2.1e11\nMP,PRXY,1,.3\nMP,DENS,1,7850.\n"
+
+
+def ansys_elements(bulk: str, routine: int, card: str, third: str = "") -> str:
+    """Grids and elements of bulk data in free fields in words of ANSYS; beams with a third node."""
+    rows = [line.split(",") for line in bulk.splitlines()]
+    nodes = "".join(f"N,{row[1]},{','.join(row[3:6])}\n" for row in rows if row[0] == "GRID")
+    count = 5 if card == "CBAR" else 7
+    cells = "".join(f"EN,{row[1]},{','.join(row[3:count])}{third}\n" for row in rows if row[0] == card)
+    return f"/PREP7\nET,1,{routine}\n{nodes}TYPE,1\nMAT,1\nREAL,1\nSECNUM,1\n{cells}{ANSYS}"
+
+
+BARS_OF_ANSYS = grids(FRAME) + "GRID,9,,5.,7.,3.\n" + "".join(f"CBAR,{i},1,{i},{i + 1},9\n" for i in range(1, 6))
+
+
+@needs_mystran
+@pytest.mark.parametrize(
+    ("archive", "bulk"),
+    [
+        (ansys_elements(SHEET, 181, "CQUAD4") + "SECTYPE,1,SHELL\nSECDATA,.01,1,0.,3\n", SHEET),
+        (ansys_elements(SHEET, 181, "CQUAD4") + "R,1,.01\n", SHEET),
+        (
+            ansys_elements(SHEET, 181, "CQUAD4")
+            + "SECTYPE,1,SHELL\nSECOFFSET,BOT\nSECBLOCK,2\n  .004,  1,  0.,  3\n  .006,  0,  0.,  3\n",
+            plate(6, 4, T) + "PCOMP,1,0.\n,1,.004,0.,NO,1,.006,0.,NO\n" + STEEL,
+        ),
+        (ansys_elements(SHEET, 63, "CQUAD4") + "R,1,.01,.01,.01,.01\n", plate(6, 4, T) + "PSHELL,1,1,.01,1\n" + STEEL),
+        (
+            ansys_elements(BARS_OF_ANSYS, 188, "CBAR", ",9") + "SECTYPE,1,BEAM,RECT\nSECDATA,.1,.2\n",
+            BARS_OF_ANSYS + "PBARL,1,1,,BAR\n,.1,.2\n" + STEEL,
+        ),
+        (
+            ansys_elements(BARS_OF_ANSYS, 188, "CBAR", ",9")
+            + "SECTYPE,1,BEAM,ASEC\nSECDATA,1.e-3,2.e-7,1.e-8,4.e-7,0,3.e-7\n",
+            BARS_OF_ANSYS + "PBAR,1,1,1.-3,2.-7,4.-7,3.-7\n,,,,,,,,\n,,,-1.-8\n" + STEEL,
+        ),
+        (
+            ansys_elements(BARS_OF_ANSYS, 4, "CBAR", ",9") + "R,1,.001,4.e-7,2.e-7,.1,.1,0\nRMORE,0,3.e-7,,,,.5\n",
+            BARS_OF_ANSYS + "PBAR,1,1,1.-3,2.-7,4.-7,3.-7,.5\n" + STEEL,
+        ),
+        (
+            ansys_elements(BARS_OF_ANSYS, 188, "CBAR") + "SECTYPE,1,BEAM,CTUBE\nSECDATA,.02,.03\n",
+            BARS_OF_ANSYS + "PBARL,1,1,,TUBE\n,.03,.02\n" + STEEL,
+        ),
+        (
+            # The y axis of a bar along z is along y, of others in the plane of x and y.
+            ansys_elements(BARS_OF_ANSYS, 188, "CBAR") + "SECTYPE,1,BEAM,RECT\nSECDATA,.1,.2\n",
+            grids(FRAME)
+            + "".join(f"CBAR,{i},1,{i},{i + 1},{'1.,0.,0.' if i in (1, 4, 5) else '0.,0.,1.'}\n" for i in range(1, 6))
+            + "PBARL,1,1,,BAR\n,.1,.2\n"
+            + STEEL,
+        ),
+    ],
+    ids=["SHELL181", "by real constants", "layers", "SHELL63", "RECT", "ASEC", "BEAM4", "tube", "no third node"],
+)
+def test_shells_and_beams_of_an_archive_are_those_of_bulk_data(tmp_path, archive, bulk):
+    (tmp_path / "a.cdb").write_text(archive + "FINISH\n")
+    model = model_of(import_file(tmp_path / "a.cdb", engine="mystran"))
+    same = imported(tmp_path, bulk)
+    assert model.size == same.size and model.source == "a.cdb"
+    for A, B in ((model.K, same.K), (model.M, same.M)):
+        assert abs(A - B).max() < 1e-9 * abs(B).max()
+
+
+@pytest.mark.parametrize(
+    ("archive", "message"),
+    [
+        (ansys_elements(SHEET, 181, "CQUAD4"), "SHELL181 of material 1, real constants 1 has no thickness"),
+        (
+            ansys_elements(SHEET, 181, "CQUAD4") + "SECTYPE,1,SHELL\nSECDATA,.01\nSECOFFSET,USER,.1\n",
+            "has the offset SECOFFSET,USER",
+        ),
+        (ansys_elements(SHEET, 181, "CQUAD4") + "R,1,.01,.02,.01,.02\n", "is not as thick at all nodes"),
+        (
+            ansys_elements(BARS_OF_ANSYS, 188, "CBAR") + "SECTYPE,1,BEAM,T\nSECDATA,.1,.2,.01,.01\n",
+            "has the profile T, or one off its axis; expected RECT",
+        ),
+        (
+            ansys_elements(SHEET, 181, "CQUAD4").replace("MP,EX,1,2.1e11\n", "") + "R,1,.01\n",
+            "the material material 1 of the set .* has no linear stiffness; --material",
+        ),
+        (
+            ansys_elements(SHEET, 181, "CQUAD4") + "MP,EY,1,1e11\nR,1,.01\n",
+            "has a material with axes and no orientation",
+        ),
+    ],
+)
+def test_what_mystran_is_not_given_of_an_archive_is_told(tmp_path, archive, message):
+    (tmp_path / "a.cdb").write_text(archive + "FINISH\n")
+    with pytest.raises(InputError, match=message):
+        import_file(tmp_path / "a.cdb", engine=f"mystran:{program(tmp_path, 'sys.exit()')}")
 
 
 @pytest.mark.parametrize(

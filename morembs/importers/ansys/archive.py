@@ -15,6 +15,7 @@ from morembs.importers.ansys import blocks
 from morembs.importers.ansys.elements import Rows, from_plain_form, from_solid_form
 from morembs.importers.ansys.lines import Lines
 from morembs.importers.ansys.properties import ELASTIC, SAID
+from morembs.importers.ansys.sections import SectionData
 from morembs.importers.ansys.singles import Singles
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problems
@@ -65,6 +66,12 @@ _SHORT = {
         "CMGRP",
         "CDREAD",
         "EMORE",
+        "SECTYPE",
+        "SECDATA",
+        "SECBLOCK",
+        "SECOFFSET",
+        "SECCONTROL",
+        "SECNUM",
         "BFBLOCK",
         "SFEBLOCK",
         *(name for name in REFUSED if len(name) > 4),
@@ -109,6 +116,7 @@ class Archive:
     tables: dict[int, str] = field(default_factory=dict)
     table: tuple[int, str] = (0, "")
     current_real: int = 0
+    sections: SectionData = field(default_factory=SectionData)
     singles: Singles = field(default_factory=Singles)
 
 
@@ -188,6 +196,8 @@ def _take(archive: Archive, command: str, fields: list[str], lines: Lines) -> No
         _take_table(archive, command, fields, lines)
     elif command in archive.singles.current and len(fields) > 1:
         archive.singles.current[command] = int(fields[1] or 0)
+    elif command.startswith("SEC"):
+        archive.sections.take(command, fields, lines)
     elif command in ("ET", "KEYOPT", "R", "RMORE", "RMODIF"):
         _take_type(archive, command, fields)
     elif command in ("MP", "MPDATA", "MPTEMP", "UIMP", "TB"):

@@ -16,6 +16,7 @@ from morembs.importers.ansys.archive import Archive, read_commands
 from morembs.importers.ansys.elements import Rows, solids
 from morembs.importers.ansys.names import CARRIERS, CONTACT, FAMILIES, HANGING, NAMES, SOLIDS, Routine, element_name
 from morembs.importers.ansys.properties import section
+from morembs.importers.ansys.structures import STRUCTURES, Structures
 from morembs.importers.ansys.ties import Hanging, point_masses, rigid_beams, springs, sums
 from morembs.importers.decks.formulations import ansys_meaning, warnings_of
 from morembs.importers.decks.labels import Labels, distinct, ranges_by_number
@@ -78,19 +79,24 @@ def read_ansys(
     problems = Problems(Path(path).name, options.flags)
     with problems.ending():
         archive = read_commands(Path(path), problems, options)
-        parts, hanging = list[Elements](), list[Hanging]()
+        parts, hanging, structures = list[Elements](), list[Hanging](), Structures(archive, problems)
         for kind, rows in archive.elements:
             if kind not in archive.types:
                 raise InputError(f"{archive.name}: EBLOCK has elements of the type {kind}, which no ET defines")
             routine, keys = archive.types[kind]
             if routine in HANGING and not _skipped(options, routine):
                 hanging.append(Hanging(routine=routine, keys=keys, rows=rows))
-            parts += _elements(archive, kind, rows, options)
-        return _deck(archive, parts, hanging, options, problems)
+            parts += _elements(archive, kind, rows, options, structures)
+        return _deck(archive, parts, hanging, structures, options, problems)
 
 
 def _deck(
-    archive: Archive, parts: list[Elements], hanging: list[Hanging], options: DeckOptions, problems: Problems
+    archive: Archive,
+    parts: list[Elements],
+    hanging: list[Hanging],
+    structures: Structures,
+    options: DeckOptions,
+    problems: Problems,
 ) -> Deck:
     ids, xyz, rotated = _nodes(archive)
     own = [part for part in parts if part.kind == "solid"]
@@ -127,9 +133,14 @@ def _deck(
         xyz=xyz,
         elements=tuple(parts),
         node_sets=archive.node_sets,
-        element_sets={**archive.element_sets, **_numbered(own, "material"), **_numbered(own, "type")},
-        materials={material.name: material for material, _ in sections},
-        sections=tuple(each for _, each in sections),
+        element_sets={
+            **archive.element_sets,
+            **_numbered(own, "material"),
+            **_numbered(own, "type"),
+            **structures.sets,
+        },
+        materials={**structures.materials(remarks), **{material.name: material for material, _ in sections}},
+        sections=(*(each for _, each in sections), *structures.sections),
         rigid=tuple(rigid),
         masses=tuple(masses),
         discrete=tuple(discrete),
@@ -159,7 +170,9 @@ def _skipped(options: DeckOptions, routine: int) -> bool:
     return contact or options.skips(element_name(routine), str(routine))
 
 
-def _elements(archive: Archive, kind: int, rows: Rows, options: DeckOptions) -> Iterator[Elements]:
+def _elements(
+    archive: Archive, kind: int, rows: Rows, options: DeckOptions, structures: Structures
+) -> Iterator[Elements]:
     """Elements of one type of the archive: solids by their shapes; what own assembly has not with the problem."""
     routine, keys = archive.types[kind]
     name, count = element_name(routine), len(rows.ids)
@@ -187,9 +200,13 @@ def _elements(archive: Archive, kind: int, rows: Rows, options: DeckOptions) -> 
     elif routine in HANGING:
         word, problem = "point", None
     else:
-        family = next((family for family, numbers in FAMILIES.items() if routine in numbers), "")
         remains = any(archive.types.get(other, (0,))[0] in SOLIDS for other, _ in archive.elements)
-        word, problem = _KINDS.get(family, "none"), _refusal(archive.name, routine, rows, remains=remains)
+        problem = _refusal(archive.name, routine, rows, remains=remains)
+        if routine in STRUCTURES:
+            yield from structures.add(routine, keys, rows, numbers, problem)
+            return
+        family = next((family for family, numbers in FAMILIES.items() if routine in numbers), "")
+        word = _KINDS.get(family, "none")
     yield Elements(code=name, kind=word, shape="", ids=rows.ids, nodes=rows.nodes, numbers=numbers, problem=problem)
 
 

@@ -27,6 +27,7 @@ class Rows:
     material: Ints
     real: Ints
     system: Ints
+    section: Ints
 
 
 # Which of eight corners are the first of their label -> shape, the nodes in VTK order that it keeps of twenty, and how
@@ -56,7 +57,7 @@ def from_solid_form(table: Ints, name: str) -> list[tuple[int, Rows]]:
     nodes[more, 8 : 8 + width] = table[first[more] + 1, :width]
     nodes[np.arange(20) >= count_of[:, None]] = 0
     return [
-        (int(kind), _picked(head[:, 1] == kind, head[:, 10], nodes, head[:, 0], head[:, 2], head[:, 4]))
+        (int(kind), _picked(head[:, 1] == kind, head[:, 10], nodes, head[:, 0], head[:, 2], head[:, 4], head[:, 3]))
         for kind in np.unique(head[:, 1])
     ]
 
@@ -91,16 +92,19 @@ def from_plain_form(table: Ints, routine: int, name: str) -> Rows:
     if two:
         rest = min(20 - width, table.shape[1])
         nodes[:, width : width + rest] = table[1::2, :rest]
-    return _picked(np.ones(len(head), dtype=bool), head[:, 0], nodes, head[:, 3], head[:, 2], head[:, 4])
+    return _picked(np.ones(len(head), dtype=bool), head[:, 0], nodes, head[:, 3], head[:, 2], head[:, 4], head[:, 1])
 
 
-def _picked(chosen: NDArray[np.bool_], ids: Ints, nodes: Ints, material: Ints, real: Ints, system: Ints) -> Rows:
+def _picked(
+    chosen: NDArray[np.bool_], ids: Ints, nodes: Ints, material: Ints, real: Ints, system: Ints, section: Ints
+) -> Rows:
     return Rows(
         ids=ids[chosen].astype(np.int64),
         nodes=nodes[chosen],
         material=material[chosen].astype(np.int64),
         real=real[chosen].astype(np.int64),
         system=system[chosen].astype(np.int64),
+        section=section[chosen].astype(np.int64),
     )
 
 

@@ -18,6 +18,14 @@ class Routine(IntEnum):
     SOLID186 = 186
     SOLID187 = 187
     SOLID285 = 285
+    BEAM4 = 4
+    LINK8 = 8
+    SHELL63 = 63
+    LINK180 = 180
+    SHELL181 = 181
+    BEAM188 = 188
+    BEAM189 = 189
+    SHELL281 = 281
 
 
 # Nodes of the full form.

@@ -26,7 +26,9 @@ class Singles:
 
     nodes: list[list[float]] = field(default_factory=list)
     elements: list[tuple[dict[str, int], list[int]]] = field(default_factory=list)
-    current: dict[str, int] = field(default_factory=lambda: {"TYPE": 1, "MAT": 1, "REAL": 1, "ESYS": 0, "CSYS": 0})
+    current: dict[str, int] = field(
+        default_factory=lambda: {"TYPE": 1, "MAT": 1, "REAL": 1, "SECNUM": 1, "ESYS": 0, "CSYS": 0}
+    )
 
     def take(self, command: str, fields: list[str], where: str) -> None:
         """N, node, x, y, z, angles; EN, element and its first eight nodes; EMORE, eight further ones (Mechanical APDL
@@ -64,5 +66,10 @@ class Singles:
         for kind in dict.fromkeys(given["TYPE"] for given, _ in self.elements):
             own = [(given, numbers) for given, numbers in self.elements if given["TYPE"] == kind]
             rows = np.array([numbers + [0] * (1 + Singles.NODES - len(numbers)) for _, numbers in own], dtype=np.int64)
-            material, real, system = (np.array([given[key] for given, _ in own]) for key in ("MAT", "REAL", "ESYS"))
-            yield kind, Rows(ids=rows[:, 0], nodes=rows[:, 1:], material=material, real=real, system=system)
+            material, real, system, section = (
+                np.array([given[key] for given, _ in own]) for key in ("MAT", "REAL", "ESYS", "SECNUM")
+            )
+            yield (
+                kind,
+                Rows(ids=rows[:, 0], nodes=rows[:, 1:], material=material, real=real, system=system, section=section),
+            )

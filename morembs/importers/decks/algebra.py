@@ -95,3 +95,9 @@ def terms_of(node: int, part: Floats, number: int) -> list[Term]:
     """Terms of an equation in the motions (6,) ``part`` of a node, with a zero for the component ``number`` where there
     are none: a first coefficient of zero is to be seen."""
     return [(node, c, float(part[c])) for c in np.flatnonzero(part).tolist()] or [(node, number, 0.0)]
+
+
+def unit(vectors: Floats) -> Floats:
+    """Vectors (..., n) over their lengths, those without length as they are."""
+    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))

@@ -99,11 +99,15 @@ def _lack(deck: DeckTables, section: Section) -> Lacking | None:
         return Lacking(sentence=section.lacks)
     names = [ply.material for ply in section.plies] or [section.material]
     own = [deck.materials[name] for name in names if name in deck.materials]
+    of = f"of the set {section.set}"
+    for material in own:
+        # That of shells alone (MAT8, MAT2) has none in space, and is there.
+        if material.stiffness is None and not material.constants.keys() & {"E1", "G11"}:
+            return Lacking(sentence=f"the material {material.name} {of} has no linear stiffness")
     if not own or section.nonstructural or any(material.density for material in own):
         return None
-    sentence = f"the material {own[0].name} of the set {section.set} has no density"
-    # That of shells alone has none in space, and is there.
-    return Lacking(sentence=sentence, stiffness=np.eye(6) if own[0].stiffness is None else own[0].stiffness)
+    C = np.eye(6) if own[0].stiffness is None else own[0].stiffness
+    return Lacking(sentence=f"the material {own[0].name} {of} has no density", stiffness=C)
 
 
 def _with_densities(deck: Tables, density: dict[str, float]) -> Tables:

@@ -69,9 +69,9 @@ _OWN: dict[str, Engine] = {
         program="CalculiX",
     ),
     "mystran": Engine(
-        about="MYSTRAN assembles Nastran bulk data, and shells and beams of Abaqus decks",
-        formats=("nastran", "abaqus"),
-        decks="Nastran bulk data, and decks of Abaqus",
+        about="MYSTRAN assembles Nastran bulk data, and solids, shells and beams of Abaqus and ANSYS decks",
+        formats=("nastran", "abaqus", "ansys"),
+        decks="Nastran bulk data, decks of Abaqus, and archives of ANSYS",
         find=find_mystran,
         read=import_with_mystran,
         readable=readable_by_mystran,

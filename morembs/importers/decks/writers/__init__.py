@@ -30,14 +30,10 @@ WRITERS: dict[str, Callable[[DeckTables], tuple[Iterator[str], list[str]]]] = {
 # Kinds of elements without cards of their own: what single nodes carry is among masses and springs.
 _NOT_WRITTEN = ("point", "none")
 
-# Values of single elements, by their kind, that are written for each format.
+# Values of single elements, by their kind, that are written.
 _WRITTEN_VALUES = {
-    "calculix": {("beam", "offset")},
-    "abaqus": {("beam", "offset")},
-    "nastran": {
-        *(("beam", name) for name in ("offset", "direction", "released")),
-        *(("shell", name) for name in ("thickness", "offset", "direction", "angle")),
-    },
+    *(("beam", name) for name in ("offset", "direction", "released")),
+    *(("shell", name) for name in ("thickness", "offset", "direction", "angle")),
 }
 
 
@@ -100,7 +96,7 @@ def _refuse_values(deck: DeckTables, format: str) -> None:
     """
     for part in deck.elements:
         for name, values in part.values.items():
-            if (part.kind, name) not in _WRITTEN_VALUES[format] and np.isfinite(values).any():
+            if (part.kind, name) not in _WRITTEN_VALUES and np.isfinite(values).any():
                 raise InputError(
                     f"{deck.name}: {part.code} elements have {name} of their own, which {format!r} decks written here "
                     "lack; give it to their section"

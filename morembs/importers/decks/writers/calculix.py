@@ -9,9 +9,10 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
+from morembs.importers.decks.algebra import unit
 from morembs.importers.decks.tables import NOT_WRITTEN, DeckTables, Surface
 from morembs.importers.decks.writers.calculix_mesh import Line, numeral, numerals
-from morembs.importers.decks.writers.calculix_sections import SectionText, unit
+from morembs.importers.decks.writers.calculix_sections import SectionText
 from morembs.importers.imported import DiscreteElement
 from morembs.importers.tolerances import TOL
 

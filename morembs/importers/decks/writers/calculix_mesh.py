@@ -207,6 +207,11 @@ class MeshText:
                     f"{self.deck.name}: {self.program} has no element for {len(part.ids)} {part.code} ({part.kind} of "
                     f"{part.nodes.shape[1]} nodes); leave them out with --skip {part.code}"
                 )
+            if code != part.code:
+                self.warnings.append(
+                    f"{len(part.ids)} elements {part.code} of {self.deck.program} are written as {code} of "
+                    f"{self.program}, whose formulation is another [formulation-differs]"
+                )
             return code
         codes = () if (self.dialect, part.shape) == ("calculix", "hex27") else _SOLIDS[part.shape]
         if not codes:

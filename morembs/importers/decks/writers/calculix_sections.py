@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.importers.decks.tables import Section
+from morembs.importers.decks.algebra import unit
+from morembs.importers.decks.tables import Elements, Section
 from morembs.importers.decks.writers.calculix_mesh import Line, MeshText, numeral, numerals
 from morembs.importers.tolerances import TOL
 
+# Profiles of PBARL as those of *BEAM SECTION, whose first width lies along the first axis of the section.
+_OF_PBARL: dict[str, tuple[str, Callable[[Sequence[float]], tuple[float, ...]]]] = {
+    "BAR": ("RECT", lambda d: (d[1], d[0])),
+    "ROD": ("CIRC", lambda d: (d[0],)),
+    "TUBE": ("PIPE", lambda d: (d[0], d[0] - d[1])),
+}
 # Profiles of *BEAM SECTION that each program has here.
 _PROFILES = {
     "calculix": ("RECT", "CIRC", "ELLIPSE", "PIPE", "BOX"),
@@ -57,7 +64,49 @@ class SectionText(MeshText):
         for number, section in enumerate(self.deck.sections):
             rows = np.flatnonzero(owner == number)
             if len(rows):
-                yield from self._section(section, rows)
+                for own, members in self._variants(section, rows):
+                    yield from self._section(own, members)
+
+    def _variants(self, section: Section, rows: Ints) -> Iterator[tuple[Section, Ints]]:
+        """The section with what its elements in ``rows`` have of their own, and rows of those that have the same."""
+        # Offsets of beams are looked at together.
+        if not any((part.kind, name) != ("beam", "offset") for part in self.parts for name in part.values):
+            yield section, rows
+            return
+        groups: dict[tuple[object, ...], tuple[Section, list[int]]] = {}
+        start = 0
+        for part in self.parts:
+            for row in rows[(rows >= start) & (rows < start + len(part.ids))].tolist():
+                own = self._own(part, section, row - start)
+                key = tuple((name, np.asarray(value).tobytes()) for name, value in own.items())
+                groups.setdefault(key, (replace(section, **own), []))[1].append(row)  # type: ignore[arg-type]
+            start += len(part.ids)
+        yield from ((own, np.array(members)) for own, members in groups.values())
+
+    def _own(self, part: Elements, section: Section, i: int) -> dict[str, object]:
+        """What the element in row ``i`` of a part has otherwise than its section.
+
+        Raises:
+            InputError: what a section of the program cannot say.
+        """
+        given = {name: value[i] for name, value in part.values.items() if np.isfinite(value[i]).any()}
+        what = f"{self.deck.name}: {part.code} {part.ids[i]}"
+        own: dict[str, object] = {}
+        if part.kind == "beam":
+            if given.get("released", np.zeros(1)).any():
+                raise InputError(f"{what} has pins, which {self.program} has not here")
+            return {"direction": given["direction"]} if "direction" in given else {}
+        if "thickness" in given:
+            if np.ptp(given["thickness"]) > 0:
+                raise InputError(f"{what} is not as thick at all corners, which {self.program} has not here")
+            own["thickness"] = float(given["thickness"].flat[0])
+        if "offset" in given:
+            own["offset"] = float(given["offset"])
+        names = [ply.material for ply in section.plies] or [section.material]
+        stiff = [C for name in names if (C := self.deck.materials[name].stiffness) is not None]
+        if given.keys() & {"angle", "direction"} and not all(elastic_lines(C)[0] == "*ELASTIC" for C in stiff):
+            raise InputError(f"{what} has material axes of its own, which {self.program} has not here")
+        return own
 
     def _section(self, section: Section, rows: Ints) -> Iterator[str]:
         if section.kind == "solid":
@@ -94,8 +143,31 @@ class SectionText(MeshText):
             options += [f"ORIENTATION={axis}"] if axis else []
         yield from self._structure(section, rows, options, data)
 
+    def _in_words(self, section: Section) -> Section:
+        """A section of bulk data as the program has it.
+
+        Raises:
+            InputError: it has none.
+        """
+        plate, name = section.plate, section.profile.removeprefix("PBARL ")
+        if plate is not None:
+            same = plate.membrane == plate.bending and plate.shear in ("", plate.bending)
+            if not (same and plate.inertia_ratio == 1.0):
+                raise InputError(
+                    f"{self._what(section)} bends otherwise than a plate of its thickness, which {self.program} has not"
+                )
+        if name != section.profile and name in _OF_PBARL:
+            profile, dimensions = _OF_PBARL[name]
+            return replace(section, profile=profile, dimensions=dimensions(section.dimensions))
+        if section.kind == "truss" and any(section.dimensions[1:]):
+            self.warnings.append(
+                f"{self._what(section)} resists torsion, which trusses of {self.program} do not [formulation-differs]"
+            )
+        return section
+
     def _structure(self, section: Section, rows: Ints, options: list[str], data: list[str]) -> Iterator[str]:
         """The card of a section of shells, membranes, beams or trusses."""
+        section = self._in_words(section)
         thickness = sum(ply.thickness for ply in section.plies) or section.thickness
         if section.kind in ("shell", "membrane"):
             if not thickness > 0:
@@ -154,6 +226,7 @@ class SectionText(MeshText):
         vectors = np.concatenate(
             [part.values.get("offset", np.zeros((len(part.ids), 2, 3))) for part in self.parts if part.kind == "beam"]
         )
+        vectors = np.nan_to_num(vectors)
         ends = np.concatenate(
             [self.nodes.rows(part.nodes[:, :2], "elements name") for part in self.parts if part.kind == "beam"]
         )
@@ -178,8 +251,3 @@ class SectionText(MeshText):
         if np.abs(parts + mean[:, None, None]).max() > TOL.same_offset:
             raise InputError(f"{self._what(section)} has offsets that differ by element, which {self.program} has not")
         return [f"OFFSET{i}={numeral(value)}" for i, value in enumerate(mean.tolist(), start=1) if value]
-
-
-def unit(vectors: Floats) -> Floats:
-    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))
