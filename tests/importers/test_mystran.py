@@ -146,6 +146,16 @@ def test_decks_have_the_frequencies_of_mystran_and_their_mass(tmp_path, name):
 
 
 @needs_mystran
+@pytest.mark.parametrize(("card", "like", "triangles"), [("CQUADR", "CQUAD4", False), ("CTRIAR", "CTRIA3", True)])
+def test_shells_that_resist_rotation_about_their_normal_are_plain_ones_with_a_warning(tmp_path, card, like, triangles):
+    sheet = plate(6, 4, T, triangles=triangles) + "PSHELL,1,1,.01,1,,1\n" + STEEL
+    plain, model = imported(tmp_path, sheet), imported(tmp_path, sheet.replace(like, card))
+    assert (plain.K != model.K).nnz == 0 and (plain.M != model.M).nnz == 0
+    (said,) = set(model.warnings) - set(plain.warnings)
+    assert f"{card} are written as {like}" in said and said.endswith("[formulation-differs]")
+
+
+@needs_mystran
 def test_shear_that_mystran_leaves_out_is_told(tmp_path):
     bars = grids(FRAME) + BARS + PBAR.strip() + "\n,,,,,,,,\n,.8,.7,1.-7\n" + STEEL
     assert any("PBAR 1 has I12 and shear factors" in warning for warning in imported(tmp_path, bars).warnings)
@@ -676,6 +686,11 @@ def test_what_mystran_is_not_given_of_an_archive_is_told(tmp_path, archive, mess
         ),
         (abaqus_plate("S4", "*SHELL SECTION,ELSET=E,MATERIAL=S,NODAL THICKNESS\n.01\n"), "thickness from nodes"),
         (abaqus_plate("S4", "*SHELL SECTION,ELSET=E,MATERIAL=X\n.01\n"), "names the material 'X'; known: S"),
+        (
+            "*NODE\n1,0,0,0\n2,1,0,0\n*ELEMENT,TYPE=B31,ELSET=E\n1,1,2\n*NORMAL\n1,1,0.,.6,.8\n"
+            f"{ABAQUS}*BEAM SECTION,ELSET=E,MATERIAL=S,SECTION=RECT\n.02,.01\n0,1,0\n",
+            "B31 have \\*NORMAL",
+        ),
     ],
 )
 def test_what_mystran_is_not_given_of_an_abaqus_deck_is_told(tmp_path, deck, message):

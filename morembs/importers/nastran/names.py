@@ -13,7 +13,7 @@ RIGID = ("RBE1", "RBE2", "RBE3", "RBAR", "RROD", "RTRPLT")
 RESTRAINTS = ("SPC", "SPC1", "SPCADD", "SPCD", "SUPORT", "SUPORT1")
 # Shells and bars, their properties, and defaults of bars.
 STRUCTURAL = (
-    "CQUAD4", "CTRIA3", "CQUAD8", "CTRIA6", "CSHEAR", "CBAR", "CBEAM", "CROD", "CTUBE", "CONROD",
+    "CQUAD4", "CTRIA3", "CQUADR", "CTRIAR", "CQUAD8", "CTRIA6", "CSHEAR", "CBAR", "CBEAM", "CROD", "CTUBE", "CONROD",
 )
 OF_STRUCTURES = ("PSHELL", "PCOMP", "PCOMPG", "PSHEAR", "PBAR", "PBARL", "PBEAM", "PBEAML", "PROD", "PTUBE")
 READ = (
@@ -74,7 +74,7 @@ NOTED = frozenset((*RESTRAINTS, *SUPERELEMENTS, "PBCOMP", *" ".join(_WORDS).spli
 
 # Why a card cannot be carried, and what to do besides leaving it out; others are named alone.
 REASONS = {
-    **dict.fromkeys((*STRUCTURAL, "CQUADR", "CTRIAR"), "shells and bars, which are not assembled here"),
+    **dict.fromkeys(STRUCTURAL, "shells and bars, which are not assembled here"),
     **dict.fromkeys(("CBEND", "CBEAM3", "CRAC2D", "CRAC3D"), "elements that are not assembled here"),
     **dict.fromkeys(
         ("BCTSET", "BCTADD", "BCTPARM", "BCONP", "BLSEG", "BFRIC", "BCTABLE", "BCTABL1", "BCONECT", "BCONPRG",

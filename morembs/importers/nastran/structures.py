@@ -21,6 +21,8 @@ from morembs.importers.tolerances import TOL
 STRUCTURES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "CQUAD4": ("shell", "quad4", ("PSHELL", "PCOMP", "PCOMPG")),
     "CTRIA3": ("shell", "tri3", ("PSHELL", "PCOMP", "PCOMPG")),
+    "CQUADR": ("shell", "quad4", ("PSHELL", "PCOMP", "PCOMPG")),
+    "CTRIAR": ("shell", "tri3", ("PSHELL", "PCOMP", "PCOMPG")),
     "CQUAD8": ("shell", "quad8", ("PSHELL", "PCOMP", "PCOMPG")),
     "CTRIA6": ("shell", "tri6", ("PSHELL", "PCOMP", "PCOMPG")),
     "CSHEAR": ("shear", "quad4", ("PSHEAR",)),

@@ -54,7 +54,7 @@ def write_deck(deck: DeckTables, path: str | Path, format: str) -> tuple[str, ..
     _refuse_problems(deck)
     said = len(deck.warnings)
     deck = complete(deck)
-    _refuse_values(deck, format)
+    refuse_values(deck, format)
     lines, warnings = WRITERS[format](deck)
     if deck.left_out:
         listed = ", ".join(f"{name} ({own.count})" for name, own in deck.left_out.items())
@@ -88,7 +88,7 @@ def _without_section(deck: DeckTables) -> list[str]:
     return [f"{bare} elements are in no section, so have no material"] if bare else []
 
 
-def _refuse_values(deck: DeckTables, format: str) -> None:
+def refuse_values(deck: DeckTables, format: str) -> None:
     """Refuse values of single elements that a format does not have here.
 
     Raises:

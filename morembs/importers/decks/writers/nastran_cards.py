@@ -71,6 +71,11 @@ class ElementText(MaterialText):
                     f"{self.deck.name}: bulk data have here no card for {len(part.ids)} {part.code} ({part.kind} of "
                     f"{part.nodes.shape[1]} nodes); leave them out with --skip {part.code}"
                 )
+            if part.code in ("CQUADR", "CTRIAR"):
+                self.warnings.append(
+                    f"{len(part.ids)} {part.code} are written as {name}, which does not resist rotation about its "
+                    "normal [formulation-differs]"
+                )
             return name, part.nodes, False
         if part.shape == "hex27":
             raise InputError(f"{self.deck.name}: Nastran has no solid of 27 nodes ({part.code})")

@@ -77,6 +77,8 @@ class MystranText(ElementText):
             self._add(part)
 
     def _add(self, part: Elements) -> None:
+        if part.kind == "beam" and np.isfinite(part.values.get("normal", np.nan)).any():
+            raise InputError(f"{self.deck.name}: {part.code} have *NORMAL, which bars of MYSTRAN do not; leave it out")
         nodes = self._oriented(part)
         owner = self.owners(part.kind, part.ids)
         name, order, full = self.element_card(replace(part, nodes=nodes))
