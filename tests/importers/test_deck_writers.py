@@ -391,7 +391,7 @@ def test_shells_and_bars_of_bulk_data_are_those_of_a_deck_by_hand_in_ccx(tmp_pat
             ["*ELEMENT, TYPE=S8R", "1, 1, 2, 3, 4, 5, 6, 7, 8"],
         ),
         ("CBAR,1,1,1,2,0.,0.,1.\n", "PBARL,1,1,,BAR\n,.1,.2\n", ["SECTION=RECT", "0.2, 0.1", "0.0, 0.0, 1.0"]),
-        ("CBAR,1,1,1,2,0.,0.,1.\n", "PBARL,1,1,,ROD\n,.1\n", ["SECTION=CIRC", "0.1\n"]),
+        ("CBAR,1,1,1,2,0.,0.,1.\n", "PBARL,1,1,,ROD\n,.1\n", ["SECTION=CIRC", "0.2\n"]),
         ("CROD,1,1,1,2\n", "PROD,1,1,.002\n", ["*ELEMENT, TYPE=T3D2", "*SOLID SECTION", "0.002"]),
     ],
 )
