@@ -23,7 +23,8 @@ from morembs.base.former_names import with_budget_argument, with_progress_argume
 from morembs.base.types import Floats, Ints
 from morembs.fem.elements import TYPES, ElementType
 from morembs.fem.fe_model import DofMap, FEModel
-from morembs.fem.formulations import Formulation, Geometry, element_mass, formulation_of, geometry
+from morembs.fem.formulations import Formulation, Geometry, element_mass, formulation_of, geometry, strain_operator
+from morembs.fem.inner_modes import with_inner_modes
 from morembs.fem.material import Material
 from morembs.fem.mesh import ElementBlock, Mesh, material_of_elements
 from morembs.fem.middle_nodes import mesh_in_order
@@ -100,7 +101,7 @@ def assemble(
     K, M = stiffness_matrix(graph, k_data), mass_matrix(graph, m_data)
     if mass_integration == "element" and any(block.mass == "row-sum" for block in mesh.blocks):
         M.eliminate_zeros()
-    return FEModel(
+    model = FEModel(
         K=K,
         M=M,
         nodes=mesh.nodes,
@@ -110,6 +111,7 @@ def assemble(
         source=mesh.source,
         warnings=(*mesh.warnings, *other_mass),
     )
+    return with_inner_modes(model, mesh, materials, owner, mass_integration)
 
 
 def integrate(
@@ -323,7 +325,8 @@ def _stiffness(
         part = slice(first, first + size)
         here = Geometry(whole.here.dN[part], whole.here.dV[part])
         elements = replace(whole, x=x[part], C=whole.C[part], here=here)
-        B = np.matmul(roots[which[part]][:, None], formulation.operator(elements))
+        plain = strain_operator(here.dN) if formulation.has_modes else formulation.operator(elements)
+        B = np.matmul(roots[which[part]][:, None], plain)
         B *= np.sqrt(here.dV)[..., None, None]
         B = B.reshape(len(B), nq * 6, 3 * k)
         stiffness = np.matmul(B.transpose(0, 2, 1), B)

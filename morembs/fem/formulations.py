@@ -101,7 +101,7 @@ class Formulation:
     ``about`` says it in words. ``orders`` maps the types that it is for to the degree that its points integrate; None
     is every type with the degree of its field. ``mean`` takes the mean strain at one point in the centre; ``change``
     makes another B (ne, nq, 6, 3k) of that of the gradients, in place, and ``hourglass`` (ne, k, k) is added to the
-    stiffness along each axis.
+    stiffness along each axis. With ``has_modes`` these are dofs of the model, and ``change`` is what they add at rest.
     """
 
     about: str
@@ -109,6 +109,7 @@ class Formulation:
     mean: bool = False
     change: Callable[[Floats, Elements], None] | None = None
     hourglass: Callable[[Elements], Floats] | None = None
+    has_modes: bool = False
 
     @property
     def is_plain(self) -> bool:
@@ -152,21 +153,33 @@ def _mean_dilatation(B: Floats, elements: Elements) -> None:
     B[:, :, :3] += change.reshape(*dN.shape[:2], 1, -1)
 
 
-def _incompatible_modes(B: Floats, elements: Elements) -> None:
-    """Three more functions 1 - xi_k^2, condensed (Wilson 1973), whose gradients det J0 / det J makes pass the patch
-    test (Taylor, Beresford, Wilson 1976)."""
+def mode_strains(elements: Elements, *, patched: bool) -> Floats:
+    """Strains (ne, nq, 6, 9) of three more functions 1 - xi_k^2 along three axes, with the Jacobian in the centre
+    (Wilson 1973); ``patched`` gradients det J0 / det J make pass the patch test (Taylor, Beresford, Wilson 1976)."""
     here, rule = elements.here, elements.rule
     centre = jacobian(elements.x, elements.kind.rule(1))[:, 0]
     # The cube is [0, 1]^3 here: -4 of the coordinates that run from -1 to 1.
-    slope = -4 * (2 * rule.points - 1)
-    factor = np.linalg.det(centre)[:, None] * rule.weights / here.dV
-    g = slope[None, :, :, None] * np.linalg.inv(centre)[:, None] * factor[..., None, None]
-    inner = strain_operator(g)
-    weighted = np.matmul(elements.C[:, None], inner) * here.dV[..., None, None]
+    g = -4 * (2 * rule.points - 1)[None, :, :, None] * np.linalg.inv(centre)[:, None]
+    if patched:
+        g = g * (np.linalg.det(centre)[:, None] * rule.weights / here.dV)[..., None, None]
+    return strain_operator(g)
+
+
+def _condensed(B: Floats, elements: Elements, inner: Floats) -> None:
+    """What modes with the strains ``inner`` (ne, nq, 6, m) add at rest."""
+    weighted = np.matmul(elements.C[:, None], inner) * elements.here.dV[..., None, None]
     ne, nq, _, modes = inner.shape
     left = weighted.reshape(ne, nq * 6, modes).transpose(0, 2, 1)
     Kii, Kiu = (np.matmul(left, part.reshape(ne, nq * 6, -1)) for part in (inner, B))
     B -= np.matmul(inner, np.linalg.solve(Kii, Kiu)[:, None])
+
+
+def _incompatible_modes(B: Floats, elements: Elements) -> None:
+    _condensed(B, elements, mode_strains(elements, patched=True))
+
+
+def _inner_modes(B: Floats, elements: Elements) -> None:
+    _condensed(B, elements, mode_strains(elements, patched=False))
 
 
 def _against_hourglasses(elements: Elements) -> Floats:
@@ -202,6 +215,9 @@ FORMULATIONS: Mapping[str, Formulation] = MappingProxyType(
         ),
         "incompatible": Formulation(
             about="three incompatible modes, condensed", orders={"hex8": 3}, change=_incompatible_modes
+        ),
+        "inner-modes": Formulation(
+            about="three incompatible modes as dofs with mass", orders={"hex8": 3}, change=_inner_modes, has_modes=True
         ),
         "reduced": Formulation(about="8 points (hexahedra) or 2 (wedges)", orders={"hex20": 3, "wedge6": (1, 3)}),
         "irons": Formulation(about="14 points", orders={"hex20": IRONS}),

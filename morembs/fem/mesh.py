@@ -70,7 +70,7 @@ class ElementBlock:
     ids: Ints = dataset("whole", "elements", "labels of the elements in the source")
     formulation: str = dataset(
         "words",
-        doc="of the strain, one of full, b-bar, mean-strain, incompatible, reduced, irons, bar",
+        doc="of the strain, one of full, b-bar, mean-strain, incompatible, inner-modes, reduced, irons, bar",
         when="`full` without it",
         default="full",
     )

@@ -29,6 +29,7 @@ from morembs.fem.assembly import (
 from morembs.fem.elements import TYPES, Rule
 from morembs.fem.fe_model import DofMap
 from morembs.fem.formulations import formulation_of, mass_rule
+from morembs.fem.inner_modes import refuse_inner_modes
 from morembs.fem.material import Material
 from morembs.fem.mesh import ElementBlock, material_of_elements
 from morembs.fem.middle_nodes import mesh_in_order
@@ -187,6 +188,7 @@ def varied_model(
         InputError: as ``assemble``; unknown sets, sets of two parameters that overlap, the modulus of an anisotropic
             material, or a morph that turns elements inside out.
     """
+    refuse_inner_modes(mesh, "a model with parameters")
     warnings = (*mesh.warnings, *mass_warnings(mesh, mass_integration))
     mesh, box = mesh_in_order(mesh), Box.of(parameters)
     graph = check_mesh(mesh, materials)

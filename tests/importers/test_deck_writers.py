@@ -441,7 +441,7 @@ def test_shells_and_beams_of_input_decks_keep_their_frequencies_in_ccx(text, tmp
     assert own.offset == pytest.approx(
         -0.4 * 0.05 if "OFFSET=.4" in text else -0.5 * 0.007 if "COMPOSITE" in text else 0.0
     )
-    if "OFFSET1" in text:
+    if "OFFSET1" in text or "TYPE=S4," in text:
         assert difference(spectrum_of(deck.to_model()), of_ccx(tmp_path / "flat.inp")) <= 1e-6
         return
     with pytest.raises(InputError, match="elements that are not supported"):
@@ -586,7 +586,11 @@ def test_the_density_that_was_given_with_a_deck_is_written(given, format, again)
     assert bare != deck_text("C3D8I")
     first, second, said = again(bare, "abaqus", format, density=given)
     assert "the material STEEL of the set BODY has no *DENSITY; 7850 was given and taken [density-given]" in said
-    assert second.to_model().M.sum() == pytest.approx(first.to_model().M.sum(), rel=1e-10)
+    masses = []
+    for model in (first.to_model(), second.to_model()):
+        along = (model.dofs.component == 0).astype(float)
+        masses.append(along @ model.M @ along)
+    assert masses[1] == pytest.approx(masses[0], rel=1e-10)
 
 
 @pytest.mark.parametrize(("given", "expected"), [(3.0, [3.0, 3.0]), ({"A": 5.0, "all": 3.0}, [5.0, 3.0])])

@@ -30,6 +30,8 @@ JOB = (
 )
 # Own assembly has no membranes.
 MEMBRANE = SHELL.replace("S4R", "M3D4R").replace("SHELL", "MEMBRANE")
+# Nor layers, which programs of the test do not look at.
+LAYERS = PLATE.replace("MATERIAL=STEEL\n0.05", "COMPOSITE\n0.05,,STEEL")
 SHEET = plate(2, 2, np.eye(3)) + "PSHELL,1,1,.01,1,,1\nMAT1,1,2.1+11,,.3,7850.\nENDDATA\n"
 
 
@@ -61,7 +63,7 @@ def test_solids_are_assembled_here_whatever_is_there(tmp_path, no_programs):
 
 
 def test_a_program_is_taken_for_what_is_not_assembled_here(tmp_path, monkeypatch):
-    path = written(tmp_path, "plate.inp", PLATE)
+    path = written(tmp_path, "plate.inp", LAYERS)
     monkeypatch.setenv("MOREMBS_CCX", str(calculix.replay(tmp_path, "plate")))
     done = CliRunner().invoke(app, ["import", str(path), "-o", str(tmp_path / "a.model.h5"), "--engine", "auto"])
     assert done.exit_code == 0, done.stderr
@@ -77,7 +79,7 @@ def test_a_program_that_is_missing_is_named(tmp_path, no_programs, name, deck, p
 
 def test_what_both_refuse_is_told_by_the_one_that_needs_least(tmp_path, monkeypatch):
     """Own assembly would have to leave the shells out; CalculiX needs a density."""
-    path = written(tmp_path, "plate.inp", PLATE.replace("*DENSITY\n7850.\n", ""))
+    path = written(tmp_path, "plate.inp", LAYERS.replace("*DENSITY\n7850.\n", ""))
     monkeypatch.setenv("MOREMBS_CCX", str(calculix.replay(tmp_path, "plate")))
     with pytest.raises(DeckError) as told:
         import_file(path, engine="auto")
@@ -183,7 +185,7 @@ def test_sets_that_share_elements_are_not_given_two_materials(tmp_path):
 
 
 def test_the_answer_to_a_deck_names_the_program(tmp_path, no_programs, monkeypatch):
-    path = written(tmp_path, "plate.inp", PLATE.replace("*DENSITY\n7850.\n", ""))
+    path = written(tmp_path, "plate.inp", LAYERS.replace("*DENSITY\n7850.\n", ""))
     monkeypatch.setenv("MOREMBS_CCX", str(calculix.program(tmp_path, "sys.exit()")))
     for engine in ("auto", "calculix"):
         with pytest.raises(DeckError) as told:

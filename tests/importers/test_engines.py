@@ -560,7 +560,7 @@ def test_a_deck_of_a_stranger_becomes_a_body_on_the_command_line(tmp_path):
     refused = CliRunner().invoke(app, line)
     assert refused.exit_code == 2 and "--density X" in refused.stderr and "Traceback" not in refused.stderr
     shells = tmp_path / "shells.inp"
-    shells.write_text(PLATE)
+    shells.write_text(SHELL.replace("S4R", "M3D4R").replace("SHELL", "MEMBRANE"))
     other = CliRunner().invoke(app, ["import", str(shells), "--dry-run"])
     assert other.exit_code == 2 and "CalculiX would read this deck: --engine calculix" in other.stdout
     line += ["--density", "7850", "--contact", "skip", "--check", "--keep-files", str(kept)]

@@ -13,6 +13,8 @@ from morembs import InputError
 from morembs.fem import FEModel, rigid_motion
 from morembs.importers import import_file
 from morembs.importers.to_model import model_of
+from morembs.parametric.parameter import Parameter
+from morembs.parametric.terms import varied_model
 from tests.support.calculix import STORED, needs_ccx
 from tests.support.structures import LINE, PORTAL, STRUCTURES, fold, frame, plate
 
@@ -89,8 +91,11 @@ def test_a_knot_has_rotations_and_stretches(tmp_path):
     model = imported(tmp_path, plate("S8R", (4, 2), move=fold(1.0)))
     knots = np.unique(model.dofs.node[model.dofs.component == 3])
     assert model.nodes.xyz[knots, 0] == pytest.approx(5.0) and len(knots) == 5
-    for knot in knots:
-        assert model.dofs.component[model.dofs.node == knot].tolist() == [0, 1, 2, 3, 4, 5, 6]
+    stretches = np.unique(model.dofs.node[model.dofs.component == 6])
+    assert np.sort(model.nodes.xyz[stretches], axis=0) == pytest.approx(np.sort(model.nodes.xyz[knots], axis=0))
+    for knot, stretch in zip(knots, stretches, strict=True):
+        assert model.dofs.component[model.dofs.node == knot].tolist() == [0, 1, 2, 3, 4, 5]
+        assert model.dofs.component[model.dofs.node == stretch].tolist() == [6]
 
 
 def test_what_is_not_assembled_here_names_who_does(tmp_path):
@@ -150,3 +155,20 @@ def test_shells_may_be_left_out(tmp_path):
     model = imported(tmp_path, text, skip="S8")
     assert any("6 elements S8 left out as asked" in sentence for sentence in model.warnings)
     assert model.size == 3 * 12
+
+
+def test_rigid_bodies_of_abaqus_turn_the_fibres(tmp_path):
+    text = plate("S8R") + "*NODE\n900, 0, 3, 0\n*RIGID BODY, NSET=END, REF NODE=900\n"
+    model = imported(tmp_path, text, dialect="abaqus")
+    turn = np.flatnonzero((model.nodes.ids[model.dofs.node] == 900) & (model.dofs.component == 4))
+    S = model.dependent.S[:, turn].toarray().ravel()
+    ends = np.flatnonzero(np.isin(model.dofs.node, model.nodes.sets["END"]) & (model.dofs.component == 0))
+    assert S[ends] == pytest.approx(model.nodes.xyz[model.dofs.node[ends], 2]) and np.abs(S[ends]).max() == 0.1
+
+
+def test_modes_inside_of_elements_are_refused_with_parameters(tmp_path):
+    (tmp_path / "deck.inp").write_text(plate("S4"))
+    given = import_file(tmp_path / "deck.inp", options={"dialect": "calculix"})
+    young = Parameter(name="E", kind="young", low=1.6e11, high=2.4e11, nominal=2.1e11)
+    with pytest.raises(InputError, match="a model with parameters cannot have elements with modes inside"):
+        varied_model(given.mesh, given.materials, [young])

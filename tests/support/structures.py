@@ -114,9 +114,9 @@ def on_solid() -> str:
 
 # Free structures by name.
 STRUCTURES: dict[str, str] = {
-    **{f"flat {code}": plate(code) for code in ("S3", "S4R", "S6", "S8", "S8R")},
-    **{f"rolled {code}": plate(code, move=roll(20.0)) for code in ("S3", "S6", "S8", "S8R")},
-    **{f"folded {code}": plate(code, (4, 2), move=fold(1.0)) for code in ("S3", "S6", "S8", "S8R")},
+    **{f"flat {code}": plate(code) for code in ("S3", "S4", "S4R", "S6", "S8", "S8R")},
+    **{f"rolled {code}": plate(code, move=roll(20.0)) for code in ("S3", "S4", "S6", "S8", "S8R")},
+    **{f"folded {code}": plate(code, (4, 2), move=fold(1.0)) for code in ("S3", "S4", "S6", "S8", "S8R")},
     "steeply rolled S8R": plate("S8R", (4, 2), move=roll(3.5)),
     "S8 off its nodes": plate("S8", move=roll(20.0), section=", OFFSET=0.3"),
     "S8R with normals": plate("S8R") + "*NORMAL\n1, 1, 0.3, 0, 1\n2, 3, 0.05, 0, 1\n",
@@ -126,8 +126,11 @@ STRUCTURES: dict[str, str] = {
     "stepped S8R": stepped("S8R"),
     "stiffened S8R": stiffened(),
     "S8 on solids": on_solid(),
-    **{f"portal {code}": frame(code, PORTAL) for code in ("B32", "B32R")},
+    "S8R on a rigid body": plate("S8R", move=roll(20.0)).replace("*NSET, NSET=END\n", "*NSET, NSET=END\n4, ")
+    + "*NODE\n900, -1, 3, 0.5\n*RIGID BODY, NSET=END, REF NODE=900\n",
+    **{f"portal {code}": frame(code, PORTAL) for code in ("B31", "B32", "B32R")},
     "portal off its nodes": frame("B32", PORTAL, section="RECT, OFFSET1=0.4, OFFSET2=-0.2"),
+    "straight B31": frame("B31", LINE, 4, direction=""),
     "round B32": frame("B32", PORTAL, section="CIRC", data="0.4"),
     "elliptic B32R": frame("B32R", PORTAL, section="CIRC", data="0.4, 0.5"),
     "straight B32R": frame("B32R", LINE, direction=""),

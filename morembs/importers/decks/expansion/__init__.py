@@ -43,15 +43,16 @@ def expanded(deck: DeckTables, problems: Problems) -> DeckTables:
     solids, nodes = _solids(deck, parts, whole, fibres)
     sets, sections = solid_sections(deck, parts)
     made = nodes.labels > 0
+    equations, stretches, places = knot_equations(deck, fibres, nodes)
     return with_names(
         replace(
             deck,
-            ids=np.concatenate([deck.ids, nodes.labels[made]]),
-            xyz=np.concatenate([deck.xyz, nodes.xyz[made]]),
+            ids=np.concatenate([deck.ids, nodes.labels[made], stretches]),
+            xyz=np.concatenate([deck.xyz, nodes.xyz[made], places]),
             elements=(*(part for part in deck.elements if not is_expanded(part)), *solids),
             element_sets={**deck.element_sets, **sets},
             sections=(*(own for own in deck.sections if own.kind == "solid"), *sections),
-            equations=(*deck.equations, *knot_equations(deck, fibres, nodes)),
+            equations=(*deck.equations, *equations),
             mesh_warnings=(*deck.mesh_warnings, *_warnings(deck, parts)),
         ),
         nodes,

@@ -40,21 +40,26 @@ def knot_nodes(fibres: Fibres, count: int) -> Ints:
     return np.flatnonzero(np.bincount(fibres.node, minlength=count) > 1)
 
 
-def knot_equations(deck: DeckTables, fibres: Fibres, nodes: FibreNodes) -> tuple[Equations, ...]:
-    """How the nodes of fibres and cross-sections follow knots."""
-    parts = list[_Part]()
+def knot_equations(deck: DeckTables, fibres: Fibres, nodes: FibreNodes) -> tuple[tuple[Equations, ...], Ints, Floats]:
+    """How the nodes of fibres and cross-sections follow knots, with labels (s,) and places (s, 3) of new nodes for the
+    stretches of these: scalars, of which other nodes may have those inside of elements."""
+    parts, places = list[_Part](), [np.empty((0, 3))]
     order = np.argsort(fibres.node, kind="stable")
+    first = begin = int(nodes.labels.max()) + 1
     start = np.searchsorted(fibres.node[order], np.arange(len(deck.ids) + 1))
     for row in knot_nodes(fibres, len(deck.ids)).tolist():
         own = order[start[row] : start[row + 1]]
-        knot, at = int(deck.ids[row]), deck.xyz[row]
         labels, there = nodes.labels[own], nodes.is_there[own]
         made = labels > 0
         directions = _stretches(nodes.xyz[own][there], has_beams=bool(fibres.first[own].any()))
-        parts.append(_follows(knot, at, labels[made], nodes.xyz[own][made], directions))
+        holders = first + np.arange(len(directions))
+        first += len(directions)
+        parts.append(_follows(deck, row, labels[made], nodes.xyz[own][made], directions, holders))
+        places.append(np.repeat(deck.xyz[[row]], len(directions), axis=0))
         if fibres.is_straight[row]:
-            parts.append(_no_spin(knot, fibres.normal[own[-1]]))
-    return tuple(_equations(KNOTS, parts))
+            parts.append(_no_spin(int(deck.ids[row]), fibres.normal[own[-1]]))
+    xyz = np.concatenate(places)
+    return tuple(_equations(KNOTS, parts)), begin + np.arange(len(xyz)), xyz
 
 
 def _stretches(places: Floats, *, has_beams: bool) -> Floats:
@@ -67,17 +72,16 @@ def _stretches(places: Floats, *, has_beams: bool) -> Floats:
     return np.eye(3)[None]
 
 
-def _follows(knot: int, at: Floats, own: Ints, places: Floats, directions: Floats) -> _Part:
-    """Nodes ``own`` (m,) at ``places`` (m, 3) behind a knot at the place ``at``, whose stretches are scalars of it and
-    of the first of its nodes."""
-    components = np.tile(np.arange(3), len(places))
-    rigid = rigid_motion(np.repeat(places - at, 3, axis=0), components)
-    stretch = np.einsum("mb,dab->mad", places - at, directions).reshape(-1, len(directions))
-    holders = np.array([knot, own[0]])[: len(directions)]
+def _follows(deck: DeckTables, row: int, own: Ints, places: Floats, directions: Floats, holders: Ints) -> _Part:
+    """Nodes ``own`` (m,) at ``places`` (m, 3) behind a knot in a ``row`` of the deck, and the scalars of ``holders``
+    (d,), its stretches along ``directions`` (d, 3, 3)."""
+    components, arms = np.tile(np.arange(3), len(places)), places - deck.xyz[row]
+    rigid = rigid_motion(np.repeat(arms, 3, axis=0), components)
+    stretch = np.einsum("mb,dab->mad", arms, directions).reshape(-1, len(directions))
     return _Part(
         nodes=np.repeat(own, 3),
         components=components,
-        leaders=np.concatenate([np.full(6, knot), holders]),
+        leaders=np.concatenate([np.full(6, deck.ids[row]), holders]),
         of=np.concatenate([np.arange(6), np.full(len(holders), Component.SCALAR)]),
         values=np.hstack([rigid, stretch]),
     )

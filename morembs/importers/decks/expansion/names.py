@@ -28,7 +28,7 @@ def with_names(deck: DeckTables, nodes: FibreNodes, problems: Problems) -> DeckT
     single = ~np.isin(nodes.parent, labels[counts > 1])
     members, parents = nodes.labels[single], nodes.parent[single]
     became = {int(node): own[own > 0] for node, own in zip(parents, members, strict=True)}
-    rigid = tuple(_rigid(element, became, problems, deck.name) for element in deck.rigid)
+    rigid = tuple(_rigid(deck, element, became, problems) for element in deck.rigid)
     average = tuple(_average(element, became) for element in deck.average)
     deck = replace(deck, rigid=rigid, average=average)
     _refuse_rotations(deck, became, problems)
@@ -74,12 +74,12 @@ def _average(element: AverageElement, became: Mapping[int, Ints]) -> AverageElem
     return replace(element, nodes=nodes, weights=weights)
 
 
-def _rigid(element: RigidElement, became: Mapping[int, Ints], problems: Problems, deck: str) -> RigidElement:
-    """A rigid element whose slaves turn with it, as far as it turns them."""
+def _rigid(deck: DeckTables, element: RigidElement, became: Mapping[int, Ints], problems: Problems) -> RigidElement:
+    """A rigid element: of Abaqus its slaves turn with it, of CalculiX it has their mean alone, as a hinge."""
     if element.master in became:
-        what = f"{deck}: the master {element.master} of the rigid element {element.name!r} is a node of a shell or beam"
-        _refuse(problems, deck, what)
-    if len(element.components) < Component.SCALAR:
+        what = f"the master {element.master} of the rigid element {element.name!r} is a node of a shell or beam"
+        _refuse(problems, deck.name, f"{deck.name}: {what}")
+    if deck.program == "CalculiX" or len(element.components) < Component.SCALAR:
         return element
     slaves, _ = _shared(element.slaves, np.ones(len(element.slaves)), became)
     return replace(element, slaves=slaves)

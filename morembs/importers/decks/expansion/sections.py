@@ -19,10 +19,12 @@ from morembs.importers.tolerances import TOL
 SOLIDS: Mapping[str, Meaning] = MappingProxyType(
     {
         "S3": meaning_of("C3D6", "calculix"),
+        "S4": meaning_of("C3D8I", "calculix"),
         "S4R": meaning_of("C3D8R", "calculix"),
         "S6": meaning_of("C3D15", "calculix"),
         "S8": meaning_of("C3D20", "calculix"),
         "S8R": meaning_of("C3D20R", "calculix"),
+        "B31": meaning_of("C3D8I", "calculix"),
         "B31R": meaning_of("C3D8R", "calculix"),
         "B32": meaning_of("C3D20", "calculix"),
         "B32R": Meaning("bar", "reduced"),

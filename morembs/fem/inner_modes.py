@@ -1,0 +1,111 @@
+"""Incompatible modes of hexahedra that are dofs with mass, as CalculiX has them in C3D8I.
+
+Each element has three modes 1 - xi_k^2 in three directions (Wilson 1973), which it shares with no other: nine scalars
+behind the displacements of all nodes. Rigid motion leaves them at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from morembs.base.errors import InputError
+from morembs.base.types import Floats, Ints
+from morembs.fem.elements import TYPES
+from morembs.fem.fe_model import Component, DofMap, FEModel
+from morembs.fem.formulations import formulation_of, jacobian, mass_rule, mode_strains, strain_operator
+from morembs.fem.material import Material
+from morembs.fem.mesh import ElementBlock, Mesh
+
+# K and M between nodes and modes (ne, 24, 9), and of modes (ne, 9, 9).
+_Parts = tuple[Floats, Floats]
+
+
+def has_inner_modes(mesh: Mesh) -> bool:
+    """Whether elements have modes that are dofs."""
+    return any(formulation_of(block).has_modes for block in mesh.blocks)
+
+
+def refuse_inner_modes(mesh: Mesh, what: str) -> None:
+    """Refuse elements whose modes are dofs.
+
+    Raises:
+        InputError: there are some, which ``what`` cannot have.
+    """
+    if has_inner_modes(mesh):
+        raise InputError(
+            f"{what} cannot have elements with modes inside that are dofs (S4, B31 and C3D8I of CalculiX); take others"
+        )
+
+
+def with_inner_modes(
+    model: FEModel, mesh: Mesh, materials: Sequence[Material], owner: Mapping[int, Ints], mass_integration: str
+) -> FEModel:
+    """The model with the modes inside the elements of ``mesh``, of which it has the displacements.
+
+    Args:
+        owner, mass_integration: as of ``integrate``.
+    """
+    if not has_inner_modes(mesh):
+        return model
+    couplings: dict[str, list[tuple[Ints, Ints, _Parts]]] = {"K": [], "M": []}
+    nodes, size = [model.dofs.node], model.size
+    for block in mesh.blocks:
+        if not formulation_of(block).has_modes:
+            continue
+        rows = (3 * block.nodes[:, :, None] + np.arange(3)).reshape(len(block.nodes), -1)
+        modes = size + np.arange(9 * len(block.nodes)).reshape(-1, 9)
+        x, which = mesh.nodes.xyz[block.nodes], owner[id(block)]
+        rule = block.mass if mass_integration == "element" else mass_integration
+        couplings["K"].append((rows, modes, _stiffness(block, x, materials, which)))
+        couplings["M"].append((rows, modes, _mass(block, rule, x, materials, which)))
+        nodes.append(np.repeat(block.nodes[:, 0], modes.shape[1]))
+        size += modes.size
+    node = np.concatenate(nodes)
+    component = np.concatenate([model.dofs.component, np.full(size - model.size, int(Component.SCALAR))])
+    grown = {name: _grown(getattr(model, name), size, parts) for name, parts in couplings.items()}
+    return replace(model, dofs=DofMap(node=node, component=component), **grown)
+
+
+def _stiffness(block: ElementBlock, x: Floats, materials: Sequence[Material], which: Ints) -> _Parts:
+    C = np.stack([material.stiffness for material in materials])[which]
+    elements = formulation_of(block).elements(TYPES[block.type], x, block.ids, C)
+    ne, nq = elements.here.dV.shape
+    inner = mode_strains(elements, patched=False)
+    weighted = (np.matmul(C[:, None], inner) * elements.here.dV[..., None, None]).reshape(ne, 6 * nq, -1)
+    B = strain_operator(elements.here.dN).reshape(ne, 6 * nq, -1)
+    return np.matmul(B.transpose(0, 2, 1), weighted), np.matmul(
+        inner.reshape(ne, 6 * nq, -1).transpose(0, 2, 1), weighted
+    )
+
+
+def _mass(block: ElementBlock, rule_name: str, x: Floats, materials: Sequence[Material], which: Ints) -> _Parts:
+    rule = mass_rule(block, rule_name)
+    density = np.array([material.density for material in materials])[which]
+    dm = np.linalg.det(jacobian(x, rule)) * rule.weights * density[:, None]
+    modes = 1 - np.square(2 * rule.points - 1)
+    between = np.einsum("eq,qa,qk->eak", dm, rule.N, modes)
+    own = np.einsum("eq,qj,qk->ejk", dm, modes, modes)
+    return tuple(
+        np.einsum("eak,ij->eaikj", part, np.eye(3)).reshape(len(x), 3 * part.shape[1], -1) for part in (between, own)
+    )
+
+
+def _grown(A: sp.csr_array, size: int, parts: Sequence[tuple[Ints, Ints, _Parts]]) -> sp.csr_array:
+    """A with rows and columns of modes (ne, 9) beside those of nodes (ne, 24)."""
+    entries = [A.tocoo()]
+    rows, columns, values = [entries[0].row], [entries[0].col], [entries[0].data]
+    for nodes, modes, (between, own) in parts:
+        for first, second, data in (
+            (nodes, modes, between),
+            (modes, nodes, between.transpose(0, 2, 1)),
+            (modes, modes, own),
+        ):
+            rows.append(np.repeat(first, second.shape[1], axis=1).ravel())
+            columns.append(np.tile(second, (1, first.shape[1])).ravel())
+            values.append(data.ravel())
+    whole = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+    return sp.csr_array(sp.coo_array(whole, shape=(size, size)))
