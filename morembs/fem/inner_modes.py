@@ -19,6 +19,7 @@ from morembs.fem.fe_model import Component, DofMap, FEModel
 from morembs.fem.formulations import formulation_of, jacobian, mass_rule, mode_strains, strain_operator
 from morembs.fem.material import Material
 from morembs.fem.mesh import ElementBlock, Mesh
+from morembs.fem.tolerances import TOL
 
 # K and M between nodes and modes (ne, 24, 9), and of modes (ne, 9, 9).
 _Parts = tuple[Floats, Floats]
@@ -71,15 +72,23 @@ def with_inner_modes(
 
 
 def _stiffness(block: ElementBlock, x: Floats, materials: Sequence[Material], which: Ints) -> _Parts:
-    C = np.stack([material.stiffness for material in materials])[which]
-    elements = formulation_of(block).elements(TYPES[block.type], x, block.ids, C)
-    ne, nq = elements.here.dV.shape
-    inner = mode_strains(elements, patched=False)
-    weighted = (np.matmul(C[:, None], inner) * elements.here.dV[..., None, None]).reshape(ne, 6 * nq, -1)
-    B = strain_operator(elements.here.dN).reshape(ne, 6 * nq, -1)
-    return np.matmul(B.transpose(0, 2, 1), weighted), np.matmul(
-        inner.reshape(ne, 6 * nq, -1).transpose(0, 2, 1), weighted
-    )
+    constants = np.stack([material.stiffness for material in materials])
+    formulation, kind, parts = formulation_of(block), TYPES[block.type], list[_Parts]()
+    size = max(1, TOL.numbers_at_once // constants[0].size ** 2)
+    for first in range(0, len(x), size):
+        part = slice(first, first + size)
+        elements = formulation.elements(kind, x[part], block.ids[part], constants[which[part]])
+        inner, dV = mode_strains(elements, patched=False), elements.here.dV[..., None, None]
+        weighted = _flat(np.matmul(elements.C[:, None], inner) * dV)
+        B, own = _flat(strain_operator(elements.here.dN)), _flat(inner)
+        of_modes = np.matmul(own.transpose(0, 2, 1), weighted)
+        parts.append((np.matmul(B.transpose(0, 2, 1), weighted), 0.5 * (of_modes + of_modes.transpose(0, 2, 1))))
+    return np.concatenate([between for between, _ in parts]), np.concatenate([own for _, own in parts])
+
+
+def _flat(B: Floats) -> Floats:
+    """Strains (ne, nq, 6, k) of all points (ne, 6 nq, k)."""
+    return B.reshape(len(B), -1, B.shape[-1])
 
 
 def _mass(block: ElementBlock, rule_name: str, x: Floats, materials: Sequence[Material], which: Ints) -> _Parts:
@@ -87,11 +96,14 @@ def _mass(block: ElementBlock, rule_name: str, x: Floats, materials: Sequence[Ma
     density = np.array([material.density for material in materials])[which]
     dm = np.linalg.det(jacobian(x, rule)) * rule.weights * density[:, None]
     modes = 1 - np.square(2 * rule.points - 1)
-    between = np.einsum("eq,qa,qk->eak", dm, rule.N, modes)
-    own = np.einsum("eq,qj,qk->ejk", dm, modes, modes)
-    return tuple(
-        np.einsum("eak,ij->eaikj", part, np.eye(3)).reshape(len(x), 3 * part.shape[1], -1) for part in (between, own)
-    )
+    between, own = np.einsum("eq,qa,qk->eak", dm, rule.N, modes), np.einsum("eq,qj,qk->ejk", dm, modes, modes)
+    return _on_axes(between), _on_axes(own)
+
+
+def _on_axes(scalar: Floats) -> Floats:
+    """Scalar masses (ne, j, k) along each of three axes (ne, 3 j, 3 k)."""
+    ne, j, k = scalar.shape
+    return np.asarray(np.einsum("ejk,ab->ejakb", scalar, np.eye(3)).reshape(ne, 3 * j, 3 * k))
 
 
 def _grown(A: sp.csr_array, size: int, parts: Sequence[tuple[Ints, Ints, _Parts]]) -> sp.csr_array:
