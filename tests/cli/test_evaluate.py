@@ -45,7 +45,7 @@ def proven(tmp_path_factory):
 @pytest.fixture
 def table(tmp_path):
     file = tmp_path / "p.csv"
-    file.write_text("E_arm,t\n1.6e11,-2\n2.0e11,1.5\n2.6e11,2.5\n")
+    file.write_text("E_arm,t\n1.6e11,-2\n2.6e11,2.5\n")
     return file
 
 
@@ -70,16 +70,16 @@ def test_derivatives_of_frequencies_are_shown(path):
 def test_tables_give_frequencies_and_matrices(path, table, tmp_path):
     body = morembs.read_body(path).bodies["some-basis"].parametric
     rows = list(csv.DictReader(run("evaluate", path, "--table", table, "--frequencies", "3").splitlines()))
-    assert [float(row["t"]) for row in rows] == [-2.0, 1.5, 2.5]
-    assert [float(row["rho"]) for row in rows] == [7850.0] * 3
+    assert [float(row["t"]) for row in rows] == [-2.0, 2.5]
+    assert [float(row["rho"]) for row in rows] == [7850.0] * 2
     for row in rows:
         expected = body.at(E_arm=float(row["E_arm"]), t=float(row["t"])).frequencies_hz[:3]
         assert [float(row[f"frequency_{k}_hz"]) for k in (1, 2, 3)] == pytest.approx(expected.tolist(), rel=1e-8)
     out = tmp_path / "t.h5"
     run("evaluate", path, "--table", table, "--out", out, "--matrices")
     with h5py.File(out) as file:
-        assert np.array_equal(file["K"][1], body.at(E_arm=2.0e11, t=1.5).K)
-        assert file["frequencies_hz"].shape == (3, 6)
+        assert np.array_equal(file["K"][1], body.at(E_arm=2.6e11, t=2.5).K)
+        assert file["frequencies_hz"].shape == (2, 6)
 
 
 def test_a_body_at_values_is_exported(path, tmp_path):
@@ -102,16 +102,16 @@ def numbers(file):
 def test_a_family_is_exported_with_an_index(path, table, tmp_path):
     run("export", path, "--table", table, "--to", "sid", "-o", tmp_path / "arm.SID_FEM")
     rows = list(csv.DictReader((tmp_path / "index.csv").read_text().splitlines()))
-    assert [row["file"] for row in rows] == ["arm_1.SID_FEM", "arm_2.SID_FEM", "arm_3.SID_FEM"]
-    assert float(rows[2]["E_arm"]) == 2.6e11
+    assert [row["file"] for row in rows] == ["arm_1.SID_FEM", "arm_2.SID_FEM"]
+    assert float(rows[1]["E_arm"]) == 2.6e11
     assert all((tmp_path / row["file"]).stat().st_size for row in rows)
     assert (tmp_path / "arm_1.SID_FEM").read_bytes() != (tmp_path / "arm_2.SID_FEM").read_bytes()
 
 
 def test_an_index_never_tells_of_values_that_its_files_no_longer_have(path, table, tmp_path):
     first = tmp_path / "arm.SID_FEM"
-    assert "3 bodies as arm_N.SID_FEM" in run("export", path, "--table", table, "--to", "sid", "-o", tmp_path / "arm")
-    table.write_text("E_arm,t\n2.6e11,-1\n2.0e11,1\n1.6e11,2\n")
+    assert "2 bodies as arm_N.SID_FEM" in run("export", path, "--table", table, "--to", "sid", "-o", tmp_path / "arm")
+    table.write_text("E_arm,t\n2.6e11,-1\n1.6e11,2\n")
     # The export ends at its second file.
     (tmp_path / "arm_2.SID_FEM").unlink()
     (tmp_path / "arm_2.SID_FEM").mkdir()
@@ -122,6 +122,7 @@ def test_an_index_never_tells_of_values_that_its_files_no_longer_have(path, tabl
 
 def test_a_smaller_family_does_not_leave_files_of_the_one_before(path, table, tmp_path):
     out = tmp_path / "arm.SID_FEM"
+    table.write_text(table.read_text() + "2.0e11,1.5\n")
     run("export", path, "--table", table, "--to", "sid", "-o", out)
     index, first = (tmp_path / "index.csv").read_bytes(), (tmp_path / "arm_1.SID_FEM").read_bytes()
     table.write_text("E_arm,t\n2.6e11,-1\n")
@@ -206,7 +207,7 @@ def test_where_there_is_no_bound_it_is_said(path, proven, table):
         (document,) = json.loads(run("evaluate", file, "--at", "E_arm=2e11", "--bound", hz, "--json"))
         assert document["bound"][0] is None and document["bound_kind"] == kind
     (document,) = json.loads(run("evaluate", path, "--table", table, "--bound", "9,10", "--json"))
-    assert document["bound"] == [[None, None]] * 3
+    assert document["bound"] == [[None, None]] * 2
 
 
 @pytest.mark.parametrize(

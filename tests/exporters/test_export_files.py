@@ -175,11 +175,12 @@ def test_a_full_disk_leaves_the_old_set_or_nothing(files, tmp_path, before):
     tasks, old = [], {}
     for to, exporter in EXPORTERS.items():
         sizes = sorted(path.stat().st_size for path in exported(files["b"], to, tmp_path / f"{to}-sizes").paths)
-        around = {size + d for size in sizes for d in (-1, 0)} if before and len(sizes) > 1 else {sizes[-1] - 1}
+        # Nothing at all, and around the end of each file; or in the midst and at the end of the last.
+        limits = {0, *(size + d for size in sizes for d in (-1, 0))} if before else {sizes[-1] // 2, sizes[-1] - 1}
         exported(files["a"], to, tmp_path / to) if before else (tmp_path / to).mkdir()
         old[to] = contents(tmp_path / to)
         path = str(tmp_path / to / f"x{exporter.suffix}")
-        tasks += [(to, path, limit) for limit in sorted({0, sizes[-1] // 2, *around} - {sizes[-1]})]
+        tasks += [(to, path, limit) for limit in sorted(limits - {sizes[-1]})]
 
     def work():
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

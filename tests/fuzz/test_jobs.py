@@ -26,7 +26,7 @@ from tests.fuzz.trials import FAULTS, Folder, Outcome, trial  # noqa: E402
 from tests.fuzz.truth import Damping, Port, Truth  # noqa: E402
 from tests.support.processes import load  # noqa: E402
 
-SEED, COUNT, PARTS = 33, 24, 4
+SEED, COUNT, PARTS = 33, 16, 4
 
 
 @pytest.fixture(scope="module", autouse=True)

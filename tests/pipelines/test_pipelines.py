@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from data import make_connecting_rod
 from morembs.body.file import read_body
 from morembs.exporters.exudyn_system import exudyn_missing
+from tests.support.processes import morembs
 
 ROOT = Path(__file__).parents[2]
 PIPELINES = ROOT / "pipelines"
@@ -230,19 +232,25 @@ def test_every_job_belongs_to_a_script():
     assert jobs == {"connecting_rod", "design_study", "flexible_swing", "rotating_beam", "slider_crank"}
 
 
-def test_the_connecting_rod_of_the_demo(tmp_path):
-    """One run of the demo: accuracy, tolerance, and that the file holds what was reported."""
-    run(ROOT / "data" / "make_connecting_rod.py", "--output", tmp_path / "connecting_rod.msh")
-    job = tmp_path / "connecting_rod.toml"
-    job.write_text((PIPELINES / "connecting_rod.toml").read_text())
-    result = json.loads(run("-m", "morembs", "reduce", job, "--json"))[0]
-    assert result["dofs"] >= 60_000
+def test_the_connecting_rod_of_the_demo(tmp_path, capsys):
+    """The mesh of the demo, and its job on elements without middle nodes: accuracy, tolerance, and that the file holds
+    what was reported."""
+    mesh = tmp_path / "connecting_rod.msh"
+    sizes = []
+    for order in ("2", "1"):
+        assert make_connecting_rod.main(["--output", str(mesh), "--order", order]) == 0
+        sizes.append([*map(int, re.search(r": (\d+) nodes.* (\d+) mm\^3", capsys.readouterr().out).groups())])
+    assert 3 * sizes[0][0] >= 60_000 and sizes[0][1] == 95_848
+    (tmp_path / "connecting_rod.toml").write_text((PIPELINES / "connecting_rod.toml").read_text())
+    done = morembs("reduce", "connecting_rod.toml", "--json", folder=tmp_path)
+    assert done.code == 0, done.errors
+    result = json.loads(done.output)[0]
+    assert result["dofs"] == 3 * sizes[1][0]
     assert result["bodies"]["cb30"]["order"] == 12 + 30
     full, reduced = (np.array(result[key])[6:16] for key in ("full_frequencies_hz", "frequencies_hz"))
     assert full[0] > 1000.0
     assert np.abs(reduced / full - 1).max() < 1e-3
-    # 95,848 mm3 of steel.
-    assert result["mass"] == pytest.approx(95_848e-9 * 7850, rel=1e-4)
+    assert result["mass"] == pytest.approx(sizes[1][1] * 1e-9 * 7850, rel=1e-5)
     assert abs(result["center_of_mass"][1]) < 1e-6 and 0.02 < result["center_of_mass"][0] < 0.075
     assert result["peak_memory_bytes"] and all(bytes_ > 0 for bytes_ in result["peak_memory_bytes"].values())
     assert (tmp_path / "connecting_rod.png").stat().st_size > 50_000
