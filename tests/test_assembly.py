@@ -183,9 +183,8 @@ def test_a_job_reduces_an_assembly_and_keeps_its_shapes(make_piece: Make, tmp_pa
         assert np.ptp(same, axis=1).max() < 1e-5 * np.abs(moved).max()
     again = CliRunner().invoke(app, ["reduce", str(job), "--set", 'couple.between=["upper:R", "lower:X"]'])
     assert again.exit_code == 2 and "there is no 'lower:X'; did you mean 'lower:R'" in again.stderr
-    for verb in ("check", "reduce"):
-        hinged = CliRunner().invoke(app, [verb, str(job), "--set", "couple.components=[0, 1, 2, 3, 5]"])
-        assert hinged.exit_code == 2 and "rotation y of lower:L against upper:R" in hinged.stderr
+    hinged = CliRunner().invoke(app, ["check", str(job), "--set", "couple.components=[0, 1, 2, 3, 5]"])
+    assert hinged.exit_code == 2 and "rotation y of lower:L against upper:R" in hinged.stderr
     beside = CliRunner().invoke(app, ["reduce", str(job), "--set", "output.path=" + str(body)])
     assert beside.exit_code == 2 and body.exists()
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -41,10 +44,16 @@ def run(*words: str, code: int = 0) -> str:
     return done.stderr + done.stdout
 
 
-def link(folder: Path, name: str = "link", *, cells: int = 3, **tables: str) -> Path:
-    """The job of a part, done."""
-    (folder / name).mkdir()
-    job = decks.folder(folder / name, {"output": 'path = "part.h5"', **tables}, decks.deck(decks.BEAM[: 4 * cells]))
+def link(folder: Path, name: str = "link", **tables: str) -> Path:
+    """The job of a part, done, in a folder of its own."""
+    done = reduced_link(folder.parent, tuple(tables.items()))
+    return Path(shutil.copytree(done.parent, folder / name)) / done.name
+
+
+@cache
+def reduced_link(parent: Path, tables: tuple[tuple[str, str], ...]) -> Path:
+    folder = Path(tempfile.mkdtemp(dir=parent, prefix="link"))
+    job = decks.folder(folder, {"output": 'path = "part.h5"', **dict(tables)}, decks.deck(decks.BEAM[:12]))
     run("reduce", str(job), "--quiet")
     return job
 
@@ -135,9 +144,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize(
-    ("case", "turned"), [*((case, False) for case in CASES), *((case, True) for case in ("rigid", "springs", "means"))]
-)
+@pytest.mark.parametrize(("case", "turned"), [(case, "joint" not in case) for case in CASES])
 def test_the_error_against_the_unreduced_parts_is_that_of_dense_solutions(
     case: str, turned: bool, tmp_path: Path
 ) -> None:
@@ -200,13 +207,11 @@ def test_damping_of_parts_is_that_of_their_jobs(case: str, tmp_path: Path) -> No
     assert (known["bound"][1:] >= true * (1 - 1e-9)).all()
     assert known["error"][1:] == pytest.approx(true, rel=1e-4, abs=1e-7)
     # The job of the same part with other damping, or without any, is that of another body.
-    for old in (f"[damping]\n{text}", text):
-        job = jobs[1].read_text()
-        jobs[1].write_text(job.replace(old, "" if old.startswith("[") else "modal = 0.03"))
-        assert "part 'p1': its body was not reduced from its model: its damping is not V' A V" in run(
-            "reduce", str(tmp_path / "arm.toml"), code=2
-        )
-        jobs[1].write_text(job)
+    old, new = (text, "modal = 0.03") if case == "modal" else (f"[damping]\n{text}", "")
+    jobs[1].write_text(jobs[1].read_text().replace(old, new))
+    assert "part 'p1': its body was not reduced from its model: its damping is not V' A V" in run(
+        "reduce", str(tmp_path / "arm.toml"), code=2
+    )
 
 
 def test_parts_with_all_their_modes_have_no_error(tmp_path: Path) -> None:
@@ -238,12 +243,11 @@ def test_parts_that_are_too_coarse_are_seen(modes: int, tmp_path: Path) -> None:
 def test_the_certificate_knows_neither_the_order_of_the_parts_nor_their_place(tmp_path: Path) -> None:
     job = link(tmp_path)
     _, one = certificate(arm(tmp_path, [job, job], more=STRUCTURAL))
-    for number, changed in enumerate(({"swapped": True}, {"turned": True})):
-        _, other = certificate(arm(tmp_path, [job, job], more=STRUCTURAL, name=f"arm{number}", **changed))
-        assert other["limits"]["envelope"] == pytest.approx(one["limits"]["envelope"], rel=1e-8)
-        assert other["mode_frequencies_hz"] == pytest.approx(one["mode_frequencies_hz"], rel=1e-9)
-        assert other["mode_deviation"][:2] == pytest.approx(one["mode_deviation"][:2], rel=1e-8)
-        assert other["mode_mac"] == pytest.approx(one["mode_mac"], rel=1e-8) and one["mode_mac"][:2].min() > 0.99
+    _, other = certificate(arm(tmp_path, [job, job], more=STRUCTURAL, name="other", swapped=True, turned=True))
+    assert other["limits"]["envelope"] == pytest.approx(one["limits"]["envelope"], rel=1e-8)
+    assert other["mode_frequencies_hz"] == pytest.approx(one["mode_frequencies_hz"], rel=1e-9)
+    assert other["mode_deviation"][:2] == pytest.approx(one["mode_deviation"][:2], rel=1e-8)
+    assert other["mode_mac"] == pytest.approx(one["mode_mac"], rel=1e-8) and one["mode_mac"][:2].min() > 0.99
 
 
 def test_bodies_that_keep_few_nodes_are_reduced_again(tmp_path: Path) -> None:
@@ -262,7 +266,9 @@ def test_jobs_that_did_not_make_the_bodies_are_refused(tmp_path: Path) -> None:
     text = path.read_text()
 
     def refused(words: str) -> None:
-        for command in ("check", "reduce") if "V' A V" not in words else ("reduce",):
+        # Both take the same road, checks without what a reduction compares.
+        reduction = "V' A V" in words or "was not reduced" in words
+        for command in ("reduce",) if reduction else ("check", "reduce") if "masses" in words else ("check",):
             out = run(command, str(path), code=2)
             assert words in " ".join(out.split()), out
             assert not path.with_suffix(".h5").exists()

@@ -85,7 +85,7 @@ def test_a_tolerance_holds_at_antiresonances(small_meshes):
             (certificate,) = certify(problem, [body], band, measure=measure)
             assert certificate.limit.upper <= 0.01
             assert body.recipe["certified"] == pytest.approx(certificate.limit.upper, rel=0.05)
-            hz = np.append(np.linspace(*band, 4000), certificate.limit.at_hz)
+            hz = np.append(np.linspace(*band, 1000), certificate.limit.at_hz)
             w = np.concatenate([2 * np.pi * hz, beside])[:, None]
             w = w[w[:, 0] <= 2 * np.pi * band[1]]
             each = b**2 / (values + 1j * w * damping.of_modes(values) - w**2)
@@ -98,7 +98,7 @@ def test_a_tolerance_holds_at_antiresonances(small_meshes):
             assert certificate.limit.lower * 0.99 <= worst <= certificate.limit.upper, measure
 
 
-@pytest.mark.parametrize("number", range(6))
+@pytest.mark.parametrize("number", range(4))
 def test_every_spoiled_body_is_seen(number):
     """A residue off by 1e-3, a pole by 1e-4, a mode less: the limits of exact bodies rise to what that makes."""
     rng = np.random.default_rng([7, number])

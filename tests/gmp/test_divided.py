@@ -37,8 +37,7 @@ def tip():
 
 
 @pytest.mark.parametrize(
-    ("pieces", "modes", "formulation", "rms"),
-    [(2, 2, "membrane", 2.6e-3), (4, 2, "membrane", 1.4e-4), (6, 1, "foreshortened", 1.2e-4)],
+    ("pieces", "modes", "formulation", "rms"), [(2, 2, "membrane", 2.6e-3), (6, 1, "foreshortened", 1.2e-4)]
 )
 def test_pieces_follow_a_strip_that_folds(tip, pieces, modes, formulation, rms):
     member = chain(pieces, modes, formulation)
@@ -227,7 +226,7 @@ def test_small_vibrations_decay_with_the_ratio_of_the_damping(kind):
 def test_energy_goes_where_the_damping_says(kind):
     off = []
     for step in (1e-3, 5e-4):
-        motion = swinging(beams()[kind], 1e-3, 0.2, step)
+        motion = swinging(beams()[kind], 1e-3, 0.1, step)
         total = motion.kinetic + motion.potential + motion.dissipated
         free = motion.times >= 0.02
         off.append(np.ptp(total[free]) / motion.dissipated[-1])

@@ -249,9 +249,8 @@ def test_leaving_the_tables_stops_or_is_said():
     assert any("left its tabulated range" in text for text in motion.warnings)
 
 
-@pytest.mark.parametrize("formulation", ["membrane", "tangent"])
-def test_without_numerical_damping_energy_stays(formulation):
-    member = ReducedMember(rod(), modes=3, formulation=formulation, reach=0.83, points_per_angle=9)
+def test_without_numerical_damping_energy_stays():
+    member = ReducedMember(rod(), modes=3, formulation="tangent", reach=0.83, points_per_angle=9)
     motion, _ = pendulum(member, 1, end=0.3, rho=1.0)
     total = motion.kinetic + motion.potential
     assert np.abs(total - total[0]).max() < 1e-4 * motion.kinetic.max()
@@ -347,7 +346,7 @@ def test_three_models_of_a_stiff_slider_crank_agree():
     bars = rod(1e11, 0.152, 4), rod(5e9, 0.304, 8)
     angle, position, _ = slider_crank([FullMember(bar) for bar in bars], end=0.8, step=4e-3)
     assert angle[-1] > 1.2
-    for formulation in ("linear", "foreshortened", "tangent"):
+    for formulation in ("linear", "tangent"):
         members = [ReducedMember(bar, modes=2, formulation=formulation, reach=0.2, points_per_angle=3) for bar in bars]
         other, at, motion = slider_crank(members, end=0.8, step=4e-3)
         assert np.abs(other - angle).max() < 1e-4 and np.abs(at - position).max() < 1e-4 * np.ptp(position)

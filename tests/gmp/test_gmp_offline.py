@@ -53,7 +53,7 @@ def away(member, beam):
 
 def test_points_grow_until_the_tables_are_as_good_as_asked():
     last = 0
-    for tolerance in (0.1, 2e-3, 1e-5, 1e-9):
+    for tolerance in (0.1, 2e-3, 1e-9):
         member = tabulated(reach=1.0, tolerance=tolerance)
         report = member.report
         assert report.points > last

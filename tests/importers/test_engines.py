@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
 from pathlib import Path
@@ -271,8 +272,10 @@ CODES = {"hex8": "C3D8", "hex20": "C3D20", "tet4": "C3D4", "tet10": "C3D10", "we
 
 
 @needs_ccx
-@pytest.mark.parametrize("kind", CODES)
-@pytest.mark.parametrize(("ties", "tolerance"), [(1, ""), (1, 0.05), (2, 0.05)])
+@pytest.mark.parametrize(
+    ("kind", "ties", "tolerance"),
+    [*((kind, 2, 0.05) for kind in CODES), *itertools.product(("hex20", "tet4"), (1,), ("", 0.05))],
+)
 def test_the_nodes_that_ccx_ties_are_tied_with_its_weights(kind, ties, tolerance, tmp_path):
     """Where two ties name one master, ccx ties what is beyond its border too."""
     option = f", POSITION TOLERANCE={tolerance}" if tolerance else ""

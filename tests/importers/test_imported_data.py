@@ -200,7 +200,6 @@ def volumes(x: np.ndarray) -> np.ndarray:
 # Meshes with flat sides, so that corners give the volume: nodes and, where they were told, elements.
 MESHES = {
     "amfe_meshes/pleuel_7000.msh": (1251, 4123),
-    "amfe_meshes/bar_Tet10_fine.msh": (34545, 22432),
     "finetools/twoblocks.nas": (119, None),
     "finetools/trunc_cyl_shell_2.nas": (3903, None),
     "mapdl_reader/TetBeam.cdb": (1041, None),

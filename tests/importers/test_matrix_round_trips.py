@@ -34,6 +34,9 @@ from tests.support.meshes import box, steel
 KINDS = ("symmetric", "general", "complex")
 OP4 = [(True, *variant) for variant in itertools.product(("dense", "bigmat", "nonbigmat"), ("little", "big"), (32, 64))]
 OP4 += [(False, storage, "little", 32) for storage in ("dense", "bigmat", "nonbigmat")]
+# Each kind meets every storage, order and number of bits.
+OF_OP4 = [(KINDS[(number // 4 + number % 4) % 3], *variant) for number, variant in enumerate(OP4[:12])]
+OF_OP4 += [(kind, *variant) for kind, variant in itertools.product(KINDS, OP4[12:])]
 
 
 @pytest.fixture(scope="module")
@@ -75,8 +78,7 @@ def assert_same(back: FEModel, given: dict[str, sp.csr_array], rel: float = 0.0)
             assert (abs(a - b) > rel * abs(a)).nnz == 0, (name, abs(a - b).max())
 
 
-@pytest.mark.parametrize(("binary", "storage", "order", "bits"), OP4)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "binary", "storage", "order", "bits"), OF_OP4)
 def test_op4_returns_every_bit(
     tmp_path: Path, native: Path, model: FEModel, kind: str, binary: bool, storage: Any, order: Any, bits: Any
 ) -> None:
@@ -180,7 +182,7 @@ FILES: dict[str, Callable[[Path, dict[str, sp.csr_array]], None]] = {
 
 
 @pytest.mark.parametrize("name", FILES)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["general", "complex"])
 def test_matlab_files_return_every_bit(tmp_path: Path, native: Path, model: FEModel, kind: str, name: str) -> None:
     given = matrices(model, kind)
     FILES[name](tmp_path / name, given)

@@ -107,7 +107,7 @@ def test_memory_is_given_back(kind: Kind) -> None:
         pytest.skip("the resident memory is read from /proc")
     A, sizes = brick(6), []
     for _ in range(3):
-        for _ in range(20):
+        for _ in range(10):
             kind().factorize(A).close()
         gc.collect()
         sizes.append(int(Path("/proc/self/statm").read_text().split()[1]) * 4096)

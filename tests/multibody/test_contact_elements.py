@@ -29,9 +29,9 @@ from morembs.fem.grid import grid_mesh
 STIFFNESS = 1e9
 # Rebound over approach of a sphere with the exponent 1.5, from a quadrature of each law: independent of mass and speed.
 REBOUND = {
-    "hunt-crossley": {0.3: 0.5813, 0.5: 0.6630, 0.9: 0.9090},
-    "lankarani-nikravesh": {0.3: 0.6842, 0.5: 0.7252, 0.9: 0.9132},
-    "flores": {0.3: 0.2562, 0.5: 0.4704, 0.9: 0.8939},
+    "hunt-crossley": {0.3: 0.5813, 0.9: 0.9090},
+    "lankarani-nikravesh": {0.3: 0.6842, 0.9: 0.9132},
+    "flores": {0.3: 0.2562, 0.9: 0.8939},
 }
 STEEL = {"young": 2.1e11, "poisson": 0.3, "density": 7850.0}
 

@@ -145,7 +145,7 @@ def test_double_pendulum_against_its_equations_in_angles(kind):
     tip = np.array([np.cos(exact[0]) + np.cos(exact[1]), 0, -np.sin(exact[0]) - np.sin(exact[1])])
     system, _, b = double_pendulum(kind)
     error = []
-    for step in (4e-3, 2e-3, 1e-3):
+    for step in (4e-3, 2e-3):
         result = simulate(system, end=1.0, step=step)
         error.append(np.abs(result.position(b.marker("right"))[-1] - tip).max())
         energy = result.energy()
@@ -249,7 +249,7 @@ def test_spring_and_damper_against_the_analytic_oscillator():
     decay, error = c / (2 * m), []
     w = np.sqrt(k / m - decay**2)
     for step in (4e-3, 2e-3):
-        result = simulate(system, end=2.0, step=step)
+        result = simulate(system, end=1.0, step=step)
         t = result.time
         exact = 1 + 0.3 * np.exp(-decay * t) * (np.cos(w * t) + decay / w * np.sin(w * t))
         error.append(np.abs(result.position(center)[:, 0] - exact).max())
@@ -264,7 +264,7 @@ def test_torsion_spring_and_spring_without_length():
     system.add(RevoluteJoint(ground.marker_at(), body.marker("left"), axis=(0, 0, 1)))
     system.add(TorsionSpring(ground.marker_at(), body.marker("left"), axis=(0, 0, 1), stiffness=6.0, angle=0.1))
     w = np.sqrt(6.0 / (1 / 6 + 0.5))
-    result = simulate(system, end=1.5, step=1e-3)
+    result = simulate(system, end=0.8, step=1e-3)
     turn = 0.1 - 0.1 * np.cos(w * result.time) + np.sin(w * result.time) / w
     assert result.position(body.marker("right")) == pytest.approx(
         np.stack((np.cos(turn), np.sin(turn), 0 * turn), axis=1), abs=5e-5
@@ -273,7 +273,7 @@ def test_torsion_spring_and_spring_without_length():
     system = System()
     body = system.add(link(position=(0.1, 0.2, 0), velocity=(0, 0, 1)))
     system.add(SpringDamper(ground.marker_at(), body.marker_at((0, 0, 0), name="center"), stiffness=50.0, length=0.0))
-    result = simulate(system, end=1.0, step=1e-3)
+    result = simulate(system, end=0.6, step=1e-3)
     c, s = np.cos(5 * result.time), np.sin(5 * result.time)
     center = np.stack((0.1 * c, 0.2 * c, s / 5), axis=1)
     assert result.position(body.marker("center")) == pytest.approx(center, abs=2e-5)
@@ -313,14 +313,14 @@ def test_two_bodies_fixed_together_move_as_one():
         )
     )
     joint = system.add(FixedJoint(a.marker("right"), b.marker("left")))
-    pair = simulate(system, end=1.0, step=1e-3)
+    pair = simulate(system, end=0.5, step=1e-3)
     system = System()
     both = system.add(RigidBody(4.0, (0.02, 1 / 3 + 1, 1 / 3 + 1), angular_velocity=spin, markers={"c": (0, 0, 0)}))
-    result = simulate(system, end=1.0, step=1e-3)
+    result = simulate(system, end=0.5, step=1e-3)
     assert pair.axes(a.marker("left"))[-1] == pytest.approx(result.axes(both.marker("c"))[-1], abs=2e-5)
     assert pair.axes(b.marker("left"))[-1] == pytest.approx(pair.axes(a.marker("left"))[-1] @ turn, abs=1e-9)
-    assert pair.position(a.marker("right")) == pytest.approx(np.zeros((1001, 3)), abs=1e-7)
-    assert pair.multipliers(joint).shape == (1001, 6)
+    assert pair.position(a.marker("right")) == pytest.approx(np.zeros((501, 3)), abs=1e-7)
+    assert pair.multipliers(joint).shape == (501, 6)
 
 
 class Floor(EventHandler):

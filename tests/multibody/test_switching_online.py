@@ -40,9 +40,7 @@ def passage(beam, alpha, variant="quasi-static", steps=1600, **keys):
     return simulate_sliding(system, switch, end=1 / v, step=1 / v / steps), body, switch, v
 
 
-@pytest.mark.parametrize(
-    ("alpha", "factor"), [(0.1, 1.096), (0.25, 1.258), (0.5, 1.705), (0.617, 1.732), (0.75, 1.702)]
-)
+@pytest.mark.parametrize(("alpha", "factor"), [(0.1, 1.096), (0.25, 1.258), (0.617, 1.732)])
 def test_dynamic_factors_of_a_moving_load(beam, alpha, factor):
     result, body, _, _ = passage(beam, alpha, steps=600)
     middle = local_response(result, body, lambda t: 0.5).displacement[:, 1]
@@ -247,7 +245,7 @@ def test_travelling_mass(variant):
     system.add(kind(body.path(), rider.marker("c"), up=(0, 1, 0), name="rail"))
     switch = SlidingSwitch(body)
     duration = (end - start) / speed
-    result = simulate_sliding(system, switch, end=duration, step=duration / (500 if variant == "dynamic" else 300))
+    result = simulate_sliding(system, switch, end=duration, step=duration / (500 if variant == "dynamic" else 150))
     y, reference = result.position(rider.marker("c"))[:, 1], moving_mass(speed, mass, g, start, end)
     want = np.array([reference(t) for t in result.time])
     # Half of the static deflection and more: the dynamics are not small.

@@ -63,7 +63,7 @@ def test_the_curvature_of_the_chart_is_the_derivative_of_its_tangent(amplitude, 
     assert np.allclose(Rotation.from_rotvec(shortened(p)).as_matrix(), Rotation.from_rotvec(p).as_matrix(), atol=1e-14)
 
 
-@pytest.mark.parametrize("axis", [(0, 1, 0), (0, 0, 1), (0.6, 0, 0.8)])
+@pytest.mark.parametrize("axis", [(0, 1, 0), (0.6, 0, 0.8)])
 def test_an_end_moment_turns_a_beam_by_a_full_turn(axis):
     # All stiffnesses of turning are one: the frames turn evenly about the axis of the moment, in torsion, too.
     beam = SpatialBeam.straight(1.0, 8, section(EA=1e4, GA2=1e4, GA3=1e4, GJ=1.0, EI2=1.0, EI3=1.0))
@@ -85,8 +85,7 @@ def test_an_end_moment_turns_a_beam_by_a_full_turn(axis):
     assert np.abs(path.reaction[3:] + moment).max() < 1e-9
 
 
-@pytest.mark.parametrize("load", [1.0, 10.0])
-@pytest.mark.parametrize("angle", [0.0, 2.0])
+@pytest.mark.parametrize(("load", "angle"), [(1.0, 2.0), (10.0, 0.0)])
 def test_a_cantilever_follows_the_elastica(load, angle):
     along, across, slope = tip_of_elastica(load)
     side = np.array([0.0, np.cos(angle), np.sin(angle)])
@@ -128,10 +127,7 @@ def rod_by_shooting(beam_section, radius, angle, force):
 BEND = SpatialSection(EA=1e7, GA2=0.5e7, GA3=0.5e7, GJ=1e7 / 12, EI2=1e7 / 12, EI3=1e7 / 12, mass=1.0)
 
 
-@pytest.mark.parametrize(
-    ("force", "published"),
-    [(300.0, (58.84, 22.33, 40.08)), (450.0, (52.32, 18.62, 48.39)), (600.0, (47.23, 15.79, 53.37))],
-)
+@pytest.mark.parametrize(("force", "published"), [(300.0, (58.84, 22.33, 40.08)), (600.0, (47.23, 15.79, 53.37))])
 def test_the_bend_of_45_degrees(force, published):
     """Positions of Simo and Vu-Quoc (1986), who took eight straight linear elements."""
     beam = SpatialBeam.arc(100.0, np.pi / 4, 8, BEND)
@@ -196,7 +192,7 @@ def test_torsion_of_rectangles():
 def test_a_strip_buckles_sideways_at_prandtls_load():
     s = slender(EI2=1.0, EI3=1e5, GJ=0.5, EA=1e9, GA2=1e9, GA3=1e9)
     critical = 4.01260 * np.sqrt(s.EI2 * s.GJ)
-    beam = SpatialBeam.straight(1.0, 24, s)
+    beam = SpatialBeam.straight(1.0, 12, s)
     follow_equilibrium(beam, held=CLAMPED, load=end_load(beam, 0, 0.99 * critical), steps=1)
     with pytest.raises(InputError, match=r"no equilibrium beyond 0\.9[0-9]+ of the load.*not stable"):
         follow_equilibrium(beam, held=CLAMPED, load=end_load(beam, 0, 1.05 * critical), steps=40)
@@ -216,13 +212,12 @@ def test_a_spinning_beam_stretches():
     assert tip == pytest.approx(5.142857e-4, rel=0.01)
 
 
-@pytest.mark.parametrize("turns", [0.75, 1.6])
-def test_held_frames_can_be_moved(turns):
+def test_held_frames_can_be_moved():
     """A straight beam rolled up by a prescribed turn of its end, beyond a full one: even curvature, no force."""
     beam = SpatialBeam.straight(1.0, 12, slender(EA=1e3, GA2=1e3, GA3=1e3))
     held = np.concatenate((CLAMPED, beam.frames["end"][3:]))
     motion = np.zeros(9)
-    motion[8] = angle = 2 * np.pi * turns
+    motion[8] = angle = 2 * np.pi * 1.6
     path = follow_equilibrium(beam, held=held, motion=motion, steps=8, stable=False)
     assert path.x[-6:-3] == pytest.approx([np.sin(angle) / angle, (1 - np.cos(angle)) / angle, 0], abs=1e-9)
     assert path.reaction[-1] == pytest.approx(angle, rel=1e-9)

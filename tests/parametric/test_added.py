@@ -79,11 +79,10 @@ def assembled(varied, ends, p, added=0.0):
         return K, M, there.B.toarray(), R, DAMPING.beta * K
 
 
-@pytest.mark.parametrize("coupling", ["rigid", "average"])
-def test_a_body_on_a_spring_keeps_its_bound(coupling):
+def test_a_body_on_a_spring_keeps_its_bound():
     stiffness = (3e7, 2e7, 2e7, 4e3, 5e3, 6e3)
-    plain, ends = beam([E], coupling)
-    varied, _ = beam([E, spring(stiffness)], coupling)
+    plain, ends = beam([E], "average")
+    varied, _ = beam([E, spring(stiffness)], "average")
     with AffineProblem(varied, ends, damping=DAMPING) as problem:
         assert problem.rigid.shape[1] == 0
         basis = search(problem, BAND)

@@ -46,13 +46,13 @@ def mesh():
 
 @pytest.fixture(scope="module")
 def problem(mesh):
-    with problem_of(mesh, [*moduli(), RHO, longer(mesh)], Damping(beta=2e-7)) as problem:
+    with problem_of(mesh, [moduli()[0], RHO, longer(mesh)], Damping(beta=2e-7)) as problem:
         yield problem
 
 
 @pytest.fixture(scope="module")
 def basis(problem):
-    return ParametricReducer(band_hz=BAND, tolerance=1e-2, training=16).search(problem)
+    return ParametricReducer(band_hz=BAND, tolerance=1e-2, training=8).search(problem)
 
 
 def test_the_basis_keeps_its_tolerance_at_other_values_and_no_error_exceeds_the_bound(problem, basis):
@@ -74,7 +74,7 @@ def test_the_basis_keeps_its_tolerance_at_other_values_and_no_error_exceeds_the_
 
 
 def test_the_reduced_model_at_nominal_values_is_that_of_the_reducer(problem, basis):
-    reduced = ParametricReducer(band_hz=BAND, tolerance=1e-2, training=16).reduce(problem)
+    reduced = ParametricReducer(band_hz=BAND, tolerance=1e-2, training=8).reduce(problem)
     at = basis.model.at(problem.box.nominal)
     assert np.abs(reduced.K - at.K).max() <= 1e-12 * np.abs(at.K).max()
     assert np.abs(reduced.M - at.M).max() <= 1e-12
@@ -82,7 +82,7 @@ def test_the_reduced_model_at_nominal_values_is_that_of_the_reducer(problem, bas
 
 
 def test_rigid_motion_is_free_of_stiffness_at_all_values(problem, basis):
-    for p in np.random.default_rng(0).uniform(problem.box.low, problem.box.high, (5, 4)):
+    for p in np.random.default_rng(0).uniform(problem.box.low, problem.box.high, (5, 3)):
         K, _ = basis.model.matrices(p)
         R = basis.model.rigid_at(p)
         R = R / np.linalg.norm(R, axis=0)

@@ -4,6 +4,8 @@ import os
 import shutil
 import signal
 
+import pytest
+
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
 from morembs.parametric.steps import clear_steps
@@ -64,14 +66,22 @@ def reduced(folder, progress=None, job=JOB):
     return {name: value.tobytes() for name, value in datasets(folder / "bracket.h5").items()}
 
 
-def test_a_killed_reduction_goes_on_and_gives_the_same_body(tmp_path):
+@pytest.fixture(scope="module")
+def left(tmp_path_factory):
+    """Folder of a reduction that was killed when the third value of p was taken."""
+    folder = tmp_path_factory.mktemp("killed")
+    ended = apart(lambda: reduced(folder, Told("from 3 values of p", killed)), tmp_path_factory.mktemp("apart"))
+    assert ended.code == -signal.SIGKILL, ended.errors
+    return folder
+
+
+def test_a_killed_reduction_goes_on_and_gives_the_same_body(left, tmp_path):
     told = Told()
     straight = reduced(tmp_path / "straight", told)
     assert any("from 3 values of p" in text for text in told.told)
     folder = tmp_path / "killed"
-    ended = apart(lambda: reduced(folder, Told("from 3 values of p", killed)), tmp_path)
-    assert ended.code == -signal.SIGKILL, ended.errors
-    shutil.copytree(folder, tmp_path / "lost")
+    for name in ("killed", "lost"):
+        shutil.copytree(left, tmp_path / name)
     kept = sorted(folder.glob("bracket.h5*"))
     assert len(kept) == 3 and all(".search-" in file.name for file in kept)
     # What is whole is read and not written again; the last one is damaged, and made anew.
@@ -95,9 +105,8 @@ def test_steps_of_a_file_with_brackets_in_its_name_are_removed_and_no_others(tmp
     assert not own.exists() and other.exists()
 
 
-def test_steps_of_another_model_are_not_taken(tmp_path):
+def test_steps_of_another_model_are_not_taken(left, tmp_path):
     folder, other = tmp_path / "killed", JOB.replace("7.85e-9", "7.7e-9").replace("1e-5", "1e-2")
-    ended = apart(lambda: reduced(folder, Told("from 1 values of p", killed)), tmp_path)
-    assert ended.code == -signal.SIGKILL, ended.errors
+    shutil.copytree(left, folder)
     assert reduced(folder, job=other) == reduced(tmp_path / "straight", job=other)
     assert not list(folder.glob("*.search-*"))

@@ -47,13 +47,13 @@ def test_estimates_scatter_as_their_covariance_says(model):
     truth = model.box.point({**HIDDEN, "t": 1.0})
     exact, random = model.at(truth).frequencies_hz[:6], np.random.default_rng(17)
     within = np.zeros(len(truth))
-    for _ in range(100):
+    for _ in range(40):
         noisy = exact * (1 + 0.005 * random.standard_normal(len(exact)))
         result = update(model, measured(noisy, 0.005), fixed=["rho"])
         within += np.abs(result.p - truth) <= 2 * result.sigma
     free = [model.box.names.index(name) for name in ("E_arm", "E_rest", "t")]
-    # 95 of 100 on average; 89 and less have a probability of one in two hundred.
-    assert ((within[free] >= 89) & (within[free] <= 100)).all(), within
+    # 38 of 40 on average; 33 and less have a probability of one in five hundred, and of 0.99 with half of sigma.
+    assert ((within[free] >= 34) & (within[free] <= 40)).all(), within
 
 
 def test_a_common_factor_of_stiffness_and_mass_is_named(model):

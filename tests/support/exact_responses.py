@@ -14,7 +14,7 @@ from morembs.responses.certified import floor_of
 from morembs.responses.tolerances import TOL as RESPONSES
 
 Long = np.longdouble
-# Models of more dofs stay sparse.
+# Models of more dofs have a sparse factor.
 DENSE = 700
 
 
@@ -24,9 +24,9 @@ class Truth:
     def __init__(self, problem):
         self.problem, self.damping = problem, problem.damping
         self.loss = problem.damping.structural + 2 * floor_of(problem, [0.0, 1.0])
-        size = problem.K.shape[0]
-        keep = (lambda A: A.toarray().astype(Long)) if size <= DENSE else (lambda A: sp.csc_array(A).astype(Long))
-        self.K, self.M = keep(problem.K), keep(problem.M)
+        self.K, self.M = sp.csc_array(problem.K).astype(Long), sp.csc_array(problem.M).astype(Long)
+        if problem.D is not None:
+            self.D = sp.csc_array(problem.D).astype(Long)
         Z = problem.rigid.astype(Long)
         for _ in range(2 if Z.shape[1] else 0):
             gram = (Z.T @ (self.M @ Z)).astype(float)
@@ -43,12 +43,12 @@ class Truth:
         w, alpha, beta = Long(w), Long(self.damping.alpha), Long(self.damping.beta)
         A = self.K * (1 + 1j * Long(self.loss) + 1j * w * beta) + self.M * (1j * w * alpha - w**2)
         if self.problem.D is not None:
-            A = A + 1j * w * self.problem.D.toarray().astype(Long)
+            A = A + 1j * w * self.D
         double = complex if A.dtype.kind == "c" else float
-        if isinstance(A, np.ndarray):
-            # Rigid motion, which the loads do not excite, gets a stiffness: at 0 Hz too A is regular.
-            A = A + self.MZ @ self.MZ.T * (2 * w + 2000) ** 2
-            factor = sl.lu_factor(A.astype(double))
+        if A.shape[0] <= DENSE:
+            # Rigid motion, which the loads do not excite, gets a stiffness in the factor: at 0 Hz too it is regular.
+            stiff = (self.MZ * (2 * w + 2000) ** 2).astype(float) @ self.MZ.T.astype(float)
+            factor = sl.lu_factor(A.toarray().astype(double) + stiff)
             solve = lambda r: sl.lu_solve(factor, r.astype(double))  # noqa: E731
         else:
             solve = sla.splu(sp.csc_array(A.astype(double))).solve

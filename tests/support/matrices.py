@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
@@ -22,6 +24,7 @@ def chain(nodes: int, held: bool = True) -> sp.csc_array:
     return sp.csc_array(sp.kron(L, COUPLING))
 
 
+@cache
 def brick(nodes: int) -> sp.csc_array:
     """27-point stencil on a cube of ``nodes`` to the power 3, three displacements each; positive definite."""
     row = sp.diags_array([np.ones(nodes - 1), np.ones(nodes), np.ones(nodes - 1)], offsets=[-1, 0, 1])
