@@ -86,7 +86,7 @@ def test_second_order_from_the_corrected_start():
 
 
 def test_the_plain_start_costs_one_order_of_multipliers():
-    (x1, f1, late1), (x2, f2, late2) = (errors(step, False) for step in (2e-3, 1e-3))
+    (x1, f1, late1), (x2, f2, late2) = (errors(step, False) for step in (1e-3, 5e-4))
     assert np.log2(x1 / x2) == pytest.approx(2.0, abs=0.1)
     assert np.log2(f1 / f2) == pytest.approx(1.0, abs=0.15)
     assert np.log2(late1 / late2) == pytest.approx(2.0, abs=0.1)

@@ -163,7 +163,7 @@ def test_inertia_loads_of_the_frame_are_followed_if_asked_for():
 
 
 def test_what_cannot_be_reached_is_said():
-    model, interfaces = ends("average")
+    model, interfaces = ends("average", n=(3, 1, 1))
     message = r"tolerance = 1e-15 .*[0-9.]+e-[0-9]+"
     with Problem(model, interfaces) as problem, pytest.raises(MorembsError, match=message):
         AutoReducer(band_hz=[50.0, 3000.0], tolerance=1e-15).reduce(problem)
@@ -306,8 +306,6 @@ def test_certificates_on_the_command_line(small_meshes, tmp_path):
     assert "NaN" not in result.stdout and "Infinity" not in result.stdout
     flat = json.dumps(document)
     assert '"certificate"' in flat and '"bound_kind": "bound"' in flat
-    shown = CliRunner().invoke(app, ["reduce", str(path)])
-    assert shown.exit_code == 0 and "holds at every frequency from" in shown.stdout
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ BAND = [50.0, 2500.0]
 @pytest.mark.parametrize("error", [1e-8, 1e-4, 1e-2])
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-9])
 def test_a_reference_of_an_inexact_solver_is_known_to_its_uncertainty(error, tolerance):
-    model = beam((16, 2, 2))
+    model = beam((8, 2, 2))
     damping = Damping(alpha=8.0, beta=3e-7)
     with Problem(model, ends(model), damping=damping, solver=InexactSolver(error=error)) as problem:
         reference = certified_reference(problem, BAND, tolerance=tolerance)
