@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +17,7 @@ import scipy.sparse as sp
 import typer.main
 
 import morembs
+from morembs.app.batches.plan import parts_of
 from morembs.app.cli.commands import app
 
 LISTS = Path(__file__).parent.parent / "data" / "newcomers"
@@ -105,3 +109,28 @@ def test_a_call_is_answered_with_what_works(entry: dict[str, str]) -> None:
     with pytest.raises((morembs.InputError, AttributeError, KeyError)) as caught:
         eval(entry["typed"], names)
     assert entry["answer"] in str(caught.value)
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
+def test_bash_completes_verbs_and_options(folder: Path) -> None:
+    """A shell that loads what --install-completion wrote."""
+    (folder / "morembs").write_text(f'#!/bin/sh\nexec {sys.executable} -m morembs "$@"\n')
+    (folder / "morembs").chmod(0o755)
+    place = {**os.environ, "HOME": str(folder), "PATH": f"{folder}:{os.environ['PATH']}", "SHELL": "/bin/bash"}
+    script = """
+        morembs --install-completion > /dev/null
+        source ~/.bash_completions/morembs.sh
+        for words in "morembs exp" "morembs export --f"; do
+            COMP_WORDS=($words); COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); COMPREPLY=()
+            _morembs_completion morembs; echo "${COMPREPLY[@]}"
+        done
+    """
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, env=place, cwd=folder)
+    assert done.stdout.split() == ["export", "--frame"], done.stderr
+
+
+def test_a_link_to_a_job_keeps_its_name(folder: Path) -> None:
+    (folder / "links").mkdir()
+    (folder / "links" / "night.toml").symlink_to(folder / "bar.toml")
+    (part,) = parts_of([folder / "links"])
+    assert part.name == "night"

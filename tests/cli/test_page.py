@@ -77,6 +77,8 @@ def test_a_report_says_what_was_made_and_needs_no_other_file(report: Path) -> No
 
 def test_the_body_that_is_shown_is_the_best(report: Path) -> None:
     assert "modes of cb of long" in report.read_text()
+    # Both bodies in the row: the one with the smallest error is the one that was asked for first.
+    assert '<a href="#part-3">long</a><br><span class="soft">cb</span>' in report.read_text()
     assert recommended({"a": None, "b": 0.2, "c": 0.1}) == "c"
     assert recommended({"a": None, "b": None}) == "a"
 

@@ -94,7 +94,8 @@ def parts_of(given: Iterable[str | Path], changes: Sequence[str] = ()) -> tuple[
             faults[number] = str(error)
     order = order_of(jobs, faults)
     faults = {**order.refused, **faults}
-    names = _names(list(paths))
+    # A link to a job has its own name.
+    names = _names([path.absolute() for path in paths.values()])
     return tuple(
         Part(
             number=at + 1,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections import Counter
@@ -77,7 +78,7 @@ def batch(
                 )
                 for record in records
             ]
-            write_report(report, entries, ", ".join(job.resolve().name for job in jobs))
+            write_report(report, entries, ", ".join(Path(os.path.abspath(job)).name for job in jobs))
         with printing([record.output for record in records if record.state == "done"]):
             if as_json:
                 print_json([asdict(record) for record in records])

@@ -106,4 +106,4 @@ def _work(arguments: Sequence[str]) -> None:
         from morembs.app.cli.commands import app
 
         # Called itself it would take the place of ``sys.excepthook``, which knows of signals.
-        typer.main.get_command(app)()
+        typer.main.get_command(app)(prog_name="morembs")
