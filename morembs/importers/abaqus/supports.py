@@ -15,6 +15,7 @@ from morembs.importers.abaqus.equations import Axes
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.decks.tables import Supports
 
+_DOFS = [str(dof) for dof in range(1, 12)]
 # Conditions of Abaqus by name, as the first and the last dof that they hold.
 _HOLD = {
     "ENCASTRE": ((1, 6),),
@@ -48,9 +49,9 @@ def supports_of(contents: Contents, assembly: Assembly, axes: Axes) -> Supports:
                 dofs = sorted({dof for a, b in spans_of(row, card) for dof in range(a, b + 1) if dof <= 6})
                 nodes.append(np.repeat(own, len(dofs)))
                 directions.append(_directions(own, dofs, axes))
-    table = np.column_stack([assembly.ids[np.concatenate(nodes)], np.concatenate(directions)])
+    table = np.column_stack([np.concatenate(nodes), np.concatenate(directions)])
     table = table[np.sort(np.unique(table, axis=0, return_index=True)[1])]
-    return Supports(nodes=table[:, 0].astype(np.int64), directions=table[:, 1:])
+    return Supports(nodes=assembly.ids[table[:, 0].astype(np.int64)], directions=table[:, 1:])
 
 
 def _directions(nodes: Ints, dofs: list[int], axes: Axes) -> Floats:
@@ -67,6 +68,6 @@ def spans_of(row: list[str], card: Card) -> Iterable[tuple[int, int]]:
     words = [text for text in row[1:3] if text]
     if words and words[0].upper() in _HOLD:
         return _HOLD[words[0].upper()]
-    if not words or not all(text.isdigit() and 0 < int(text) < 12 for text in words):
+    if not words or not all(text in _DOFS for text in words):
         raise InputError(f"{card}: {', '.join(row)[:60]!r} was given; expected a node or set and dofs")
     return [(int(words[0]), int(words[-1]))]
