@@ -12,7 +12,7 @@ from morembs.fem.material import isotropic, orthotropic
 from morembs.importers.abaqus.importer import read_abaqus, read_abaqus_deck
 from morembs.importers.tolerances import TOL
 from morembs.problem import Problem
-from tests.support.decks import damaged, filled
+from tests.support.decks import damaged, filled, refusals
 from tests.support.mesh_decks import ABAQUS_CODES, abaqus_mesh
 from tests.support.meshes import STEEL, box, fully_integrated, steel
 
@@ -306,6 +306,11 @@ MATERIAL = "*SOLID SECTION, ELSET=Cube, MATERIAL=M\n*MATERIAL, NAME=M\n*DENSITY\
 def test_what_cannot_be_carried_is_refused_by_name(deck, text, words):
     with pytest.raises(InputError, match=words):
         deck(text)
+
+
+def test_a_message_with_a_place_gives_it_to_its_problem(deck):
+    """Also where it ends the reading."""
+    assert refusals(lambda: deck(SOLID + "*NODE\n11, 1+3, 2., 3.\n")) == [("NODE", 13, ())]
 
 
 def test_a_mesh_alone_does_not_lose_couplings_in_silence(tmp_path):

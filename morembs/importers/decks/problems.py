@@ -13,6 +13,8 @@ from morembs.importers.tolerances import TOL
 
 # Before a clause that names an option.
 _CURE = re.compile(r"; (?=[^;]*--\w)")
+# How a message begins that knows its place: the file, the line and mostly the card.
+_PLACE = re.compile(r"(?P<file>[^:]+), line (?P<line>\d+): (?:\*?(?P<keyword>[A-Z][A-Z\d -]*[A-Z\d])\b)?")
 _OWN_NAMES = re.compile(r"'[^']*'|\"[^\"]*\"|\([^()]*\)|\d+(\.\d*)?(e[-+]?\d+)?", re.IGNORECASE)
 
 
@@ -29,6 +31,19 @@ class Problem:
     line: int = 0
     keyword: str = ""
     flags: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, error: InputError, source: str, where: object = None, flags: tuple[str, ...] = ()) -> Problem:
+        """What an error says of the card ``where``, or of the place that it names itself, in the file ``source``."""
+        named = _PLACE.match(str(error))
+        of_error = named.groupdict(default="") if named else {"file": source, "line": "0", "keyword": ""}
+        return cls(
+            what=str(error),
+            file=getattr(where, "file", "") or of_error["file"],
+            line=getattr(where, "line", 0) or int(of_error["line"]),
+            keyword=getattr(where, "keyword", "") or next(map(_skipped, flags), "") or of_error["keyword"],
+            flags=flags,
+        )
 
     @property
     def placed(self) -> str:
@@ -144,15 +159,7 @@ class Problems:
         except DeckError as error:
             self.entries += error.problems
         except InputError as error:
-            self.entries.append(
-                Problem(
-                    what=str(error),
-                    file=getattr(where, "file", ""),
-                    line=getattr(where, "line", 0),
-                    keyword=getattr(where, "keyword", "") or next(map(_skipped, flags), ""),
-                    flags=flags,
-                )
-            )
+            self.add(Problem.of(error, self.source, where, flags))
 
     @contextmanager
     def ending(self) -> Iterator[None]:
@@ -166,7 +173,7 @@ class Problems:
         except DeckError:
             raise
         except InputError as error:
-            self.add(Problem(what=str(error), file=self.source))
+            self.add(Problem.of(error, self.source))
             self.refuse()
 
     def refuse(self) -> None:
