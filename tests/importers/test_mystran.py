@@ -535,6 +535,15 @@ def test_shells_of_an_abaqus_deck_are_those_of_bulk_data(tmp_path):
     assert model.source == "a.inp" and any("[formulation-differs]" in warning for warning in model.warnings)
 
 
+@needs_mystran
+@pytest.mark.parametrize(("dialect", "radius"), [("abaqus", 0.1), ("calculix", 0.05)])
+def test_circles_are_meant_by_radius_in_abaqus_and_by_diameter_in_calculix(tmp_path, dialect, radius):
+    deck = "*NODE\n1,0,0,0\n2,1,0,0\n*ELEMENT,TYPE=B31,ELSET=E\n1,1,2\n" + ABAQUS
+    (tmp_path / "a.inp").write_text(f"{deck}*BEAM SECTION,ELSET=E,MATERIAL=S,SECTION=CIRC\n.1\n0,1,0\n")
+    model = model_of(import_file(tmp_path / "a.inp", engine="mystran", options={"dialect": dialect}))
+    assert masses(model)[0, 0] == pytest.approx(7850 * np.pi * radius**2, rel=1e-9)
+
+
 LAYER = "*ELASTIC,TYPE=ENGINEERING CONSTANTS\n140.e9,10.e9,10.e9,.3,.3,.4,5.e9,5.e9\n3.5e9\n*DENSITY\n1600.\n"
 # Along the plate and across it, with the normal of its cells or against it.
 UP, DOWN = (

@@ -192,6 +192,8 @@ class ElementText(MaterialText):
             return card("PBAR", [pid, mid, A, I22, I11, J, rest, *[""] * 9, *shear, I12])
         if section.profile.startswith("PBARL "):
             name, sizes = section.profile.removeprefix("PBARL "), section.dimensions
+        elif section.profile == "ELLIPSE" and len(set(section.dimensions)) == 1:
+            name, sizes = "ROD", (section.dimensions[0] / 2,)
         elif section.profile in _PROFILES:
             name, dimensions = _PROFILES[section.profile]
             sizes = tuple(dimensions(section.dimensions))
