@@ -275,8 +275,11 @@ def _size(cells: meshio.CellBlock) -> int:
 def _named_cells(data: meshio.Mesh) -> dict[str, dict[int, Ints]]:
     """Name -> {cell block: rows}, from named sets, and from integer cell data as "key:value".
 
-    Physical groups of gmsh without names are "physical:value"; groups of MED have their names.
+    Physical groups of gmsh without names are "physical:value"; groups of MED have their names. The names of MSH 2 are
+    beside the values, those of MSH 4 are named sets.
     """
+    of_gmsh = data.field_data if "gmsh:physical" in data.cell_data else {}
+    titles = {(int(tag), int(dim)): [name] for name, (tag, dim) in of_gmsh.items()}
     named: dict[str, dict[int, Ints]] = {}
     for name, per_block in data.cell_sets.items():
         if name.startswith("gmsh:"):
@@ -293,7 +296,8 @@ def _named_cells(data: meshio.Mesh) -> dict[str, dict[int, Ints]]:
             if values.ndim == 1 and np.issubdtype(values.dtype, np.integer):
                 for value in np.unique(values).tolist():
                     chosen = np.flatnonzero(values == value)
-                    for name in groups.get(value, [f"{key.removeprefix('gmsh:')}:{value}"]):
+                    titled = titles.get((value, data.cells[i].dim)) if key == "gmsh:physical" else None
+                    for name in titled or groups.get(value, [f"{key.removeprefix('gmsh:')}:{value}"]):
                         before = named.setdefault(name, {}).get(i, chosen[:0])
                         named[name][i] = np.unique(np.concatenate([before, chosen]))
     return named

@@ -1,0 +1,170 @@
+"""Parts to try morembs with, made here and written into a folder; the table below is the contents page.
+
+Each function writes its files and returns the path of the one that is read first. Files that are there already stay:
+the same ones are taken as they are, others are refused. All is in mm, t and s but for the matrices, which are in SI.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from morembs.base.errors import InputError
+from morembs.base.types import Floats, Ints
+from morembs.examples.shapes import Shape, bar_shape, bracket_shape, faces_of, rod_shape
+from morembs.fem.elements import TYPES
+from morembs.storage.safefile import replacing_all
+
+__all__ = ["EXAMPLES", "bracket", "deck", "matrices", "rod"]
+
+Folder = str | Path
+
+
+def rod(folder: Folder = ".") -> Path:
+    """Write ``rod.msh``: a connecting rod 120 mm long (300 hex20), with the node sets BIG_END and SMALL_END.
+
+    Raises:
+        InputError: another file of this name is there.
+
+    >>> path = morembs.examples.rod()
+    >>> morembs.read_mesh(path, "mm-t-s")
+    Mesh: nodes 2,078; elements 300 hex20; node sets BUSHES, BODY, BIG_END, SMALL_END; source rod.msh
+    """
+    return _written(folder, {"rod.msh": _gmsh(rod_shape())})
+
+
+def bracket(folder: Folder = ".") -> Path:
+    """Write ``bracket.msh``: an L of FOOT and LUG (104 hex20), with the node sets BOLTS and PIN of its holes.
+
+    Raises:
+        InputError: another file of this name is there.
+    """
+    return _written(folder, {"bracket.msh": _gmsh(bracket_shape())})
+
+
+def deck(folder: Folder = ".") -> Path:
+    """Write ``deck.inp`` for Abaqus and CalculiX: the rod of steel with bushes of bronze, its bores rigid.
+
+    Raises:
+        InputError: another file of this name is there.
+    """
+    return _written(folder, {"deck.inp": _abaqus(rod_shape())})
+
+
+def matrices(folder: Folder = ".") -> Path:
+    """Write ``K.mtx`` and ``M.mtx`` of a steel bar held at one end and ``B.mtx``, a force across it at the other.
+
+    Raises:
+        InputError: another file of these names is there.
+    """
+    return _written(folder, _matrices(bar_shape()))
+
+
+# By their names at the command line.
+EXAMPLES: Mapping[str, Callable[[Folder], Path]] = {
+    "rod": rod,
+    "bracket": bracket,
+    "deck": deck,
+    "matrices": matrices,
+}
+
+
+def _written(folder: Folder, files: Mapping[str, bytes]) -> Path:
+    """Write what is not there yet, and give the path of the first.
+
+    Raises:
+        InputError: a file that is there holds something else.
+    """
+    paths = {Path(folder) / name: content for name, content in files.items()}
+    there = [path for path in paths if path.exists()]
+    for path in there:
+        if not path.is_file() or path.read_bytes() != paths[path]:
+            raise InputError(f"{path} is there already and no example; choose another folder")
+    missing = [path for path in paths if path not in there]
+    with replacing_all(missing) as written:
+        for path, file in zip(missing, written, strict=True):
+            file.write(paths[path])
+    return next(iter(paths))
+
+
+def _gmsh(shape: Shape) -> bytes:
+    """A file of Gmsh, MSH 2.2, whose physical groups are the sets."""
+    groups = [*((3, name) for name in shape.element_sets), *((2, name) for name in shape.node_sets)]
+    tags = {name: number for number, (_, name) in enumerate(groups, start=1)}
+    # Gmsh walks along the edges from the first corner on, VTK around both ends (Gmsh's manual, node ordering).
+    order = [*range(8), 8, 11, 16, 9, 17, 10, 18, 19, 12, 15, 13, 14]
+    # Types 17 and 16 of Gmsh: hexahedra of 20 nodes, quadrilaterals of 8.
+    cells = [(17, tags[name], shape.cells[rows][:, order]) for name, rows in shape.element_sets.items()]
+    cells += [(16, tags[name], faces_of(shape, rows)) for name, rows in shape.node_sets.items()]
+    lines = ["$MeshFormat", "2.2 0 8", "$EndMeshFormat", "$PhysicalNames", str(len(groups))]
+    lines += [f'{dimension} {tags[name]} "{name}"' for dimension, name in groups]
+    lines += ["$EndPhysicalNames", "$Nodes", str(len(shape.points)), *_numbered(shape.points, " "), "$EndNodes"]
+    lines += ["$Elements", str(sum(len(rows) for *_, rows in cells))]
+    heads = [f"{kind} 2 {tag} {tag} {_text(row + 1, ' ')}" for kind, tag, rows in cells for row in rows]
+    lines += [f"{label} {line}" for label, line in enumerate(heads, start=1)]
+    return "\n".join([*lines, "$EndElements", ""]).encode()
+
+
+def _abaqus(shape: Shape) -> bytes:
+    """A deck with the materials of both element sets, and a rigid body on each node set with a node at its middle."""
+    # Young's modulus in MPa, Poisson's ratio, density in t/mm^3: a steel, a tin bronze.
+    materials = {"STEEL": (210e3, 0.3, 7.85e-9), "BRONZE": (110e3, 0.34, 8.8e-9)}
+    count = len(shape.points)
+    lines = ["** A connecting rod of steel with bushes of bronze; mm, t, s", "*NODE", *_numbered(shape.points, ", ")]
+    middles = np.array([shape.points[rows].mean(axis=0).round(9) + 0.0 for rows in shape.node_sets.values()])
+    lines += _numbered(middles, ", ", count)
+    for name, rows in shape.element_sets.items():
+        lines.append(f"*ELEMENT, TYPE=C3D20, ELSET={name}")
+        for row in rows:
+            # Sixteen numbers a line are the most that both programs take.
+            labels = [row + 1, *(shape.cells[row] + 1)]
+            lines += [f"{_text(labels[:16], ', ')},", _text(labels[16:], ", ")]
+    for name, rows in shape.node_sets.items():
+        lines += [f"*NSET, NSET={name}", *(_text(rows[i : i + 16] + 1, ", ") for i in range(0, len(rows), 16))]
+    for name, (young, poisson, density) in materials.items():
+        lines += [f"*MATERIAL, NAME={name}", "*ELASTIC", f"{young:g}, {poisson:g}", "*DENSITY", f"{density:g}"]
+    for name, material in (("BODY", "STEEL"), ("BUSHES", "BRONZE")):
+        lines.append(f"*SOLID SECTION, ELSET={name}, MATERIAL={material}")
+    for number, name in enumerate(shape.node_sets, start=count + 1):
+        lines.append(f"*RIGID BODY, NSET={name}, REF NODE={number}")
+    return "\n".join([*lines, ""]).encode()
+
+
+def _matrices(shape: Shape) -> dict[str, bytes]:
+    """K, M and B as Matrix Market has them, by the names of their files."""
+    import scipy.io
+    import scipy.sparse as sp
+
+    from morembs.fem import ElementBlock, Mesh, Nodes
+    from morembs.fem.assembly import assemble
+    from morembs.fem.material import isotropic
+
+    numbers = np.arange(1, len(shape.points) + 1)
+    block = ElementBlock(type="hex20", nodes=shape.cells, ids=np.arange(1, len(shape.cells) + 1))
+    mesh = Mesh(nodes=Nodes(ids=numbers, xyz=1e-3 * shape.points), blocks=(block,), source="bar")
+    model = assemble(mesh, [isotropic(set="all", young=210e9, poisson=0.3, density=7850.0)])
+    free = ~np.isin(model.dofs.node, shape.node_sets["LEFT"])
+    pushed = np.isin(model.dofs.node, shape.node_sets["RIGHT"]) & (model.dofs.component == 2)
+    column = sp.csc_array((pushed / pushed.sum())[free, None])
+    files = {}
+    for name, matrix, kind in (
+        ("K", model.K[free][:, free], "symmetric"),
+        ("M", model.M[free][:, free], "symmetric"),
+        ("B", column, "general"),
+    ):
+        text = io.BytesIO()
+        scipy.io.mmwrite(text, sp.coo_array(matrix), symmetry=kind)
+        files[f"{name}.mtx"] = text.getvalue()
+    return files
+
+
+def _numbered(points: Floats, between: str, start: int = 0) -> list[str]:
+    """A line for each point, its label first."""
+    return [f"{label}{between}{_text(point, between)}" for label, point in enumerate(points, start=start + 1)]
+
+
+def _text(numbers: Floats | Ints | list[int], between: str) -> str:
+    return between.join(f"{number:.9g}" if isinstance(number, float) else str(number) for number in numbers)
