@@ -1,4 +1,5 @@
 # What ``import morembs`` offers, and where each name lives.
+from . import examples
 from .app.batches.run import batch
 from .app.jobs.import_job import import_model
 from .base.errors import InputError, MorembsError
@@ -122,6 +123,7 @@ __all__ = [
     "elastic_body",
     "error_limits",
     "examined",
+    "examples",
     "expand",
     "export_body",
     "floating_frame",

@@ -1,6 +1,7 @@
 """The wheel: what it holds, how large it is, and that the files about it say the same."""
 
 import email
+import os
 import subprocess
 import sys
 import tomllib
@@ -40,6 +41,19 @@ def test_it_holds_the_package_and_nothing_else(wheel):
     files = (path for path in (ROOT / "morembs").rglob("*") if path.is_file() and path.suffix not in (".pyc", ".pyo"))
     assert held == {path.relative_to(ROOT).as_posix() for path in files}
     assert {"morembs/py.typed", "morembs/__init__.pyi", "morembs/app/cli/page.html"} <= held
+
+
+def test_it_gives_a_first_body_and_a_picture_by_itself(wheel, tmp_path):
+    """In an empty folder, without the repository."""
+    _, archive = wheel
+    package, folder = tmp_path / "site", tmp_path / "new"
+    archive.extractall(package)
+    folder.mkdir()
+    for arguments in (["init", "--example"], ["reduce", "rod.toml"]):
+        command = [sys.executable, "-m", "morembs", *arguments]
+        done = subprocess.run(command, cwd=folder, env={**os.environ, "PYTHONPATH": str(package)}, capture_output=True)
+        assert done.returncode == 0, done.stderr
+    assert {path.name for path in folder.iterdir()} == {"rod.msh", "rod.toml", "rod.h5", "rod.png"}
 
 
 def test_its_metadata_are_those_of_the_project(wheel):

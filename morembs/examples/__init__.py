@@ -7,7 +7,8 @@ the same ones are taken as they are, others are refused. All is in mm, t and s b
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,6 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.examples.shapes import Shape, bar_shape, bracket_shape, faces_of, rod_shape
-from morembs.fem.elements import TYPES
 from morembs.storage.safefile import replacing_all
 
 __all__ = ["EXAMPLES", "bracket", "deck", "matrices", "rod"]
@@ -29,11 +29,10 @@ def rod(folder: Folder = ".") -> Path:
     Raises:
         InputError: another file of this name is there.
 
-    >>> path = morembs.examples.rod()
-    >>> morembs.read_mesh(path, "mm-t-s")
-    Mesh: nodes 2,078; elements 300 hex20; node sets BUSHES, BODY, BIG_END, SMALL_END; source rod.msh
+    >>> morembs.read_mesh(morembs.examples.rod(), "mm-t-s")
+    Mesh: nodes 2078; elements 300 hex20; node sets 4 of them; element sets BUSHES, BODY; source rod.msh
     """
-    return _written(folder, {"rod.msh": _gmsh(rod_shape())})
+    return EXAMPLES["rod"].write(folder)
 
 
 def bracket(folder: Folder = ".") -> Path:
@@ -42,7 +41,7 @@ def bracket(folder: Folder = ".") -> Path:
     Raises:
         InputError: another file of this name is there.
     """
-    return _written(folder, {"bracket.msh": _gmsh(bracket_shape())})
+    return EXAMPLES["bracket"].write(folder)
 
 
 def deck(folder: Folder = ".") -> Path:
@@ -51,7 +50,7 @@ def deck(folder: Folder = ".") -> Path:
     Raises:
         InputError: another file of this name is there.
     """
-    return _written(folder, {"deck.inp": _abaqus(rod_shape())})
+    return EXAMPLES["deck"].write(folder)
 
 
 def matrices(folder: Folder = ".") -> Path:
@@ -60,34 +59,34 @@ def matrices(folder: Folder = ".") -> Path:
     Raises:
         InputError: another file of these names is there.
     """
-    return _written(folder, _matrices(bar_shape()))
+    return EXAMPLES["matrices"].write(folder)
 
 
-# By their names at the command line.
-EXAMPLES: Mapping[str, Callable[[Folder], Path]] = {
-    "rod": rod,
-    "bracket": bracket,
-    "deck": deck,
-    "matrices": matrices,
-}
+@dataclass(frozen=True)
+class Example:
+    """What an example is, its files, the first one to be read, and the function that gives their bytes."""
 
+    about: str
+    files: tuple[str, ...]
+    units: str
+    make: Callable[[], Sequence[bytes]]
 
-def _written(folder: Folder, files: Mapping[str, bytes]) -> Path:
-    """Write what is not there yet, and give the path of the first.
+    def write(self, folder: Folder) -> Path:
+        """Write what is not there yet, and give the path of the first file.
 
-    Raises:
-        InputError: a file that is there holds something else.
-    """
-    paths = {Path(folder) / name: content for name, content in files.items()}
-    there = [path for path in paths if path.exists()]
-    for path in there:
-        if not path.is_file() or path.read_bytes() != paths[path]:
-            raise InputError(f"{path} is there already and no example; choose another folder")
-    missing = [path for path in paths if path not in there]
-    with replacing_all(missing) as written:
-        for path, file in zip(missing, written, strict=True):
-            file.write(paths[path])
-    return next(iter(paths))
+        Raises:
+            InputError: a file that is there holds something else.
+        """
+        paths = dict(zip((Path(folder) / name for name in self.files), self.make(), strict=True))
+        there = [path for path in paths if path.exists()]
+        for path in there:
+            if not path.is_file() or path.read_bytes() != paths[path]:
+                raise InputError(f"{path} is there already and no example; choose another folder")
+        missing = [path for path in paths if path not in there]
+        with replacing_all(missing) as written:
+            for path, file in zip(missing, written, strict=True):
+                file.write(paths[path])
+        return next(iter(paths))
 
 
 def _gmsh(shape: Shape) -> bytes:
@@ -133,8 +132,8 @@ def _abaqus(shape: Shape) -> bytes:
     return "\n".join([*lines, ""]).encode()
 
 
-def _matrices(shape: Shape) -> dict[str, bytes]:
-    """K, M and B as Matrix Market has them, by the names of their files."""
+def _matrices(shape: Shape) -> list[bytes]:
+    """K, M and B as Matrix Market has them."""
     import scipy.io
     import scipy.sparse as sp
 
@@ -149,15 +148,12 @@ def _matrices(shape: Shape) -> dict[str, bytes]:
     free = ~np.isin(model.dofs.node, shape.node_sets["LEFT"])
     pushed = np.isin(model.dofs.node, shape.node_sets["RIGHT"]) & (model.dofs.component == 2)
     column = sp.csc_array((pushed / pushed.sum())[free, None])
-    files = {}
-    for name, matrix, kind in (
-        ("K", model.K[free][:, free], "symmetric"),
-        ("M", model.M[free][:, free], "symmetric"),
-        ("B", column, "general"),
-    ):
+    files = []
+    K, M = (A[free][:, free] for A in (model.K, model.M))
+    for matrix, kind in ((K, "symmetric"), (M, "symmetric"), (column, "general")):
         text = io.BytesIO()
         scipy.io.mmwrite(text, sp.coo_array(matrix), symmetry=kind)
-        files[f"{name}.mtx"] = text.getvalue()
+        files.append(text.getvalue())
     return files
 
 
@@ -168,3 +164,12 @@ def _numbered(points: Floats, between: str, start: int = 0) -> list[str]:
 
 def _text(numbers: Floats | Ints | list[int], between: str) -> str:
     return between.join(f"{number:.9g}" if isinstance(number, float) else str(number) for number in numbers)
+
+
+# By their names at the command line.
+EXAMPLES: Mapping[str, Example] = {
+    "rod": Example("a connecting rod (mesh of Gmsh)", ("rod.msh",), "mm-t-s", lambda: [_gmsh(rod_shape())]),
+    "bracket": Example("a bracket (mesh of Gmsh)", ("bracket.msh",), "mm-t-s", lambda: [_gmsh(bracket_shape())]),
+    "deck": Example("a rod with bushes (deck of Abaqus)", ("deck.inp",), "mm-t-s", lambda: [_abaqus(rod_shape())]),
+    "matrices": Example("a bar", ("K.mtx", "M.mtx", "B.mtx"), "m-kg-s", lambda: _matrices(bar_shape())),
+}

@@ -209,6 +209,9 @@ def init(
         str | None, typer.Option(help="Length, mass and time of the mesh.", show_default="by its size m-kg-s or mm-t-s")
     ] = None,
     show: Annotated[bool, typer.Option("--show", help="Print the job, write nothing.")] = False,
+    example: Annotated[
+        bool, typer.Option("--example", help="Write an example and its job: rod, bracket, deck or matrices.")
+    ] = False,
 ) -> None:
     """Write a first job for a mesh, a deck or a model file, with comments."""
     from morembs.app.jobs.template import job_text, refuse_existing
@@ -217,8 +220,11 @@ def init(
     from morembs.storage.safefile import replacing
 
     with messages():
+        if example:
+            _write_example(file, out, "--units" if units else "--show" if show else "")
+            return
         if file is None:
-            raise InputError(f"init needs {PART}: morembs init part.msh")
+            raise InputError(f"init needs {PART}: morembs init part.msh; or, to try it: morembs init --example")
         if file.is_dir():
             raise InputError(f"{file} is a folder; expected {PART}")
         other = instead(file, PART)
@@ -238,6 +244,26 @@ def init(
             written.write(text.encode())
         with printing([str(job)]):
             typer.echo(f"written: {job}; look at its units, materials and interfaces, then: morembs check {job}")
+
+
+def _write_example(name: Path | None, out: Path | None, refused: str) -> None:
+    """Write an example, rod where none is named, and say the next command."""
+    from morembs.app.jobs.template import write_example
+    from morembs.base.errors import nearest
+    from morembs.examples import EXAMPLES
+
+    chosen = "rod" if name is None else str(name)
+    if chosen not in EXAMPLES:
+        raise InputError(f"there is no example {chosen!r}; {nearest(chosen, EXAMPLES)}")
+    if refused:
+        raise InputError(f"an example is written as it is; leave {refused} out")
+    job = Path(f"{chosen}.toml") if out is None else out
+    if job.suffix != ".toml":
+        raise InputError(f"--out {str(job)!r} was given; expected a name that ends in .toml")
+    write_example(chosen, job)
+    with printing([str(job)]):
+        files = ", ".join(str(job.parent / file) for file in EXAMPLES[chosen].files)
+        typer.echo(f"written: {files}, {job}; then: morembs reduce {job}")
 
 
 @app.command(cls=Verb, epilog=example("morembs schema > job.schema.json"))

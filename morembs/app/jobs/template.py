@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
 from morembs.base.units import Units, parse_units
+from morembs.examples import EXAMPLES
 from morembs.fem import FEModel, Mesh
 from morembs.importers import format_of, import_file, read_mesh
 from morembs.importers.advice import advising
 from morembs.importers.decks.problems import DeckError, Form
 from morembs.importers.model_file import is_model_file, read_model
 from morembs.storage.contents import keeping_ledger, same_place
+from morembs.storage.safefile import replacing
 
 # Formats whose files hold materials beside a mesh.
 DECKS = ("abaqus", "nastran", "ansys")
@@ -36,10 +38,10 @@ class WholeDeck:
     couplings: tuple[str, ...]
 
 
-def job_text(file: Path, folder: Path, units: Units | None = None) -> str:
+def job_text(file: Path, folder: Path, units: Units | None = None, *, picture: bool = False) -> str:
     """A job in ``folder`` that reduces the mesh or model ``file``; numbers of a mesh are in ``units``.
 
-    Without ``units`` they are guessed by the size of the mesh, and the job says so.
+    Without ``units`` they are guessed by the size of the mesh, and the job says so. With ``picture`` the job draws one.
 
     Raises:
         InputError: the file cannot be read.
@@ -71,7 +73,7 @@ def job_text(file: Path, folder: Path, units: Units | None = None) -> str:
     name = file.name.removesuffix(".gz").removesuffix(".h5").removesuffix(".model").partition(".")[0]
     while any(same_place(folder / f"{name}.h5", opened) for opened in ledger.opened):
         name += "-body"  # a companion of the mesh, or the mesh itself, has the name
-    return "\n".join([*head, *_interfaces(*choices), *_rest(name), ""])
+    return "\n".join([*head, *_interfaces(*choices), *_rest(name, picture), ""])
 
 
 def _whole_deck(file: Path) -> WholeDeck | None:
@@ -152,7 +154,7 @@ def _interfaces(chosen: Sequence[str], others: Sequence[str]) -> list[str]:
     return lines
 
 
-def _rest(name: str) -> list[str]:
+def _rest(name: str, picture: bool) -> list[str]:
     return [
         "[[reduce]]                  # one body for each; morembs compare sets them side by side",
         'method = "craig-bampton"',
@@ -174,14 +176,44 @@ def _rest(name: str) -> list[str]:
         "",
         "[output]",
         f"path = {_quoted(f'{name}.h5')}",
-        f"# picture = {_quoted(f'{name}.png')}",
+        f"{'' if picture else '# '}picture = {_quoted(f'{name}.png')}",
     ]
 
 
+def write_example(name: str, job: Path) -> None:
+    """Write the files of the example ``name`` beside the ``job``, and the job, which draws a picture.
+
+    Raises:
+        InputError: a file of one of these names is there; then nothing is written.
+    """
+    example = EXAMPLES[name]
+    files = [job.parent / file for file in example.files]
+    for path in (*files, job):
+        if path.exists():
+            raise InputError(f"{path} is there already, and an example writes over nothing; choose another folder")
+    first = example.write(job.parent)
+    if name == "matrices":
+        K, M, B = (Path(file.name) for file in files)
+        text = job_of_matrices([K, M], B, None, "krylov", {"order": TOL.example_order}, body=job.stem)
+        text += f"picture = {_quoted(f'{job.stem}.png')}\n"
+    else:
+        text = job_text(first, job.parent, parse_units(example.units), picture=True)
+    with replacing(job) as written:
+        written.write(text.encode())
+
+
 def job_of_matrices(
-    files: Sequence[Path], loads: Path | None, outputs: Path | None, method: str | None, options: Mapping[str, object]
+    files: Sequence[Path],
+    loads: Path | None,
+    outputs: Path | None,
+    method: str | None,
+    options: Mapping[str, object],
+    *,
+    body: str = "",
 ) -> str:
     """A job that reduces K, M and D of ``files``, in this order, with columns of ``loads`` and rows of ``outputs``.
+
+    Its file of bodies has the name ``body``, by default that of K.
 
     Raises:
         InputError: no two or three files, or none that a method needs.
@@ -198,7 +230,8 @@ def job_of_matrices(
         lines += ["", "[[interface]]", f"name = {_quoted(name)}", f"matrix = {_quoted(name)}"]
     keys = [f"{key} = {value}" for key, value in options.items()]
     lines += ["", "[[reduce]]", f"method = {_quoted(method or 'modal')}", *keys]
-    return "\n".join([*lines, "", "[output]", f"path = {_quoted(f'{files[0].name.partition(chr(46))[0]}.h5')}", ""])
+    stem = body or files[0].name.partition(".")[0]
+    return "\n".join([*lines, "", "[output]", f"path = {_quoted(f'{stem}.h5')}", ""])
 
 
 def _quoted(text: str) -> str:

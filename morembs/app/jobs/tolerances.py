@@ -33,6 +33,8 @@ class JobTolerances:
     longest_in_metres: float = 5.0
     # Sets that become interfaces; others are named in a comment.
     template_interfaces: int = 2
+    # Coordinates of the bar whose matrices are an example: six bending modes, as a pair of moments is to each.
+    example_order: int = 12
     # Singular value of points over the largest below which they are in a line: coordinates with six digits.
     points_in_line: float = 1e-6
 
