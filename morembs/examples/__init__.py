@@ -24,7 +24,7 @@ Folder = str | Path
 
 
 def rod(folder: Folder = ".") -> Path:
-    """Write ``rod.msh``: a connecting rod 120 mm long (300 hex20), with the node sets BIG_END and SMALL_END.
+    """Write ``rod.msh``: a connecting rod 120 mm long (300 hex20), with the node sets BIGEND and SMALLEND.
 
     Raises:
         InputError: another file of this name is there.

@@ -63,7 +63,7 @@ def rod_shape() -> Shape:
     blocks.append(_Block("BODY", (9, shank, 1), between))
     shape = _join(blocks)
     away = [np.hypot(shape.points[:, 0] - center, shape.points[:, 1]) for center in (0.0, length)]
-    return _with_sets(shape, BIG_END=_is(away[0], bores[0]), SMALL_END=_is(away[1], bores[1]))
+    return _with_sets(shape, BIGEND=_is(away[0], bores[0]), SMALLEND=_is(away[1], bores[1]))
 
 
 def bracket_shape() -> Shape:

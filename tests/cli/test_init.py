@@ -53,7 +53,7 @@ def test_examples_reduce_to_bodies_of_their_shapes(bodies: dict[str, morembs.Bod
     assert mass["bracket"] == pytest.approx(BRACKET * 7.85e-6, rel=1e-5)
     # The bushes of the deck are of bronze, all else of the rod is the same.
     assert mass["deck"] - mass["rod"] == pytest.approx(BUSHES * (8.8e-6 - 7.85e-6), rel=1e-3)
-    for name, ends in (("rod", ["BIG_END", "SMALL_END"]), ("deck", ["BIG_END", "SMALL_END"])):
+    for name, ends in (("rod", ["BIGEND", "SMALLEND"]), ("deck", ["BIGEND", "SMALLEND"])):
         points = [bodies[name].floating.markers[end].point for end in ends]
         np.testing.assert_allclose(points, [[0, 0, 0], [0.12, 0, 0]], atol=1e-9)
     # A cantilever of Euler and Bernoulli, 200 x 20 x 10 mm, which its held end makes stiffer by some per cent.
