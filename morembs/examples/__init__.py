@@ -146,9 +146,11 @@ def _matrices(shape: Shape) -> list[bytes]:
     from morembs.fem.material import isotropic
 
     numbers = np.arange(1, len(shape.points) + 1)
+    # Steel in SI units; the shape is in mm.
+    steel = isotropic(set="all", young=210e9, poisson=0.3, density=7850.0)
     block = ElementBlock(type="hex20", nodes=shape.cells, ids=np.arange(1, len(shape.cells) + 1))
-    mesh = Mesh(nodes=Nodes(ids=numbers, xyz=1e-3 * shape.points), blocks=(block,), source="bar")
-    model = assemble(mesh, [isotropic(set="all", young=210e9, poisson=0.3, density=7850.0)])
+    mesh = Mesh(nodes=Nodes(ids=numbers, xyz=shape.points / 1000), blocks=(block,), source="bar")
+    model = assemble(mesh, [steel])
     free = ~np.isin(model.dofs.node, shape.node_sets["LEFT"])
     pushed = np.isin(model.dofs.node, shape.node_sets["RIGHT"]) & (model.dofs.component == 2)
     column = sp.csc_array((pushed / pushed.sum())[free, None])

@@ -44,6 +44,7 @@ class _Block:
 
 def rod_shape() -> Shape:
     """A rod between two pins, 120 mm apart: thick eyes with bushes, a thinner shank."""
+    # Distance of the pins; radii of bores, bushes and eyes of both ends; elements around them.
     length, bores, inner, outer, turned = 120.0, (10.0, 6.0), (12.5, 8.0), (17.0, 11.5), (24, 20)
     layers = np.array([-8.0, -5.0, 5.0, 8.0])
     shank = 4  # sectors of each eye from which the shank goes out
@@ -68,6 +69,7 @@ def rod_shape() -> Shape:
 
 def bracket_shape() -> Shape:
     """An L: a foot of 80 x 40 mm with two bolt holes, and a lug with a hole for a pin; 8 mm thick."""
+    # Thickness, half the side of the squares about the holes, radii of the holes.
     thick, half, bolt, pin = 8.0, 20.0, 5.5, 8.0
     blocks = []
     for y in (half, 3 * half):
@@ -89,8 +91,9 @@ def bracket_shape() -> Shape:
 
 def bar_shape() -> Shape:
     """A bar of 200 x 20 x 10 mm."""
-    shape = _join([_Block("BAR", (10, 1, 1), lambda u, v, w: (200 * u, 20 * v, 10 * w))])
-    return _with_sets(shape, LEFT=shape.points[:, 0] == 0, RIGHT=shape.points[:, 0] == 200)
+    length = 200.0  # twenty times the height
+    shape = _join([_Block("BAR", (10, 1, 1), lambda u, v, w: (length * u, 20 * v, 10 * w))])
+    return _with_sets(shape, LEFT=shape.points[:, 0] == 0, RIGHT=shape.points[:, 0] == length)
 
 
 def faces_of(shape: Shape, rows: Ints) -> Ints:
@@ -133,7 +136,7 @@ def _sideways(place: tuple[Floats, Floats], w: Floats) -> Sequence[Floats]:
 
 
 def _is(distance: Floats, radius: float) -> NDArray[np.bool_]:
-    return np.abs(distance - radius) < 1e-6
+    return np.abs(distance - radius) < 1e-6  # a nanometre: places are rounded to it
 
 
 def _join(blocks: Sequence[_Block]) -> Shape:
