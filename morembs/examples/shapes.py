@@ -72,15 +72,11 @@ def bracket_shape() -> Shape:
     # Thickness, half the side of the squares about the holes, radii of the holes.
     thick, half, bolt, pin = 8.0, 20.0, 5.5, 8.0
     blocks = []
-    for y in (half, 3 * half):
-        blocks += [
-            _Block("FOOT", (2, 4, 1), lambda u, v, w, side=side, y=y: _upward(_tile(u, v, side, bolt, half), w, y))
-            for side in range(4)
-        ]
-    blocks += [
-        _Block("LUG", (2, 4, 1), lambda u, v, w, side=side: _sideways(_tile(u, v, side, pin, half), w))
-        for side in range(4)
-    ]
+    for side in range(4):
+        hole, lug = _tile(side, bolt, half), _tile(side, pin, half)
+        blocks += [_Block("FOOT", (2, 4, 1), _moved(hole, (half, y, 0), thick)) for y in (half, 3 * half)]
+        # The lug stands: x, y and z of its tile become y, z and x.
+        blocks.append(_Block("LUG", (2, 4, 1), _turned(_moved(lug, (2 * half, thick + half, -thick), thick))))
     blocks.append(_Block("FOOT", (1, 8, 1), lambda u, v, w: (thick * (u - 1), 4 * half * v, thick * w)))
     shape = _join(blocks)
     x, y, z = shape.points.T
@@ -100,7 +96,7 @@ def faces_of(shape: Shape, rows: Ints) -> Ints:
     """The faces (nf, 8) of cells all of whose nodes are among ``rows``."""
     inside = np.zeros(len(shape.points), dtype=bool)
     inside[rows] = True
-    faces = np.concatenate([shape.cells[:, local] for _, local in TYPES["hex20"].face_nodes])
+    faces: Ints = np.concatenate([shape.cells[:, local] for _, local in TYPES["hex20"].face_nodes])
     return faces[inside[faces].all(axis=1)]
 
 
@@ -115,24 +111,38 @@ def _ring(center: float, low: float, high: float, layers: Floats) -> Place:
     return place
 
 
-def _tile(u: Floats, v: Floats, side: int, radius: float, half: float) -> tuple[Floats, Floats]:
-    """The quarter of a square about a round hole that ends at one of its sides, from the hole (u = 0) outwards."""
-    angle = np.pi / 4 * (2 * v - 1)
-    x = (1 - u) * radius * np.cos(angle) + u * half
-    y = (1 - u) * radius * np.sin(angle) + u * half * (2 * v - 1)
-    for _ in range(side):
-        x, y = -y, x
-    return x, y
+def _tile(side: int, radius: float, half: float) -> Place:
+    """The quarter of a square about a round hole that ends at one of its sides, from the hole outwards; 1 thick."""
+
+    def place(u: Floats, v: Floats, w: Floats) -> Sequence[Floats]:
+        angle = np.pi / 4 * (2 * v - 1)
+        x = (1 - u) * radius * np.cos(angle) + u * half
+        y = (1 - u) * radius * np.sin(angle) + u * half * (2 * v - 1)
+        for _ in range(side):
+            x, y = -y, x
+        return x, y, w
+
+    return place
 
 
-def _upward(place: tuple[Floats, Floats], w: Floats, y: float) -> Sequence[Floats]:
-    """A tile of the foot."""
-    return 20 + place[0], y + place[1], 8 * w
+def _moved(inner: Place, by: tuple[float, float, float], thick: float) -> Place:
+    """A place that is ``thick`` times as thick, and moved."""
+
+    def place(u: Floats, v: Floats, w: Floats) -> Sequence[Floats]:
+        x, y, z = inner(u, v, w)
+        return x + by[0], y + by[1], thick * z + by[2]
+
+    return place
 
 
-def _sideways(place: tuple[Floats, Floats], w: Floats) -> Sequence[Floats]:
-    """The tile of the lug."""
-    return 8 * (w - 1), 40 + place[0], 28 + place[1]
+def _turned(inner: Place) -> Place:
+    """A place whose x, y and z become y, z and x."""
+
+    def place(u: Floats, v: Floats, w: Floats) -> Sequence[Floats]:
+        x, y, z = inner(u, v, w)
+        return z, x, y
+
+    return place
 
 
 def _is(distance: Floats, radius: float) -> NDArray[np.bool_]:
