@@ -11,10 +11,13 @@ import pytest
 from benchmarks.deck_programs import difference, of_ccx, spectrum_of
 from morembs import InputError
 from morembs.fem import FEModel, rigid_motion
+from morembs.fem.interface import make_interface
+from morembs.fem.selection import select_nodes
 from morembs.importers import import_file
 from morembs.importers.to_model import model_of
 from morembs.parametric.parameter import Parameter
 from morembs.parametric.terms import varied_model
+from morembs.problem import Problem
 from tests.support.calculix import STORED, needs_ccx
 from tests.support.structures import LINE, PORTAL, STRUCTURES, fold, frame, plate
 
@@ -62,7 +65,8 @@ def test_a_cantilever_bends_as_timoshenko_has_it(tmp_path, code):
     free = np.flatnonzero(model.dependent.owner < 0)
     K = (T.T @ model.K @ T).toarray()
     x, component = model.nodes.xyz[model.dofs.node[free]], model.dofs.component[free]
-    held = (x[:, 2] < 1e-9) & ((component == 2) | (np.abs(x[np.arange(len(x)), component % 3]) < 1e-9))
+    on_axis = (np.abs(x[np.arange(len(x)), component % 3]) < 1e-9) & (model.nodes.ids[model.dofs.node[free]] > 17)
+    held = (x[:, 2] < 1e-9) & ((component == 2) | on_axis)
     tip = np.flatnonzero((model.nodes.ids[model.dofs.node] == 17) & (model.dofs.component == 0))
     row = T[tip].toarray().ravel()
     kept = np.flatnonzero(~held & (np.abs(K).sum(axis=1) > 0))
@@ -75,16 +79,32 @@ def test_nodes_of_the_deck_are_in_the_middle_and_sets_hold_fibres(tmp_path):
     model = imported(tmp_path, plate("S8R"))
     node = int(np.flatnonzero(model.nodes.ids == 1)[0])
     own = np.flatnonzero(model.dofs.node == node)
-    assert model.dofs.component[own].tolist() == [0, 1, 2]
+    assert model.dofs.component[own].tolist() == [0, 1, 2] and (model.dependent.owner[own] < 0).all()
     fibres = model.nodes.sets["END"]
-    assert len(fibres) == 3 * 3 + 2 * 2 and node not in fibres
-    assert np.unique(model.nodes.xyz[fibres, 2]) == pytest.approx([-0.1, 0.0, 0.1])
-    S = model.dependent.S[own].toarray()
-    ends = [i for i in fibres if np.allclose(np.abs(model.nodes.xyz[i] - model.nodes.xyz[node]), [0, 0, 0.1])]
+    # Of a corner its node, the middle and the top, of a middle its node and the top: what follows is in no set.
+    assert len(fibres) == 3 * 3 + 2 * 2 and node in fibres
+    assert np.unique(model.nodes.xyz[fibres, 2]) == pytest.approx([0.0, 0.1])
+    low, high = (
+        np.flatnonzero(np.abs(model.nodes.xyz - model.nodes.xyz[node] - [0, 0, z]).max(axis=1) < 1e-12)[0]
+        for z in (-0.1, 0.1)
+    )
+    S = model.dependent.S[np.flatnonzero(model.dofs.node == low)].toarray()
     for row, component in zip(S, range(3), strict=True):
-        terms = model.dofs.node[np.flatnonzero(row)], model.dofs.component[np.flatnonzero(row)]
-        assert sorted(terms[0].tolist()) == sorted(ends) and set(terms[1].tolist()) == {component}
-        assert row[row != 0] == pytest.approx([0.5, 0.5])
+        terms = {(int(model.dofs.node[i]), int(model.dofs.component[i])): row[i] for i in np.flatnonzero(row)}
+        assert terms == {(node, component): 2.0, (int(high), component): -1.0}
+    assert not any("SHELL SECTION" in note for note in model.notes)
+
+
+def test_single_nodes_and_edges_are_interfaces(tmp_path):
+    model = imported(tmp_path, plate("S4", (4, 2), move=fold(1.0)))
+    edge, single, knot = (
+        make_interface(model, name=text, nodes=select_nodes(model, text), coupling=coupling)
+        for text, coupling in (("set:END", "rigid"), ("ids:5", "direct"), ("ids:3", "rigid"))
+    )
+    assert single.components == (0, 1, 2) and len(edge.nodes) == 6 and len(knot.nodes) == 1
+    with Problem(model, [edge, single, knot]) as problem:
+        values, modes = problem.K @ problem.rigid, problem.rigid
+    assert modes.shape[1] == 6 and np.abs(values).max() <= 1e-10 * np.abs(problem.K.data).max()
 
 
 def test_a_knot_has_rotations_and_stretches(tmp_path):

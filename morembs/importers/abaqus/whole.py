@@ -17,7 +17,7 @@ from morembs.importers.abaqus.left_out import LOCKED, PRETENSION, notes_of
 from morembs.importers.abaqus.materials import SectionMaterials, materials_of
 from morembs.importers.abaqus.structures import structures_of
 from morembs.importers.abaqus.supports import supports_of
-from morembs.importers.abaqus.words import EFFECTS, LEFT_OUT, WORDS, of_kind
+from morembs.importers.abaqus.words import EFFECTS, LEFT_OUT, SECTIONS, WORDS, of_kind
 from morembs.importers.decks.expansion.sections import SOLIDS as EXPANDED
 from morembs.importers.decks.formulations import Meaning, deck_warnings, program_of
 from morembs.importers.decks.labels import ranges_of
@@ -58,7 +58,7 @@ def deck_of(contents: Contents) -> Deck:
         masses=on_rows(ties.masses, ids),
         discrete=on_rows(ties.discrete, ids),
         ties=tuple(ties.ties),
-        notes=(*_notes(contents), *deck.notes),
+        notes=(*_notes(contents, taken=any(part.code in EXPANDED for part in deck.elements)), *deck.notes),
         remarks=(*(f"The instance {name} was moved to its place." for name in moved), *sections.notes, *ties.notes),
         warnings=(
             *skipped_warnings(contents),
@@ -176,10 +176,11 @@ def _left_out(contents: Contents) -> dict[str, LeftOut]:
     return {f"*{word}": LeftOut(n, EFFECTS[WORDS[word].kind]) for word, n in counted.items() if n and word in acting}
 
 
-def _notes(contents: Contents) -> list[str]:
-    """What was left out, a sentence for each class."""
+def _notes(contents: Contents, *, taken: bool) -> list[str]:
+    """What was left out, a sentence for each class; sections of shells and beams may be ``taken``."""
     in_steps = [word for word in contents.in_steps if word in of_kind("support", "load")]
-    notes = notes_of(dict.fromkeys([*contents.noted, *in_steps]))
+    noted = [word for word in contents.noted if not (taken and word in SECTIONS)]
+    notes = notes_of(dict.fromkeys([*noted, *in_steps]))
     if f"*{PRETENSION}" in contents.skipped:
         notes.append(LOCKED.format(""))
     if contents.in_steps:

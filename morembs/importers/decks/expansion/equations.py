@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from morembs.base.types import Bools, Floats, Ints
+from morembs.base.types import Floats, Ints
 from morembs.fem import rigid_motion
 from morembs.fem.constraints import Equations
 from morembs.fem.fe_model import Component
@@ -110,24 +110,19 @@ def _equations(name: str, parts: Sequence[_Part]) -> Iterator[Equations]:
         )
 
 
-def mean_equations(nodes: Ints, corners: Ints, leads: Bools) -> Iterator[Equations]:
-    """Displacements of ``nodes`` (n,) as means of those of ``corners`` (n, c); where a node ``leads`` (n, 3) in a
-    component, the first of its corners follows it and the others."""
+def mean_equations(nodes: Ints, corners: Ints) -> Iterator[Equations]:
+    """Displacements of ``nodes`` (n,) as means of those of ``corners`` (n, c), of which the first follow."""
     count = corners.shape[1]
     if not len(nodes):
         return
-    own = np.where(leads, corners[:, :1], nodes[:, None])
-    terms = np.repeat(corners[:, None], 3, axis=1)
-    terms[:, :, 0] = np.where(leads, nodes[:, None], corners[:, :1])
-    values = np.full(terms.shape, 1.0 / count)
-    values[leads] = np.array([count, *[-1.0] * (count - 1)])
     components = np.tile(np.arange(3), len(nodes))
+    terms = np.repeat(np.column_stack([nodes, corners[:, 1:]]), 3, axis=0)
     yield Equations(
         name=MEANS,
-        nodes=own.ravel(),
+        nodes=np.repeat(corners[:, 0], 3),
         components=components,
         offsets=count * np.arange(3 * len(nodes) + 1),
         term_nodes=terms.ravel(),
         term_components=np.repeat(components, count),
-        coefficients=values.ravel(),
+        coefficients=np.tile([count, *[-1.0] * (count - 1)], 3 * len(nodes)),
     )

@@ -1,7 +1,8 @@
 """What sets, surfaces and couplings that name nodes of shells and beams mean once these are solids.
 
-Sets hold the nodes of fibres and cross-sections, of knots the node itself. Displacements of a node are those of its
-mean (CalculiX, "Expansion of the one-dimensional and two-dimensional elements"), rotations are those of knots alone.
+Displacements of a node are those of its mean (CalculiX, "Expansion of the one-dimensional and two-dimensional
+elements"), which the first of its corners makes so; rotations are those of knots alone. Sets hold their nodes with the
+others of fibres and cross-sections, so that an interface on them takes these along.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ from morembs.base.types import Floats, Ints
 from morembs.fem.constraints import AverageElement, RigidElement
 from morembs.fem.fe_model import Component
 from morembs.importers.decks.expansion.equations import mean_equations
-from morembs.importers.decks.expansion.sections import SOLIDS
 from morembs.importers.decks.expansion.solids import FibreNodes
 from morembs.importers.decks.labels import find, in_ranges, ranges_of
 from morembs.importers.decks.problems import Problem, Problems
@@ -25,34 +25,33 @@ from morembs.importers.decks.tables import DeckTables, Surface
 def with_names(deck: DeckTables, nodes: FibreNodes, problems: Problems) -> DeckTables:
     """The deck whose sets, surfaces and couplings name the nodes that it has now."""
     labels, counts = np.unique(nodes.parent, return_counts=True)
-    single = ~np.isin(nodes.parent, labels[counts > 1])
+    single = np.flatnonzero(~np.isin(nodes.parent, labels[counts > 1]))
     members, parents = nodes.labels[single], nodes.parent[single]
     became = {int(node): own[own > 0] for node, own in zip(parents, members, strict=True)}
-    rigid = tuple(_rigid(deck, element, became, problems) for element in deck.rigid)
+    # The first corner follows the node and the others.
+    free = {node: np.append(node, own[1:]) for node, own in became.items()}
+    rigid = tuple(_rigid(deck, element, free, problems) for element in deck.rigid)
     average = tuple(_average(element, became) for element in deck.average)
     deck = replace(deck, rigid=rigid, average=average)
     _refuse_rotations(deck, became, problems)
-    flat, of = members[members > 0], np.repeat(parents, (members > 0).sum(axis=1))
+    more = members[:, 1:]
+    flat, of = more[more > 0], np.repeat(parents, (more > 0).sum(axis=1))
     sets = {
-        name: own if not (chosen := in_ranges(of, own)).any() else _with(own, flat[chosen], parents)
+        name: own if not (chosen := in_ranges(of, own)).any() else _with(own, flat[chosen])
         for name, own in deck.node_sets.items()
     }
-    surfaces = {name: _surface(surface, became) for name, surface in deck.surfaces.items()}
+    surfaces = {name: _surface(surface, free) for name, surface in deck.surfaces.items()}
     equations = list(deck.equations)
-    leading = _leading(deck)
-    for is_corner, count in ((nodes.is_corner, 2), (nodes.is_corner, 4)):
-        rows = np.flatnonzero(single & (is_corner.sum(axis=1) == count))
-        corners = nodes.labels[rows][is_corner[rows]].reshape(-1, count)
-        own = nodes.parent[rows]
-        leads = np.isin(4 * own[:, None] + np.arange(3), leading)
-        equations += mean_equations(own, corners, leads)
+    for count in (2, 4):
+        rows = single[nodes.is_corner[single].sum(axis=1) == count]
+        corners = nodes.labels[rows][nodes.is_corner[rows]].reshape(-1, count)
+        equations += mean_equations(nodes.parent[rows], corners)
     return replace(deck, node_sets=sets, surfaces=surfaces, equations=tuple(equations))
 
 
-def _with(ranges: Ints, more: Ints, without: Ints) -> Ints:
-    """Ranges of labels with ``more`` of them and none of ``without``."""
-    named = np.concatenate([np.arange(a, b + 1) for a, b in ranges.tolist()])
-    return ranges_of(np.concatenate([np.setdiff1d(named, without), more]))
+def _with(ranges: Ints, more: Ints) -> Ints:
+    """Ranges of labels with ``more`` of them."""
+    return ranges_of(np.concatenate([*(np.arange(a, b + 1) for a, b in ranges.tolist()), more]))
 
 
 def _surface(surface: Surface, became: Mapping[int, Ints]) -> Surface:
@@ -102,17 +101,3 @@ def _refuse_rotations(deck: DeckTables, became: Mapping[int, Ints], problems: Pr
 
 def _refuse(problems: Problems, deck: str, what: str) -> None:
     problems.add(Problem(what=f"{what}; --engine calculix may assemble it", file=deck))
-
-
-def _leading(deck: DeckTables) -> Ints:
-    """Codes, 4 label + component, of displacements that their nodes have of something else than fibres: of solids, or
-    as followers."""
-    codes = [np.empty(0, dtype=np.int64)]
-    for part in deck.elements:
-        if part.kind == "solid" and part.code not in SOLIDS:
-            codes.append((4 * np.unique(part.nodes)[:, None] + np.arange(3)).ravel())
-    for rigid in deck.rigid:
-        own = np.array([c for c in rigid.components if c < 3], dtype=np.int64)
-        codes.append((4 * rigid.slaves[:, None] + own).ravel())
-    codes += [4 * own.nodes[own.components < 3] + own.components[own.components < 3] for own in deck.equations]
-    return np.unique(np.concatenate(codes))
