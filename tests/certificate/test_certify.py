@@ -286,13 +286,13 @@ def certified(name, damping, method):
     return known, *outcome
 
 
-# The first body with both dampings and all methods, each other with one damping and every second method.
+# The first body with both dampings and all methods, each other with one damping and every third method.
 CASES = [
     (name, damping, method)
     for i, name in enumerate(BODIES)
     for j, damping in enumerate(DAMPINGS)
     for k, method in enumerate(METHODS)
-    if (i < 1 or (i % 2 == j and ((i // 2 + k) % 2 == 0 or method == TWO_SIDED)))
+    if (i < 1 or (i % 2 == j and ((i // 2 + k) % 3 == 0 or method == TWO_SIDED)))
     and (method != TWO_SIDED or (damping != "undamped" and name.split()[0] in ("beam", "square", "thick")))
 ]
 

@@ -205,8 +205,10 @@ LOADS = [
 ]
 
 
-@pytest.mark.parametrize(("coupling", "kind", "names"), LOADS)
-@pytest.mark.parametrize("reducer", [CraigBampton(modes=4), FreeInterface(modes=6)], ids=lambda r: r.method)
+@pytest.mark.parametrize(
+    ("coupling", "kind", "names", "reducer"),
+    [(*load, CraigBampton(modes=4) if number % 2 else FreeInterface(modes=6)) for number, load in enumerate(LOADS)],
+)
 def test_every_term_is_that_of_a_dense_solution(coupling, kind, names, reducer):
     model = steel(box("hex20", (3, 1, 1), (0.5, 0.06, 0.1)))
     origin = np.array([0.1, -0.2, 0.3])

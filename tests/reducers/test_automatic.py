@@ -43,8 +43,10 @@ def full(problem, band, points=6):
     return omega, Truth(problem)(omega), np.outer(problem.motion_scale, problem.motion_scale), modes
 
 
-@pytest.mark.parametrize("damping", DAMPINGS)
-@pytest.mark.parametrize("name", BAND)
+@pytest.mark.parametrize(
+    ("name", "damping"),
+    [("beam average", "undamped"), ("beam average", "rayleigh"), ("square beam", "rayleigh"), ("angle", "undamped")],
+)
 def test_the_tolerance_holds(name, damping):
     model, interfaces = BODIES[name]()
     with Problem(model, interfaces, damping=DAMPINGS[damping]) as problem:
