@@ -9,7 +9,8 @@ import pytest
 
 from benchmarks import decks
 from benchmarks.deck_programs import Spectrum, difference, holds
-from tests.support.calculix import STEEL, needs_ccx, solids
+from tests.support.calculix import needs_ccx, solids
+from tests.support.structures import plate
 
 pytestmark = needs_ccx
 SAMPLE = (
@@ -46,10 +47,10 @@ def test_a_sample_of_decks_comes_in_as_its_program_computes_it(tmp_path, capsys)
 
 
 def test_what_own_assembly_refuses_and_ccx_computes_is_a_failure(tmp_path, capsys):
-    (tmp_path / "membrane.inp").write_text(
-        "*NODE\n1,0,0,0\n2,1,0,0\n3,1,1,0\n4,0,1,0\n*ELEMENT,TYPE=S4,ELSET=E\n1,1,2,3,4\n"
-        f"{STEEL}*SHELL SECTION,ELSET=E,MATERIAL=STEEL\n.1\n"
+    layers = plate("S8R", section=", COMPOSITE", data="0.1,,STEEL\n0.1,,STEEL").replace(
+        "PLATE, MATERIAL=STEEL", "PLATE"
     )
+    (tmp_path / "layers.inp").write_text(layers)
     (tmp_path / "box.inp").write_text(solids("C3D8", (2, 1, 1), (2.0, 1.0, 1.0)).replace("*DENSITY\n7850.\n", ""))
     assert decks.main([str(tmp_path), "--json", str(tmp_path / "results.json")]) == 1
     said = capsys.readouterr().out
