@@ -27,9 +27,13 @@ def close(given, expected, tolerance):
     return np.abs(given - expected).max(initial=0.0) <= tolerance * np.abs(expected).max(initial=0.0)
 
 
+@pytest.fixture(scope="module")
+def V(problem):
+    return some_basis(problem, modes=4)
+
+
 @pytest.mark.parametrize(("kind", "followed"), [("mean-axes", ()), ("chord", ("FOOT", "TIP"))])
-def test_frames_are_those_of_the_model_assembled_at_the_values(problem, kind, followed):
-    V = some_basis(problem, modes=4)
+def test_frames_are_those_of_the_model_assembled_at_the_values(problem, V, kind, followed):
     model, terms = parametric_model(problem, V), frame_terms(problem, V)
     rng, origin = np.random.default_rng(2), (0.01, 0.0, 0.002)
     for p in rng.uniform(model.box.low, model.box.high, (2, len(model.box.low))):
