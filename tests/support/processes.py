@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import IO, Any, ClassVar
 
 import pytest
@@ -49,8 +50,15 @@ class ForkedCommand:
     """A command ``morembs`` with pipes for all that it says and hears, as ``subprocess.Popen`` has it for a batch."""
 
     open_ends: ClassVar[list[IO[str]]] = []
+    # A worker of dask starts jobs in several threads: a child that is forked between the pipes of another and its fork
+    # would keep those open.
+    one_by_one: ClassVar[Lock] = Lock()
 
     def __init__(self, arguments: Sequence[str], env: dict[str, str]) -> None:
+        with self.one_by_one:
+            self._start(arguments, env)
+
+    def _start(self, arguments: Sequence[str], env: dict[str, str]) -> None:
         command, (heard, said), *told = program(arguments), os.pipe(), os.pipe(), os.pipe()
 
         def work() -> None:
