@@ -271,8 +271,8 @@ MATERIAL = "*SOLID SECTION, ELSET=Cube, MATERIAL=M\n*MATERIAL, NAME=M\n*DENSITY\
         (SOLID + "*EQUATION\n3\n10,1,1.,20,1,-1.\n", "an equation of 3 terms has another number"),
         (SOLID + "*TIE, NAME=Glue\nA, B\n", r"deck.inp, line 13: \*TIE names the surface 'A'"),
         (
-            SOLID + "*ELEMENT, TYPE=S4\n8, 10,20,30,40\n9, 10,20,30,40\n*ELEMENT,TYPE=B31\n11,10,20\n",
-            "2 of the type 'S4', 1 of the type 'B31'",
+            SOLID + "*ELEMENT, TYPE=M3D4\n8, 10,20,30,40\n9, 10,20,30,40\n*ELEMENT,TYPE=T3D2\n11,10,20\n",
+            "2 of the type 'M3D4', 1 of the type 'T3D2'",
         ),
         (SOLID + "*FANCY THING\n1.\n", "FANCY THING.*not known"),
         (SOLID + "*NSET, NSET=A\n10, 11\n", "'A' names the node 11, which is not defined"),

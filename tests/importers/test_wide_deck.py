@@ -320,7 +320,7 @@ def test_rigid_bodies_without_reference_and_distributing_elements(read):
 
 
 FIVE = (
-    "*NODE\n" + cube(1).split("*NODE\n")[1] + "*ELEMENT, TYPE=S4\n8, 1, 2, 3, 4\n9, 1, 2, 3, 4\n*FANCY THING\n1.\n"
+    "*NODE\n" + cube(1).split("*NODE\n")[1] + "*ELEMENT, TYPE=M3D4\n8, 1, 2, 3, 4\n9, 1, 2, 3, 4\n*FANCY THING\n1.\n"
     "*SURFACE, NAME=A\nALL, S1\n*CONTACT PAIR\nA, A\n*CONTACT PAIR\nA, A\n*MPC\nMEANROT, 1, 2\n"
     "*SOLID SECTION, ELSET=ALL, MATERIAL=M\n*MATERIAL, NAME=M\n*ELASTIC\n2.E11, .3\n"
 )
@@ -334,9 +334,9 @@ def test_five_problems_are_five_in_one_message_with_the_line_that_answers_them(r
     assert problems[0].line == 15 and problems[1].line == 19
     assert message.startswith("deck.inp has 6 problems: (1) deck.inp, line 15: *FANCY THING cannot be read: it is not")
     assert "(2) 2 times (lines 19, 21), first: deck.inp, line 19: *CONTACT PAIR" in message
-    assert "--skip 'FANCY THING,S4,MPC' --contact skip --density X" in message
+    assert "--skip 'FANCY THING,M3D4,MPC' --contact skip --density X" in message
     # What the line says does it.
-    imported = read(FIVE, skip="FANCY THING,S4,MPC", contact="skip", density=7850.0)
+    imported = read(FIVE, skip="FANCY THING,M3D4,MPC", contact="skip", density=7850.0)
     assert model_of(imported).M.sum() / 3 == pytest.approx(7850.0)
     codes = [warning.rsplit("[", 1)[1].rstrip("]") for warning in imported.warnings]
     assert codes == ["keywords-skipped", "contact-skipped", *["keywords-skipped"] * 2, "density-given"]

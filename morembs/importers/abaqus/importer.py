@@ -15,6 +15,7 @@ from morembs.fem import Mesh
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.reader import read_deck
 from morembs.importers.abaqus.whole import deck_of, mesh_deck
+from morembs.importers.decks.expansion.sections import is_expanded
 from morembs.importers.decks.formulations import DIALECTS
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import deck_options
@@ -42,7 +43,7 @@ def read_abaqus(path: Path, *, dialect: str = "auto", allow_includes_outside: bo
         )
     with deck.problems.ending():
         whole = mesh_deck(deck, Assembly(deck))
-    if not any(part.kind == "solid" for part in whole.elements):
+    if not any(part.kind == "solid" or is_expanded(part) for part in whole.elements):
         deck.problems.refuse()
         raise InputError(f"{deck.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)")
     return whole.mesh()

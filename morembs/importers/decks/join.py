@@ -90,6 +90,13 @@ def mesh_of(deck: DeckTables) -> Mesh:
         DeckError: as ``import_deck``, or couplings, springs, point masses or edges without middle nodes.
     """
     problems = _problems(deck)
+    shells = [part for part in deck.elements if is_expanded(part)]
+    if shells:
+        listed = ", ".join(f"{len(part.ids)} of the type {part.code!r}" for part in shells)
+        what = f"{deck.name} has elements that are not supported in a mesh: {listed}; expected solids "
+        what += f"({_SOLIDS.get(deck.program, 'tetrahedra')}); import the whole deck, or take them out"
+        problems.add(Problem(what=what, file=deck.name, keyword="ELEMENT"))
+        problems.refuse()
     with problems.ending():
         deck = with_middles(deck)
     names = list(dict.fromkeys(tie.name for tie in couplings_of(deck).ties))
