@@ -34,6 +34,7 @@ REFERENCE = 1e-9
 ROOT = Path(__file__).parents[2]
 SHARED = ROOT.parent / "shared" / "data"
 SMALL = ROOT / "data" / "small_meshes"
+COSTLY = 5000
 DAMPINGS = {"undamped": Damping(), "rayleigh": Damping(alpha=5.0, beta=2e-6)}
 
 
@@ -171,6 +172,7 @@ LARGE = {
     "bracket": small("bracket.msh", "rigid", "FOOT", "TIP"),
     "abaqus block": foreign("abaqus_block/blockC3D8.inp", 0),
     "plate": small("plate.msh", "average", "LEFT", "RIGHT"),
+    "wheelset": foreign("wheelset/wheelset.vtk", 0),
 }
 
 
@@ -329,14 +331,16 @@ def test_the_bound_holds_where_modes_are_counted(name):
     with Problem(model, interfaces) as problem:
         low, high = band_of(problem)
         omega = 2 * np.pi * np.array([low, 0.63 * high, high])
-        H = Truth(problem)(omega)
+        # At the upper end errors are largest; solutions of the largest models are costly.
+        seen = slice(None) if problem.K.shape[0] < COSTLY else slice(2, None)
+        H = Truth(problem)(omega[seen])
         scale = np.outer(problem.motion_scale, problem.motion_scale)
         bodies = [FreeInterface(modes=8).reduce(problem), CraigBampton(modes=8).reduce(problem)]
         floor = round_off(problem, omega, problem.elastic_modes(count=6).eigenvalues)
         for body, certificate in zip(bodies, certify(problem, bodies, omega / (2 * np.pi)), strict=True):
-            error, bound = errors_of(body, omega, H, scale), certificate.bound
+            error, bound = errors_of(body, omega[seen], H, scale), certificate.bound[seen]
             show(name, body.name, error, bound / error)
-            assert (error <= bound * (1 + 1e-6) + floor).all()
+            assert (error <= bound * (1 + 1e-6) + floor[seen]).all()
             assert np.median(bound / error) < 1.1
 
 
