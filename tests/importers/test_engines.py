@@ -18,13 +18,13 @@ from morembs.fem import FEModel, rigid_motion
 from morembs.fem.elements import TYPES
 from morembs.fem.material import isotropic, orthotropic
 from morembs.importers import import_file
-from morembs.importers.abaqus.assembly import Assembly
+from morembs.importers.abaqus.cards.read import contents_for_calculix
+from morembs.importers.decks.flat import Choices
 from morembs.importers.decks.options import deck_options
 from morembs.importers.decks.problems import DeckError
 from morembs.importers.decks.writers.calculix_mesh import FACES
-from morembs.importers.engines.calculix.flat import Choices, flat_deck
 from morembs.importers.engines.calculix.importer import readable_by_calculix
-from morembs.importers.engines.calculix.read import read_for_engine
+from morembs.importers.for_calculix import read_for_calculix
 from morembs.importers.model_file import read_model
 from morembs.importers.to_model import model_of
 from morembs.problem import Problem
@@ -336,9 +336,9 @@ def test_a_preload_stiffens_as_ccx_says(tmp_path):
 def flat_text(tmp_path: Path, deck: str, *materials: object, skip: str = "") -> str:
     """What CalculiX reads of a deck with the materials that were given."""
     (tmp_path / "deck.inp").write_text(deck)
-    choices = Choices(options=deck_options(None, "refuse", skip), materials=materials)
-    raw = read_for_engine(tmp_path / "deck.inp", choices.options)
-    return flat_deck(raw, Assembly(raw), choices).deck.text("", "")
+    read = read_for_calculix(tmp_path / "deck.inp", "abaqus", deck_options(None, "refuse", skip))
+    assert read.cards is not None
+    return read.cards(Choices(materials=materials)).text("", "")
 
 
 @needs_ccx
@@ -462,11 +462,18 @@ def test_elements_of_27_nodes_are_none_of_calculix(tmp_path):
     assert len(told.value.problems) == 1 and not told.value.answer
 
 
+def test_sets_that_name_what_is_not_there_are_told_before_calculix_runs(tmp_path):
+    (tmp_path / "deck.inp").write_text(f"{TIED}*NSET,NSET=LOST\n29\n*HEAT FLOW\n")
+    with pytest.raises(DeckError, match=r"2 problems: \(1\) .*HEAT FLOW") as told:
+        readable_by_calculix(tmp_path / "deck.inp")
+    assert "the set 'LOST' names the node 29, which is not defined" in told.value.problems[1].what
+
+
 def test_steps_end_as_in_calculix(tmp_path):
     """The first load of the second step is not one of the first."""
     steps = "*END STEP\n*STEP\n*STATIC\n*CLOAD\n1,1,5.\n*STEP\n*STATIC\n*CLOAD\n2,1,5.\n"
     (tmp_path / "deck.inp").write_text(TIED + steps)
-    deck = read_for_engine(tmp_path / "deck.inp", deck_options(None, "refuse", ""))
+    deck = contents_for_calculix(tmp_path / "deck.inp", deck_options(None, "refuse", ""))
     assert [[card.keyword for card, _ in step] for step in deck.steps] == [["STEP", "STATIC", "CLOAD"]] * 2
     assert [step[-1][1].strip() for step in deck.steps] == [b"1,1,5.", b"2,1,5."]
 

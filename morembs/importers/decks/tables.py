@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
 from morembs.fem.constraints import AverageElement, Equations, RigidElement
+from morembs.importers.decks.flat import Cards
 from morembs.importers.decks.formulations import Meaning
 from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import Problem
@@ -244,6 +245,10 @@ class DeckTables:
     seams: bool = False
     # What the program calls a node.
     node: str = "node"
+    # What Abaqus and CalculiX read as it stands: cards that these tables have no fields for (steps, nonlinear springs,
+    # temperatures, gaps, bolts, ...), in words of one flat deck; None where tables have all that was read. A deck
+    # with cards has sections, couplings, masses and supports there, and not in tables.
+    cards: Cards | None = None
     # Names of the files that it was read from, includes too, which no writer replaces.
     files: tuple[str, ...] = ()
 

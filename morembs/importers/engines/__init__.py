@@ -18,11 +18,11 @@ from morembs.base.plugins import Registry
 from morembs.fem.material import Material
 from morembs.importers.decks.problems import DeckError
 from morembs.importers.engines.calculix.importer import import_with_calculix, readable_by_calculix
-from morembs.importers.engines.calculix.other_decks import FORMATS
 from morembs.importers.engines.calculix.program import find_ccx
 from morembs.importers.engines.mystran.importer import import_with_mystran, readable_by_mystran
 from morembs.importers.engines.mystran.program import find_mystran
 from morembs.importers.engines.run import Program
+from morembs.importers.for_calculix import FORMATS
 from morembs.importers.imported import Imported
 
 # What lets own assembly or one of the engines take a deck, whichever does.
@@ -61,7 +61,7 @@ class Engine:
 _OWN: dict[str, Engine] = {
     "calculix": Engine(
         about="CalculiX (ccx) assembles decks of Abaqus and CalculiX, and solids of other decks",
-        formats=("abaqus", *FORMATS),
+        formats=FORMATS,
         decks="decks of Abaqus or CalculiX, and solids of Nastran, ANSYS and universal files",
         find=find_ccx,
         read=import_with_calculix,

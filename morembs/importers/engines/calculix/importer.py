@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -12,17 +13,16 @@ from morembs.base.errors import InputError
 from morembs.base.limits import Count, Positive, one_of
 from morembs.base.scratch import ScratchFolder
 from morembs.fem.material import Material
-from morembs.importers.abaqus.assembly import Assembly
-from morembs.importers.abaqus.deck import Contents
+from morembs.importers.decks.flat import Choices
 from morembs.importers.decks.formulations import DIALECTS
+from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import Boundary, DeckOptions, deck_options
 from morembs.importers.decks.tables import Supports
-from morembs.importers.engines.calculix.flat import Choices, flat_deck
 from morembs.importers.engines.calculix.model import Exported
-from morembs.importers.engines.calculix.other_decks import FORMATS, read_other, with_others, write_other
+from morembs.importers.engines.calculix.other_decks import completed, with_others, write_other
 from morembs.importers.engines.calculix.program import Ccx, find_ccx
-from morembs.importers.engines.calculix.read import read_for_engine
-from morembs.importers.engines.calculix.ties import Flat
+from morembs.importers.engines.run import Program
+from morembs.importers.for_calculix import read_for_calculix
 from morembs.importers.imported import Imported
 from morembs.importers.tolerances import TOL
 
@@ -62,7 +62,7 @@ def import_with_calculix(
         allow_includes_outside: includes may name files beyond the folder of the deck.
         dialect: the program that the deck was written for; a model of one of Abaqus says that CalculiX differs.
         materials: of element sets that have none, or "all" of these, in the units of the deck.
-        format: of the deck, "abaqus" or one of ``other_decks.FORMATS``.
+        format: of the deck, one of ``for_calculix.FORMATS``.
 
     Peak memory: that of the matrices several times, and of ccx itself.
 
@@ -72,39 +72,66 @@ def import_with_calculix(
     """
     program = find_ccx(executable)
     check_value("dialect", dialect, Annotated[str, one_of(*DIALECTS)])
-    choices = _choices(deck_options(density, contact, skip, pretension), boundary, preload, timeout, materials)
-    if format in FORMATS:
-        if preload:
-            raise InputError(
-                f"--preload {preload} was given for {Path(path).name}, whose steps are not read; leave it out"
-            )
-        other = read_other(Path(path), format, choices.options, materials, outside=allow_includes_outside)
-        if boundary == "keep" and not len(other.supports.nodes):
-            raise InputError(
-                f"--boundary keep was given for {Path(path).name}, whose supports are not read; leave it out, and hold "
-                "the model by [[interface]] of a job"
-            )
-        if boundary == "drop":
-            # Along turned axes they would be equations, which stay.
-            other = replace(other, supports=Supports())
-        with closing(ScratchFolder(None)) as scratch:
-            flat_path, said = write_other(other, scratch.path)
-            imported = import_with_calculix(
-                flat_path,
-                executable=str(program.path),
-                boundary=boundary,
-                timeout=timeout,
-                keep_files=keep_files,
-                dialect="calculix",
-            )
-        return with_others(imported, other, said)
-    deck, assembly, flat = _flat(Path(path), choices, outside=allow_includes_outside)
-    deck.dialects = deck.dialects if dialect == "auto" else {dialect}
+    choices = _choices(boundary, preload, timeout, materials)
+    options = deck_options(density, contact, skip, pretension)
+    deck = read_for_calculix(Path(path), format, options, dialect=dialect, outside=allow_includes_outside)
     keep = Path(keep_files) if keep_files else None
-    with Ccx(program=program, flat=flat.deck, seconds=timeout, keep=keep) as ccx:
+    return assemble_with_calculix(deck, choices, program=program, seconds=timeout, keep=keep)
+
+
+def assemble_with_calculix(
+    deck: Deck, choices: Choices, *, program: Program, seconds: float = TOL.engine_seconds, keep: Path | None = None
+) -> Imported:
+    """A deck of any program as CalculiX assembles it, in the deck's own units.
+
+    Args:
+        program: ccx, as ``find_ccx`` gives it.
+        seconds: for each run of it.
+        keep: a folder for what it read and wrote.
+
+    Raises:
+        DeckError: all that keeps the deck from becoming a model.
+        InputError: a run that fails, or choices that the deck has nothing for.
+    """
+    if deck.cards is None:
+        deck = _ready(deck, choices)
+        with _as_cards(deck) as (written, said):
+            of_flat = replace(choices, materials=())
+            imported = assemble_with_calculix(written, of_flat, program=program, seconds=seconds, keep=keep)
+        return with_others(imported, deck, said)
+    flat = deck.cards(choices)
+    with Ccx(program=program, flat=flat, seconds=seconds, keep=keep) as ccx:
         read = ccx.export()
-        model = Exported(deck, assembly, flat, read, ccx.expansion(), held=choices.keep)
-        return model.imported(ccx, choices)
+        return Exported(deck, flat, read, ccx.expansion(), held=choices.keep).imported(ccx, choices)
+
+
+def _ready(deck: Deck, choices: Choices) -> Deck:
+    """A deck without cards that holds what is asked for.
+
+    Raises:
+        DeckError: all that keeps it from being written for CalculiX.
+        InputError: steps or supports, which were not read.
+    """
+    if choices.preload:
+        raise InputError(
+            f"--preload {choices.preload} was given for {deck.name}, whose steps are not read; leave it out"
+        )
+    deck = completed(deck, choices.materials)
+    if choices.keep and not len(deck.supports.nodes):
+        raise InputError(
+            f"--boundary keep was given for {deck.name}, whose supports are not read; leave it out, and hold the model "
+            "by [[interface]] of a job"
+        )
+    # Along turned axes they would be equations, which stay.
+    return deck if choices.keep else replace(deck, supports=Supports())
+
+
+@contextmanager
+def _as_cards(deck: Deck) -> Iterator[tuple[Deck, tuple[str, ...]]]:
+    """The deck as one with cards, without masses, springs and average elements; what differs in it."""
+    with closing(ScratchFolder(None)) as scratch:
+        path, said = write_other(deck, scratch.path)
+        yield read_for_calculix(path, "abaqus", DeckOptions(), dialect="calculix"), said
 
 
 def readable_by_calculix(
@@ -123,25 +150,16 @@ def readable_by_calculix(
     Raises:
         InputError: it cannot.
     """
-    choices = Choices(options=deck_options(density, contact, skip, pretension), materials=materials)
-    if format in FORMATS:
-        other = read_other(path, format, choices.options, materials, outside=allow_includes_outside)
-        with closing(ScratchFolder(None)) as scratch:
-            write_other(other, scratch.path)
+    options = deck_options(density, contact, skip, pretension)
+    deck = read_for_calculix(path, format, options, outside=allow_includes_outside)
+    if deck.cards is not None:
+        deck.cards(Choices(materials=materials))
         return
-    _flat(path, choices, outside=allow_includes_outside)
+    with closing(ScratchFolder(None)) as scratch:
+        write_other(completed(deck, materials), scratch.path)
 
 
-def _flat(path: Path, choices: Choices, *, outside: bool) -> tuple[Contents, Assembly, Flat]:
-    deck = read_for_engine(path, choices.options, outside=outside)
-    with deck.problems.ending():
-        assembly = Assembly(deck)
-        return deck, assembly, flat_deck(deck, assembly, choices)
-
-
-def _choices(
-    options: DeckOptions, boundary: str, preload: int, timeout: float, materials: tuple[Material, ...]
-) -> Choices:
+def _choices(boundary: str, preload: int, timeout: float, materials: tuple[Material, ...]) -> Choices:
     check_value("--boundary", boundary, Boundary)
     check_value("--preload", preload, Count)
     check_value("--engine-timeout", timeout, Positive)
@@ -150,4 +168,4 @@ def _choices(
             f"--preload {preload} was given with --boundary drop, but supports carry the load; give --boundary keep, "
             "or [preload] in the job"
         )
-    return Choices(options=options, keep=boundary == "keep", preload=preload, materials=materials)
+    return Choices(keep=boundary == "keep", preload=preload, materials=materials)

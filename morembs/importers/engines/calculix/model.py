@@ -13,17 +13,12 @@ from morembs.base.types import Ints
 from morembs.fem import DofMap, Nodes
 from morembs.fem.constraints import AverageElement, Equations
 from morembs.fem.fe_model import Component
-from morembs.importers.abaqus.assembly import Assembly
-from morembs.importers.abaqus.deck import PLAIN, SOLIDS, Contents
-from morembs.importers.abaqus.left_out import notes_of
-from morembs.importers.abaqus.whole import mesh_deck, skipped_warnings
-from morembs.importers.abaqus.words import of_kind
-from morembs.importers.decks.formulations import deck_warnings
+from morembs.importers.decks.flat import Choices, FlatDeck
 from morembs.importers.decks.join import join
-from morembs.importers.engines.calculix.flat import WRITTEN, Choices
+from morembs.importers.decks.labels import in_ranges
+from morembs.importers.decks.model import Deck
 from morembs.importers.engines.calculix.program import Ccx
 from morembs.importers.engines.calculix.rows import Expanded, RowMap, map_rows, strain
-from morembs.importers.engines.calculix.ties import Flat
 from morembs.importers.imported import Imported, nodes_of, on_rows, sets_on
 from morembs.importers.matrices.calculix import CalculixMatrices
 from morembs.importers.tolerances import TOL
@@ -35,35 +30,20 @@ class Exported:
     """Rows of an export on nodes of the deck and of expanded elements."""
 
     def __init__(
-        self,
-        deck: Contents,
-        assembly: Assembly,
-        flat: Flat,
-        read: CalculixMatrices,
-        expanded: Expanded | None,
-        *,
-        held: bool,
+        self, deck: Deck, flat: FlatDeck, read: CalculixMatrices, expanded: Expanded | None, *, held: bool
     ) -> None:
-        self.deck, self.assembly, self.flat, self.expanded = deck, assembly, flat, expanded
+        self.deck, self.flat, self.expanded = deck, flat, expanded
         self.plain = self.read = read
-        self.solid = np.zeros(len(assembly.ids), dtype=bool)
-        for block in assembly.blocks:
-            self.solid[block.nodes] = True
-        used = self.solid.copy()
-        for _, _, nodes in assembly.others:
-            used[nodes] = True
-        for element in assembly.discrete:
-            used[element.nodes] |= element.code not in ("DCOUP3D", "ROTARYI", "MASS")
-        self.used = used
+        self.solid = flat.in_solids
         bodies = [*flat.bodies, *flat.turning.values()]
-        placed = used.copy()
+        placed = flat.in_elements.copy()
         placed[np.array(bodies, dtype=np.int64) - 1] = True
         unplaced = np.flatnonzero(~placed) + 1
         self.map = map_rows(
             read.K,
             read.node,
             read.dof,
-            assembly.xyz,
+            flat.xyz,
             expanded=expanded,
             turning=flat.turning,
             unplaced=unplaced,
@@ -92,7 +72,7 @@ class Exported:
         if not len(node):
             return node, direction, None
         # What the boundary holds in global axes follows nothing; springs tell the rest.
-        held = self.flat.deck.held[node - 1, direction - 1] & ~np.isin(node - 1, list(self.flat.turned))
+        held = self.flat.held[node - 1, direction - 1] & ~np.isin(node - 1, list(self.flat.turned))
         probed = np.flatnonzero(~held)
         S = sp.csr_array((len(node), len(self.plain.node)))
         if len(probed):
@@ -110,14 +90,14 @@ class Exported:
             return mapped
         owner, place = mapped.owner.copy(), mapped.place.copy()
         owner[turns] = np.array(bodies)[np.searchsorted(groups, mapped.group[turns])]
-        place[turns] = self.assembly.xyz[owner[turns] - 1]
+        place[turns] = self.flat.xyz[owner[turns] - 1]
         return replace(mapped, owner=owner, place=place)
 
     def _missing(self, mapped: RowMap, *, outside: bool) -> tuple[Ints, Ints]:
         """Label and direction 1..3 of dofs of solids and reference nodes that have no row, of nodes ``outside`` of
         elements too that follow others."""
         wanted = self.solid.copy()
-        wanted[list(self.flat.deck.followers if outside else [])] = True
+        wanted[list(self.flat.followers if outside else [])] = True
         wanted[np.array([*self.flat.bodies, *self.flat.turning.values()], dtype=np.int64) - 1] = True
         if self.expanded is not None:
             # A node of a shell or beam is not in the model; those that it became are.
@@ -132,14 +112,11 @@ class Exported:
         self, mapped: RowMap, node: Ints, direction: Ints, S: sp.csr_array | None, choices: Choices
     ) -> Imported:
         """Rows in the order of the model: x, y, z of the mesh's nodes first, then all others."""
-        flat, assembly = self.flat, self.assembly
-        notes, warnings = [*flat.notes], [*flat.warnings, *self.deck.warnings, *flat.deck.reversed]
+        deck, flat = self.deck, self.flat
         own, others = mapped.owner[mapped.owner > 0] - 1, nodes_of([*flat.average, *flat.masses])
         extra = np.unique(np.concatenate([own, node - 1, others]).astype(np.int64))
-        named = dict(assembly.resolved("node"))
-        deck = mesh_deck(self.deck, assembly)
-        self.deck.problems.refuse()
-        solids = join(deck, assembly.ids[extra])
+        named = {name: np.flatnonzero(in_ranges(deck.ids, ranges)) for name, ranges in deck.node_sets.items()}
+        solids = join(deck, deck.ids[extra])
         mesh, nodes, row = solids.mesh, solids.nodes, solids.row
         named_by = np.zeros(len(mapped.owner), dtype=bool)
         if S is not None:
@@ -151,10 +128,8 @@ class Exported:
         equations = () if S is None else (_equations(S, dependent, at, mapped.component),)
         average = tuple(self._on_expanded(item, row, at, mapped) for item in flat.average)
         masses = on_rows(flat.masses, row)
-        warnings += self._told(mapped, choices)
-        notes += _notes(self.deck, choices)
         return Imported(
-            source=self.deck.name,
+            source=deck.name,
             K=K,
             M=M,
             nodes=nodes,
@@ -163,16 +138,15 @@ class Exported:
             average=average,
             equations=equations,
             masses=masses,
-            surfaces=sets_on({name: own.nodes for name, own in flat.constraints.surfaces.named.items()}, row),
+            surfaces=sets_on(flat.surfaces, row),
             # Nodes of shells and beams became others, so that nothing is left out with them.
-            notes=(*notes, *deck.notes, *(solids.notes if mesh is not None else ())),
-            warnings=tuple(dict.fromkeys(warnings)),
+            notes=(*flat.notes, *deck.notes, *(solids.notes if mesh is not None else ())),
+            warnings=tuple(dict.fromkeys([*flat.warnings, *self._told(mapped, choices), *deck.options.idle])),
         )
 
     def _told(self, mapped: RowMap, choices: Choices) -> list[str]:
-        """In what the model differs from others of its deck, a sentence each."""
-        hybrid = {code: count for code, count in self.deck.counts.items() if code in SOLIDS and "H" in code}
-        warnings = [*skipped_warnings(self.deck), *deck_warnings(hybrid, "calculix", guessed=False)]
+        """What matrices are that a free body has not, a sentence each."""
+        warnings = list[str]()
         moves = (mapped.component[:, None] == np.arange(3)).astype(float)
         along = np.einsum("ia,ia->a", moves, self.read.M @ moves)
         if np.ptp(along) > TOL.uneven_mass * along.max() and not choices.keep:
@@ -186,15 +160,7 @@ class Exported:
                 "the ground, equations that hold the body, or elements C3D8R that are distorted, whose hourglass "
                 "stiffness resists rotation there; own assembly has not that defect [engine-rotation]"
             )
-        if self.deck.dialects == {"abaqus"}:
-            warnings.append(
-                "the deck is one of Abaqus, and CalculiX has other formulations and consistent masses: its frequencies "
-                "are those of CalculiX [formulation-differs]"
-            )
-        plain = {(code, PLAIN[code]): count for code, count in self.deck.counts.items() if code in PLAIN and count}
-        for (code, taken), count in {**plain, **self.flat.replaced}.items():
-            warnings.append(f"{count} elements {code} are assembled as {taken} [hybrid-as-plain]")
-        return [*warnings, *self.deck.options.idle]
+        return warnings
 
     def _on_expanded(self, item: AverageElement, row: Ints, at: Ints, mapped: RowMap) -> AverageElement:
         """The element on rows of the model; nodes of shells and beams share their weights among what they became."""
@@ -220,7 +186,7 @@ class Exported:
         Expanded nodes get labels beyond the deck and are in the sets of their parents; modes inside elements belong
         to the first node that K couples them to, those that equations name (``named_by``) have a node of their own.
         """
-        first = 10 ** len(str(int(self.assembly.ids.max())))
+        first = 10 ** len(str(int(self.flat.ids.max())))
         at = np.full(len(mapped.owner), -1, dtype=np.int64)
         deck = mapped.owner > 0
         at[deck] = row[mapped.owner[deck] - 1]
@@ -308,17 +274,3 @@ def _equations(S: sp.csr_array, dependent: tuple[Ints, Ints], node: Ints, compon
         term_components=component[S.indices],
         coefficients=S.data,
     )
-
-
-def _notes(deck: Contents, choices: Choices) -> list[str]:
-    """What was left out, a sentence each."""
-    notes = ["The matrices are those of CalculiX."]
-    in_steps = [card.keyword for step in deck.steps[choices.preload :] for card, _ in step]
-    left_out = of_kind("load") if choices.keep else of_kind("load", "support")
-    noted = [word for word in deck.noted if word not in WRITTEN or (word == "BOUNDARY" and not choices.keep)]
-    notes += notes_of(dict.fromkeys([*noted, *(word for word in in_steps if word in left_out)]))
-    if deck.steps:
-        held = " but for what the first holds" if choices.keep and not choices.preload else ""
-        held = f" beyond step {choices.preload}" if choices.preload else held
-        notes.append(f"Steps are not applied{held}.")
-    return notes

@@ -2,46 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from morembs.base.options import known
 from morembs.fem import Nodes
 from morembs.fem.material import Material
-from morembs.importers.ansys.cdb import read_ansys
+from morembs.importers.decks.flat import refuse_no_elements
 from morembs.importers.decks.labels import Labels
 from morembs.importers.decks.materials import complete, problems_of_solids
 from morembs.importers.decks.model import Deck
-from morembs.importers.decks.options import DeckOptions
 from morembs.importers.decks.problems import DeckError, Problem, Problems
 from morembs.importers.decks.tables import NOT_WRITTEN
-from morembs.importers.engines.calculix.read import refuse_no_elements
 from morembs.importers.imported import Imported, nodes_of, on_rows
-from morembs.importers.nastran.importer import read_nastran
-from morembs.importers.unv import read_unv
-
-_READERS: dict[str, Callable[..., Deck]] = {"ansys": read_ansys, "nastran": read_nastran, "unv": read_unv}
-FORMATS = tuple(_READERS)
 
 
-def read_other(path: Path, format: str, options: DeckOptions, materials: Sequence[Material], *, outside: bool) -> Deck:
-    """A deck of one of ``FORMATS`` all of whose solids have a material.
+def completed(deck: Deck, materials: Sequence[Material]) -> Deck:
+    """A deck all of whose solids have a material.
 
     Raises:
         DeckError: all that keeps it from being written for CalculiX.
     """
-    given = {
-        "density": dict(options.density) or None,
-        "contact": options.contact,
-        "skip": sorted(options.skip),
-        "allow_includes_outside": outside,
-    }
-    read = _READERS[format]
-    deck = read(path, **{name: own for name, own in given.items() if name in known(read)})
-    problems = Problems(deck.name, options.flags)
+    problems = Problems(deck.name, deck.options.flags)
     problems.entries = [*deck.problems, *(part.problem for part in deck.elements if part.problem)]
     if all(part.kind in ("point", "none") for part in deck.elements):
         refuse_no_elements(problems)

@@ -20,7 +20,7 @@ from morembs.base.closing import Closing
 from morembs.base.errors import InputError
 from morembs.base.scratch import ScratchFolder
 from morembs.base.types import Ints
-from morembs.importers.engines.calculix.deck import FlatDeck
+from morembs.importers.decks.flat import FlatDeck
 from morembs.importers.engines.calculix.expansion import read_expansion
 from morembs.importers.engines.calculix.rows import Expanded
 from morembs.importers.engines.run import Program, find_executable, run
@@ -65,19 +65,21 @@ class Ccx(Closing):
         """Remove the files."""
         self.folder.close()
 
-    def export(self, name: str = "model", extra: str = "", nodes: str = "") -> CalculixMatrices:
-        """K and M of the deck with ``extra`` cards.
+    def export(
+        self, name: str = "model", extra: str = "", nodes: str = "", *, preloaded: bool = True
+    ) -> CalculixMatrices:
+        """K and M of the deck with ``extra`` cards, after the steps of its preload if ``preloaded``.
 
         Raises:
             InputError: ccx refuses the deck, does not finish, or writes what is no matrix.
         """
-        step = _EXPORT.format(", PERTURBATION" if self.flat.steps else "")
-        self._run(name, self.flat.text(extra, step, nodes))
+        step = _EXPORT.format(", PERTURBATION" if self.flat.steps and preloaded else "")
+        self._run(name, self.flat.text(extra, step, nodes, preloaded=preloaded))
         stem = self.folder.path / name
         files = [stem.with_suffix(end) for end in _ENDINGS]
         lost = [file.suffix for file in files if not file.is_file() or not file.stat().st_size]
         if lost == list(_ENDINGS):
-            raise InputError(f"ccx wrote no matrices of {self.flat.deck.name}; its boundary or equations hold it all")
+            raise InputError(f"ccx wrote no matrices of {self.flat.name}; its boundary or equations hold it all")
         if lost:
             raise InputError(f"ccx finished without writing {', '.join(name + end for end in lost)}; is it complete?")
         try:
@@ -101,13 +103,9 @@ class Ccx(Closing):
 
     def expansion(self) -> Expanded | None:
         """What became of shells, membranes, beams and trusses, None without any."""
-        if not any(code[0] in "SMBT" and not code.startswith("SPRING") for code, *_ in self.flat.assembly.others):
+        if not self.flat.expands:
             return None
-        steps, self.flat.steps = self.flat.steps, []
-        try:
-            self._run("shape", self.flat.text("", _SHAPE), done="")
-        finally:
-            self.flat.steps = steps
+        self._run("shape", self.flat.text("", _SHAPE, preloaded=False), done="")
         return read_expansion(self.folder.path / "shape.12d", self.folder.path / "shape.frd")
 
     def probe(self, plain: CalculixMatrices, node: Ints, direction: Ints) -> sp.csr_array:
@@ -116,10 +114,10 @@ class Ccx(Closing):
         Raises:
             InputError: springs change the rest of the model, so that S cannot be told.
         """
-        count, first = len(node), self.flat.free
-        far = 2.0 * np.ptp(self.flat.assembly.xyz, axis=0).max() + 1.0
+        count, first = len(node), len(self.flat.ids) + 1
+        far = 2.0 * np.ptp(self.flat.xyz, axis=0).max() + 1.0
         nodes = "\n".join(["*NODE", *(f"{first + i}, {far:.6g}, {far:.6g}, {far:.6g}" for i in range(count))])
-        lines, element = [], 1 + len(self.flat.labels)
+        lines, element = [], 1 + len(self.flat.elements)
         for axis in (1, 2, 3):
             own = np.flatnonzero(direction == axis)
             if not len(own):
@@ -128,11 +126,7 @@ class Ccx(Closing):
             lines += [f"{element + i}, {node[i]}, {first + i}" for i in own.tolist()]
             lines.append(f"*SPRING, ELSET=PROBE{axis}\n{axis}, {axis}\n1.")
         # Springs to nothing make some solvers of static steps stop, and these do not change who follows whom.
-        steps, self.flat.steps = self.flat.steps, []
-        try:
-            with_springs = self.export("probe", "\n".join(lines), nodes)
-        finally:
-            self.flat.steps = steps
+        with_springs = self.export("probe", "\n".join(lines), nodes, preloaded=False)
         free = (with_springs.node >= first) & (with_springs.node < first + count)
         label = np.where(with_springs.node >= first + count, with_springs.node - count, with_springs.node)
         rest = np.flatnonzero(~free)
@@ -149,14 +143,14 @@ class Ccx(Closing):
         S = -sp.csr_array(with_springs.K[at[order]][:, rest])
         S.eliminate_zeros()
         change = with_springs.K[rest][:, rest] - S.T @ S - plain.K
-        if not steps and abs(change).max() > TOL.same_stiffness * abs(plain.K).max():
+        if not self.flat.steps and abs(change).max() > TOL.same_stiffness * abs(plain.K).max():
             raise InputError(_UNTOLD)
         return S
 
     def _run(self, name: str, text: str, done: str = _DONE) -> None:
         path = self.folder.path / f"{name}.inp"
         path.write_text(text, encoding="utf-8")
-        count = len(self.flat.assembly.ids)
+        count = len(self.flat.ids)
         late = f"ccx did not finish in {self.seconds:g} s ({count:,} nodes); --engine-timeout, or own assembly"
         try:
             ended = run(
@@ -184,14 +178,14 @@ class Ccx(Closing):
             number = int(match[2])
             if match[1].lower() == "node":
                 return f"{match[0]} (label {self._label(number)} of the deck)"
-            labels = self.flat.labels
+            labels = self.flat.elements
             known = 0 < number <= len(labels)
             return f"{match[0]} (label {labels[number - 1]} of the deck)" if known else match[0]
 
         return _NUMBER.sub(own, said)
 
     def _label(self, number: int) -> int:
-        ids = self.flat.assembly.ids
+        ids = self.flat.ids
         return int(ids[number - 1]) if 0 < number <= len(ids) else number
 
 

@@ -11,12 +11,12 @@ from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.fem.constraints import AverageElement
 from morembs.importers.abaqus.assembly import Assembly
+from morembs.importers.abaqus.cards.deck import FlatText
 from morembs.importers.abaqus.constraints import Constraints
 from morembs.importers.abaqus.deck import Rows
 from morembs.importers.abaqus.equations import mpc_sums
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
-from morembs.importers.engines.calculix.deck import FlatDeck
 from morembs.importers.imported import PointMass
 
 
@@ -27,7 +27,7 @@ class Flat:
     nodes whose conditions are in axes ``turned`` by *TRANSFORM; nodes of pre-tension sections (``cuts``); element types
     that are taken for others, counted (``replaced``: as it is written, as it is taken); what is to be said."""
 
-    deck: FlatDeck
+    deck: FlatText
     constraints: Constraints
     average: list[AverageElement] = field(default_factory=list)
     bodies: list[int] = field(default_factory=list)

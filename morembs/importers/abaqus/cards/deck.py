@@ -15,6 +15,7 @@ from morembs.base.types import Ints
 from morembs.fem import Mesh, Nodes
 from morembs.fem.handedness import right_handed
 from morembs.importers.abaqus.assembly import Assembly
+from morembs.importers.abaqus.cards.text import element_lines
 from morembs.importers.abaqus.data import label
 from morembs.importers.abaqus.deck import Contents, Rows
 from morembs.importers.abaqus.equations import Axes, equations_of
@@ -23,7 +24,6 @@ from morembs.importers.abaqus.names import Placed
 from morembs.importers.abaqus.supports import spans_of
 from morembs.importers.abaqus.surfaces import Surfaces
 from morembs.importers.decks.writers.calculix_mesh import FACES, Line, face_keys, numeral, sixteen
-from morembs.importers.engines.calculix.text import element_lines, node_lines
 
 # What the fields of data lines are: n a node or a set of such, e an element or set, s a surface, o an orientation,
 # m a material, . as it stands. The last letter holds for all fields behind it.
@@ -71,7 +71,7 @@ _NONE = np.empty(0, dtype=np.int64)
 
 
 @dataclass(eq=False)
-class FlatDeck:
+class FlatText:
     """Text for CalculiX: node ``row`` of the assembly has the label row + 1, element ``number`` that plus 1.
 
     ``masses`` are the numbers of point masses that are in it, ``reduced`` (elements,) says which are of their type with
@@ -105,28 +105,11 @@ class FlatDeck:
         """Those of the elements that are not left out."""
         return np.asarray(numbers[~self.left[numbers]])
 
-    @property
-    def free(self) -> int:
-        """The first label that no node has."""
-        return len(self.assembly.ids) + 1
-
-    def text(self, extra: str, step: str, nodes: str = "") -> str:
-        """The whole deck with ``nodes`` behind its nodes, ``extra`` cards before ``step``."""
+    def text(self) -> str:
+        """All cards but nodes and steps."""
         body = [text for _, text in sorted(self.body, key=lambda item: item[0])]
-        return "\n".join(
-            [
-                *node_lines(self.assembly),
-                nodes,
-                *element_lines(self.assembly, self.blocks, self.masses, self.reduced),
-                *self.defined,
-                *self.surfaces,
-                *body,
-                extra,
-                *self.steps,
-                step,
-                "",
-            ]
-        )
+        elements = element_lines(self.assembly, self.blocks, self.masses, self.reduced)
+        return "\n".join([*elements, *self.defined, *self.surfaces, *body])
 
     def card(self, placed: Placed, card: Card, rows: Rows, *, fields: str | None = None) -> None:
         """A keyword with its data."""

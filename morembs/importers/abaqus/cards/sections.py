@@ -12,32 +12,33 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem.material import Material
 from morembs.importers.abaqus.assembly import Assembly
+from morembs.importers.abaqus.cards.ties import Flat
 from morembs.importers.abaqus.deck import Contents, Rows
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.names import Placed
 from morembs.importers.decks.labels import in_ranges, ranges_of
 from morembs.importers.decks.materials import complete, problems_of_solids
-from morembs.importers.decks.tables import DeckTables, Elements, Section
+from morembs.importers.decks.tables import DeckTables, Section
 from morembs.importers.decks.writers.calculix_mesh import numeral
 from morembs.importers.decks.writers.calculix_sections import elastic_lines
-from morembs.importers.engines.calculix.ties import Flat
 
 SECTIONS = ("SOLID SECTION", "SHELL SECTION", "BEAM SECTION", "BEAM GENERAL SECTION", "MEMBRANE SECTION")
 _REDUCED_PROFILES = ("PIPE", "BOX")
 # Stands for a stiffness that is there, whatever it is.
 _THERE = np.eye(6)
-_ELSE = np.empty((0, 2), dtype=np.int64)
 
 
 @dataclass(eq=False)
 class Sections:
     """Writes sections of elements that are there, and the materials that they name.
 
+    ``tables`` are mesh and sets of the deck, which are completed as those of any deck are.
     ``materials`` are those given for element sets, "all" for all elements that have none; ``expands`` says whether
     thermal expansion is kept.
     """
 
     deck: Contents
+    tables: DeckTables
     assembly: Assembly
     flat: Flat
     materials: Sequence[Material]
@@ -46,10 +47,7 @@ class Sections:
     def read(self, cards: Iterable[tuple[Placed, Card, Rows]]) -> None:
         """Find what the sections lack, and complete it."""
         self._names: dict[tuple[int, int, str], int] = {}
-        sections, sets = list[Section](), {name: _ELSE for name in self.assembly.named("element")}
-        labels = self.flat.deck.labels
-        for name, numbers in self.assembly.resolved("element"):
-            sets[name] = ranges_of(labels[numbers])
+        sections, sets, labels = list[Section](), {**self.tables.element_sets}, self.flat.deck.labels
         for placed, card, rows in cards:
             if card.keyword not in SECTIONS:
                 continue
@@ -64,20 +62,7 @@ class Sections:
                 for text in _materials_of(card, rows) if len(numbers) else ():
                     self._names[id(placed), id(card), text.upper()] = len(sections)
                     sections.append(self._section(name, text))
-        solids = tuple(
-            Elements(code=block.type, kind="solid", shape=block.type, ids=block.ids, nodes=block.nodes)
-            for block in self.assembly.blocks
-        )
-        self._before = self._after = DeckTables(
-            name=self.deck.name,
-            program="CalculiX",
-            ids=self.assembly.ids,
-            xyz=self.assembly.xyz,
-            elements=solids,
-            element_sets=sets,
-            sections=tuple(sections),
-            options=self.deck.options,
-        )
+        self._before = self._after = replace(self.tables, element_sets=sets, sections=tuple(sections))
         with self.deck.problems.collected():
             self._after = complete(self._before, self.materials)
         self.flat.warnings += self._after.warnings

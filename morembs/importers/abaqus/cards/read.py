@@ -1,13 +1,19 @@
-"""Input decks for CalculiX to assemble: the tables of the own reader, and elements that CalculiX has not."""
+"""Input decks for CalculiX to assemble: mesh, cards, and elements that CalculiX has not."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+from morembs.importers.abaqus.assembly import Assembly
+from morembs.importers.abaqus.cards.flat import flat_deck
 from morembs.importers.abaqus.deck import DISCRETE, PLAIN, SOLIDS, STRUCTURES, Contents
 from morembs.importers.abaqus.reader import read_deck
-from morembs.importers.decks.options import DeckOptions
-from morembs.importers.decks.problems import Problem, Problems
+from morembs.importers.abaqus.whole import mesh_deck
+from morembs.importers.decks.flat import Choices, FlatDeck
+from morembs.importers.decks.model import Deck
+from morembs.importers.decks.options import DeckOptions, deck_options
+from morembs.importers.decks.problems import Problem
 
 # Elements without stiffness and mass.
 _EMPTY = ("SFM3D",)
@@ -15,11 +21,48 @@ _PLANE = ("CPE", "CPS", "CAX", "SAX", "MAX", "B21", "B22", "T2D", "CGAX", "PIPE2
 _FLOW = ("DC3D", "DC2D", "DCC", "F3D", "DS", "AC3D")
 
 
-def read_for_engine(path: Path, options: DeckOptions, *, outside: bool = False) -> Contents:
-    """The deck of a file as CalculiX means it; elements that it has not are problems of the deck.
+def read_cards(
+    path: Path,
+    *,
+    dialect: str = "auto",
+    density: float | dict[str, float] | None = None,
+    contact: str = "refuse",
+    skip: list[str] | str = "",
+    pretension: str = "auto",
+    allow_includes_outside: bool = False,
+) -> Deck:
+    """The mesh of a file with sets, as CalculiX means it, and the cards that it reads in place of other tables.
+
+    Args:
+        dialect: the program that the deck was written for; what is of Abaqus says that CalculiX differs.
+        density, contact, skip, pretension, allow_includes_outside: as of ``read_abaqus_deck``.
 
     Raises:
-        InputError: the text is no deck.
+        DeckError: the text makes no sense.
+    """
+    options = deck_options(density, contact, skip, pretension)
+    contents = contents_for_calculix(path, options, outside=allow_includes_outside)
+    if dialect != "auto":
+        contents.dialects = {dialect}
+    with contents.problems.ending():
+        assembly = Assembly(contents)
+    blocks = [*assembly.blocks]
+    deck = mesh_deck(contents, assembly)
+    assembly.blocks = blocks
+
+    def flat(choices: Choices) -> FlatDeck:
+        contents.problems.entries = [*deck.problems]
+        with contents.problems.ending():
+            return flat_deck(contents, deck, assembly, choices)
+
+    return replace(deck, cards=flat)
+
+
+def contents_for_calculix(path: Path, options: DeckOptions, *, outside: bool = False) -> Contents:
+    """What the deck says; elements that CalculiX has not are problems of it.
+
+    Raises:
+        DeckError: the text is no deck.
     """
     deck = read_deck(path, outside=outside, dialect="calculix", options=options, is_for_calculix=True)
     _refuse_others(deck)
@@ -55,17 +98,6 @@ def _refuse_others(deck: Contents) -> None:
             flags=tuple(f"--skip {code}" for code in wrong) if remains else (),
         )
     )
-
-
-def refuse_no_elements(problems: Problems) -> None:
-    """Refuse a deck without elements that have stiffness and mass, with what else is wrong with it.
-
-    Raises:
-        DeckError: always.
-    """
-    what = f"{problems.source} has no solids, shells, membranes, beams or trusses, so CalculiX has nothing to assemble"
-    problems.add(Problem(what=what, file=problems.source, keyword="ELEMENT"))
-    problems.refuse()
 
 
 def _is_own(code: str) -> bool:

@@ -1,49 +1,41 @@
-"""From the tables of a deck to the flat deck for CalculiX, and what stays outside of it."""
+"""From the cards of a deck to the flat deck for CalculiX, and what stays outside of it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.fem.material import Material
+from morembs.base.types import Bools
 from morembs.importers.abaqus.assembly import Assembly
+from morembs.importers.abaqus.cards.deck import CARDS, FlatText
+from morembs.importers.abaqus.cards.sections import SECTIONS, Sections
+from morembs.importers.abaqus.cards.text import node_lines
+from morembs.importers.abaqus.cards.ties import Flat, Ties
 from morembs.importers.abaqus.constraints import Constraints, refuse_sector
 from morembs.importers.abaqus.data import fields
-from morembs.importers.abaqus.deck import Contents, Rows, values
+from morembs.importers.abaqus.deck import PLAIN, SOLIDS, Contents, Rows, values
 from morembs.importers.abaqus.keywords import Card
-from morembs.importers.abaqus.left_out import CUT, LOCKED, PRETENSION
+from morembs.importers.abaqus.left_out import CUT, LOCKED, PRETENSION, notes_of
 from morembs.importers.abaqus.names import Placed
 from morembs.importers.abaqus.points import point_value
 from morembs.importers.abaqus.reader import ACTING, KEPT
 from morembs.importers.abaqus.ties import is_sector
-from morembs.importers.decks.options import DeckOptions
+from morembs.importers.abaqus.whole import skipped_warnings
+from morembs.importers.abaqus.words import of_kind
+from morembs.importers.decks.flat import Choices, FlatDeck, refuse_no_elements
+from morembs.importers.decks.formulations import deck_warnings
+from morembs.importers.decks.tables import DeckTables
 from morembs.importers.decks.writers.calculix_mesh import numeral
-from morembs.importers.engines.calculix.deck import CARDS, FlatDeck
-from morembs.importers.engines.calculix.read import refuse_no_elements
-from morembs.importers.engines.calculix.sections import SECTIONS, Sections
-from morembs.importers.engines.calculix.ties import Flat, Ties
 from morembs.importers.imported import PointMass
 
 # Keywords outside of steps that the flat deck has, or that go into the model in another way.
 WRITTEN = KEPT - {"DASHPOT"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Choices:
-    """How a deck is to be taken: ``options`` as of the own reader, ``keep`` what the boundary holds, the steps up to
-    ``preload`` before (0: none); ``materials`` of element sets, "all" for all elements that have none."""
-
-    options: DeckOptions = field(default_factory=DeckOptions)
-    keep: bool = False
-    preload: int = 0
-    materials: tuple[Material, ...] = ()
-
-
-def flat_deck(deck: Contents, assembly: Assembly, choices: Choices) -> Flat:
-    """The deck that CalculiX reads.
+def flat_deck(deck: Contents, tables: DeckTables, assembly: Assembly, choices: Choices) -> FlatDeck:
+    """The deck that CalculiX reads; ``tables`` are its mesh and sets.
 
     Raises:
         InputError: what it holds is no linear model, or names what is not there.
@@ -52,8 +44,8 @@ def flat_deck(deck: Contents, assembly: Assembly, choices: Choices) -> Flat:
         refuse_no_elements(deck.problems)
     constraints = Constraints(deck, assembly)
     constraints.surfaces.read()
-    flat = Flat(deck=FlatDeck(assembly=assembly, deck=deck), constraints=constraints)
-    writer = _Writer(deck, assembly, choices, flat)
+    flat = Flat(deck=FlatText(assembly=assembly, deck=deck), constraints=constraints)
+    writer = _Writer(deck, tables, assembly, choices, flat)
     for placed, card, _ in writer.cards:
         if card.keyword in ("ORIENTATION", "DISTRIBUTION"):
             flat.deck.name(card.keyword[0].lower() if card.keyword == "ORIENTATION" else "d", placed, card.need("NAME"))
@@ -70,17 +62,83 @@ def flat_deck(deck: Contents, assembly: Assembly, choices: Choices) -> Flat:
     writer.cuts()
     writer.sections.complete()
     deck.problems.refuse()
-    return flat
+    return _whole(deck, assembly, choices, flat)
+
+
+def _whole(deck: Contents, assembly: Assembly, choices: Choices, flat: Flat) -> FlatDeck:
+    in_solids, in_elements = _used(assembly)
+    out = flat.deck
+    return FlatDeck(
+        name=deck.name,
+        ids=assembly.ids,
+        xyz=assembly.xyz,
+        elements=out.labels,
+        nodes="\n".join(node_lines(assembly)),
+        cards=out.text(),
+        steps="\n".join(out.steps),
+        in_solids=in_solids,
+        in_elements=in_elements,
+        expands=any(code[0] in "SMBT" and not code.startswith("SPRING") for code, *_ in assembly.others),
+        held=out.held,
+        turned=frozenset(flat.turned),
+        bodies=tuple(flat.bodies),
+        turning=flat.turning,
+        followers=frozenset(out.followers),
+        average=tuple(flat.average),
+        masses=tuple(flat.masses),
+        surfaces={name: own.nodes for name, own in flat.constraints.surfaces.named.items()},
+        notes=(*flat.notes, *_notes(deck, choices)),
+        warnings=(*flat.warnings, *deck.warnings, *out.reversed, *_warnings(deck, flat)),
+    )
+
+
+def _used(assembly: Assembly) -> tuple[Bools, Bools]:
+    """Which nodes are of solids, and which of elements that have stiffness."""
+    used = assembly.in_solids.copy()
+    for _, _, nodes in assembly.others:
+        used[nodes] = True
+    for element in assembly.discrete:
+        used[element.nodes] |= element.code not in ("DCOUP3D", "ROTARYI", "MASS")
+    return assembly.in_solids, used
+
+
+def _notes(deck: Contents, choices: Choices) -> list[str]:
+    """What was left out, a sentence each."""
+    notes = ["The matrices are those of CalculiX."]
+    in_steps = [card.keyword for step in deck.steps[choices.preload :] for card, _ in step]
+    left_out = of_kind("load") if choices.keep else of_kind("load", "support")
+    noted = [word for word in deck.noted if word not in WRITTEN or (word == "BOUNDARY" and not choices.keep)]
+    notes += notes_of(dict.fromkeys([*noted, *(word for word in in_steps if word in left_out)]))
+    if deck.steps:
+        held = " but for what the first holds" if choices.keep and not choices.preload else ""
+        held = f" beyond step {choices.preload}" if choices.preload else held
+        notes.append(f"Steps are not applied{held}.")
+    return notes
+
+
+def _warnings(deck: Contents, flat: Flat) -> Iterator[str]:
+    """In what elements differ from those of the deck, a sentence each."""
+    yield from skipped_warnings(deck)
+    hybrid = {code: count for code, count in deck.counts.items() if code in SOLIDS and "H" in code}
+    yield from deck_warnings(hybrid, "calculix", guessed=False)
+    if deck.dialects == {"abaqus"}:
+        yield (
+            "the deck is one of Abaqus, and CalculiX has other formulations and consistent masses: its frequencies "
+            "are those of CalculiX [formulation-differs]"
+        )
+    plain = {(code, PLAIN[code]): count for code, count in deck.counts.items() if code in PLAIN and count}
+    for (code, taken), count in {**plain, **flat.replaced}.items():
+        yield f"{count} elements {code} are assembled as {taken} [hybrid-as-plain]"
 
 
 class _Writer:
-    def __init__(self, deck: Contents, assembly: Assembly, choices: Choices, flat: Flat) -> None:
+    def __init__(self, deck: Contents, tables: DeckTables, assembly: Assembly, choices: Choices, flat: Flat) -> None:
         self.deck, self.assembly, self.choices, self.flat = deck, assembly, choices, flat
-        self.options, self.ties = choices.options, Ties(assembly, flat)
+        self.options, self.ties = deck.options, Ties(assembly, flat)
         top = assembly.top
         self.places = [*assembly.placed.values(), top]
         self._expanded = {node for _, _, nodes in assembly.others for node in nodes.ravel().tolist()}
-        self.sections = Sections(deck, assembly, flat, choices.materials, bool(choices.preload))
+        self.sections = Sections(deck, tables, assembly, flat, choices.materials, bool(choices.preload))
         self.cards = list(self._placed())
 
     def _placed(self) -> Iterator[tuple[Placed, Card, Rows]]:
