@@ -75,6 +75,23 @@ def checked(target: Target) -> Target:
     return checking  # type: ignore[return-value]
 
 
+def told(target: Target) -> Target:
+    """Decorator: a function that says which arguments it has when a call does not fit; it checks their values itself.
+
+    Raises:
+        ArgumentError: (when called) an argument that is unknown or missing, or by place where it has a name.
+    """
+
+    @functools.wraps(target)
+    def telling(*args: Any, **kwargs: Any) -> Any:
+        reason = _misfit(target, args, kwargs)
+        if reason:
+            raise ArgumentError(reason)
+        return target(*args, **kwargs)
+
+    return telling  # type: ignore[return-value]
+
+
 def tell_arguments(target: type) -> None:
     """Let ``target``, whose fields are checked elsewhere, say which arguments it has when a call does not fit it."""
     call = target.__init__  # type: ignore[misc]

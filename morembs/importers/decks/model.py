@@ -65,7 +65,8 @@ class Deck(DeckTables):
         """The mesh of its solids with its sets.
 
         Raises:
-            DeckError: as ``imported``, or couplings, springs and point masses, which a mesh cannot carry.
+            DeckError: as ``imported``, or couplings, springs, point masses, shells and beams, which a mesh
+                cannot carry.
         """
         return mesh_of(self)
 
