@@ -59,7 +59,13 @@ def import_deck(deck: DeckTables, materials: Sequence[Material] = ()) -> Importe
     with problems.ending():
         # Without solids that is what is told.
         is_there = any(part.kind == "solid" or is_expanded(part) for part in deck.elements)
-        deck = with_middles(expanded(complete(deck, materials) if is_there else deck, problems))
+        if is_there:
+            try:
+                deck = complete(deck, materials)
+            except InputError as error:
+                # Told beside what else is wrong, such as elements without a section.
+                problems.add(Problem(what=str(error), file=deck.name))
+        deck = with_middles(expanded(deck, problems))
         tied = couplings_of(deck)
         solids = join(deck, nodes_of(tied.ties))
         mesh = _mesh(deck, solids)
