@@ -314,3 +314,10 @@ def test_a_material_without_density_is_told_what_is_missing(tmp_path):
     (tmp_path / "part.inp").write_text(deck(BEAM))
     given = ("--material", "young=1,poisson=0.3", "-o", tmp_path / "x.model.h5")
     assert "density is missing: add density=NUMBER" in commands.run("import", tmp_path / "part.inp", *given, code=2)
+
+
+def test_a_mesh_does_not_lose_shells_beside_solids(tmp_path):
+    path = tmp_path / "part.inp"
+    path.write_text(deck(BEAM) + "*ELEMENT, TYPE=S4, ELSET=SKIN\n9001, 1, 2, 3, 4\n")
+    with pytest.raises(InputError, match=r"not supported in a mesh: 1 of the type 'S4'"):
+        morembs.read_mesh(path)

@@ -109,12 +109,6 @@ def mesh_of(deck: DeckTables) -> Mesh:
     if names:
         what = f"{deck.name} has {', '.join(names[:10])}, which a mesh cannot carry; import the whole deck, or take "
         problems.add(Problem(what=f"{what}them out", file=deck.name))
-    for part in deck.elements:
-        # The problems of those that own assembly does not have are told already.
-        if part.kind not in ("solid", "point", "none") and part.problem is None:
-            what = f"{deck.name} has {len(part.ids):,} elements of the type {part.code!r}, which are not supported "
-            cure = "in a mesh of solids; import the whole deck, as [model] file and morembs.import_model do"
-            problems.add(Problem(what=what + cure, file=deck.name, keyword="ELEMENT"))
     with problems.ending():
         mesh = _mesh(deck, join(deck, np.empty(0, dtype=np.int64)))
     problems.refuse()
