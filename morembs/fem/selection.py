@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.base.types import Ints
+from morembs.base.types import Floats, Ints
 from morembs.fem.fe_model import FEModel
 from morembs.fem.surface import outer_faces
 from morembs.fem.tolerances import TOL
@@ -44,7 +44,7 @@ def select_nodes(model: FEModel, text: str, *, length: float = 1.0) -> Ints:
     elif kind == "ids":
         rows = _of_labels(model, rest)
     else:
-        rows = _of_region(model, kind, rest, length)
+        rows = nodes_in_region(model.nodes.xyz, kind, rest, length=length)
     if not len(rows):
         raise InputError(f"nodes = {text!r} selects no node; {_extent(model, length)}")
     return rows
@@ -102,7 +102,15 @@ def _of_labels(model: FEModel, text: str) -> Ints:
     return np.sort(rows)
 
 
-def _of_region(model: FEModel, kind: str, text: str, length: float) -> Ints:
+def nodes_in_region(xyz: Floats, kind: str, text: str, *, length: float = 1.0) -> Ints:
+    """Rows of ``xyz`` (n, 3) in the box, sphere or cylinder (``kind``) of the numbers ``text``, sorted.
+
+    Args:
+        length: units of ``xyz`` per unit of the numbers.
+
+    Raises:
+        InputError: wrong numbers.
+    """
     try:
         numbers = np.array([float(part) for part in text.split(",")])
     except ValueError as error:
@@ -110,7 +118,6 @@ def _of_region(model: FEModel, kind: str, text: str, length: float) -> Ints:
     if len(numbers) != NUMBERS[kind] or not np.isfinite(numbers).all():
         raise InputError(f"nodes = '{kind}:{text}' has {len(numbers)} numbers; {NUMBERS[kind]} finite ones are needed")
     numbers = numbers * length
-    xyz = model.nodes.xyz
     if kind == "box":
         low, high = np.minimum(numbers[:3], numbers[3:]), np.maximum(numbers[:3], numbers[3:])
         slack = TOL.region_slack * max(float((high - low).max()), np.finfo(float).tiny)

@@ -46,6 +46,27 @@ class FemTolerances:
     # Distance over the size of a box, sphere or cylinder at which points on its surface belong to it.
     region_slack: float = 1e-6
 
+    # --- Plane faces and round holes of a skin
+    # Angle in rad between neighbours that are of one plane face: one degree, coordinates of six digits turn small
+    # faces by less.
+    plane_angle: float = 0.0175
+    # Distance of nodes from a plane face, over the root of its area, that is still plane.
+    plane_error: float = 1e-3
+    # Part of the skin that a plane face is at least: an end of a square bar 250 times as long as wide.
+    least_face_part: float = 1e-3
+    # Angle in rad between neighbours within the wall of a hole: 50 degrees, so eight faces around are taken.
+    wall_angle: float = 0.873
+    # Height of a face over the plane of its neighbour, over their distance, from which the edge is convex.
+    flat_rise: float = 1e-3
+    # Faces of the wall of a hole at least: once around at ``wall_angle``.
+    least_wall_faces: int = 8
+    # Distance of corners from the wall of a hole, over its radius: coordinates of four digits.
+    wall_error: float = 1e-3
+    # Angle in rad about the axis without a corner: a quarter, as of a keyway; slots and fillets leave more.
+    wall_gap: float = 1.571
+    # Steps of Gauss and Newton's method, which squares the error in each: four are enough from a guess of 10 %.
+    cylinder_steps: int = 8
+
     # --- Force under rigid motion, over the sum of magnitudes that cancel in it
     # Force by which the motion strains the body.
     strained_force: float = 1e-6

@@ -23,6 +23,12 @@ class ImporterTolerances:
     # A size that is divided by, at least: any positive one.
     least_size: float = 1e-300
 
+    # --- Parts of CAD
+    # Size of elements over the longest side of a part, where none is asked for.
+    cad_element_part: float = 0.05
+    # Elements around a full circle at least: more than the eight that the wall of a hole is found by.
+    cad_elements_per_turn: int = 12
+
     # --- Matrices
     # Asymmetry over the largest sum of a row that is round-off: 4.5e6 eps.
     asymmetry: float = 1e-9

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import morembs
 from morembs.app.cli.commands import app
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.template import job_text
 from morembs.examples import EXAMPLES
+from tests.conftest import ROOT
 
 RUNNER = CliRunner()
+MESHES = sorted((ROOT / "data" / "small_meshes").glob("*.[mi][sn][hp]"))
 # Volumes in mm^3 of the bushes of the rod and of the bracket.
 BUSHES = np.pi * 16 * (12.5**2 - 10**2 + 8**2 - 6**2)
 BRACKET = 8 * (3 * 40**2 + 8 * 80 - np.pi * (2 * 5.5**2 + 8**2))
@@ -93,3 +99,157 @@ def test_examples_in_python_are_there_twice_and_take_nothing_away() -> None:
         with pytest.raises(morembs.InputError, match="is there already"):
             write()
         assert Path(example.files[0]).read_bytes() == b"mine"
+
+
+def bare(mesh: Path, folder: Path) -> Path:
+    """The solids of a mesh without any name."""
+    read = morembs.read_mesh(mesh)
+    names = {"tet4": "tetra", "tet10": "tetra10", "hex8": "hexahedron", "hex20": "hexahedron20", "wedge6": "wedge"}
+    blocks = [(names.get(block.type, block.type), block.nodes) for block in read.blocks]
+    path = folder / f"{mesh.stem}.vtu"
+    meshio.Mesh(read.nodes.xyz, blocks).write(path)
+    return path
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("named", [True, False], ids=["named", "bare"])
+@pytest.mark.parametrize("mesh", MESHES, ids=lambda mesh: mesh.name)
+def test_the_job_that_is_proposed_for_a_mesh_runs(mesh: Path, named: bool, tmp_path: Path) -> None:
+    file = mesh if named else bare(mesh, tmp_path)
+    assert "then: morembs check job.toml" in said("init", str(file), "-o", "job.toml")
+    said("check", "job.toml", "-q")
+    said("reduce", "job.toml", "-q")
+    (body,) = morembs.read_body(f"{mesh.stem}.h5").bodies.values()
+    assert 6 < len(body.stiffness_matrix) <= 44
+
+
+# Sets that the meshes have, and what is found in their place where they have none.
+FOUND = [
+    ("conrod.msh", {"BIGEND": "hole_1_d50mm", "SMALLEND": "hole_2_d22mm"}),
+    ("bracket.msh", {"TIP": "hole_1_d20mm", "FOOT": "end_1"}),
+    ("plate.msh", {"LEFT": "end_1", "RIGHT": "end_2"}),
+    ("beam.msh", {"ROOT": "end_1", "TIP": "end_2"}),
+    ("wedge.msh", {"ROOT": "end_1", "TIP": "end_2"}),
+    ("wedge15.msh", {"ROOT": "end_1", "TIP": "end_2"}),
+    ("block.msh", {"ROOT": "end_1", "TIP": "end_2"}),
+]
+
+
+@pytest.mark.parametrize(("name", "names"), FOUND, ids=[name for name, _ in FOUND])
+def test_interfaces_are_found_where_a_mesh_names_none(name: str, names: dict[str, str], tmp_path: Path) -> None:
+    whole = morembs.read_mesh(ROOT / "data" / "small_meshes" / name)
+    text = job_text(bare(ROOT / "data" / "small_meshes" / name, tmp_path), tmp_path)
+    (tmp_path / "job.toml").write_text(text)
+    proposed = {table.name: table.nodes for table in load_job(tmp_path / "job.toml").tables.interface}
+    steel = morembs.isotropic(set="all", young=1.0, poisson=0.3, density=1.0)
+    model = morembs.assemble(whole, [steel])
+    for known, found in names.items():
+        rows = morembs.select_nodes(model, proposed[found])
+        np.testing.assert_array_equal(rows, whole.nodes.sets[known])
+        # The comment above says how many.
+        assert f': {len(rows)} nodes\n[[interface]]\nname = "{found}"' in text
+    assert len(proposed) <= 4
+
+
+def test_what_is_proposed_does_not_hang_on_the_order_of_elements(tmp_path: Path) -> None:
+    read = morembs.read_mesh(ROOT / "data" / "small_meshes" / "conrod.msh")
+    (block,) = read.blocks
+    texts = set()
+    for seed in range(3):
+        order = np.random.default_rng(seed).permutation(len(block.nodes))
+        meshio.Mesh(read.nodes.xyz, [("tetra10", block.nodes[order])]).write(tmp_path / "part.vtu")
+        texts.add(job_text(tmp_path / "part.vtu", tmp_path))
+    assert len(texts) == 1
+
+
+def test_a_face_across_no_axis_is_selected_whole(tmp_path: Path) -> None:
+    """A bar of 60 x 10 x 6 that lies askew."""
+    axes = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3
+    whole = morembs.read_mesh(ROOT / "data" / "small_meshes" / "wedge15.msh")
+    meshio.Mesh(whole.nodes.xyz @ axes, [("wedge15", whole.blocks[0].nodes)]).write(tmp_path / "part.vtu")
+    (tmp_path / "job.toml").write_text(job_text(tmp_path / "part.vtu", tmp_path))
+    tables = load_job(tmp_path / "job.toml").tables.interface
+    model = morembs.assemble(
+        morembs.read_mesh(tmp_path / "part.vtu"), [morembs.isotropic(set="all", young=1.0, poisson=0.3, density=1.0)]
+    )
+    assert [table.nodes.partition(":")[0] for table in tables] == ["cylinder", "cylinder"]
+    found = {tuple(morembs.select_nodes(model, table.nodes)) for table in tables}
+    assert found == {tuple(whole.nodes.sets[name]) for name in ("ROOT", "TIP")}
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    ("kind", "points", "method"),
+    [
+        ("tetra", [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "modal"),
+        ("hexahedron", [*[[x, y, 0] for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))],
+                        *[[x, y, 2] for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]], "guyan"),
+    ],
+)  # fmt: skip
+def test_one_element_reduces(kind: str, points: list[list[float]], method: str) -> None:
+    """Interfaces of a tetrahedron would hold most of its nodes; those of a hexahedron leave none for modes."""
+    meshio.Mesh(np.array(points, dtype=float), [(kind, [list(range(len(points)))])]).write("one.vtu")
+    said("init", "one.vtu")
+    assert f'\nmethod = "{method}"' in Path("one.toml").read_text()
+    said("reduce", "one.toml", "-q")
+    assert list(morembs.read_body("one.h5").bodies) == [method]
+
+
+@pytest.fixture(scope="module")
+def step(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plate of 60 x 20 x 10 mm with a hole of 8 mm."""
+    gmsh = pytest.importorskip("gmsh", reason="Gmsh is not installed: pip install 'morembs[mesh]'")
+    path = tmp_path_factory.mktemp("cad") / "part.step"
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        plate, drill = gmsh.model.occ.addBox(0, 0, 0, 60, 20, 10), gmsh.model.occ.addCylinder(10, 10, -1, 0, 0, 12, 4)
+        gmsh.model.occ.cut([(3, plate)], [(3, drill)])
+        gmsh.model.occ.synchronize()
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+    return path
+
+
+def test_a_cad_part_is_meshed_and_reduced(step: Path, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (folder / "part.step").write_bytes(step.read_bytes())
+    words = said("init", "part.step", "--size", "0.4cm")
+    assert "part.msh (elements up to 4 mm)" in words and not capfd.readouterr().out
+    first = (folder / "part.msh").read_bytes()
+    mesh = morembs.read_mesh("part.msh", "mm-t-s")
+    assert {block.type for block in mesh.blocks} == {"tet10"} and list(mesh.element_sets) == ["SOLID_1"]
+    tables = load_job(folder / "part.toml").tables
+    assert [table.name for table in tables.interface] == ["hole_1_d8mm", "end_1"]
+    said("reduce", "part.toml", "-q")
+    stored = morembs.read_body("part.h5")
+    # Curved edges are parabolas: 30 degrees of a circle miss its area by 1e-4 of the hole.
+    assert stored.mass == pytest.approx((60 * 20 - np.pi * 4**2) * 10 * 7.85e-6, rel=1e-4)
+    assert "part.toml is there already" in said("init", "part.step", code=2)
+    (folder / "part.toml").unlink()
+    assert "part.msh is there already" in said("init", "part.step", code=2)
+    assert (folder / "part.msh").read_bytes() == first and not (folder / "part.toml").exists()
+    said("init", "part.step", "--size", "4mm", "-o", "again.toml")
+    assert (folder / "again.msh").read_bytes() == first
+
+
+def test_cad_parts_that_cannot_be_meshed_leave_nothing(
+    step: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "part.step").write_bytes(step.read_bytes())
+    (folder / "cut.step").write_bytes(step.read_bytes()[:2000])
+    (folder / "part.igs").write_text("no part\n")
+    for arguments, words in (
+        (["part.step", "--size", "3"], "such as 3mm"),
+        (["part.step", "--size", "-3mm"], "such as 3mm"),
+        (["part.step", "--units", "m-kg-s"], "leave --units out"),
+        (["part.step", "--show"], "morembs init part.step --size 3mm"),
+        (["cut.step"], "cannot be meshed by Gmsh"),
+        (["part.igs"], "meshed by Gmsh"),
+        (["gone.step"], "gone.step is not there"),
+        ([str(MESHES[0]), "-o", "mesh.toml", "--size", "3mm"], "--size is for CAD parts"),
+    ):
+        assert words in said("init", *arguments, code=2)
+    monkeypatch.setitem(sys.modules, "gmsh", None)
+    assert "pip install 'morembs[mesh]'" in said("init", "part.step", code=2)
+    assert {path.name for path in folder.iterdir()} == {"part.step", "cut.step", "part.igs"}

@@ -21,6 +21,7 @@ from morembs.app.cli.evaluate import app as evaluation
 from morembs.app.cli.messages import console, echo, print_json, printing, warn
 from morembs.app.cli.models import app as models
 from morembs.app.cli.modes import app as modes
+from morembs.app.cli.start import app as starting
 from morembs.app.cli.terminal import (
     EXIT_CODES,
     AsJson,
@@ -197,75 +198,6 @@ def check(
     each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()))
 
 
-@app.command(cls=Verb, epilog=example("morembs init part.msh --units mm-t-s"))
-def init(
-    file: Annotated[
-        Path | None, typer.Argument(metavar="PART", help="A mesh, a deck or a model file.", show_default=False)
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="The job to write, by default beside the file.")
-    ] = None,
-    units: Annotated[
-        str | None, typer.Option(help="Length, mass and time of the mesh.", show_default="by its size m-kg-s or mm-t-s")
-    ] = None,
-    show: Annotated[bool, typer.Option("--show", help="Print the job, write nothing.")] = False,
-    example: Annotated[
-        bool, typer.Option("--example", help="Write an example and its job: rod, bracket, deck or matrices.")
-    ] = False,
-) -> None:
-    """Write a first job for a mesh, a deck or a model file, with comments."""
-    from morembs.app.jobs.template import job_text, refuse_existing
-    from morembs.app.kinds import PART, instead
-    from morembs.base.units import parse_units
-    from morembs.storage.safefile import replacing
-
-    with messages():
-        if example:
-            _write_example(file, out, "--units" if units else "--show" if show else "")
-            return
-        if file is None:
-            raise InputError(f"init needs {PART}: morembs init part.msh; or, to try it: morembs init --example")
-        if file.is_dir():
-            raise InputError(f"{file} is a folder; expected {PART}")
-        other = instead(file, PART)
-        if other:
-            raise InputError(f"{file}: {other}")
-        job = file.with_name(file.name.partition(".")[0] + ".toml") if out is None else out
-        if job.suffix != ".toml":
-            raise InputError(f"--out {str(job)!r} was given; expected a name that ends in .toml")
-        if not show:
-            refuse_existing(job)
-        text = job_text(file, job.parent, None if units is None else parse_units(units))
-        if show:
-            with printing():
-                typer.echo(f"{text}\n# This job: morembs init {file}; then: morembs reduce {job}")
-            return
-        with replacing(job) as written:
-            written.write(text.encode())
-        with printing([str(job)]):
-            typer.echo(f"written: {job}; look at its units, materials and interfaces, then: morembs check {job}")
-
-
-def _write_example(name: Path | None, out: Path | None, refused: str) -> None:
-    """Write an example, rod where none is named, and say the next command."""
-    from morembs.app.jobs.template import write_example
-    from morembs.base.errors import nearest
-    from morembs.examples import EXAMPLES
-
-    chosen = "rod" if name is None else str(name)
-    if chosen not in EXAMPLES:
-        raise InputError(f"there is no example {chosen!r}; {nearest(chosen, EXAMPLES)}")
-    if refused:
-        raise InputError(f"an example is written as it is; leave {refused} out")
-    job = Path(f"{chosen}.toml") if out is None else out
-    if job.suffix != ".toml":
-        raise InputError(f"--out {str(job)!r} was given; expected a name that ends in .toml")
-    write_example(chosen, job)
-    with printing([str(job)]):
-        files = ", ".join(str(job.parent / file) for file in EXAMPLES[chosen].files)
-        typer.echo(f"written: {files}, {job}; then: morembs reduce {job}")
-
-
 @app.command(cls=Verb, epilog=example("morembs schema > job.schema.json"))
 def schema() -> None:
     """Print the JSON schema of job files, by which editors complete and check keys."""
@@ -289,6 +221,7 @@ def _order(jobs: Sequence[Path], changes: Sequence[str], load: Load | None = Non
     return order_of(loaded, range(len(jobs)))
 
 
+app.add_typer(starting)
 app.add_typer(batches)
 app.add_typer(bodies)
 app.add_typer(evaluation)

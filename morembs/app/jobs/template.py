@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from morembs.app.jobs.proposals import Proposal, propose_interfaces
 from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
 from morembs.base.units import Units, parse_units
@@ -26,7 +26,6 @@ from morembs.storage.safefile import replacing
 # Formats whose files hold materials beside a mesh.
 DECKS = ("abaqus", "nastran", "ansys")
 _ROLES = ("stiffness", "mass", "damping")
-Selections = tuple[list[str], list[str]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,26 +53,71 @@ def job_text(file: Path, folder: Path, units: Units | None = None, *, picture: b
         if is_model_file(file):
             model = read_model(file)
             head = _model(path, model)
-            couplings = [f"coupling:{name}" for name in model.couplings]
-            choices = (
-                (couplings[: TOL.template_interfaces], couplings[TOL.template_interfaces :])
-                if couplings
-                else _node_sets(model)
-            )
+            interfaces = _choose(model, model.mesh, tuple(model.couplings), parse_units("m-kg-s"))
+            dofs = model.size
         else:
             deck = _whole_deck(file)
             with advising(Form()):
                 mesh = read_mesh(file) if deck is None else deck.mesh
-            head = _mesh(path, mesh, units, deck)
+            size = np.ptp(mesh.nodes.xyz, axis=0).max()
+            known = units or parse_units("m-kg-s" if size <= TOL.longest_in_metres else "mm-t-s")
+            head = _mesh(path, mesh, known, "" if units else ": guessed from its size", deck)
             if deck is None and format_of(file) in DECKS:
                 head[1:1] = ["# Nodes and elements alone; the key file in place of mesh reads all that the deck holds."]
-            names = [] if deck is None else [f"coupling:{name}" for name in deck.couplings]
-            chosen, others = _node_sets(mesh)
-            choices = (names[: TOL.template_interfaces], [*chosen, *others]) if names else (chosen, others)
+            interfaces = _choose(mesh, mesh, () if deck is None else deck.couplings, known)
+            dofs = 3 * len(mesh.nodes)
     name = file.name.removesuffix(".gz").removesuffix(".h5").removesuffix(".model").partition(".")[0]
     while any(same_place(folder / f"{name}.h5", opened) for opened in ledger.opened):
         name += "-body"  # a companion of the mesh, or the mesh itself, has the name
-    return "\n".join([*head, *_interfaces(*choices), *_rest(name, picture), ""])
+    return "\n".join([*head, *interfaces.lines(), *_reduction(interfaces, dofs), *_rest(name, picture), ""])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Interfaces:
+    """Interfaces of a job, others that it names in comments, and what is said above them."""
+
+    chosen: Sequence[Proposal]
+    others: Sequence[Proposal]
+    about: str
+
+    def lines(self) -> list[str]:
+        """Their tables; those of the others as comments."""
+        lines = [self.about]
+        for one in self.chosen:
+            lines += [*([f"# {one.about}"] if one.about else []), *_table(one), ""]
+        plain = [one.nodes for one in self.others if not one.about]
+        if plain:
+            lines += [f"# There are too: {', '.join(plain)}", ""]
+        proposed = [one for one in self.others if one.about]
+        for one in proposed[: TOL.proposed_others]:
+            lines += [f"# {one.about}", *(f"# {line}" for line in _table(one)), ""]
+        if len(proposed) > TOL.proposed_others:
+            lines += [f"# Lesser ones that are left out: {len(proposed) - TOL.proposed_others}", ""]
+        if not self.chosen and not self.others:
+            lines += ["# [[interface]]", '# name = "tip"', '# nodes = "box:0,0,0,1,1,1"', ""]
+        return lines
+
+
+def _table(one: Proposal) -> list[str]:
+    name = "_".join(one.name.replace("/", "_").split()).lstrip(".") or "interface"
+    coupling = [] if one.nodes.startswith("coupling:") else ['coupling = "rigid"         # or "average", "direct"']
+    return ["[[interface]]", f"name = {_quoted(name)}", f"nodes = {_quoted(one.nodes)}", *coupling]
+
+
+def _choose(source: Mesh | FEModel, mesh: Mesh | None, couplings: tuple[str, ...], units: Units) -> Interfaces:
+    """Couplings of a source, else its node sets, else what is found in the skin of its mesh."""
+    about = "# Where other bodies touch the part. Instead of a set: box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, ids:1,2,3"
+    none = np.empty(0, dtype=np.int64)
+    named = [Proposal(name, f"coupling:{name}", "", none) for name in couplings]
+    chosen, others = _node_sets(source)
+    if named:
+        first, more = named[: TOL.template_interfaces], named[TOL.template_interfaces :]
+        return Interfaces(chosen=first, others=[*more, *chosen, *others], about=about)
+    if chosen or mesh is None:
+        return Interfaces(chosen=chosen, others=others, about=about)
+    proposed, more = propose_interfaces(mesh, units)
+    about = "# Where other bodies touch the part, as holes and plane faces of its skin suggest. Keep what is touched."
+    return Interfaces(chosen=proposed, others=[*others, *more], about=about)
 
 
 def _whole_deck(file: Path) -> WholeDeck | None:
@@ -88,11 +132,9 @@ def _whole_deck(file: Path) -> WholeDeck | None:
     return None
 
 
-def _mesh(path: str, mesh: Mesh, given: Units | None, deck: WholeDeck | None) -> list[str]:
-    size = np.ptp(mesh.nodes.xyz, axis=0)
-    extent = " x ".join(f"{length:.4g}" for length in size)
-    units = given or parse_units("m-kg-s" if size.max() <= TOL.longest_in_metres else "mm-t-s")
-    guessed = "" if given else ": guessed from its size"
+def _mesh(path: str, mesh: Mesh, units: Units, guessed: str, deck: WholeDeck | None) -> list[str]:
+    size = " x ".join(f"{length:.4g}" for length in np.ptp(mesh.nodes.xyz, axis=0))
+    extent = f"{size} {units.name.partition('-')[0]}"
     sets = ", ".join(mesh.element_sets) or "none"
     key, holder = ("mesh", "mesh") if deck is None else ("file", "deck")
     head = [
@@ -105,7 +147,7 @@ def _mesh(path: str, mesh: Mesh, given: Units | None, deck: WholeDeck | None) ->
         return [*head[:-1], f"# The deck brings its materials ({deck.materials}), masses, springs and couplings.", ""]
     return [
         *head,
-        f"[[material]]                # steel; one table for each material. Element sets of the mesh: {sets}",
+        f"[[material]]                # steel is assumed; one table a material. Element sets of the mesh: {sets}",
         'set = "all"',
         f"young = {TOL.steel_young / units.stress:.6g}",
         f"poisson = {TOL.steel_poisson}",
@@ -118,48 +160,37 @@ def _model(path: str, model: FEModel) -> list[str]:
     return ["[model]", f"file = {_quoted(path)}        # {model.size:,} dofs at {len(model.nodes):,} nodes", ""]
 
 
-def _node_sets(source: Mesh | FEModel) -> Selections:
+def _node_sets(source: Mesh | FEModel) -> tuple[list[Proposal], list[Proposal]]:
     """Node sets: the smallest that can be interfaces together, and the others."""
     nodes = source.nodes
+    sets = {name: Proposal(name, f"set:{name}", "", rows) for name, rows in nodes.sets.items()}
     fit, taken = [], np.zeros(len(nodes), dtype=bool)
-    for name, rows in sorted(nodes.sets.items(), key=lambda item: len(item[1])):
-        if len(rows) <= len(nodes) // 2 and not taken[rows].any() and _spread(nodes.xyz[rows]):
+    for name, one in sorted(sets.items(), key=lambda item: len(item[1].rows)):
+        if one.is_fit(nodes.xyz, taken):
             fit.append(name)
-            taken[rows] = True
+            taken[one.rows] = True
     chosen = fit[: TOL.template_interfaces]
-    return [f"set:{name}" for name in chosen], [f"set:{name}" for name in nodes.sets if name not in chosen]
+    return [sets[name] for name in chosen], [one for name, one in sets.items() if name not in chosen]
 
 
-def _spread(xyz: NDArray[np.float64]) -> bool:
-    """Whether points (n, 3) fix all six motions: three or more, not in a line."""
-    if len(xyz) < 3:
-        return False
-    size = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)
-    return bool(size[1] > TOL.points_in_line * size[0])
-
-
-def _interfaces(chosen: Sequence[str], others: Sequence[str]) -> list[str]:
-    lines = ["# Where other bodies touch the part. Instead of a set: box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, ids:1,2,3"]
-    for choice in chosen:
-        kind, _, name = choice.partition(":")
-        safe = "_".join(name.replace("/", "_").split()).lstrip(".") or "interface"
-        lines += ["[[interface]]", f"name = {_quoted(safe)}", f"nodes = {_quoted(choice)}"]
-        if kind == "set":
-            lines += ['coupling = "rigid"         # or "average", "direct"']
-        lines += [""]
-    if others:
-        lines += [f"# There are too: {', '.join(others)}", ""]
-    if not chosen:
-        lines += ["# [[interface]]", '# name = "tip"', '# nodes = "box:0,0,0,1,1,1"', ""]
-    return lines
+def _reduction(interfaces: Interfaces, dofs: int) -> list[str]:
+    """The table of the reduction: no more modes than a tenth of the dofs that the interfaces leave."""
+    rows = [one.rows for one in interfaces.chosen]
+    left = dofs - (3 * len(np.unique(np.concatenate(rows))) if rows else 0)
+    modes = max(1, min(TOL.template_modes, int(TOL.many_modes_part * left)))
+    lines = ["[[reduce]]                  # one body for each; morembs compare sets them side by side"]
+    if not rows:
+        lines += ['method = "modal"            # without interfaces; with some: craig-bampton', f"modes = {modes}"]
+    elif left <= 0:
+        lines += ['method = "guyan"            # the interfaces leave no node for modes']
+    else:
+        lines += ['method = "craig-bampton"']
+        lines += [f"modes = {modes:<20}# fixed-interface modes; or: up_to_hz = 5000"]
+    return [*lines, ""]
 
 
 def _rest(name: str, picture: bool) -> list[str]:
     return [
-        "[[reduce]]                  # one body for each; morembs compare sets them side by side",
-        'method = "craig-bampton"',
-        "modes = 20                  # fixed-interface modes; or: up_to_hz = 5000",
-        "",
         "# [[reduce]]                # the smallest body within a tolerance over a band",
         '# method = "auto"',
         "# band_hz = [0, 2000]",

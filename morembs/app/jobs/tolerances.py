@@ -33,6 +33,21 @@ class JobTolerances:
     longest_in_metres: float = 5.0
     # Sets that become interfaces; others are named in a comment.
     template_interfaces: int = 2
+    # Fixed-interface modes that a first job asks for, where the mesh has ten times as many dofs.
+    template_modes: int = 20
+    # Interfaces that are proposed where a mesh names none: the holes of most parts, well below ``many_interface_dofs``.
+    proposed_interfaces: int = 4
+    # Others that are proposed in comments.
+    proposed_others: int = 6
+    # Distance beyond a face or a wall to which its selection reaches, over the shortest edge of the skin: far above
+    # round-off, far below the next nodes.
+    selection_margin: float = 0.01
+    # The same, over the size of the mesh, at least: seven digits.
+    least_margin: float = 1e-7
+    # Depth of a plane face in the part, over that of the part, at which the part ends with it.
+    face_depth: float = 1e-3
+    # Component of a normal from which it is along an axis: a box then holds the face alone.
+    along_axis: float = 1 - 1e-9
     # Coordinates of the bar whose matrices are an example: six bending modes, as a pair of moments is to each.
     example_order: int = 12
     # Singular value of points over the largest below which they are in a line: coordinates with six digits.
