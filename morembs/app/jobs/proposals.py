@@ -74,7 +74,8 @@ def _outer_first(faces: list[PlaneFace], xyz: Floats, away: Floats | None) -> tu
         weight = float(np.ptp(xyz @ face.normal)) * face.area**0.5
         return -significant(weight), -significant(distance), int(face.nodes[0])
 
-    outer, inner = [], []
+    outer: list[PlaneFace] = []
+    inner: list[PlaneFace] = []
     for face in faces:
         height = xyz @ face.normal
         is_outer = height.max() - height[face.nodes].min() <= TOL.face_depth * np.ptp(height)
