@@ -20,10 +20,14 @@ from morembs.fem.material import isotropic, orthotropic
 from morembs.importers import import_file
 from morembs.importers.abaqus.cards.read import contents_for_calculix
 from morembs.importers.decks.flat import Choices
+from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import deck_options
 from morembs.importers.decks.problems import DeckError
+from morembs.importers.decks.tables import ElasticMaterial, Elements, Section
 from morembs.importers.decks.writers.calculix_mesh import FACES
-from morembs.importers.engines.calculix.importer import readable_by_calculix
+from morembs.importers.engines.calculix.importer import assemble_with_calculix, readable_by_calculix
+from morembs.importers.engines.calculix.other_decks import flat_deck
+from morembs.importers.engines.calculix.program import find_ccx
 from morembs.importers.for_calculix import read_for_calculix
 from morembs.importers.model_file import read_model
 from morembs.importers.to_model import model_of
@@ -527,6 +531,49 @@ def test_bulk_data_with_all_that_hangs_on_them_are_assembled_by_ccx(kind, tmp_pa
         assert abs(K - K_own).max() < 1e-10 * abs(K_own).max()
         # The mass of C3D10 is integrated at four points.
         assert (abs(M - M_own).max() < 1e-10 * abs(M_own).max()) == (kind == "hex20")
+
+
+@needs_ccx
+@pytest.mark.parametrize("ends", [".bdf", ".inp"])
+def test_ccx_takes_decks_by_their_tables_whoever_read_them(ends, tmp_path):
+    """The matrices of the deck's own cards, on nodes and sets under the names of the deck."""
+    mesh = box("hex20", (2, 1, 1), (1.0, 0.4, 0.2))
+    corners = [mesh.nodes.ids[np.isclose(mesh.nodes.xyz[:, 0], x)][:4].tolist() for x in (1.0, 0.0)]
+    (tmp_path / "deck.bdf").write_text(OF_NASTRAN.format(nastran_mesh(mesh, "free"), *corners[0], *corners[1]))
+    (tmp_path / "deck.inp").write_text(TIED)
+    path = tmp_path / f"deck{ends}"
+    deck = morembs.read_deck(path)
+    assert deck.cards is None
+    own, read = assemble_with_calculix(deck, Choices(), program=find_ccx()), import_file(path, engine="calculix")
+    assert own.source == path.name and set(deck.node_sets) <= set(own.nodes.sets)
+    (K, M), (wanted_K, wanted_M) = (independent(model_of(given)) for given in (own, read))
+    assert abs(K - wanted_K).max() < 1e-10 * abs(wanted_K).max()
+    assert abs(M - wanted_M).max() < 1e-10 * abs(wanted_M).max()
+
+
+def test_beams_of_three_nodes_and_thin_walls_are_b32r_for_ccx():
+    """As CalculiX has pipes in these alone; others keep their type."""
+    ids, line = np.arange(1, 6), np.array([[1, 3, 2], [3, 5, 4]])
+    beams = Elements(code="BEAM189", kind="beam", shape="line3", ids=np.array([7, 8]), nodes=line)
+    steel = ElasticMaterial(name="S", stiffness=isotropic(set="all", young=1.0, poisson=0.3, density=1.0).stiffness)
+    common = {"kind": "beam", "material": "S", "direction": np.array([0.0, 1.0, 0.0])}
+    sections = (
+        Section(set="P", profile="PIPE", dimensions=(0.1, 0.01), **common),
+        Section(set="R", profile="RECT", dimensions=(0.1, 0.2), **common),
+    )
+    deck = Deck(
+        name="deck.cdb",
+        program="ANSYS",
+        ids=ids,
+        xyz=np.outer(ids, [1.0, 0.0, 0.0]),
+        elements=(beams,),
+        element_sets={"P": np.array([[8, 8]]), "R": np.array([[7, 7]])},
+        materials={"S": steel},
+        sections=sections,
+    )
+    _, flat = flat_deck(deck)
+    assert "TYPE=B32\n1, 1, 2, 3\n*ELEMENT, TYPE=B32R\n2, 3, 4, 5\n" in flat.cards
+    assert "1 elements B32 are assembled as B32R [hybrid-as-plain]" in flat.warnings and flat.expands
 
 
 @needs_ccx

@@ -62,7 +62,7 @@ def write_deck(deck: DeckTables, path: str | Path, format: str) -> tuple[str, ..
     with replacing(Path(path)) as file:
         for line in lines:
             file.write(line.encode() if line.endswith("\n") else f"{line}\n".encode())
-    return tuple(dict.fromkeys([*deck.warnings[said:], *_without_section(deck), *warnings]))
+    return tuple(dict.fromkeys([*deck.warnings[said:], *without_section(deck), *warnings]))
 
 
 def _refuse_problems(deck: DeckTables) -> None:
@@ -78,7 +78,7 @@ def _refuse_problems(deck: DeckTables) -> None:
     problems.refuse()
 
 
-def _without_section(deck: DeckTables) -> list[str]:
+def without_section(deck: DeckTables) -> list[str]:
     """A sentence on elements that have no material, as they are in no section."""
     bare = 0
     for part in deck.elements:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -11,15 +9,14 @@ from typing import Annotated
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
 from morembs.base.limits import Count, Positive, one_of
-from morembs.base.scratch import ScratchFolder
 from morembs.fem.material import Material
 from morembs.importers.decks.flat import Choices
 from morembs.importers.decks.formulations import DIALECTS
 from morembs.importers.decks.model import Deck
-from morembs.importers.decks.options import Boundary, DeckOptions, deck_options
+from morembs.importers.decks.options import Boundary, deck_options
 from morembs.importers.decks.tables import Supports
 from morembs.importers.engines.calculix.model import Exported
-from morembs.importers.engines.calculix.other_decks import completed, with_others, write_other
+from morembs.importers.engines.calculix.other_decks import completed, flat_deck, with_others
 from morembs.importers.engines.calculix.program import Ccx, find_ccx
 from morembs.importers.engines.run import Program
 from morembs.importers.for_calculix import read_for_calculix
@@ -46,7 +43,7 @@ def import_with_calculix(
 ) -> Imported:
     """A deck as CalculiX assembles it, in the deck's own units.
 
-    One of another program becomes a flat deck first (``Deck.write``); its masses, springs and average elements are
+    One of another program is written as a flat deck; its masses, springs and average elements are
     added to the matrices.
 
     Args:
@@ -94,15 +91,13 @@ def assemble_with_calculix(
         InputError: a run that fails, or choices that the deck has nothing for.
     """
     if deck.cards is None:
-        deck = _ready(deck, choices)
-        with _as_cards(deck) as (written, said):
-            of_flat = replace(choices, materials=())
-            imported = assemble_with_calculix(written, of_flat, program=program, seconds=seconds, keep=keep)
-        return with_others(imported, deck, said)
-    flat = deck.cards(choices)
+        deck, flat = flat_deck(_ready(deck, choices))
+    else:
+        flat = deck.cards(choices)
     with Ccx(program=program, flat=flat, seconds=seconds, keep=keep) as ccx:
         read = ccx.export()
-        return Exported(deck, flat, read, ccx.expansion(), held=choices.keep).imported(ccx, choices)
+        imported = Exported(deck, flat, read, ccx.expansion(), held=choices.keep).imported(ccx, choices)
+    return imported if deck.cards is not None else with_others(imported, deck)
 
 
 def _ready(deck: Deck, choices: Choices) -> Deck:
@@ -126,14 +121,6 @@ def _ready(deck: Deck, choices: Choices) -> Deck:
     return deck if choices.keep else replace(deck, supports=Supports())
 
 
-@contextmanager
-def _as_cards(deck: Deck) -> Iterator[tuple[Deck, tuple[str, ...]]]:
-    """The deck as one with cards, without masses, springs and average elements; what differs in it."""
-    with closing(ScratchFolder(None)) as scratch:
-        path, said = write_other(deck, scratch.path)
-        yield read_for_calculix(path, "abaqus", DeckOptions(), dialect="calculix"), said
-
-
 def readable_by_calculix(
     path: Path,
     *,
@@ -155,8 +142,7 @@ def readable_by_calculix(
     if deck.cards is not None:
         deck.cards(Choices(materials=materials))
         return
-    with closing(ScratchFolder(None)) as scratch:
-        write_other(completed(deck, materials), scratch.path)
+    flat_deck(completed(deck, materials))
 
 
 def _choices(boundary: str, preload: int, timeout: float, materials: tuple[Material, ...]) -> Choices:
