@@ -7,6 +7,8 @@ import h5py
 import numpy as np
 import pytest
 
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.run import run_job
 from morembs.base.errors import InputError
 from morembs.dynamics.gmp import ReducedMember
 from morembs.dynamics.gmp.stored import read_members, write_members
@@ -63,6 +65,20 @@ def test_the_example_of_the_documentation_runs():
     space = {}
     exec(code, space)
     assert space["nodes"].shape == (75, 101) and space["motion"].warnings == ()
+
+
+def test_the_job_of_the_documentation_makes_the_member_of_its_mechanism(tmp_path, monkeypatch, capsys):
+    text = DOCS.read_text()
+    (job,), (code,) = (re.findall(rf"```{kind}\n(.*?)```", text, re.DOTALL) for kind in ("toml", "python job"))
+    (tmp_path / "rod.toml").write_text(job)
+    monkeypatch.chdir(tmp_path)
+    run_job(load_job("rod.toml"))
+    space = {}
+    exec(code, space)
+    assert space["member"].size == 9 and "[" in capsys.readouterr().out
+    tip = space["simulate"](space["mechanism"], end=0.1, step=1e-3).q[-1][:2]
+    # The rod falls as a rigid one does at first, with 3 g / 2 at its tip.
+    assert tip[1] == pytest.approx(-0.75 * 9.81 * 0.1**2, rel=0.5)
 
 
 @pytest.mark.parametrize(

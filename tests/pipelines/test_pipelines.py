@@ -229,7 +229,14 @@ def test_each_runs_draws_its_picture_and_keeps_its_promise(name, tmp_path, capsy
 
 def test_every_job_belongs_to_a_script():
     jobs = {path.stem for folder in ("pipelines", "studies") for path in (ROOT / folder).glob("*.toml")}
-    assert jobs == {"connecting_rod", "design_study", "flexible_swing", "rotating_beam", "slider_crank"}
+    assert jobs == {
+        "connecting_rod",
+        "design_study",
+        "flexible_pendulum",
+        "flexible_swing",
+        "rotating_beam",
+        "slider_crank",
+    }
 
 
 def test_the_connecting_rod_of_the_demo(tmp_path, capsys):

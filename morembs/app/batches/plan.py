@@ -80,7 +80,9 @@ def parts_of(given: Iterable[str | Path], changes: Sequence[str] = ()) -> tuple[
     for place in map(Path, given):
         held = _jobs_below(place) if place.is_dir() else [place]
         if not held:
-            raise InputError(f"{place} holds no job: no .toml file with a table [model] or [[substructure]]")
+            raise InputError(
+                f"{place} holds no job: no .toml file with a table [model] or [[substructure]], or [member]"
+            )
         for path in held:
             paths.setdefault(path.resolve(), path)
     if not paths:
@@ -135,9 +137,10 @@ def _is_job(path: Path) -> bool:
         return False
     try:
         tables = tomllib.loads(text)
-        return isinstance(tables.get("model"), dict) or isinstance(tables.get("substructure"), list)
+        one = any(isinstance(tables.get(name), dict) for name in ("model", "member"))
+        return one or isinstance(tables.get("substructure"), list)
     except (ValueError, RecursionError):
-        return "[model]" in text or "[[substructure]]" in text
+        return any(head in text for head in ("[model]", "[[substructure]]", "[member]"))
 
 
 def _names(paths: Sequence[Path]) -> list[str]:

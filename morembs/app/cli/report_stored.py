@@ -14,6 +14,7 @@ from morembs.body.delivery_check import refuse_unsound, stored_findings
 from morembs.body.diagnostics.findings import Diagnosis
 from morembs.body.file import read_unexamined
 from morembs.body.stored import StoredBodies
+from morembs.storage.hdf5 import holds_format
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,6 +35,8 @@ def show(file: str | Path, documents: list[dict[str, Any]] | None, proof: bool =
     try:
         stored = read_unexamined(file, whole=True)
     except InputError:
+        if _show_members(Path(file), documents):
+            return
         _refuse_model(Path(file))
         raise
     diagnoses = stored_findings(stored)
@@ -47,6 +50,36 @@ def show(file: str | Path, documents: list[dict[str, Any]] | None, proof: bool =
             if proof:
                 print_proofs(console(), stored)
     refuse_unsound(str(file), diagnoses)
+
+
+def _show_members(path: Path, documents: list[dict[str, Any]] | None) -> bool:
+    """Whether ``path`` is a file of planar members; what it holds is then shown, or added to the ``documents``.
+
+    Raises:
+        InputError: the file is damaged, or of a newer version.
+    """
+    from morembs.dynamics.gmp.stored import MemberFormat, read_members
+
+    if not holds_format(path, MemberFormat.NAME):
+        return False
+    members = read_members(path)
+    if documents is not None:
+        told = {name: data.outline() for name, data in members.items()}
+        documents.append({"output": str(path), "format_version": MemberFormat.VERSION, "members": told})
+        return True
+    from morembs.app.report.text import say
+
+    with printing():
+        say(console(), f"{path}: planar members, global modal parameterisation")
+        for name, data in members.items():
+            outline = data.outline()
+            say(
+                console(),
+                f"  {name}: {outline['formulation']}, {outline['modes']} bending modes and two frames, length "
+                f"{outline['length']:.4g} m, end angles to {outline['reach']:.4g} rad in tables of {outline['points']} "
+                f"points, largest error of their derivatives {outline['error']:.1e}",
+            )
+    return True
 
 
 def _refuse_model(path: Path) -> None:

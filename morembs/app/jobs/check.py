@@ -79,6 +79,9 @@ def _check(job: Job) -> JobForecast:
     solver = solver_of(job)
     for stage in asked(job):
         stage.prepare(job)
+    for stage in asked(job):
+        if (known := stage.forecast(job)) is not None:
+            return known
     progress.stage("read")
     with limit_threads(SolverTable.of(job).threads), budget_of(job, solver):
         given = next(filter(None, (stage.matrices(job) for stage in asked(job))), None)

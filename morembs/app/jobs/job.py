@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from morembs.app.jobs.solver import SolverTable
+from morembs.app.jobs.stages.member import MemberTable
 from morembs.app.jobs.stages.reduction import make_reducers
 from morembs.app.jobs.stages.stage import STAGES, in_order
 from morembs.app.jobs.tables import Job, JobTable, JobTables, ModesTable
@@ -85,9 +86,8 @@ def job_of_text(text: str, path: Path, changes: Sequence[str] = ()) -> Job:
     tables = read_table(job_tables(), data)
     given = SolverTable.of(tables).memory
     memory = None if given is None else parse_memory(given)
-    return Job(
-        path=path, text=text, tables=tables, reducers=make_reducers(tables), memory=memory, changes=tuple(changes)
-    )
+    reducers = {} if MemberTable.of(tables) is not None else make_reducers(tables)
+    return Job(path=path, text=text, tables=tables, reducers=reducers, memory=memory, changes=tuple(changes))
 
 
 def _near(path: Path) -> str:

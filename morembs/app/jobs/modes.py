@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from morembs.app.jobs.picture import BODY_COLORS, save
 from morembs.app.jobs.solver import SolverTable, budget_of, solver_of
 from morembs.app.jobs.stages.couple import damping_of, interfaces_of
+from morembs.app.jobs.stages.member import MemberTable
 from morembs.app.jobs.stages.model import materials_of
 from morembs.app.jobs.stages.preload import PreloadTable, preload_of
 from morembs.app.jobs.stages.spin import SpinTable, rotation_of
@@ -70,6 +71,10 @@ def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress | None
     Raises:
         MorembsError: input that cannot be used, or a model that nothing holds where complex modes are wanted.
     """
+    if MemberTable.of(job) is not None:
+        raise InputError(
+            "[member] was given, whose modes are those of its tables; give modes a job with a mesh or a model"
+        )
     start, solver = resident_bytes(), solver_of(job)
     materials_of(job)  # faults of materials are told before the mesh is read
     with (

@@ -52,17 +52,17 @@ class JobResult:
     def _facts(self) -> dict[str, object]:
         return {
             "job": self.job.path.name,
-            "dofs": self.dofs,
-            "solver": self.solver,
-            "bodies": ", ".join(f"{body.name} (order {body.reduced.order})" for body in self.bodies),
+            "dofs": self.dofs if self.bodies else None,
+            "solver": self.solver if self.bodies else None,
+            "bodies": ", ".join(f"{body.name} (order {body.reduced.order})" for body in self.bodies) or None,
             "seconds": sum(stage.seconds for stage in self.stages),
             "warnings": len(self.warnings) or None,
         }
 
     @property
     def bodies(self) -> tuple[Body, ...]:
-        """The bodies, in the order of the job."""
-        return self[BODIES]
+        """The bodies, in the order of the job; none of a job with a planar member."""
+        return self.results.get(BODIES) or ()
 
     @property
     def dofs(self) -> int:

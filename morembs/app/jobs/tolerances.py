@@ -100,6 +100,14 @@ class JobTolerances:
     loaded_bytes: int = 16_000_000
     # Bytes more that the smallest count takes; measured.
     least_count_bytes: int = 6_000_000
+    # Tangents of a member that take as long as each equilibrium of its tables with all steps and checks; measured.
+    tangents_per_equilibrium: int = 50
+    # Equilibria of a grid of 5 by 5 points and of its 16 checks: most members need no finer one.
+    equilibria_of_a_member: int = 41
+    # Equilibria that take as long as a formulation that solves for none; measured.
+    equilibria_of_derivatives: int = 5
+    # Numbers for each degree of freedom that an equilibrium keeps: its shape, slopes, stretch and modes.
+    numbers_per_equilibrium: int = 6
 
 
 TOL = JobTolerances()

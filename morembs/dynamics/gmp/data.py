@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -56,6 +56,18 @@ class Parameterised:
     energy: ChebyshevTable = dataset(
         "real", "ce ce", f"{_COEFFICIENTS}the same for W, in J", write=lambda data: data.energy.coefficients
     )
+
+    def outline(self) -> dict[str, Any]:
+        """Its size, range and error as plain values, SI units."""
+        return {
+            "formulation": self.formulation,
+            "modes": self.count,
+            "coordinates": 6 + self.count,
+            "length": self.length,
+            "reach": self.reach,
+            "points": len(self.table.coefficients),
+            "error": float(self.errors.max()),
+        }
 
     def at(self, t: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats, Floats]]:
         """Numbers (s,) of the table and their derivatives (2, s); W with its first two derivatives."""

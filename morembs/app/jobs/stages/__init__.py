@@ -8,6 +8,7 @@ from morembs.app.jobs.stages.couple import Couple
 from morembs.app.jobs.stages.effective_mass import EffectiveMass
 from morembs.app.jobs.stages.factor import FactorCost
 from morembs.app.jobs.stages.full_modes import FullModes
+from morembs.app.jobs.stages.member import ReduceMember
 from morembs.app.jobs.stages.model import Assemble, ReadMesh, ReadModel
 from morembs.app.jobs.stages.parameters import Parameters, ParameterSteps
 from morembs.app.jobs.stages.parts import Parts
@@ -25,6 +26,7 @@ STAGES |= {
     "shapes": DrawnShapes(),
     "body file": WriteBody(),
     "factor": FactorCost(),
+    "members": ReduceMember(),
     "bodies": Parts(),
     "mesh": ReadMesh(),
     "model file": ReadModel(),

@@ -167,6 +167,8 @@ class Deliver(JobStage):
         }
 
     def sections(self, document: Mapping[str, Any]) -> Sequence[Section]:
+        if not document["bodies"]:
+            return ()
         lines: list[str] = []
         for name, body in document["bodies"].items():
             lines.append(f"  {name}: {coordinate_words(body['mode_kind'])}")

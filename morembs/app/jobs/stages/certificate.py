@@ -98,6 +98,8 @@ class Certify(JobStage):
         }
 
     def sections(self, document: Mapping[str, Any]) -> Sequence[Section]:
+        if not document["bodies"]:
+            return ()
         known = []
         for name, body in document["bodies"].items():
             if body["certificate"] is not None:

@@ -54,6 +54,8 @@ class FactorCost(JobStage):
         return {"solver": factor.backend, "choice": results[CHOICE], "factor": asdict(factor)}
 
     def sections(self, document: Mapping[str, Any]) -> Sequence[Section]:
+        if "solver" not in document:
+            return ()
         counts = ", ".join(
             f"{document[key]:,} {words}"
             for key, words in (("nodes", "nodes"), ("elements", "elements"), ("dofs", "degrees of freedom"))

@@ -20,10 +20,10 @@ class Parts(ReadModel):
     def refuse_conflicts(self, tables: JobTables) -> None:
         model, parts = ModelTable.of(tables), SubstructureTable.of(tables)
         given = model.mesh or model.files
-        if not given and not parts:
+        if not given and not parts and "member" not in tables.given:
             raise InputError(
                 '[model]: mesh is missing; expected the path of a mesh file such as "conrod.msh" (or file = a model '
-                "deck or matrices, or tables [[substructure]])"
+                "deck or matrices, or tables [[substructure]], or [member])"
             )
         if given and (parts or CoupleTable.of(tables)):
             raise InputError("[[substructure]] or [[couple]] was given beside a mesh or a model file; choose one")

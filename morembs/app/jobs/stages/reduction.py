@@ -106,11 +106,20 @@ def make_reducers(job: HasTables) -> dict[str, Reducer]:
     Raises:
         InputError: names that repeat, unknown methods, wrong options.
     """
+    return {name: _reducer(name, table) for name, table in named_tables(job).items()}
+
+
+def named_tables(job: HasTables) -> dict[str, ReduceTable]:
+    """Name -> table of each reduction.
+
+    Raises:
+        InputError: names that repeat.
+    """
     names = [table.name or table.method for table in ReduceTable.of(job)]
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
         raise InputError(f"two [[reduce]] tables are named {repeated[0]!r}; give each its own name = ...")
-    return {name: _reducer(name, table) for name, table in zip(names, ReduceTable.of(job), strict=True)}
+    return dict(zip(names, ReduceTable.of(job), strict=True))
 
 
 def _reducer(name: str, table: ReduceTable) -> Reducer:

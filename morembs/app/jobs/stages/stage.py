@@ -16,6 +16,7 @@ from morembs.linalg.sparse.solver import FactorStats, LinearSolver
 from morembs.storage.contents import Content
 
 if TYPE_CHECKING:
+    from morembs.app.jobs.stages.forecast import JobForecast
     from morembs.body import Body
     from morembs.reducers import ProblemSummary
     from morembs.reducers.problem_summary import ShiftedFactorisations
@@ -152,6 +153,10 @@ class JobStage:
         """
         return None
 
+    def forecast(self, job: Job) -> JobForecast | None:
+        """What a job will need that has no finite-element model, None for a stage of such a model."""
+        return None
+
     def check_mesh(self, job: Job, mesh: Mesh) -> None:
         """Refuse what does not fit the mesh of the job.
 
@@ -210,8 +215,11 @@ STAGES: dict[str, JobStage] = {}
 def asked(job: Job) -> list[JobStage]:
     """The stages of a job, in the order in which they run."""
     stages = [stage for stage in STAGES.values() if stage.is_asked(job)]
-    replaced = tuple(other for stage in stages for other in stage.instead)
-    return list(in_order([stage for stage in stages if not isinstance(stage, replaced)]))
+    return list(in_order([stage for stage in stages if not any(_replaces(other, stage) for other in stages)]))
+
+
+def _replaces(stage: JobStage, other: JobStage) -> bool:
+    return stage is not other and isinstance(other, stage.instead)
 
 
 def computes_modes(job: Job) -> bool:
