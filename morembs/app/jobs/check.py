@@ -15,7 +15,6 @@ from morembs.app.jobs.solver import SolverTable, budget_of, solver_of
 from morembs.app.jobs.stages.couple import count_elements, damping_of, interfaces_of
 from morembs.app.jobs.stages.forecast import (
     Cost,
-    JobForecast,
     forecast_cost,
     least_memory,
     outlined,
@@ -24,7 +23,7 @@ from morembs.app.jobs.stages.forecast import (
 )
 from morembs.app.jobs.stages.model import materials_of, mesh_of
 from morembs.app.jobs.stages.preflight import model_warnings, preflight, shifted_of
-from morembs.app.jobs.stages.stage import asked, computes_modes
+from morembs.app.jobs.stages.stage import JobForecast, asked, computes_modes
 from morembs.app.jobs.tables import Job
 from morembs.app.jobs.tolerances import TOL
 from morembs.base import progress

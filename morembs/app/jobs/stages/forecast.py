@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import scipy.sparse as sp
@@ -36,51 +36,6 @@ from morembs.reducers.problem_summary import ShiftedFactorisations
 # Part of the speed of a large dense product that a factorisation reaches, and seconds for each of its entries
 # on top; of compact bodies of 100 to 300 thousand dofs, PARDISO's taken to be that of MUMPS.
 _EFFICIENCY = {"cholmod": 0.56, "mumps": 0.48, "mumps-mixed": 1.0, "mumps-embedded": 0.30, "pardiso": 0.48}
-
-
-@dataclass(frozen=True, kw_only=True)
-class JobForecast:
-    """What a job will need. Bytes are those of memory but ``scratch_bytes``; ``extent`` (3,) in m.
-
-    ``choice`` says in one line which solver will be taken and why; ``factor_seconds`` is that of the one
-    factorisation with ``threads`` threads at the speed of this machine now, ``reduction_seconds`` that of each
-    reduction beside it as far as it can be told, within a factor of three. ``shift_factor_...`` is of the largest
-    factor beside that of K, 0 where there is none, ``shift_seconds`` the time of all of these. Workers or ranks are
-    ``processes`` beside this one, of up to ``process_bytes`` each; ``all_processes_bytes`` is the peak of all at once.
-    """
-
-    solver: str
-    choice: str
-    nodes: int
-    elements: int
-    dofs: int
-    coupled_dofs: int
-    rigid_modes: int
-    stiffness_nonzeros: int
-    mass_nonzeros: int
-    matrices_bytes: int
-    factor_entries: int
-    factor_flops: float
-    factor_bytes: int
-    scratch_bytes: int
-    columns_bytes: int
-    peak_memory_bytes: int
-    factor_seconds: float
-    threads: int
-    shift_factor_entries: int
-    shift_factor_bytes: int
-    shift_seconds: float
-    processes: int
-    process_bytes: int
-    all_processes_bytes: int
-    extent: tuple[float, float, float]
-    interface_nodes: dict[str, int]
-    reduction_seconds: dict[str, float] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-
-    def as_json(self) -> dict[str, Any]:
-        """The fields as plain values."""
-        return {**asdict(self), "warnings": list(self.warnings)}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from morembs.app.jobs.solver import SolverTable
-from morembs.app.jobs.stages.forecast import JobForecast
 from morembs.app.jobs.stages.reduction import ReduceTable, named_tables
-from morembs.app.jobs.stages.stage import JobStage, Result, Results, Work
+from morembs.app.jobs.stages.stage import JobForecast, JobStage, Result, Results, Work
 from morembs.app.jobs.tables import HasTables, Job, JobTables, ModelTable, OptionalTable, OutputTable, Three
 from morembs.app.jobs.tolerances import TOL
 from morembs.app.report.sections import Place, Section
@@ -135,11 +134,11 @@ class ReduceMember(JobStage):
         for key in sorted(tables.given - BESIDE):
             raise InputError(f"[{key}] was given beside [member], a beam between two frames; leave it out")
         kept = {"model": {"units"}, "output": {"path"}, "solver": {"threads", "workers"}}
-        for table, keys in kept.items():
-            for key in sorted(tables.table(table).given - keys):
+        for place, keys in kept.items():
+            for key in sorted(tables.table(place).given - keys):
                 expected = " and ".join(sorted(keys))
                 raise InputError(
-                    f"[{table}] {key} was given beside [member], which takes {expected} alone; leave it out"
+                    f"[{place}] {key} was given beside [member], which takes {expected} alone; leave it out"
                 )
         for name, table in named_tables(tables).items():
             if table.method != METHOD:

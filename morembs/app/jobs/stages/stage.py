@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
@@ -16,7 +16,6 @@ from morembs.linalg.sparse.solver import FactorStats, LinearSolver
 from morembs.storage.contents import Content
 
 if TYPE_CHECKING:
-    from morembs.app.jobs.stages.forecast import JobForecast
     from morembs.body import Body
     from morembs.reducers import ProblemSummary
     from morembs.reducers.problem_summary import ShiftedFactorisations
@@ -95,6 +94,51 @@ class Work(Results):
             self.warn(sentence)
         self.warnings += sentences
         self.stored += sentences if stored else ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobForecast:
+    """What a job will need. Bytes are those of memory but ``scratch_bytes``; ``extent`` (3,) in m.
+
+    ``choice`` says in one line which solver will be taken and why; ``factor_seconds`` is that of the one
+    factorisation with ``threads`` threads at the speed of this machine now, ``reduction_seconds`` that of each
+    reduction beside it as far as it can be told, within a factor of three. ``shift_factor_...`` is of the largest
+    factor beside that of K, 0 where there is none, ``shift_seconds`` the time of all of these. Workers or ranks are
+    ``processes`` beside this one, of up to ``process_bytes`` each; ``all_processes_bytes`` is the peak of all at once.
+    """
+
+    solver: str
+    choice: str
+    nodes: int
+    elements: int
+    dofs: int
+    coupled_dofs: int
+    rigid_modes: int
+    stiffness_nonzeros: int
+    mass_nonzeros: int
+    matrices_bytes: int
+    factor_entries: int
+    factor_flops: float
+    factor_bytes: int
+    scratch_bytes: int
+    columns_bytes: int
+    peak_memory_bytes: int
+    factor_seconds: float
+    threads: int
+    shift_factor_entries: int
+    shift_factor_bytes: int
+    shift_seconds: float
+    processes: int
+    process_bytes: int
+    all_processes_bytes: int
+    extent: tuple[float, float, float]
+    interface_nodes: dict[str, int]
+    reduction_seconds: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields as plain values."""
+        return {**asdict(self), "warnings": list(self.warnings)}
 
 
 class JobStage:
