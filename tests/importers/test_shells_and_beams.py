@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.deck_programs import difference, of_ccx, spectrum_of
-from morembs import InputError
+from morembs import InputError, import_model
 from morembs.fem import FEModel, rigid_motion
 from morembs.fem.interface import make_interface
 from morembs.fem.selection import select_nodes
@@ -192,3 +192,17 @@ def test_modes_inside_of_elements_are_refused_with_parameters(tmp_path):
     young = Parameter(name="E", kind="young", low=1.6e11, high=2.4e11, nominal=2.1e11)
     with pytest.raises(InputError, match="a model with parameters cannot have elements with modes inside"):
         varied_model(given.mesh, given.materials, [young])
+
+
+@needs_ccx
+def test_a_circle_of_abaqus_has_its_radius_whoever_assembles(tmp_path):
+    path = tmp_path / "rod.inp"
+    path.write_text(
+        "*NODE\n1,0,0,0\n2,.25,0,0\n3,.5,0,0\n*ELEMENT,TYPE=B32R,ELSET=B\n1,1,2,3\n"
+        "*BEAM SECTION,ELSET=B,MATERIAL=M,SECTION=CIRC\n.02\n0,0,1\n*MATERIAL,NAME=M\n*ELASTIC\n2.1E11,.3\n*DENSITY\n7850.\n"
+    )
+    models = [import_model(path, dialect="abaqus", engine=engine) for engine in (None, "calculix")]
+    own, theirs = (model.M[model.dofs.component == 0][:, model.dofs.component == 0].sum() for model in models)
+    assert theirs == pytest.approx(own, rel=1e-9)
+    # Four points of the section miss the area of the circle by 1.2 %.
+    assert own == pytest.approx(np.pi * 0.02**2 * 0.5 * 7850.0, rel=0.02)

@@ -210,6 +210,10 @@ class _Writer:
         if card.keyword == "BEAM SECTION" and len(rows) > 1 and not np.array_equal(placed.rotation, np.eye(3)):
             normal = placed.rotation @ np.array((values(rows[1], card) + [0.0] * 3)[:3])
             rows = [rows[0], [numeral(x) for x in normal], *rows[2:]]
+        is_round = card.keyword == "BEAM SECTION" and card.options.get("SECTION", "").upper().startswith("CIRC")
+        if is_round and self.deck.dialects == {"abaqus"} and rows:
+            # Abaqus has the radius, CalculiX the axes of an ellipse.
+            rows = [[numeral(2 * value) for value in values(rows[0], card)], *rows[1:]]
         if card.keyword == PRETENSION:
             self.flat.cuts.append(self.assembly.one_node(placed, card.need("NODE")))
         if card.keyword == "TRANSFORM":
