@@ -199,7 +199,8 @@ def test_a_circle_of_abaqus_has_its_radius_whoever_assembles(tmp_path):
     path = tmp_path / "rod.inp"
     path.write_text(
         "*NODE\n1,0,0,0\n2,.25,0,0\n3,.5,0,0\n*ELEMENT,TYPE=B32R,ELSET=B\n1,1,2,3\n"
-        "*BEAM SECTION,ELSET=B,MATERIAL=M,SECTION=CIRC\n.02\n0,0,1\n*MATERIAL,NAME=M\n*ELASTIC\n2.1E11,.3\n*DENSITY\n7850.\n"
+        "*BEAM SECTION,ELSET=B,MATERIAL=M,SECTION=CIRC\n.02\n0,0,1\n*MATERIAL,NAME=M\n"
+        "*ELASTIC\n2.1E11,.3\n*DENSITY\n7850.\n"
     )
     models = [import_model(path, dialect="abaqus", engine=engine) for engine in (None, "calculix")]
     own, theirs = (model.M[model.dofs.component == 0][:, model.dofs.component == 0].sum() for model in models)

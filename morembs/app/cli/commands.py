@@ -129,7 +129,8 @@ def _loader(
     from morembs.app.jobs.template import job_of_matrices
 
     text = job_of_matrices(files, loads, outputs, method, options)
-    return [files[0].with_name(files[0].name.partition(".")[0] + ".toml")], partial(job_of_text, text)
+    # A job of the working directory, from which the command line names its files.
+    return [Path(files[0].name.partition(".")[0] + ".toml")], partial(job_of_text, text)
 
 
 @app.command(cls=Verb, epilog=example("morembs compare part.toml --picture compared.png"))
