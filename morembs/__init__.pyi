@@ -2,6 +2,7 @@
 from . import examples
 from .app.batches.run import batch
 from .app.jobs.import_job import import_model
+from .app.matrices import ReducedSystem, reduce
 from .base.errors import InputError, MorembsError
 from .base.units import parse_units
 from .body import Body, ElasticBody, elastic_body, make_part
@@ -54,7 +55,6 @@ from .reducers import (
     ReducedModel,
     StaticModesSwitching,
 )
-from .reducers.matrices import ReducedSystem, reduce
 from .reducers.pymor import from_pymor, to_pymor
 from .responses.band import band_frequencies
 from .responses.certified import certified_reference

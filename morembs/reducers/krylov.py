@@ -133,10 +133,7 @@ class Krylov(Reducer):
                 raise InputError("inputs and outputs name the same interfaces; leave two_sided out")
         columns = min(self._columns(problem, space.F.shape[1]) for space in spaces)
         if self.order is not None and self.moments == 1 and self.order > columns:
-            # One block at each point does not do; one more for columns that depend on others.
-            moments = 1 - (-self.order // columns)
-            basis = replace(self, moments=moments)._basis(problem)
-            return replace(basis, notes={**basis.notes, "moments": moments})
+            return self._with_enough_moments(problem, columns)
         for space in spaces:
             space.reserve(self._columns(problem, space.F.shape[1]))
         lost, moved = self._fill(problem, spaces)
@@ -157,6 +154,21 @@ class Krylov(Reducer):
         if self.two_sided:
             return _two_sided(problem, spaces[0].V, spaces[1].V, notes)
         return elastic_basis(problem, spaces[0].V, "krylov", notes)
+
+    def _with_enough_moments(self, problem: Problem, columns: int) -> Basis:
+        """The basis for ``order`` where one block at each point has too few ``columns``; some depend on others."""
+        points = len(self.shifts_hz) + len(self.real_shifts)
+        most = min(TOL.max_columns, problem.K.shape[0] - problem.rigid.shape[1]) // columns
+        moments = min(1 - (-(self.order or 0) // columns), most)
+        while True:
+            try:
+                basis = replace(self, moments=[moments] * points)._basis(problem)
+            except InputError:
+                if moments >= most:
+                    raise
+                moments = min(2 * moments, most)
+            else:
+                return replace(basis, notes={**basis.notes, "moments": moments})
 
     def _check(self, problem: Problem) -> None:
         if 0.0 in self.shifts_hz and problem.system.damps_rigid_motion:

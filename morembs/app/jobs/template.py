@@ -253,7 +253,8 @@ def job_of_matrices(
         count = f"{len(files)} {'matrix was' if len(files) == 1 else 'matrices were'} given"
         raise InputError(f"{count}; expected stiffness and mass, and maybe damping: morembs reduce K.mtx M.mtx D.mtx")
     named = {"B": loads, "C": outputs}
-    given = {name: file for name, file in named.items() if file is not None}
+    # Files beside the one of K where they are named without a folder.
+    given = {name: file.absolute() for name, file in named.items() if file is not None}
     lines = ["[model]", *(f"{role} = {_quoted(str(file))}" for role, file in zip(_ROLES, files, strict=False))]
     if given:
         lines += [f"set = {{ {', '.join(f'{name} = {_quoted(str(file))}' for name, file in given.items())} }}"]

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import matplotlib as mpl
 import numpy as np
 import pytest
+import scipy.io
 import scipy.sparse as sp
 
 import morembs
 from morembs.base.errors import ArgumentError
+from morembs.body.file import read_body
+from tests.support import commands
 
 SIZE = 30
 K = 1e4 * sp.diags_array([np.full(SIZE, 2.0), -np.ones(SIZE - 1), -np.ones(SIZE - 1)], offsets=[0, 1, -1]).tocsr()
@@ -123,3 +128,36 @@ def test_arguments_of_a_method_are_told(call, answer: str) -> None:
     with pytest.raises(ArgumentError, match=answer) as caught:
         call()
     assert isinstance(caught.value, TypeError)
+
+
+@pytest.mark.parametrize(("method", "options"), [("modal", {"modes": 3}), ("gramian", {"band_hz": [0, 5], "order": 4})])
+def test_matrices_that_are_no_system_are_refused(method: str, options: dict[str, object]) -> None:
+    for mass, damping, words in (
+        (np.where(np.arange(SIZE) < 20, 1.0, -1.0), None, "mass matrix M is indefinite"),
+        (M, -1e-4 * K, "D is indefinite"),
+    ):
+        with pytest.raises(morembs.InputError, match=words):
+            morembs.reduce(K, mass, damping, B=B, method=method, **options)
+
+
+@pytest.mark.parametrize(
+    ("damping", "loads"), [(1e-4 * K, B), (None, np.hstack([B, B])), (None, np.eye(SIZE)[:, [3, 3, 4]])]
+)
+def test_krylov_takes_the_moments_that_its_order_needs(damping: object, loads: np.ndarray) -> None:
+    for order in (4, 12):
+        assert morembs.reduce(K, M, damping, B=loads, method="krylov", order=order).order == order
+
+
+def test_matrices_on_the_command_line_are_those_of_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sub").mkdir()
+    for place, factor in (("sub", 1.0), (".", 4.0)):
+        scipy.io.mmwrite(tmp_path / place / "K.mtx", K)
+        scipy.io.mmwrite(tmp_path / place / "M.mtx", factor * sp.diags_array(M).tocsr())
+        scipy.io.mmwrite(tmp_path / place / "B.mtx", B)
+    monkeypatch.chdir(tmp_path)
+    own = {factor: morembs.reduce(K, factor * M, modes=3).frequencies_hz() for factor in (1.0, 4.0)}
+    for files, factor in ((("sub/K.mtx", "M.mtx"), 4.0), (("sub/K.mtx", "sub/M.mtx"), 1.0)):
+        commands.run("reduce", *files, "--input", "sub/B.mtx", "--modes", "3", "-o", "q.h5", "-q")
+        assert np.allclose(read_body(tmp_path / "q.h5").bodies["modal"].frequencies_hz, own[factor])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -11,6 +12,7 @@ from morembs.base.arguments import check_value
 from morembs.base.errors import ArgumentError, InputError, nearest
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
+from morembs.body.diagnostics import examined
 from morembs.fem.interface import Interface, matrix_interface
 from morembs.importers.matrices.from_matrices import from_matrices
 from morembs.problem import Damping, Problem
@@ -83,7 +85,7 @@ def reduce(
         options: those of the method, such as modes=20, order=20, up_to_hz=500.0, band_hz=[0, 500].
 
     Raises:
-        InputError: matrices, a method or options that cannot be used.
+        InputError: matrices, a method or options that cannot be used, or matrices that ``examined`` refuses.
         SolverError: a factorisation or an iteration failed.
 
     >>> tip = np.eye(model.size)[:, -1:]
@@ -100,6 +102,8 @@ def reduce(
             "pymor.models.iosys.LTIModel takes E and A"
         )
     full = from_matrices(K, M, D, B, C)
+    for sentence in examined(full):
+        warnings.warn(sentence, stacklevel=2)
     reducer = _reducer(method, options)
     ports = [
         matrix_interface(full, name=name, matrix=name) for name, given in (("B", B), ("C", C)) if given is not None
