@@ -132,12 +132,10 @@ def test_arguments_of_a_method_are_told(call, answer: str) -> None:
 
 @pytest.mark.parametrize(("method", "options"), [("modal", {"modes": 3}), ("gramian", {"band_hz": [0, 5], "order": 4})])
 def test_matrices_that_are_no_system_are_refused(method: str, options: dict[str, object]) -> None:
-    for mass, damping, words in (
-        (np.where(np.arange(SIZE) < 20, 1.0, -1.0), None, "mass matrix M is indefinite"),
-        (M, -1e-4 * K, "D is indefinite"),
-    ):
-        with pytest.raises(morembs.InputError, match=words):
-            morembs.reduce(K, mass, damping, B=B, method=method, **options)
+    with pytest.raises(morembs.InputError, match="mass matrix M is indefinite"):
+        morembs.reduce(K, np.where(np.arange(SIZE) < 20, 1.0, -1.0), B=B, method=method, **options)
+    with pytest.warns(UserWarning, match="damping matrix D is indefinite"):
+        morembs.reduce(K, M, -1e-4 * K, B=B, method=method, **options)
 
 
 @pytest.mark.parametrize(
