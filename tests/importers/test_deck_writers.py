@@ -37,6 +37,7 @@ from tests.support.calculix import (
 from tests.support.mesh_decks import ansys_archive, nastran_mesh
 from tests.support.meshes import box
 from tests.support.mystran import needs_mystran
+from tests.support.structures import STRUCTURES
 
 KINDS = {"C3D4": "tet4", "C3D10": "tet10", "C3D6": "wedge6", "C3D15": "wedge15", "C3D8": "hex8", "C3D20": "hex20"}
 SOLIDS = (*KINDS, "C3D8R", "C3D8I", "C3D20R")
@@ -271,6 +272,21 @@ def test_archives_and_universal_files_become_decks_of_each_program(kind, format,
     first, second, _ = again(universal(mesh), "unv", format)
     assert np.array_equal(first.imported().mesh.blocks[0].nodes, second.imported().mesh.blocks[0].nodes)
     assert np.allclose(second.xyz, first.xyz, rtol=1e-10)
+
+
+@pytest.mark.parametrize("format", ["calculix", "abaqus"])
+def test_normals_of_elements_at_their_nodes_are_written(format, tmp_path):
+    (tmp_path / "own.inp").write_text(STRUCTURES["S8R with normals"])
+    own = read_deck(tmp_path / "own.inp", dialect="calculix")
+    assert own.write(tmp_path / "flat.inp", format) == ()
+    flat = read_deck(tmp_path / "flat.inp", dialect="calculix")
+    normals = [deck.elements[0].values["normal"] for deck in (own, flat)]
+    assert np.isfinite(normals[0]).all(axis=2).sum() == 2
+    assert np.allclose(normals[0], normals[1], rtol=1e-14, equal_nan=True)
+    K, written = (deck.to_model().K for deck in (own, flat))
+    assert abs(written - K).max() < 1e-12 * abs(K).max()
+    with pytest.raises(InputError, match="S8R elements have normal of their own, which 'nastran' decks"):
+        own.write(tmp_path / "flat.bdf", "nastran")
 
 
 @pytest.mark.parametrize("format", ["calculix", "abaqus", "nastran"])

@@ -35,6 +35,8 @@ _WRITTEN_VALUES = {
     *(("beam", name) for name in ("offset", "direction", "released")),
     *(("shell", name) for name in ("thickness", "offset", "direction", "angle")),
 }
+# Those that CalculiX and Abaqus have cards for.
+_NOT_OF_NASTRAN = {("beam", "normal"), ("shell", "normal"), ("membrane", "normal")}
 
 
 def write_deck(deck: DeckTables, path: str | Path, format: str) -> tuple[str, ...]:
@@ -94,9 +96,10 @@ def refuse_values(deck: DeckTables, format: str) -> None:
     Raises:
         InputError: there are any.
     """
+    written = _WRITTEN_VALUES if format == "nastran" else _WRITTEN_VALUES | _NOT_OF_NASTRAN
     for part in deck.elements:
         for name, values in part.values.items():
-            if (part.kind, name) not in _WRITTEN_VALUES and np.isfinite(values).any():
+            if (part.kind, name) not in written and np.isfinite(values).any():
                 raise InputError(
                     f"{deck.name}: {part.code} elements have {name} of their own, which {format!r} decks written here "
                     "lack; give it to their section"

@@ -174,7 +174,7 @@ class CalculixText(SectionText):
         """The whole deck."""
         self.set_lines()
         self.surface_lines()
-        sections = [*self.section_lines()]
+        sections = [*self.section_lines(), *self.normal_lines()]
         body = [
             *self.mass_lines(),
             *self.spring_lines(),

@@ -67,10 +67,23 @@ class SectionText(MeshText):
                 for own, members in self._variants(section, rows):
                     yield from self._section(own, members)
 
+    def normal_lines(self) -> Iterator[str]:
+        """Normals of elements at their nodes, where these have some of their own."""
+        lines, start = ["*NORMAL"], 0
+        for part in self.parts:
+            numbers = self.numbers[start : start + len(part.ids)]
+            start += len(part.ids)
+            normals = part.values.get("normal", np.empty((0, 0, 3)))
+            for i, k in np.argwhere(np.isfinite(normals).all(axis=2)).tolist():
+                lines.append(f"{numbers[i]}, {self.node(part.nodes[i, k])}, {numerals(normals[i, k])}")
+        if len(lines) > 1:
+            yield "\n".join(lines)
+
     def _variants(self, section: Section, rows: Ints) -> Iterator[tuple[Section, Ints]]:
         """The section with what its elements in ``rows`` have of their own, and rows of those that have the same."""
-        # Offsets of beams are looked at together.
-        if not any((part.kind, name) != ("beam", "offset") for part in self.parts for name in part.values):
+        # Offsets of beams are looked at together, and normals have cards of their own.
+        alike = (("beam", "offset"), ("beam", "normal"), ("shell", "normal"), ("membrane", "normal"))
+        if all((part.kind, name) in alike for part in self.parts for name in part.values):
             yield section, rows
             return
         groups: dict[tuple[object, ...], tuple[Section, list[int]]] = {}

@@ -115,7 +115,7 @@ class _FlatText(CalculixText):
         self.solid_codes = list[str]()
         mesh = [*self.mesh_lines()]
         first = 1 + len(self.deck.ids)
-        sections, supports = [*self.section_lines()], [*self.support_lines()]
+        sections, supports = [*self.section_lines(), *self.normal_lines()], [*self.support_lines()]
         boundary = [supports.pop()] if supports and supports[-1].startswith("*BOUNDARY") else []
         body = [*self.equation_lines(), *supports, *self.tie_lines(), *self.coupling_lines(), *boundary]
         cards = "\n".join([*mesh[first:], *self.sets, *self.surfaces, *sections, *body])
