@@ -17,6 +17,8 @@ sys.path.insert(0, str(ROOT))
 # Processes that tests start are like those of a user: their byte code is kept, their output has a buffer.
 for name in ("PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED"):
     os.environ.pop(name, None)
+# So is that of the tests: asserts are else rewritten in each run, which takes most of the time of collection.
+sys.dont_write_bytecode = False
 # Open MPI refuses root, as which a container runs its tests, and more processes than there are processors.
 for name in ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_MCA_rmaps_base_oversubscribe"):
     os.environ[name] = "1"
