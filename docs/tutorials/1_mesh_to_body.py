@@ -2,7 +2,7 @@ r"""
 From a mesh to a body
 =====================
 
-A connecting rod of 3,652 nodes becomes a body of 42 coordinates: two pins with six degrees of freedom each, and thirty
+A connecting rod of 2,078 nodes becomes a body of 62 coordinates: two pins with six degrees of freedom each, and fifty
 fixed-interface modes.
 """
 
@@ -16,19 +16,20 @@ import morembs
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
 
-mesh_file = Path("../../data/small_meshes/conrod.msh").resolve()
 folder = Path(tempfile.mkdtemp())
 
 # %%
 # The job
 # -------
 # A job says which mesh, which material, where other bodies touch the part, and what shall come out. Units are declared
-# once; here lengths are mm, masses t and times s, so that stresses are MPa.
+# once; here lengths are mm, masses t and times s, so that stresses are MPa. The mesh is an example that morembs brings
+# along; ``morembs init --example`` writes it with a job much like this one.
 
-job = folder / "conrod.toml"
-job.write_text(f"""
+morembs.examples.rod(folder)
+job = folder / "rod.toml"
+job.write_text("""
 [model]
-mesh = '{mesh_file}'
+mesh = "rod.msh"
 units = "mm-t-s"
 
 [[material]]
@@ -48,18 +49,18 @@ nodes = "set:SMALLEND"
 coupling = "rigid"
 
 [[reduce]]
-name = "cb30"
+name = "cb50"
 method = "craig-bampton"
-modes = 30
+modes = 50
 
 [output]
-path = "conrod.h5"
+path = "rod.h5"
 nodes = "skin"
-picture = "conrod.png"
+picture = "rod.png"
 """)
 
 # %%
-# ``morembs check conrod.toml`` would now tell what is wrong with it, and ``morembs reduce conrod.toml`` run it. From
+# ``morembs check rod.toml`` would now tell what is wrong with it, and ``morembs reduce rod.toml`` run it. From
 # Python:
 
 result = run_job(load_job(job))
@@ -71,7 +72,7 @@ print(f"{result.dofs:,} degrees of freedom -> {result.bodies[0].reduced.order}, 
 # Its mode shapes, and its frequency response between the pins beside that of the finite-element model.
 
 plt.figure(figsize=(10, 10))
-plt.imshow(plt.imread(folder / "conrod.png"))
+plt.imshow(plt.imread(folder / "rod.png"))
 plt.axis("off")
 plt.tight_layout(pad=0)
 
@@ -81,7 +82,7 @@ plt.tight_layout(pad=0)
 # The file holds all that a simulator needs; :doc:`/schema` lists every dataset. The first six frequencies are those of
 # rigid-body motion, zero but for round-off. Those of the finite-element model stand beside the elastic ones.
 
-body = morembs.read_body(folder / "conrod.h5").bodies["cb30"]
+body = morembs.read_body(folder / "rod.h5").bodies["cb50"]
 elastic = body.frequencies_hz[6:]
 full = result.bodies[0].full_frequencies_hz
 for reduced_hz, full_hz in zip(elastic, full[full > 1.0], strict=False):

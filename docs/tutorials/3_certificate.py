@@ -6,17 +6,19 @@ A certificate gives limits of the error of the transfer matrix that hold at ever
 those that were looked at.
 """
 
+import tempfile
+
 import matplotlib.pyplot as plt
 import numpy as np
 
 import morembs
 
-mesh = morembs.read_mesh("../../data/small_meshes/bracket.msh", "mm-t-s")
+mesh = morembs.read_mesh(morembs.examples.bracket(tempfile.mkdtemp()), "mm-t-s")
 steel = morembs.isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)
 model = morembs.assemble(mesh, [steel])
 ends = [
     morembs.make_interface(model, name=name, nodes=morembs.select_nodes(model, f"set:{name}"), coupling="rigid")
-    for name in ("FOOT", "TIP")
+    for name in ("BOLTS", "PIN")
 ]
 band = [0.0, 25_000.0]  # Hz
 
