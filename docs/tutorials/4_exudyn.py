@@ -2,7 +2,7 @@ r"""
 A mechanism in Exudyn
 =====================
 
-A rod of a soft plastic swings about its big end. The same body runs in the reference simulator of morembs and in `Exudyn
+A rod of a soft plastic swings about one end. The same body runs in the reference simulator of morembs and in `Exudyn
 <https://exudyn.readthedocs.io>`__ (``pip install exudyn``).
 """
 
