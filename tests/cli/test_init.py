@@ -162,11 +162,15 @@ def test_what_is_proposed_does_not_hang_on_the_order_of_elements(tmp_path: Path)
     assert len(texts) == 1
 
 
-def test_a_face_across_no_axis_is_selected_whole(tmp_path: Path) -> None:
-    """A bar of 60 x 10 x 6 that lies askew."""
+@pytest.mark.parametrize(("name", "kind", "sets"), [
+    ("wedge15.msh", "wedge15", ("ROOT", "TIP")), ("bracket.msh", "hexahedron20", ("FOOT", "TIP")),
+])  # fmt: skip
+def test_faces_and_holes_across_no_axis_are_selected_whole(
+    name: str, kind: str, sets: tuple[str, str], tmp_path: Path
+) -> None:
     axes = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3
-    whole = morembs.read_mesh(ROOT / "data" / "small_meshes" / "wedge15.msh")
-    meshio.Mesh(whole.nodes.xyz @ axes, [("wedge15", whole.blocks[0].nodes)]).write(tmp_path / "part.vtu")
+    whole = morembs.read_mesh(ROOT / "data" / "small_meshes" / name)
+    meshio.Mesh(whole.nodes.xyz @ axes, [(kind, whole.blocks[0].nodes)]).write(tmp_path / "part.vtu")
     (tmp_path / "job.toml").write_text(job_text(tmp_path / "part.vtu", tmp_path))
     tables = load_job(tmp_path / "job.toml").tables.interface
     model = morembs.assemble(
@@ -174,7 +178,7 @@ def test_a_face_across_no_axis_is_selected_whole(tmp_path: Path) -> None:
     )
     assert [table.nodes.partition(":")[0] for table in tables] == ["cylinder", "cylinder"]
     found = {tuple(morembs.select_nodes(model, table.nodes)) for table in tables}
-    assert found == {tuple(whole.nodes.sets[name]) for name in ("ROOT", "TIP")}
+    assert found == {tuple(whole.nodes.sets[each]) for each in sets}
 
 
 @pytest.mark.usefixtures("folder")

@@ -98,6 +98,14 @@ def test_a_round_opening_is_a_hole(sectors: int) -> None:
     np.testing.assert_allclose([hole.start, hole.axis], [[0, 0, 0], [0, 0, 1]], atol=1e-9)
 
 
+def test_a_fine_wall_is_no_plane_face() -> None:
+    """Neighbours of half a degree are alike, all of them together are not plane."""
+    skin = Skin.of(ring(lambda angle, z: 8 + 0 * z, sectors=720))
+    (hole,) = round_holes(skin)
+    assert hole.radius == pytest.approx(8)
+    assert [face.area for face in plane_faces(skin)] == pytest.approx([1600 - np.pi * 8**2] * 2 + [400] * 4, rel=1e-4)
+
+
 def test_a_rounded_rim_is_left_out() -> None:
     def inner(angle: np.ndarray, z: np.ndarray) -> np.ndarray:
         depth = np.minimum(z, 10 - z)
