@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from morembs.app.jobs.solver import SolverTable
 from morembs.app.jobs.stages.reduction import ReduceTable, named_tables
 from morembs.app.jobs.stages.stage import JobForecast, JobStage, Result, Results, Work
-from morembs.app.jobs.tables import HasTables, Job, JobTables, ModelTable, OptionalTable, OutputTable, Three
+from morembs.app.jobs.tables import HasTables, Job, JobTables, ModelTable, OptionalTable, Three
 from morembs.app.jobs.tolerances import TOL
 from morembs.app.report.sections import Place, Section
 from morembs.base.errors import InputError
@@ -122,7 +122,8 @@ class MemberTable(OptionalTable):
 class ReduceMember(JobStage):
     """The reduced members of the job, and their file."""
 
-    tables = (MemberTable, ReduceTable, ModelTable, OutputTable)
+    # Those of its reductions and its file come where the stages that it runs in place of have them.
+    tables = (ModelTable, MemberTable)
     gives = (MEMBERS,)
     tells = (MEMBERS,)
     instead = (JobStage,)
