@@ -124,7 +124,7 @@ def test_pieces_follow_curved_and_bent_strips_that_fall(line, E, tables, rms):
 def test_a_curved_piece_answers_small_loads_as_its_beam(formulation):
     piece = PlanarBeam.along(arc(8, np.pi / 8), STRIP)
     member = ReducedMember(piece, modes=3, formulation=formulation, reach=0.4)
-    K = member.at(member.start(np.array([0, 0, 0, member.length, 0, 0]))).stiffness[3:, 3:]
+    K = member.at(member.start(np.array([0, 0, 0, member.length, 0, 0]))).stiffness()[3:, 3:]
     load = np.array([1.0, 0.3, 0.2])
     tip = np.linalg.solve(K, np.concatenate((load, np.zeros(3))))[:3]
     full = piece.tangent(piece.reference)[3:, 3:].toarray()

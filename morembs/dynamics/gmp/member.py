@@ -151,7 +151,7 @@ class ReducedMember:
         S[:2, 3:] += tension * c_t
         S[3:, :2] += tension * c_t.T
         return MemberState(
-            x=x, J=J, V=V, force=gradient @ P, stiffness=P.T @ S @ P, strains=lambda: P.T @ resisting @ P
+            x=x, J=J, V=V, force=gradient @ P, stiffness=lambda: P.T @ S @ P, strains=lambda: P.T @ resisting @ P
         )
 
     def bending(self, q: Floats, v: Floats) -> Floats:

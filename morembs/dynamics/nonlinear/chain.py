@@ -102,7 +102,10 @@ class Chain:
     def at(self, q: Floats) -> MemberState:
         x, J = self._moved(q)
         force = self._K @ q
-        return MemberState(x=x, J=J, V=0.5 * float(q @ force), force=force, stiffness=self._K, strains=lambda: self._K)
+        return MemberState(x=x, J=J, V=0.5 * float(q @ force), force=force, stiffness=self._give, strains=self._give)
+
+    def _give(self) -> Floats:
+        return self._K
 
     def _moved(self, q: Floats) -> tuple[Floats, Floats]:
         """x (N,) and dx/dq (N, k)."""

@@ -22,8 +22,8 @@ class MemberState:
     """A member at one configuration q (k,).
 
     ``x`` (N,) coordinates of the motion, those of the nodes or fewer, ``J`` (N, k) dx/dq or None for x = q, strain
-    energy ``V``, ``force`` (k,) dV/dq, ``stiffness`` (k, k) d2V/dq2 (a part of it is enough for Newton's method),
-    ``strains`` gives the part (k, k) of it by which strains resist: no negative eigenvalues, free of rigid motion; None
+    energy ``V``, ``force`` (k,) dV/dq, ``stiffness`` gives d2V/dq2 (k, k) (a part of it is enough for Newton's method),
+    ``strains`` the part (k, k) of it by which strains resist: no negative eigenvalues, free of rigid motion; None
     where that is not known.
     """
 
@@ -31,7 +31,7 @@ class MemberState:
     J: Floats | None
     V: float
     force: Floats
-    stiffness: Floats | sp.spmatrix
+    stiffness: Callable[[], Floats | sp.spmatrix]
     strains: Callable[[], Floats | sp.spmatrix] | None = None
 
 
@@ -105,7 +105,7 @@ class FullMember:
             J=None,
             V=part.energy(x),
             force=part.force(x)[self._order],
-            stiffness=self._ordered(part.tangent(x)),
+            stiffness=lambda: self._ordered(part.tangent(x)),
             strains=(lambda: self._ordered(part.strain_stiffness(x))) if isinstance(part, StrainStiffness) else None,
         )
 

@@ -141,12 +141,13 @@ class _Run:
         A = scale * (J.T @ (self.M @ J if self.masses is None else self.masses[:, None] * J))
         if self.dense:
             for (free, columns), state in zip(self.free, states, strict=False):
-                S = state.stiffness if isinstance(state.stiffness, np.ndarray) else state.stiffness.toarray()
+                K = state.stiffness()
+                S = K if isinstance(K, np.ndarray) else K.toarray()
                 A[columns[:, None], columns] += stiffer * S[free[:, None], free]
             lu, pivots, _ = getrf(A)
             return lambda right: np.asarray(getrs(lu, pivots, right)[0])
         for numbers, state in zip(self.mechanism.numbers, states, strict=True):
-            K = sp.coo_matrix(state.stiffness)
+            K = sp.coo_matrix(state.stiffness())
             i, j = numbers[K.row], numbers[K.col]
             free = (i >= 0) & (j >= 0)
             A = A + sp.csr_matrix((stiffer * K.data[free], (i[free], j[free])), shape=A.shape)
