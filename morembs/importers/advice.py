@@ -23,8 +23,8 @@ _QUOTED = r"'[^']*'|\"[^\"]*\""
 # Values as messages have them; of options with a few words as values these are the words.
 _VALUES = {
     "skip": r"[A-Z\d][\w*-]*(?:,[A-Z\d][\w*-]*)*",
-    "density": r"(?:X|[.\d][\w.+-]*)(?:,set=[^\s;]+)?",
-    "material": r"young=[^\s;]+",
+    "density": r"(?:X|[.\d][\w.+-]*)(?:,set=[^\s;]*[^\s;,])?",
+    "material": r"young=[^\s;]*[^\s;,]",
     "set": r"[A-Za-z]\w*=[^\s;,]+",
     "units": r"\w+-\w+-\w+",
     "format": r"(?!out\b|was\b)[a-z]+(?:-[a-z]+)*",

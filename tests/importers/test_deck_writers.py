@@ -22,7 +22,7 @@ from morembs.importers.decks.writers.calculix_mesh import numeral
 from morembs.importers.to_model import model_of
 from tests.importers.test_engines import BEAM, PLATE, SHELL
 from tests.importers.test_mystran import DECKS as BULK
-from tests.importers.test_mystran import PROPERTIES
+from tests.importers.test_mystran import FRAME, MIXED, PROPERTIES, SHEET, ansys_elements
 from tests.importers.test_nastran_deck import FULL
 from tests.importers.test_unv import universal
 from tests.support.calculix import (
@@ -36,7 +36,7 @@ from tests.support.calculix import (
 )
 from tests.support.mesh_decks import ansys_archive, nastran_mesh
 from tests.support.meshes import box
-from tests.support.mystran import needs_mystran
+from tests.support.mystran import grids, needs_mystran
 from tests.support.structures import STRUCTURES
 
 KINDS = {"C3D4": "tet4", "C3D10": "tet10", "C3D6": "wedge6", "C3D15": "wedge15", "C3D8": "hex8", "C3D20": "hex20"}
@@ -407,7 +407,6 @@ def test_shells_and_bars_of_bulk_data_are_those_of_a_deck_by_hand_in_ccx(tmp_pat
             ["*ELEMENT, TYPE=S8R", "1, 1, 2, 3, 4, 5, 6, 7, 8"],
         ),
         ("CBAR,1,1,1,2,0.,0.,1.\n", "PBARL,1,1,,BAR\n,.1,.2\n", ["SECTION=RECT", "0.2, 0.1", "0.0, 0.0, 1.0"]),
-        ("CBAR,1,1,1,2,0.,0.,1.\n", "PBARL,1,1,,ROD\n,.1\n", ["SECTION=CIRC", "0.2\n"]),
         ("CROD,1,1,1,2\n", "PROD,1,1,.002\n", ["*ELEMENT, TYPE=T3D2", "*SOLID SECTION", "0.002"]),
     ],
 )
@@ -560,6 +559,63 @@ def test_what_a_format_cannot_say_is_refused_and_the_old_file_stays(text, source
     with pytest.raises(InputError, match=message):
         read(tmp_path / f"first.{ENDINGS[source]}").write(target, format)
     assert target.read_text() == "old"
+
+
+SPRING = "CELAS2,901,5.+4,1,4,35,4\n"
+ROUND = grids(FRAME) + "".join(f"CBAR,{i},1,{i},{i + 1},0.,1.,.2\n" for i in range(1, 6)) + MAT1.split("\n", 1)[1]
+
+
+@pytest.mark.parametrize(
+    ("bulk", "message", "line"),
+    [
+        (MIXED.split("CBAR")[0].replace(",.1,,.2,,,.3\n", ""), "turns grid .* of shells", "*RIGID BODY, TIE NSET="),
+        (SHEET + SPRING, "is a spring or dashpot on rotations, which CalculiX leaves out", "*SPRING"),
+        (f"{ROUND}PBARL,1,1,,ROD\n,.03\n", "profile 'CIRC', which CalculiX has not", "SECTION=CIRC"),
+        (f"{ROUND}PBARL,1,1,,TUBE\n,.03,.02\n", "profile 'PIPE', which CalculiX has not", "SECTION=PIPE"),
+    ],
+    ids=["rotations that are tied", "springs on rotations", "rods", "tubes"],
+)
+def test_what_calculix_would_lose_of_bulk_data_is_refused_and_written_for_abaqus(bulk, message, line, tmp_path):
+    (tmp_path / "first.bdf").write_text(f"BEGIN BULK\n{bulk}ENDDATA\n")
+    deck = read_deck(tmp_path / "first.bdf")
+    with pytest.raises(InputError, match=message):
+        deck.write(tmp_path / "flat.inp", "calculix")
+    assert not (tmp_path / "flat.inp").exists()
+    deck.write(tmp_path / "flat.inp", "abaqus")
+    assert line in (tmp_path / "flat.inp").read_text()
+
+
+@pytest.mark.parametrize("format", ["calculix", "abaqus", "nastran"])
+def test_materials_along_axes_of_elements_are_refused_by_every_writer(format, tmp_path):
+    constants = "".join(f"MP,{name},1,{value}\n" for name, value in (("EY", 1e11), ("EZ", 1e11), ("GXY", 4e10)))
+    (tmp_path / "a.cdb").write_text(f"{ansys_elements(SHEET, 181, 'CQUAD4')}{constants}R,1,.01\nFINISH\n")
+    with pytest.raises(InputError, match="has a material with axes and no orientation; give it one"):
+        read_deck(tmp_path / "a.cdb").write(tmp_path / "flat", format)
+
+
+@pytest.mark.parametrize(("routine", "value"), [(63, 1), (181, 1), (181, 2), (281, 1)])
+def test_shells_that_are_membranes_by_a_key_option_are_refused(routine, value, tmp_path):
+    text = ansys_elements(SHEET, routine, "CQUAD4").replace("TYPE,1\n", f"KEYOPT,1,1,{value}\nTYPE,1\n")
+    (tmp_path / "a.cdb").write_text(text + "R,1,.01\nFINISH\n")
+    with pytest.raises(InputError, match=rf"SHELL{routine} of material 1, .* has KEYOPT\(1\) = {value}"):
+        read_deck(tmp_path / "a.cdb").write(tmp_path / "flat.bdf", "nastran")
+
+
+@pytest.mark.parametrize("format", ["calculix", "abaqus"])
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        (",,.3,", ",4.+10,.3,", "whose G = 4e+10 does not fit E and NU; {} takes G = 8.07692e+10"),
+        ("1,,1\n", "1,,1,.5\n", "has a transverse shear stiffness of its own (of bulk data MID3 and TS/T), which {}"),
+        ("1,,1\n", "1\n", "has a transverse shear stiffness of its own (of bulk data MID3 and TS/T), which {}"),
+    ],
+    ids=["G", "TS/T", "MID3"],
+)
+def test_what_shells_of_bulk_data_have_beyond_a_plate_is_told(old, new, sentence, format, again):
+    said = " ".join(again(f"BEGIN BULK\n{SHEET.replace(old, new)}ENDDATA\n", "nastran", format)[2])
+    assert sentence.format({"calculix": "CalculiX", "abaqus": "Abaqus"}[format]) in said
+    plain = " ".join(again(f"BEGIN BULK\n{SHEET}ENDDATA\n", "nastran", format)[2])
+    assert "does not fit" not in plain and "transverse shear" not in plain
 
 
 @pytest.mark.parametrize("format", ["calculix", "abaqus", "nastran"])

@@ -135,6 +135,7 @@ def test_a_mesh_of_a_job_is_refused_with_keys_of_the_job(tmp_path):
         ("--skip 'CONTACT PAIR' if", 'skip = ["CONTACT PAIR"] in [model] if', 'skip=["CONTACT PAIR"] if'),
         ("--skip CE,CP leaves", 'skip = ["CE", "CP"] in [model] leaves', 'skip=["CE", "CP"] leaves'),
         ("--density 'X,set=A B'", 'density = { "A B" = X } in [model]', 'density={"A B": X}'),
+        ("--density X,set=B, or", "density = { B = X } in [model], or", 'density={"B": X}, or'),
         ("--density was given", "density in [model] was given", "density was given"),
         ("--boundary keep --preload N", 'boundary = "keep" in [model] preload = N', 'boundary="keep" preload=N'),
         ("name it: --set K=NAME", 'name it: set = { K = "NAME" } in [model]', 'name it: set={"K": "NAME"}'),

@@ -428,6 +428,23 @@ def test_a_material_takes_the_place_of_one_without_density(tmp_path):
             assert not any("case control" in note for note in model.notes) or name == "a.bdf"
 
 
+def test_shells_without_density_are_refused_beside_those_that_have_one(tmp_path):
+    """Whoever assembles; bars of bulk data without RHO may hang on what has mass."""
+    bare = abaqus_plate("S4R", "*SHELL SECTION,ELSET=A,MATERIAL=S\n.01\n*SHELL SECTION,ELSET=B,MATERIAL=S\n.01\n")
+    sets = "*ELSET,ELSET=A,GENERATE\n1,12\n*ELSET,ELSET=B,GENERATE\n13,24\n"
+    (tmp_path / "a.inp").write_text(bare.replace("*DENSITY\n7850.\n", "").replace("*MATERIAL", f"{sets}*MATERIAL", 1))
+    engine = f"mystran:{program(tmp_path, 'sys.exit()')}"
+    for way in (engine, None):
+        with pytest.raises(InputError, match=r"(?i)the set B has no \*?density.* --density X,set=B\b"):
+            model_of(import_file(tmp_path / "a.inp", engine=way, options={"density": {"A": 1.0}}))
+    with pytest.raises(InputError, match="MYSTRAN"):
+        import_file(tmp_path / "a.inp", engine=engine, options={"density": {"A": 7850.0, "B": 7850.0}})
+    light = "CBAR,200,2,35,30,1.,.2,.3\nPBAR,2,2,1.-4,1.-9,2.-9,1.-9\nMAT1,2,2.1+11,,.3\n"
+    (tmp_path / "a.bdf").write_text(f"{SHEET}{light}ENDDATA\n")
+    with pytest.raises(InputError, match="MYSTRAN"):
+        import_file(tmp_path / "a.bdf", engine=engine)
+
+
 @needs_mystran
 def test_supports_of_an_abaqus_deck_are_kept_or_dropped(tmp_path):
     """In the order of the deck, one along axes of its node; K of the body that is held along each."""

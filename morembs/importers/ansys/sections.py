@@ -162,6 +162,11 @@ def sections_of(
 
 
 def _shell(given: Given) -> Section:
+    if given.keys.get(1, 0):
+        raise InputError(
+            f"{given.what} has KEYOPT(1) = {given.keys[1]}, which is not read: shells resist stretching and bending "
+            "here; leave it out"
+        )
     if not given.number:
         return _shell_of_reals(given)
     layers = [(*row, 0.0, 0.0, 0.0)[:3] for row in given.numbers()]
@@ -193,8 +198,8 @@ def _shell_of_reals(given: Given) -> Section:
         raise InputError(f"{given.what} has no thickness; give it one (R or SECDATA)")
     plate, name = None, f"material {given.material}"
     if given.routine == Routine.SHELL63:
-        if given.keys.get(1, 0) or given.real(4):
-            raise InputError(f"{given.what} has KEYOPT(1) or a foundation (EFS), which are not read; leave them out")
+        if given.real(4):
+            raise InputError(f"{given.what} has a foundation (EFS), which is not read; leave it out")
         # Kirchhoff's plate does not shear.
         plate = Plate(membrane=name, bending=name, inertia_ratio=given.real(6) or 1.0)
     return given.section("shell", thickness=thick[0], plate=plate)

@@ -63,10 +63,18 @@ class CalculixText(SectionText):
 
     def coupling_lines(self) -> Iterator[str]:
         """Rigid elements as rigid bodies or kinematic couplings, average elements as distributing ones."""
+        turning = self._turning()
         for rigid in self.deck.rigid:
+            hinged = np.intersect1d(rigid.slaves, turning)
+            if max(rigid.components) > 2 and len(hinged):
+                raise InputError(
+                    f"{self.deck.name}: {rigid.name} turns {self.deck.node} {hinged[0]} of shells, beams or couplings, "
+                    "which CalculiX would join by a hinge; leave the rotations out, or write the deck for Abaqus"
+                )
             if len(rigid.components) == len(_ALL):
                 nodes_of = self.node_set(np.unique(rigid.slaves), rigid.name)
-                yield f"*RIGID BODY, NSET={nodes_of}, REF NODE={self.node(np.array([rigid.master]))[0]}"
+                word = "TIE NSET" if self.dialect == "abaqus" else "NSET"
+                yield f"*RIGID BODY, {word}={nodes_of}, REF NODE={self.node(np.array([rigid.master]))[0]}"
                 continue
             nodes = Surface(nodes=np.unique(rigid.slaves), weights=np.ones(len(np.unique(rigid.slaves))))
             dofs = (f"{c + 1}, {c + 1}" for c in rigid.components)
@@ -75,6 +83,14 @@ class CalculixText(SectionText):
             dofs = (f"{c + 1}, {c + 1}" for c in mean.components)
             nodes = Surface(nodes=mean.nodes, weights=mean.weights)
             yield "\n".join([*self._coupling(mean.name, mean.reference, nodes), "*DISTRIBUTING", *dofs])
+
+    def _turning(self) -> Ints:
+        """Labels of nodes whose rotations CalculiX does not couple; none where the deck is one of CalculiX."""
+        if self.dialect != "calculix" or self.deck.program == "CalculiX":
+            return np.empty(0, dtype=np.int64)
+        thin = [part.nodes.ravel() for part in self.parts if part.kind in ("shell", "beam")]
+        references = [own.master for own in self.deck.rigid] + [own.reference for own in self.deck.average]
+        return np.unique(np.concatenate([np.array(references, dtype=np.int64), *thin]))
 
     def _coupling(self, text: str, reference: int, nodes: Surface) -> list[str]:
         surface, name = self.surface(nodes), self.name("CONSTRAINT", stem=text)
@@ -116,6 +132,11 @@ class CalculixText(SectionText):
                     f"line, which {self.program} has"
                 )
             code, nodes, dofs, value = found
+            if self.dialect == "calculix" and max(dofs, default=0) > 3:
+                raise InputError(
+                    f"{self.deck.name}: {element.name} is a spring or dashpot on rotations, which CalculiX leaves out; "
+                    "write the deck for Abaqus or Nastran"
+                )
             elset = self._point(f"{word}{code}", nodes)
             # Along a line there is no direction: Abaqus has a blank line in its place, CalculiX none.
             directions = [", ".join(map(str, dofs))] if dofs or self.dialect == "abaqus" else []

@@ -11,6 +11,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.importers.decks.algebra import unit
 from morembs.importers.decks.tables import Elements, Section
+from morembs.importers.decks.writers.axes import is_isotropic, refuse_own_axes
 from morembs.importers.decks.writers.calculix_mesh import Line, MeshText, numeral, numerals
 from morembs.importers.tolerances import TOL
 
@@ -30,9 +31,7 @@ _PROFILES = {
 def elastic_lines(C: Floats) -> list[str]:
     """*ELASTIC of the stiffness C (6, 6); by Young's modulus and Poisson's ratio where these say it all."""
     lam, mu = C[0, 1], C[3, 3]
-    plain = np.diag([2 * mu] * 3 + [mu] * 3)
-    plain[:3, :3] += lam
-    if np.abs(C - plain).max() <= TOL.isotropic_error * np.abs(C).max():
+    if is_isotropic(C):
         return ["*ELASTIC", numerals([mu * (3 * lam + 2 * mu) / (lam + mu), lam / (2 * (lam + mu))])]
     # Columns of the upper triangle, shear in the order 12, 13, 23.
     order = [0, 1, 2, 5, 4, 3]
@@ -137,6 +136,7 @@ class SectionText(MeshText):
             yield f"*SOLID SECTION, ELSET={self.element_set(rows)}, MATERIAL={name}{axes}"
             return
         options, data = [f"ELSET={self.element_set(rows)}"], list[str]()
+        refuse_own_axes(self.deck, section, self.program, self._what(section))
         if section.nonstructural:
             raise InputError(f"{self._what(section)} has nonstructural mass, which {self.program} has not here")
         if section.plies:
@@ -169,6 +169,11 @@ class SectionText(MeshText):
                 raise InputError(
                     f"{self._what(section)} bends otherwise than a plate of its thickness, which {self.program} has not"
                 )
+            if not plate.shear or plate.shear_ratio != TOL.shear_thickness:
+                self.warnings.append(
+                    f"{self._what(section)} has a transverse shear stiffness of its own (of bulk data MID3 and TS/T), "
+                    f"which {self.program} has not here: shear is that of a plate [formulation-differs]"
+                )
         if name != section.profile and name in _OF_PBARL:
             profile, dimensions = _OF_PBARL[name]
             return replace(section, profile=profile, dimensions=dimensions(section.dimensions))
@@ -196,6 +201,7 @@ class SectionText(MeshText):
                 raise InputError(
                     f"{self._what(section)} has the profile {section.profile!r}; {self.program} has {known}"
                 )
+            self._refuse_circle(section, rows)
             word = "BEAM SECTION"
             options += [f"SECTION={section.profile.replace('ELLIPSE', 'CIRC')}", *self._offsets(section, rows)]
             is_ellipse = section.profile == "CIRC" and self.dialect == "calculix"
@@ -205,6 +211,20 @@ class SectionText(MeshText):
             raise InputError(f"{self._what(section)} is for elements that {self.program} has not")
         yield "\n".join([f"*{word}, {', '.join(options)}", *data])
 
+    def _refuse_circle(self, section: Section, rows: Ints) -> None:
+        """Refuse circular profiles of beams of two nodes, which CalculiX does not read.
+
+        Raises:
+            InputError: as said.
+        """
+        shapes = np.concatenate([np.full(len(part.ids), part.shape, object) for part in self.parts])[rows]
+        is_round = section.profile in ("CIRC", "ELLIPSE", "PIPE")
+        if self.dialect == "calculix" and is_round and (shapes == "line2").any():
+            raise InputError(
+                f"{self._what(section)} has the profile {section.profile!r}, which CalculiX has not for beams of two "
+                "nodes; give it another, such as RECT, or write the deck for Abaqus"
+            )
+
     def _what(self, section: Section) -> str:
         return f"{self.deck.name}: {section.code or 'the section'} of the set {section.set}"
 
@@ -213,6 +233,12 @@ class SectionText(MeshText):
         if given is None or given.stiffness is None:
             raise InputError(
                 f"{self._what(section)} names the material {name!r}, which has no linear stiffness in space"
+            )
+        G, mu = given.constants.get("G", 0.0), float(given.stiffness[3, 3])
+        if {"E", "NU"} <= given.constants.keys() and G and abs(G / mu - 1) > TOL.disagreeing_poisson:
+            self.warnings.append(
+                f"{self._what(section)} has the material {name!r} whose G = {G:g} does not fit E and NU; "
+                f"{self.program} takes G = {mu:g} [formulation-differs]"
             )
         return self.material(given.stiffness, given.density, name)
 

@@ -13,7 +13,8 @@ from morembs.importers.decks.algebra import rotate_stiffness
 from morembs.importers.decks.formulations import nastran_meaning
 from morembs.importers.decks.labels import Labels, in_ranges
 from morembs.importers.decks.tables import ElasticMaterial, Elements, Section
-from morembs.importers.decks.writers.nastran_materials import MaterialText, is_isotropic
+from morembs.importers.decks.writers.axes import refuse_own_axes
+from morembs.importers.decks.writers.nastran_materials import MaterialText
 from morembs.importers.nastran.geometry import SOLIDS, card_of
 from morembs.importers.nastran.text_of_cards import Field, card
 from morembs.importers.tolerances import TOL
@@ -118,7 +119,7 @@ class ElementText(MaterialText):
     def _property_card(self, section: Section, pid: int, variant: object) -> str:
         if section.kind == "solid":
             return self._solid(section, pid, variant)
-        self._check_axes(section)
+        refuse_own_axes(self.deck, section, "Nastran", self._what(section))
         if section.plies:
             return self._laminate(section, pid)
         rest, plate = section.nonstructural, section.plate
@@ -140,17 +141,6 @@ class ElementText(MaterialText):
             A, J = (*section.dimensions, 0.0)[:2]
             return card("PROD", [pid, mid, A, J, 0.0, rest])
         return self._beam(section, pid, mid)
-
-    def _check_axes(self, section: Section) -> None:
-        """Refuse layers and materials along axes that the program of the deck has otherwise than Nastran.
-
-        Raises:
-            InputError: as said.
-        """
-        if section.kind == "shell" and section.axes is None and self.deck.program != "Nastran":
-            names = [ply.material for ply in section.plies] or [section.material]
-            if not all(is_isotropic(self._elastic(section, name).stiffness) for name in names):
-                raise InputError(f"{self._what(section)} has a material with axes and no orientation; give it one")
 
     def _solid(self, section: Section, pid: int, variant: object) -> str:
         """PSOLID; with the ``variant`` True it asks for full integration."""

@@ -9,6 +9,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.importers.decks.tables import DeckTables, ElasticMaterial, Section
+from morembs.importers.decks.writers.axes import is_isotropic
 from morembs.importers.nastran.text_of_cards import Field, card
 from morembs.importers.tolerances import TOL
 
@@ -101,14 +102,6 @@ def _card_of(material: ElasticMaterial) -> str | None:
     keys = set(material.constants)
     least = {"MAT1": 2, "MAT8": 4, "MAT2": 1}
     return next((name for name, words in _CONSTANTS.items() if len(keys) >= least[name] and keys <= {*words}), None)
-
-
-def is_isotropic(C: Floats | None) -> bool:
-    if C is None:
-        return False
-    plain = np.diag([2 * C[3, 3]] * 3 + [C[3, 3]] * 3)
-    plain[:3, :3] += C[0, 1]
-    return bool(np.abs(C - plain).max() <= TOL.isotropic_error * np.abs(C).max())
 
 
 def _plane_constants(what: str, C: Floats | None) -> dict[str, float]:

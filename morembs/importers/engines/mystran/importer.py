@@ -194,15 +194,16 @@ class _Deck:
         self.nodes = replace(solids.nodes, sets=sets)
 
     def _without_mass(self, problems: Problems) -> set[str]:
-        """Sets of shells, beams and trusses without stiffness; where something else has mass, what has stiffness and no
-        mass is told, else it is a problem, too."""
+        """Sets of shells, beams and trusses without stiffness. What lacks stiffness or mass is a problem; bars of bulk
+        data without mass are told where something else has some."""
         deck = self.deck
-        solid = {own.set for own in deck.sections if own.kind == "solid"}
-        lacking = {name: lack for name, lack in lacking_of(deck).items() if name not in solid}
+        kinds = {own.set: own.kind for own in deck.sections}
+        lacking = {name: lack for name, lack in lacking_of(deck).items() if kinds[name] != "solid"}
         heavy = len(lacking) < len(deck.sections) or deck.masses or any(own.matrix == "M" for own in deck.discrete)
-        # What has no stiffness is no element; what has no mass may hang on what has.
         soft = {name: lack for name, lack in lacking.items() if lack.stiffness is None}
-        wanted = soft if heavy else lacking
+        # Bars of bulk data without RHO stand for springs: these may hang on what has mass.
+        light = ("beam", "truss") if heavy and deck.program == "Nastran" else ()
+        wanted = {name: lack for name, lack in lacking.items() if name in soft or kinds[name] not in light}
         problems.entries += lacking_problems(deck.name, wanted)
         self.warnings += tuple(
             f"{lack.sentence} and gives no mass; --density fills it in [no-density]"
