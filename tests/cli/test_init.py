@@ -199,6 +199,24 @@ def test_one_element_reduces(kind: str, points: list[list[float]], method: str) 
     assert list(morembs.read_body("one.h5").bodies) == [method]
 
 
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(("sets", "names"), [("", ["end_1", "end_2"]), ("*NSET, NSET=CORNER\n1, 2, 5\n", ["CORNER"])])
+def test_a_deck_of_shells_has_interfaces_that_do_not_hold_its_thickness(sets: str, names: list[str]) -> None:
+    """Nodes at both sides of a shell follow those in its middle, and cannot follow an interface too."""
+    lines = ["*NODE", *(f"{1 + i + 4 * j}, {10 * i}, {10 * j}, 0" for j in range(3) for i in range(4))]
+    lines += ["*ELEMENT, TYPE=S4, ELSET=E"]
+    for number, first in enumerate((1, 2, 3, 5, 6, 7), start=1):
+        lines.append(f"{number}, {first}, {first + 1}, {first + 5}, {first + 4}")
+    lines += ["*MATERIAL, NAME=STEEL", "*ELASTIC", "2.1e5, 0.3", "*DENSITY", "7.85e-9"]
+    lines += ["*SHELL SECTION, ELSET=E, MATERIAL=STEEL", "0.5", sets]
+    Path("plate.inp").write_text("\n".join(lines))
+    said("init", "plate.inp")
+    tables = load_job(Path("plate.toml")).tables
+    assert [table.name for table in tables.interface] == names
+    said("reduce", "plate.toml", "-q")
+    assert morembs.read_body("plate.h5").mass == pytest.approx(30 * 20 * 0.5 * 7.85e-6)
+
+
 @pytest.fixture(scope="module")
 def step(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A plate of 60 x 20 x 10 mm with a hole of 8 mm."""

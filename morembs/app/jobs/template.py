@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from morembs.app.jobs.proposals import Proposal, propose_interfaces
 from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
+from morembs.base.types import Ints
 from morembs.base.units import Units, parse_units
 from morembs.examples import EXAMPLES
 from morembs.fem import FEModel, Mesh
@@ -26,15 +27,18 @@ from morembs.storage.safefile import replacing
 # Formats whose files hold materials beside a mesh.
 DECKS = ("abaqus", "nastran", "ansys")
 _ROLES = ("stiffness", "mass", "damping")
+NONE: Ints = np.empty(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WholeDeck:
-    """A deck that becomes a model by itself: its mesh, how many materials it has, the names of its couplings."""
+    """A deck that becomes a model by itself: its mesh, how many materials it has, the names of its couplings, and rows
+    of nodes that follow others."""
 
     mesh: Mesh
     materials: int
     couplings: tuple[str, ...]
+    followers: Ints
 
 
 def job_text(file: Path, folder: Path, units: Units | None = None, *, picture: bool = False) -> str:
@@ -53,7 +57,8 @@ def job_text(file: Path, folder: Path, units: Units | None = None, *, picture: b
         if is_model_file(file):
             model = read_model(file)
             head = _model(path, model)
-            interfaces = _choose(model, model.mesh, tuple(model.couplings), parse_units("m-kg-s"))
+            followers = NONE if model.dependent is None else model.dofs.node[model.dependent.owner >= 0]
+            interfaces = _choose(model, model.mesh, tuple(model.couplings), followers, parse_units("m-kg-s"))
             dofs = model.size
         else:
             deck = _whole_deck(file)
@@ -64,7 +69,8 @@ def job_text(file: Path, folder: Path, units: Units | None = None, *, picture: b
             head = _mesh(path, mesh, known, "" if units else ": guessed from its size", deck)
             if deck is None and format_of(file) in DECKS:
                 head[1:1] = ["# Nodes and elements alone; the key file in place of mesh reads all that the deck holds."]
-            interfaces = _choose(mesh, mesh, () if deck is None else deck.couplings, known)
+            couplings, followers = ((), NONE) if deck is None else (deck.couplings, deck.followers)
+            interfaces = _choose(mesh, mesh, couplings, followers, known)
             dofs = 3 * len(mesh.nodes)
     name = file.name.removesuffix(".gz").removesuffix(".h5").removesuffix(".model").partition(".")[0]
     while any(same_place(folder / f"{name}.h5", opened) for opened in ledger.opened):
@@ -100,24 +106,38 @@ class Interfaces:
 
 def _table(one: Proposal) -> list[str]:
     name = "_".join(one.name.replace("/", "_").split()).lstrip(".") or "interface"
-    coupling = [] if one.nodes.startswith("coupling:") else ['coupling = "rigid"         # or "average", "direct"']
-    return ["[[interface]]", f"name = {_quoted(name)}", f"nodes = {_quoted(one.nodes)}", *coupling]
+    lines = ["[[interface]]", f"name = {_quoted(name)}", f"nodes = {_quoted(one.nodes)}"]
+    if one.nodes.startswith("coupling:"):
+        return lines
+    if one.follows:
+        return [*lines, 'coupling = "average"       # not "rigid": some of these nodes follow others']
+    return [*lines, 'coupling = "rigid"         # or "average", "direct"']
 
 
-def _choose(source: Mesh | FEModel, mesh: Mesh | None, couplings: tuple[str, ...], units: Units) -> Interfaces:
-    """Couplings of a source, else its node sets, else what is found in the skin of its mesh."""
+def _choose(
+    source: Mesh | FEModel, mesh: Mesh | None, couplings: tuple[str, ...], followers: Ints, units: Units
+) -> Interfaces:
+    """Couplings of a source, else its node sets, else what is found in the skin of its mesh.
+
+    Args:
+        followers: rows of nodes that follow others, as those of shells do, and cannot follow an interface too.
+    """
     about = "# Where other bodies touch the part. Instead of a set: box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, ids:1,2,3"
-    none = np.empty(0, dtype=np.int64)
-    named = [Proposal(name, f"coupling:{name}", "", none) for name in couplings]
-    chosen, others = _node_sets(source)
+    named = [Proposal(name, f"coupling:{name}", "", NONE) for name in couplings]
+    chosen, others = _following(followers, *_node_sets(source))
     if named:
         first, more = named[: TOL.template_interfaces], named[TOL.template_interfaces :]
         return Interfaces(chosen=first, others=[*more, *chosen, *others], about=about)
     if chosen or mesh is None:
         return Interfaces(chosen=chosen, others=others, about=about)
-    proposed, more = propose_interfaces(mesh, units)
+    proposed, more = _following(followers, *propose_interfaces(mesh, units))
     about = "# Where other bodies touch the part, as holes and plane faces of its skin suggest. Keep what is touched."
     return Interfaces(chosen=proposed, others=[*others, *more], about=about)
+
+
+def _following(followers: Ints, *lists: list[Proposal]) -> list[list[Proposal]]:
+    """The same proposals, with the word which of them hold nodes that follow others."""
+    return [[replace(one, follows=bool(np.isin(one.rows, followers).any())) for one in each] for each in lists]
 
 
 def _whole_deck(file: Path) -> WholeDeck | None:
@@ -128,7 +148,9 @@ def _whole_deck(file: Path) -> WholeDeck | None:
         found = import_file(file)
         if found.mesh is not None and found.materials and not found.incomplete:
             couplings = (*(tie.name for tie in found.rigid), *(tie.name for tie in found.average))
-            return WholeDeck(mesh=found.mesh, materials=len(found.materials), couplings=couplings)
+            follow = [each.nodes for each in found.equations] + [each.slaves for each in found.rigid]
+            followers = np.unique(np.concatenate([NONE, *follow]))
+            return WholeDeck(mesh=found.mesh, materials=len(found.materials), couplings=couplings, followers=followers)
     return None
 
 
