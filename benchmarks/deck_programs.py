@@ -162,12 +162,16 @@ def _ansys(path: Path, text: str) -> Holds:
 def as_frequency(text: str, kind: str, *, held: bool = False) -> str:
     """An Abaqus deck without contact and sectors, its steps replaced by *FREQUENCY of a ``kind``, densities filled in;
     free, or ``held`` by what *BOUNDARY of the model and of the first step holds."""
-    blocks, boundary, in_step, steps = [], [], False, 0
+    blocks, boundary, in_step, steps, was_held = [], [], False, 0, False
     for block in re.split(r"(?m)^(?=\*[A-Za-z])", re.sub(r"(?m)^\*\*.*(\n|$)", "", text)):
         word = re.sub(r"\s", "", block.split("\n", 1)[0].split(",")[0]).upper()
         steps += word == "*STEP"
         in_step = in_step or word == "*STEP"
         if held and word == "*BOUNDARY" and steps < 2:
+            # The first one of the step may let go of what the model holds.
+            if steps and not was_held and re.match(r"\*[^\n]*,\s*OP\s*=\s*NEW\b", block, re.IGNORECASE):
+                boundary.clear()
+            was_held = was_held or steps > 0
             rows = [row for row in block.split("\n")[1:] if row.strip()]
             boundary.append("\n".join(["*BOUNDARY", *(",".join(row.split(",")[:3]) for row in rows)]) + "\n")
         elif not in_step and word not in _CONTACT | _SUPPORT:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.deck_programs import difference, of_ccx, spectrum_of
+from benchmarks.deck_programs import difference, of_ccx, of_held_ccx, spectrum_of
 from morembs import InputError, read_deck
 from morembs.base.errors import OverwriteError
 from morembs.fem import FEModel
@@ -32,6 +32,7 @@ from tests.support.calculix import (
     nodes_text,
     on_plane,
     own_frequencies,
+    solids,
     stored_matrices,
 )
 from tests.support.mesh_decks import ansys_archive, nastran_mesh
@@ -201,6 +202,32 @@ def test_supports_of_a_deck_and_of_its_first_step_are_written(format, again):
     ]
     assert keys[0] == keys[1] and len(keys[0]) == 6
     assert sum(len(own) for own in second.equations) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "later", "held"),
+    [("", "", [1, 4]), (", OP=MOD", "", [1, 4]), (", OP = new", "", [4]), ("", ", OP=NEW", [1, 4])],
+    ids=["none", "mod", "new", "new in the second"],
+)
+def test_a_first_step_with_new_supports_drops_those_of_the_model(options, later, held, again):
+    text = deck_text("C3D8") + f"*BOUNDARY\n1, 1\n*STEP\n*STATIC\n*BOUNDARY{options}\n4, 1\n*END STEP\n"
+    text += f"*STEP\n*STATIC\n*BOUNDARY{later}\n4, 1\n*END STEP\n" if later else ""
+    first, second, _ = again(text, "abaqus", "calculix")
+    assert first.supports.nodes.tolist() == second.supports.nodes.tolist() == held
+
+
+@needs_ccx
+def test_new_supports_hold_as_in_ccx(tmp_path):
+    xyz = solids("C3D20", (4, 1, 1), (4.0, 0.3, 0.2))
+    ends = ["".join(f"{node}, 1, 3\n" for node in on_plane(xyz, 0, x)) for x in (0.0, 4.0)]
+    text = f"{xyz}*BOUNDARY\n{ends[0]}*STEP\n*FREQUENCY\n10\n*BOUNDARY, OP=NEW\n{ends[1]}"
+    path = tmp_path / "deck.inp"
+    path.write_text(f"{text}{on_plane(xyz, 0, 0.0)[0]}, 2\n*END STEP\n")
+    theirs = of_held_ccx(path)
+    read(path, dialect="calculix").write(tmp_path / "flat.inp", "calculix")
+    kept = model_of(import_file(path, engine="calculix", options={"boundary": "keep"}))
+    assert difference(of_held_ccx(tmp_path / "flat.inp"), theirs) <= 1e-6
+    assert difference(spectrum_of(kept), theirs) <= 1e-6
 
 
 @pytest.mark.parametrize("dialect", ["abaqus", "calculix"])

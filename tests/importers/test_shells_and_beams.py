@@ -186,6 +186,18 @@ def test_rigid_bodies_of_abaqus_turn_the_fibres(tmp_path):
     assert S[ends] == pytest.approx(model.nodes.xyz[model.dofs.node[ends], 2]) and np.abs(S[ends]).max() == 0.1
 
 
+@pytest.mark.parametrize("master", [3, 1], ids=["knot", "single"])
+def test_rigid_bodies_of_calculix_with_a_node_of_a_shell_as_reference_are_refused(tmp_path, master):
+    """There they turn without the knot; those of Abaqus turn with it."""
+    text = plate("S4", (4, 2), move=fold(1.0)) + f"*NSET, NSET=SIDE\n6, 11\n*RIGID BODY, NSET=SIDE, REF NODE={master}\n"
+    with pytest.raises(InputError, match=f"the master {master} of the rigid element 'SIDE' is a node of a shell"):
+        imported(tmp_path, text)
+    if master == 3:
+        model = imported(tmp_path, text, dialect="abaqus")
+        turns = (model.dofs.component == 4) & (model.dependent.owner < 0)
+        assert model.nodes.ids[model.dofs.node[turns]].tolist() == [3, 8, 13]
+
+
 def test_modes_inside_of_elements_are_refused_with_parameters(tmp_path):
     (tmp_path / "deck.inp").write_text(plate("S4"))
     given = import_file(tmp_path / "deck.inp", options={"dialect": "calculix"})

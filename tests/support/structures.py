@@ -81,6 +81,12 @@ def frame(
     return text + (f"{direction}\n" if direction else "")
 
 
+def arc(code: str) -> str:
+    """Beams beside an arc, in its plane."""
+    places = [(10 * np.sin(a), 0.0, 10 * np.cos(a)) for a in np.linspace(0, 0.9, 4)]
+    return frame(code, places, 1, section="RECT, OFFSET1=0.1, OFFSET2=0.5")
+
+
 PORTAL = ((0, 0, 0), (0, 0, 8), (6, 0, 8), (6, 0, 0))
 LINE = ((0, 0, 0), (10, 0, 0))
 
@@ -128,11 +134,14 @@ STRUCTURES: dict[str, str] = {
     "S8 on solids": on_solid(),
     "S8R on a rigid body": plate("S8R", move=roll(20.0)).replace("*NSET, NSET=END\n", "*NSET, NSET=END\n4, ")
     + "*NODE\n900, -1, 3, 0.5\n*RIGID BODY, NSET=END, REF NODE=900\n",
+    "folded S4 on a rigid body": plate("S4", (4, 2), move=fold(1.0))
+    + "*NSET, NSET=FOLD\n3, 8, 13, 1\n*NODE\n900, 3, 3, 4\n*RIGID BODY, NSET=FOLD, REF NODE=900\n",
     **{f"portal {code}": frame(code, PORTAL) for code in ("B31", "B32", "B32R")},
     "portal off its nodes": frame("B32", PORTAL, section="RECT, OFFSET1=0.4, OFFSET2=-0.2"),
     "straight B31": frame("B31", LINE, 4, direction=""),
     "round B32": frame("B32", PORTAL, section="CIRC", data="0.4"),
     "elliptic B32R": frame("B32R", PORTAL, section="CIRC", data="0.4, 0.5"),
     "straight B32R": frame("B32R", LINE, direction=""),
+    **{f"{code} off a bend": arc(code) for code in ("B32", "B32R")},
     "bent B32": frame("B32", ((0, 0, 0), (4, 0, 0.5), (8, 0.5, 1.5)), direction="0, 0.3, 1"),
 }

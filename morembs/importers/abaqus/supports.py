@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -35,8 +35,9 @@ def supports_of(contents: Contents, assembly: Assembly, axes: Axes) -> Supports:
     Raises:
         InputError: lines that name no node, or no dofs.
     """
-    given = [(scope, card, data) for scope, card, data in contents.cards if card.keyword == "BOUNDARY"]
     first = contents.steps[0] if contents.steps else []
+    kept = [] if starts_anew(first) else contents.cards
+    given = [(scope, card, data) for scope, card, data in kept if card.keyword == "BOUNDARY"]
     given += [(contents.top, card, data) for card, data in first if card.keyword == "BOUNDARY"]
     nodes, directions = [np.empty(0, dtype=np.int64)], [np.empty((0, 6))]
     for scope, card, data in given:
@@ -52,6 +53,12 @@ def supports_of(contents: Contents, assembly: Assembly, axes: Axes) -> Supports:
     table = np.column_stack([np.concatenate(nodes), np.concatenate(directions)])
     table = table[np.sort(np.unique(table, axis=0, return_index=True)[1])]
     return Supports(nodes=assembly.ids[table[:, 0].astype(np.int64)], directions=table[:, 1:])
+
+
+def starts_anew(step: Sequence[tuple[Card, bytes]]) -> bool:
+    """Whether a step lets go of what was held before: its first *BOUNDARY has OP=NEW."""
+    operation = next((card.options.get("OP", "") for card, _ in step if card.keyword == "BOUNDARY"), "")
+    return operation.upper() == "NEW"
 
 
 def _directions(nodes: Ints, dofs: list[int], axes: Axes) -> Floats:

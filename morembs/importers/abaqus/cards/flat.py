@@ -21,6 +21,7 @@ from morembs.importers.abaqus.left_out import CUT, LOCKED, PRETENSION, notes_of
 from morembs.importers.abaqus.names import Placed
 from morembs.importers.abaqus.points import point_value
 from morembs.importers.abaqus.reader import ACTING, KEPT
+from morembs.importers.abaqus.supports import starts_anew
 from morembs.importers.abaqus.ties import is_sector
 from morembs.importers.abaqus.whole import skipped_warnings
 from morembs.importers.abaqus.words import of_kind
@@ -258,7 +259,9 @@ class _Writer:
         out.body.append((-1, out.lines(placed, card, rows, kinds)))
 
     def _boundary(self, placed: Placed, card: Card, rows: Rows) -> None:
-        if self.choices.keep:
+        # Steps of a preload let go of it themselves.
+        first = self.deck.steps[0] if self.deck.steps and not self.choices.preload else []
+        if self.choices.keep and not starts_anew(first):
             self.flat.deck.body.append((9, self.flat.deck.boundary(placed, card, rows)))
 
     def steps(self) -> None:

@@ -30,7 +30,8 @@ def with_names(deck: DeckTables, nodes: FibreNodes, problems: Problems) -> DeckT
     became = {int(node): own[own > 0] for node, own in zip(parents, members, strict=True)}
     # The first corner follows the node and the others.
     free = {node: np.append(node, own[1:]) for node, own in became.items()}
-    rigid = tuple(_rigid(deck, element, free, problems) for element in deck.rigid)
+    _refuse_masters(deck, nodes.parent if deck.program == "CalculiX" else parents, problems)
+    rigid = tuple(_rigid(deck, element, free) for element in deck.rigid)
     average = tuple(_average(element, became) for element in deck.average)
     deck = replace(deck, rigid=rigid, average=average)
     _refuse_rotations(deck, became, problems)
@@ -73,15 +74,22 @@ def _average(element: AverageElement, became: Mapping[int, Ints]) -> AverageElem
     return replace(element, nodes=nodes, weights=weights)
 
 
-def _rigid(deck: DeckTables, element: RigidElement, became: Mapping[int, Ints], problems: Problems) -> RigidElement:
-    """A rigid element: of Abaqus its slaves turn with it, of CalculiX it has their mean alone, as a hinge."""
-    if element.master in became:
-        what = f"the master {element.master} of the rigid element {element.name!r} is a node of a shell or beam"
-        _refuse(problems, deck.name, f"{deck.name}: {what}")
-    if deck.program == "CalculiX" or len(element.components) < Component.SCALAR:
+def _rigid(deck: DeckTables, element: RigidElement, became: Mapping[int, Ints]) -> RigidElement:
+    """A rigid element: of Abaqus its slaves turn with it, of CalculiX it has their translations alone, as a hinge."""
+    if deck.program == "CalculiX":
+        return replace(element, components=tuple(c for c in element.components if c < 3))
+    if len(element.components) < Component.SCALAR:
         return element
     slaves, _ = _shared(element.slaves, np.ones(len(element.slaves)), became)
     return replace(element, slaves=slaves)
+
+
+def _refuse_masters(deck: DeckTables, nodes: Ints, problems: Problems) -> None:
+    """Problems of rigid elements whose masters are among ``nodes``; in CalculiX they turn without a knot there, too."""
+    for element in deck.rigid:
+        if element.master in nodes:
+            what = f"the master {element.master} of the rigid element {element.name!r} is a node of a shell or beam"
+            _refuse(problems, deck.name, f"{deck.name}: {what}")
 
 
 def _refuse_rotations(deck: DeckTables, became: Mapping[int, Ints], problems: Problems) -> None:

@@ -76,9 +76,12 @@ def corners_of(part: Structure, xyz: Floats, nodes: Ints) -> Corners:
         tangent = beam_tangents(x)
         direction = np.array([0.0, 0.0, -1.0]) if section.direction is None else section.direction
         normal = second_axes(tangent, direction)
-        axes = np.stack([np.cross(normal, tangent), normal], axis=-2)
         if "offset" in elements.values:
-            alike[..., 2:4] = np.einsum("ekia,ea->eki", axes, elements.values["offset"][:, 0])
+            # OFFSET1 and OFFSET2 of the section are distances along the axes of each node, however these turn.
+            line = beam_tangents(x[:, :2])[:, 0]
+            second = second_axes(line, direction)
+            axes = np.stack([np.cross(second, line), second], axis=-2)
+            alike[..., 2:4] = np.einsum("eia,ea->ei", axes, elements.values["offset"][:, 0])[:, None]
     else:
         normal = shell_normals(elements.shape, x)
         alike[..., 2] = section.offset
