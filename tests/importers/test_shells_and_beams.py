@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.deck_programs import difference, of_ccx, spectrum_of
-from morembs import InputError, import_model
+from morembs import InputError, import_model, isotropic
 from morembs.fem import FEModel, rigid_motion
 from morembs.fem.interface import make_interface
 from morembs.fem.selection import select_nodes
@@ -168,6 +168,20 @@ def test_sections_without_a_density_ask_for_one(tmp_path):
         imported(tmp_path, text)
     model = imported(tmp_path, text, density=7850.0)
     assert spectrum_of(model).frequencies == pytest.approx(FREQUENCIES["portal B32"], rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["REST", "all"])
+def test_a_material_for_shells_in_no_section_asks_for_one(tmp_path, name):
+    text = plate("S4").replace("ELSET=PLATE, MATERIAL", "ELSET=SOME, MATERIAL")
+    (tmp_path / "deck.inp").write_text(
+        text.replace("*MATERIAL", "*ELSET, ELSET=SOME\n1, 2\n*ELSET, ELSET=REST\n3, 4\n*MATERIAL", 1)
+    )
+    steel = isotropic(set=name, young=2.1e11, poisson=0.3, density=7850.0)
+    with pytest.raises(
+        InputError, match=rf"given for '{name}', where {2 if name == 'REST' else 4} elements \(first: 3\)"
+    ) as told:
+        import_model(tmp_path / "deck.inp", dialect="calculix", materials=[steel])
+    assert "have no section; give them a *SHELL SECTION in deck.inp" in str(told.value)
 
 
 def test_shells_may_be_left_out(tmp_path):

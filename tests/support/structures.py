@@ -81,6 +81,15 @@ def frame(
     return text + (f"{direction}\n" if direction else "")
 
 
+def doubled(code: str) -> str:
+    """Beams along a line with a bend, each with another of another section on its nodes."""
+    text = frame(code, ((0, 0, 0), (5, 0, 0), (10, 0, 0.8)), 1)
+    return (
+        f"{text}*ELEMENT, TYPE={code}, ELSET=MORE\n101, 1, 2, 3\n102, 3, 4, 5\n"
+        "*BEAM SECTION, ELSET=MORE, MATERIAL=STEEL, SECTION=RECT\n0.5, 0.2\n0, 1, 0\n"
+    )
+
+
 def arc(code: str) -> str:
     """Beams beside an arc, in its plane."""
     places = [(10 * np.sin(a), 0.0, 10 * np.cos(a)) for a in np.linspace(0, 0.9, 4)]
@@ -91,9 +100,9 @@ PORTAL = ((0, 0, 0), (0, 0, 8), (6, 0, 8), (6, 0, 0))
 LINE = ((0, 0, 0), (10, 0, 0))
 
 
-def stiffened() -> str:
+def stiffened(move: Move | None = None) -> str:
     """A plate with a beam along an edge, whose axis is beside it."""
-    text = plate("S8R") + "*ELEMENT, TYPE=B32R, ELSET=RIB\n101, 1, 2, 3\n102, 3, 4, 5\n103, 5, 6, 7\n"
+    text = plate("S8R", move=move) + "*ELEMENT, TYPE=B32R, ELSET=RIB\n101, 1, 2, 3\n102, 3, 4, 5\n103, 5, 6, 7\n"
     return text + "*BEAM SECTION, ELSET=RIB, MATERIAL=STEEL, SECTION=RECT, OFFSET2=0.5\n0.3, 0.5\n0, 1, 0\n"
 
 
@@ -131,6 +140,7 @@ STRUCTURES: dict[str, str] = {
     ),
     "stepped S8R": stepped("S8R"),
     "stiffened S8R": stiffened(),
+    "rolled and stiffened S8R": stiffened(roll(20.0)),
     "S8 on solids": on_solid(),
     "S8R on a rigid body": plate("S8R", move=roll(20.0)).replace("*NSET, NSET=END\n", "*NSET, NSET=END\n4, ")
     + "*NODE\n900, -1, 3, 0.5\n*RIGID BODY, NSET=END, REF NODE=900\n",
@@ -142,6 +152,7 @@ STRUCTURES: dict[str, str] = {
     "round B32": frame("B32", PORTAL, section="CIRC", data="0.4"),
     "elliptic B32R": frame("B32R", PORTAL, section="CIRC", data="0.4, 0.5"),
     "straight B32R": frame("B32R", LINE, direction=""),
+    **{f"doubled {code}": doubled(code) for code in ("B32", "B32R")},
     **{f"{code} off a bend": arc(code) for code in ("B32", "B32R")},
     "bent B32": frame("B32", ((0, 0, 0), (4, 0, 0.5), (8, 0.5, 1.5)), direction="0, 0.3, 1"),
 }

@@ -19,6 +19,9 @@ from morembs.importers.imported import Lacking
 
 Tables = TypeVar("Tables", bound=DeckTables)
 
+# Sections by the kinds of elements that have no stiffness without their sizes.
+_SECTIONS = {"shell": "SHELL SECTION", "membrane": "MEMBRANE SECTION", "beam": "BEAM SECTION", "truss": "SOLID SECTION"}
+
 
 def complete(deck: Tables, materials: Sequence[Material] = ()) -> Tables:
     """The deck with a material in each section that lacks one, as far as it is given, and in sections of other solids.
@@ -49,7 +52,7 @@ def complete(deck: Tables, materials: Sequence[Material] = ()) -> Tables:
     done, used = _with_sections(_with_materials(deck, {name: given[key] for name, key in keys.items()}), given)
     idle = next((own.set for key, own in given.items() if key not in {*used, *keys.values()}), None)
     if idle is not None:
-        raise InputError(unused_material(idle))
+        raise InputError(_without_section(done, idle) or unused_material(idle))
     said = [f"{lacking[name].sentence}; the material that was given took its place" for name in keys]
     if not deck.options.are_taken:
         rest = {name: lack for name, lack in lacking.items() if name not in keys}
@@ -57,6 +60,23 @@ def complete(deck: Tables, materials: Sequence[Material] = ()) -> Tables:
         said += more
         done = _with_densities(done, {own.set: deck.mass_scale * own.density for own in completed})
     return replace(done, warnings=(*deck.warnings, *said), options=replace(deck.options, are_taken=True))
+
+
+def _without_section(deck: DeckTables, name: str) -> str:
+    """The sentence on shells and the like of a set, or of "all", that a material leaves without a section; or none."""
+    sets = [own for key, own in deck.element_sets.items() if key.upper() == name.upper()]
+    for kind, word in _SECTIONS.items():
+        ids = np.concatenate([np.empty(0, dtype=np.int64), *(own.ids for own in deck.elements if own.kind == kind)])
+        bare = in_ranges(ids, sets[0]) if sets else np.ones(len(ids), dtype=bool)
+        for section in deck.sections:
+            if section.kind == kind:
+                bare &= ~in_ranges(ids, deck.ranges(section.set))
+        if bare.any():
+            return (
+                f"--material was given for {name!r}, where {int(bare.sum())} elements (first: {ids[bare][0]}) have no "
+                f"section; give them a *{word} in {deck.name}"
+            )
+    return ""
 
 
 def _density_of_sets(deck: DeckTables) -> dict[str, float]:

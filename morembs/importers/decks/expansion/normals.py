@@ -24,8 +24,9 @@ class Corners:
 
     ``normal`` (m, 3) of shells, or the second section axis of beams, whose axis is ``tangent`` (m, 3). ``alike``
     (m, 5): thicknesses, distances from the node to the middle, and a number for the profile, which those that share a
-    fibre have in common. ``is_beam``, ``is_linear`` (m,): of beams, of those with two nodes; ``is_hinged`` (m,): of
-    membranes and trusses, which share none; ``is_given`` (m,): the normal is said by the deck.
+    fibre have in common. ``is_beam``, ``is_linear``, ``is_middle`` (m,): of beams, of those with two nodes, at the
+    third node of others; ``is_hinged`` (m,): of membranes and trusses, which share none; ``is_given`` (m,): the normal
+    is said by the deck.
     """
 
     node: Ints
@@ -35,6 +36,7 @@ class Corners:
     alike: Floats
     is_beam: Bools
     is_linear: Bools
+    is_middle: Bools
     is_hinged: Bools
     is_given: Bools
 

@@ -99,6 +99,7 @@ def corners_of(part: Structure, xyz: Floats, nodes: Ints) -> Corners:
         alike=alike.reshape(size, 5),
         is_beam=np.full(size, is_beam),
         is_linear=np.full(size, elements.shape == "line2"),
+        is_middle=np.arange(size) % nodes.shape[1] == (2 if elements.shape == "line3" else -1),
         is_hinged=np.zeros(size, dtype=bool),
         is_given=is_given.ravel(),
     )
@@ -132,6 +133,13 @@ class FibreNodes:
         middle = deck.xyz[fibres.node] + np.einsum("gi,gia->ga", own.alike[:, 2:4], axes)
         xyz = middle[:, None] + np.einsum("gli,gia->gla", local, axes)
         place = np.arange(WIDTH)
+        # CalculiX turns those at the middle of a beam that no solid has as those at its first node: a knot of a curved
+        # beam is in no plane.
+        third = np.flatnonzero(own.is_middle)
+        turned = axes[fibres.of[fibres.member[third] - 2]]
+        around = np.einsum("gli,gia->gla", own.alike[third, None, 2:4] + local[third], turned)
+        is_bare = (place > 3) & (labels[third] == 0)
+        xyz[third] = np.where(is_bare[..., None], deck.xyz[fibres.node[third], None] + around, xyz[third])
         # CalculiX leaves those of linear beams that no solid has at the origin, where knots find them.
         xyz[own.is_linear[:, None] & (place > 3)] = 0.0
         return cls(
