@@ -156,6 +156,22 @@ def test_shells_that_resist_rotation_about_their_normal_are_plain_ones_with_a_wa
 
 
 @needs_mystran
+def test_a_mass_beside_its_grid_turns_a_flat_sheet_about_its_normal(tmp_path):
+    """Along the axes, where MYSTRAN leaves that rotation empty, as turned in space."""
+    found = []
+    for turn in (np.eye(3), T):
+        x, y, z = turn @ [0.1, 0.2, 0.3]
+        bulk = plate(6, 4, turn) + "PSHELL,1,1,.01,1,,1\n" + STEEL + f"CONM2,900,35,,3.,{x:.6f},{y:.6f},{z:.6f}\n"
+        model = imported(tmp_path, bulk)
+        assert_free(model)
+        assert masses(model) == pytest.approx(42.25 * np.eye(3), rel=1e-8, abs=1e-6)
+        K, M = (A.toarray() for A in independent(model)[:2])
+        inverse = np.linalg.eigvals(np.linalg.solve(K + 1e4 * M, M)).real
+        found.append(np.sort(1 / np.sort(inverse)[-10:-6] - 1e4))
+    assert found[0] == pytest.approx(found[1], rel=1e-5) and found[0].min() > 1.0
+
+
+@needs_mystran
 def test_shear_that_mystran_leaves_out_is_told(tmp_path):
     bars = grids(FRAME) + BARS + PBAR.strip() + "\n,,,,,,,,\n,.8,.7,1.-7\n" + STEEL
     assert any("PBAR 1 has I12 and shear factors" in warning for warning in imported(tmp_path, bars).warnings)

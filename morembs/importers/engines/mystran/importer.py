@@ -221,7 +221,8 @@ class _Deck:
         shear[:, :3] = self.text.shear_masses[:, None]
         M = sp.csr_array(deck.mass_scale * (M + sp.diags_array(shear.ravel())))
         held = self._by_row()
-        K, loose = with_springs(K, M, self.blocks, deck.xyz, turning(whole.ties, len(deck.ids)), held)
+        turned = turning(whole.ties, len(deck.ids))
+        K, loose = with_springs(K, M, self.blocks, deck.xyz, turned, whole.masses, held)
         filled = np.diff(K.indptr) + np.diff(M.indptr)
         # Means are those of displacements along all axes, also of grids that nothing holds along one.
         filled.reshape(-1, 6)[nodes_of(whole.average), :3] += 1

@@ -18,6 +18,7 @@ from morembs.fem import rigid_motion
 from morembs.fem.constraints import AverageElement, Equations, RigidElement
 from morembs.importers.engines.mystran.cards import Block
 from morembs.importers.imported import DiscreteElement, PointMass, Ties
+from morembs.importers.point_masses import mass_about_node
 from morembs.importers.tolerances import TOL
 
 
@@ -46,15 +47,19 @@ def with_springs(
     blocks: Sequence[Block],
     xyz: Floats,
     tied: NDArray[np.bool_],
+    masses: Sequence[PointMass],
     held: dict[int, Floats],
 ) -> tuple[sp.csr_array, int]:
     """K (6 n, 6 n) with springs at grids whose rotations K leaves free, and how many grids these are.
 
     Args:
         tied: grids (n,) that couplings turn.
+        masses: on grids, whose inertia needs rotations that elements do not fill.
         held: directions (k, 6) of grids that are held.
     """
     stiff, heavy = _rotational(K, len(xyz)), _rotational(M, len(xyz))
+    for mass in masses:
+        heavy[mass.node] += mass_about_node(mass)[3:, 3:]
     values = np.linalg.eigvalsh(stiff)
     loose = (values[:, 2] > 0) & (values[:, 0] < TOL.no_rotational_stiffness * values[:, 2]) & ~tied
     beside = _elements_of(blocks, loose)
