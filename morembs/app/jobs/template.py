@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -32,13 +33,16 @@ NONE: Ints = np.empty(0, dtype=np.int64)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WholeDeck:
-    """A deck that becomes a model by itself: its mesh, how many materials it has, the names of its couplings, and rows
-    of nodes that follow others."""
+    """A deck that becomes a model by itself: its mesh, how many materials it has, the names of its couplings, rows of
+    nodes that follow others, and the element sets whose materials lack a density."""
 
     mesh: Mesh
     materials: int
     couplings: tuple[str, ...]
     followers: Ints
+    without_density: tuple[str, ...]
+    # The largest modulus, in units of the deck.
+    modulus: float
 
 
 def job_text(file: Path, folder: Path, units: Units | None = None, *, picture: bool = False) -> str:
@@ -63,10 +67,12 @@ def job_text(file: Path, folder: Path, units: Units | None = None, *, picture: b
         else:
             deck = _whole_deck(file)
             with advising(Form()):
-                mesh = read_mesh(file) if deck is None else deck.mesh
+                mesh = _plain_mesh(file) if deck is None else deck.mesh
             size = np.ptp(mesh.nodes.xyz, axis=0).max()
-            known = units or parse_units("m-kg-s" if size <= TOL.longest_in_metres else "mm-t-s")
-            head = _mesh(path, mesh, known, "" if units else ": guessed from its size", deck)
+            is_metres = size <= TOL.longest_in_metres if deck is None else deck.modulus >= TOL.least_pascals
+            known = units or parse_units("m-kg-s" if is_metres else "mm-t-s")
+            source = "size" if deck is None else "moduli"
+            head = _mesh(path, mesh, known, "" if units else f": guessed from its {source}", deck)
             if deck is None and format_of(file) in DECKS:
                 head[1:1] = ["# Nodes and elements alone; the key file in place of mesh reads all that the deck holds."]
             couplings, followers = ((), NONE) if deck is None else (deck.couplings, deck.followers)
@@ -146,12 +152,37 @@ def _whole_deck(file: Path) -> WholeDeck | None:
         return None
     with suppress(DeckError):
         found = import_file(file)
-        if found.mesh is not None and found.materials and not found.incomplete:
-            couplings = (*(tie.name for tie in found.rigid), *(tie.name for tie in found.average))
+        materials = len(found.materials) + len(found.incomplete)
+        known = [lack.stiffness for lack in found.incomplete.values() if lack.stiffness is not None]
+        if found.mesh is not None and materials and len(known) == len(found.incomplete):
             follow = [each.nodes for each in found.equations] + [each.slaves for each in found.rigid]
-            followers = np.unique(np.concatenate([NONE, *follow]))
-            return WholeDeck(mesh=found.mesh, materials=len(found.materials), couplings=couplings, followers=followers)
+            return WholeDeck(
+                mesh=found.mesh,
+                materials=materials,
+                couplings=(*(tie.name for tie in found.rigid), *(tie.name for tie in found.average)),
+                followers=np.unique(np.concatenate([NONE, *follow])),
+                without_density=tuple(found.incomplete),
+                modulus=max(float(np.max(C)) for C in (*(each.stiffness for each in found.materials), *known)),
+            )
     return None
+
+
+def _plain_mesh(file: Path) -> Mesh:
+    """Nodes and elements of a file.
+
+    Raises:
+        InputError: it cannot be read, or is a deck that another program has to assemble; the message says how.
+    """
+    try:
+        return read_mesh(file)
+    except InputError as error:
+        if format_of(file) not in DECKS:
+            raise
+        quoted = shlex.quote(str(file))
+        raise InputError(
+            f"{error}; where another program is to assemble it: morembs import {quoted} --engine auto -o part.model.h5, "
+            "then: morembs init part.model.h5"
+        ) from error
 
 
 def _mesh(path: str, mesh: Mesh, units: Units, guessed: str, deck: WholeDeck | None) -> list[str]:
@@ -166,7 +197,14 @@ def _mesh(path: str, mesh: Mesh, units: Units, guessed: str, deck: WholeDeck | N
         "",
     ]
     if deck is not None:
-        return [*head[:-1], f"# The deck brings its materials ({deck.materials}), masses, springs and couplings.", ""]
+        steel = f"{TOL.steel_density / units.density:.6g}"
+        density = f"density = {steel:<16}# of the deck's materials that have none: steel is assumed"
+        return [
+            *head[:-1],
+            *([density] if deck.without_density else []),
+            f"# The deck brings its materials ({deck.materials}), masses, springs and couplings.",
+            "",
+        ]
     return [
         *head,
         f"[[material]]                # steel is assumed; one table a material. Element sets of the mesh: {sets}",

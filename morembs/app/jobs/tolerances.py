@@ -31,6 +31,8 @@ class JobTolerances:
     steel_density: float = 7850.0
     # Length up to which meshes without declared units are taken in m, and longer ones in mm.
     longest_in_metres: float = 5.0
+    # Moduli from which a deck is taken in Pa, and below in MPa: polymers have 1e9 Pa, tungsten 4e5 MPa.
+    least_pascals: float = 1e8
     # Sets that become interfaces; others are named in a comment.
     template_interfaces: int = 2
     # Fixed-interface modes that a first job asks for, where the mesh has ten times as many dofs.
