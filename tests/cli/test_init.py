@@ -16,6 +16,7 @@ from morembs.app.jobs.job import load_job
 from morembs.app.jobs.template import job_text
 from morembs.examples import EXAMPLES
 from tests.conftest import ROOT
+from tests.support import commands, structures
 
 RUNNER = CliRunner()
 MESHES = sorted((ROOT / "data" / "small_meshes").glob("*.[mi][sn][hp]"))
@@ -275,3 +276,19 @@ def test_cad_parts_that_cannot_be_meshed_leave_nothing(
     monkeypatch.setitem(sys.modules, "gmsh", None)
     assert "pip install 'morembs[mesh]'" in said("init", "part.step", code=2)
     assert {path.name for path in folder.iterdir()} == {"part.step", "cut.step", "part.igs"}
+
+
+def test_a_deck_of_shells_becomes_a_job_that_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its file with the density that its material lacks, in units that its modulus tells."""
+    monkeypatch.chdir(tmp_path)
+    text = structures.plate("S8R").replace("*DENSITY\n7850.\n", "").replace("2.1e11", "210000.")
+    (tmp_path / "plate.inp").write_text(text)
+    commands.run("init", "plate.inp")
+    job = (tmp_path / "plate.toml").read_text()
+    assert 'file = "plate.inp"' in job and "density = 7.85e-09" in job and 'units = "mm-t-s"' in job
+    commands.run("reduce", "plate.toml", "-q")
+    grids = "GRID,1,,0.,0.,0.\nGRID,2,,1.,0.,0.\nGRID,3,,1.,1.,0.\n"
+    bulk = f"{grids}CTRIA3,1,1,1,2,3\nPSHELL,1,1,.1,1\nMAT1,1,2.1+11,,.3,7850.\n"
+    (tmp_path / "plate.bdf").write_text(f"BEGIN BULK\n{bulk}ENDDATA\n")
+    said = commands.run("init", "plate.bdf", "-o", "bulk.toml", code=2)
+    assert "morembs import plate.bdf --engine auto -o part.model.h5" in said
