@@ -18,7 +18,7 @@ from morembs.base.types import Ints
 from morembs.base.units import Units, parse_units
 from morembs.examples import EXAMPLES
 from morembs.fem import FEModel, Mesh
-from morembs.importers import format_of, import_file, read_mesh
+from morembs.importers import format_of, import_file, read_deck, read_mesh
 from morembs.importers.advice import advising
 from morembs.importers.decks.problems import DeckError, Form
 from morembs.importers.model_file import is_model_file, read_model
@@ -176,13 +176,22 @@ def _plain_mesh(file: Path) -> Mesh:
     try:
         return read_mesh(file)
     except InputError as error:
-        if format_of(file) not in DECKS:
+        if not _has_structures(file):
             raise
         quoted = shlex.quote(str(file))
         raise InputError(
-            f"{error}; where another program is to assemble it: morembs import {quoted} --engine auto -o part.model.h5, "
-            "then: morembs init part.model.h5"
+            f"{error}; another program may assemble it: morembs import {quoted} --engine auto -o part.model.h5, then: "
+            "morembs init part.model.h5"
         ) from error
+
+
+def _has_structures(file: Path) -> bool:
+    """Whether a file is a deck with shells, beams or bars."""
+    if format_of(file) not in DECKS:
+        return False
+    with suppress(InputError):
+        return any(part.kind not in ("solid", "point", "none") for part in read_deck(file).elements)
+    return False
 
 
 def _mesh(path: str, mesh: Mesh, units: Units, guessed: str, deck: WholeDeck | None) -> list[str]:
