@@ -1,4 +1,4 @@
-"""Sections of shells, membranes, beams and trusses of an input deck, which own assembly has not."""
+"""Sections of shells, membranes, beams and trusses of an input deck, which own assembly or a program takes."""
 
 from __future__ import annotations
 
