@@ -6,6 +6,7 @@ import doctest
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import morembs
@@ -21,7 +22,9 @@ def run(text: str, names: dict[str, Any], where: str) -> dict[str, Any]:
     assert test.examples, f"{where} has no example"
     said: list[str] = []
     runner = doctest.DocTestRunner(optionflags=FLAGS)
-    runner.run(test, out=said.append, clear_globs=False)
+    # Packages that other tests import print as NumPy 1 did.
+    with np.printoptions(legacy=False):
+        runner.run(test, out=said.append, clear_globs=False)
     assert runner.failures == 0, "".join(said)
     return test.globs
 

@@ -38,8 +38,9 @@ def configuration(turn=2.0):
 def test_a_member_comes_back_bit_by_bit(member, file):
     data = read_members(file)["rod"]
     before, after = member.at(configuration()), ReducedMember.of(data).at(configuration())
-    for name in ("x", "J", "V", "force", "stiffness"):
+    for name in ("x", "J", "V", "force"):
         assert np.array_equal(getattr(before, name), getattr(after, name))
+    assert np.array_equal(before.stiffness(), after.stiffness())
     # Memory is laid out otherwise, so that sums may be rounded otherwise.
     assert np.allclose(ReducedMember.of(data).nodes(before.x), member.nodes(before.x), atol=1e-14)
     outside = configuration() + np.array([0, 0, 0.4, 0, 0, 0, 0, 0, 0])

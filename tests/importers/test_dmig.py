@@ -152,7 +152,7 @@ def test_polar_values(tmp_path):
         ("DMIG,K,0,6,2,0\nDMIG,K,1,1,,2,1,2.\nDMIG,K,2,1,,1,1,3.\n", "both triangles"),
         ("DMIG,K,0,6,2,0\nDMIG,K,1,1,,1,1,2.,1.\n", "imaginary"),
         ("DMIG,K,0,6,2,0\nDMIG,K,1,9,,1,1,2.\n", "component beyond"),
-        ("DMIG,K,0,6,2,0\nDMIG,K,1,1,,1,1,NaN\n", "cannot be read as numbers"),
+        ("DMIG,K,0,6,2,0\nDMIG,K,1,1,,1,1,NaN\n", "DMIG has 'NaN' in field 4; expected a number"),
         ("DMIG,K,0,9,2,0,,,2\nDMIG,K,3,,,1,1,2.\n", "column 3"),
         ("DMIG,K,0,6,2,0\nDMIG,K,1,1,,1,1,2.5", "ends within the line"),
         ("DMIG*   K               0               6\n*       two\n", "numbers"),
