@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 from dataclasses import replace
+from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any
 
@@ -179,6 +180,14 @@ def test_damped_bodies_and_certificates_do_not_depend_on_workers(tmp_path, caplo
     assert [record.args[0] for record in caplog.records if "workers of" in record.msg] == pools
 
 
+@pytest.fixture
+def plain_server():
+    """A server of forks that has loaded nothing: dask lets those that come after it load all of itself."""
+    forkserver._forkserver._stop()  # noqa: SLF001
+    forkserver.set_forkserver_preload([])
+
+
+@pytest.mark.usefixtures("plain_server")
 @pytest.mark.parametrize("model", ["dampers", "tube"])
 def test_check_forecasts_what_factors_at_shifts_and_workers_take(tmp_path, caplog, request, model):
     """A factor of a matrix that is not symmetric is stored twice, a complex number takes two real ones."""
