@@ -32,6 +32,7 @@ SURFACE = Kind("a surface without volume", "")
 PARTS = (MESH, DECK, MODEL, CAD_PART)
 # What ``init`` expects.
 PART = "a mesh, a deck or a model file"
+# Formats whose files hold materials beside a mesh.
 DECKS = ("abaqus", "nastran", "ansys")
 
 

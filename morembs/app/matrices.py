@@ -12,6 +12,7 @@ from morembs.base.arguments import check_value
 from morembs.base.errors import ArgumentError, InputError, nearest
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
+from morembs.base.units import eigenvalue_in_hz
 from morembs.body.diagnostics import examined
 from morembs.fem.interface import Interface, matrix_interface
 from morembs.importers.matrices.from_matrices import from_matrices
@@ -59,7 +60,7 @@ class ReducedSystem(TransferFunction):
 
     def frequencies_hz(self) -> Floats:
         """Undamped eigenfrequencies (n,), ascending."""
-        return np.sqrt(np.maximum(self.model.modes()[0], 0.0)) / (2 * np.pi)
+        return np.asarray(eigenvalue_in_hz(self.model.modes()[0]))
 
 
 def reduce(

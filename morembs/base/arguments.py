@@ -76,34 +76,26 @@ def checked(target: Target) -> Target:
 
 
 def told(target: Target) -> Target:
-    """Decorator: a function that says which arguments it has when a call does not fit; it checks their values itself.
+    """Decorator: a class or function that says which arguments it has when a call does not fit; it checks their values
+    itself.
 
     Raises:
         ArgumentError: (when called) an argument that is unknown or missing, or by place where it has a name.
     """
-
-    @functools.wraps(target)
-    def telling(*args: Any, **kwargs: Any) -> Any:
-        reason = _misfit(target, args, kwargs)
-        if reason:
-            raise ArgumentError(reason)
-        return target(*args, **kwargs)
-
-    return telling  # type: ignore[return-value]
-
-
-def tell_arguments(target: type) -> None:
-    """Let ``target``, whose fields are checked elsewhere, say which arguments it has when a call does not fit it."""
-    call = target.__init__  # type: ignore[misc]
+    call: Callable[..., Any] = target.__init__ if isinstance(target, type) else target  # type: ignore[misc]
+    itself = isinstance(target, type)
 
     @functools.wraps(call)
-    def telling(self: Any, *args: Any, **kwargs: Any) -> None:
-        reason = _misfit(target, args, kwargs)
+    def telling(*args: Any, **kwargs: Any) -> Any:
+        reason = _misfit(target, args[itself:], kwargs)
         if reason:
             raise ArgumentError(reason)
-        call(self, *args, **kwargs)
+        return call(*args, **kwargs)
 
-    target.__init__ = telling  # type: ignore[misc]
+    if isinstance(target, type):
+        target.__init__ = telling  # type: ignore[misc]
+        return target
+    return telling  # type: ignore[return-value]
 
 
 def _misfit(target: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from morembs.base.arguments import tell_arguments
+from morembs.base.arguments import told
 from morembs.base.former_names import renamed
 from morembs.base.plugins import Registry, subclass_fault
 from morembs.reducers.automatic import AutoReducer
@@ -58,7 +58,7 @@ REDUCERS.nicknames = {
     "eigenmodes": "modal",
 }
 for _reducer in _OWN:
-    tell_arguments(_reducer)
+    told(_reducer)
 
 __all__ = [
     "MODE_KINDS",

@@ -9,6 +9,7 @@ import numpy as np
 from morembs.base.errors import InputError
 from morembs.base.optional import optional
 from morembs.base.types import Complexes, Floats
+from morembs.base.units import eigenvalue_in_hz
 from morembs.reducers.tolerances import TOL
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ class TransferFunction:
     def _shown(self) -> Floats:
         import scipy.linalg as sl
 
-        own = np.sqrt(np.sort(np.abs(sl.eigvals(self.K, self.M)))) / (2 * np.pi)
+        own = eigenvalue_in_hz(np.sort(np.abs(sl.eigvals(self.K, self.M))))
         elastic = own[own > TOL.shown_frequency * own[-1]]
         return np.geomspace(elastic[0] / 10, 2 * elastic[-1], TOL.shown_points)
 

@@ -292,3 +292,13 @@ def test_a_deck_of_shells_becomes_a_job_that_runs(tmp_path: Path, monkeypatch: p
     (tmp_path / "plate.bdf").write_text(f"BEGIN BULK\n{bulk}ENDDATA\n")
     said = commands.run("init", "plate.bdf", "-o", "bulk.toml", code=2)
     assert "morembs import plate.bdf --engine auto -o part.model.h5" in said
+
+
+def test_matrices_of_an_example_lie_beside_their_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sub").mkdir()
+    monkeypatch.chdir(tmp_path)
+    commands.run("init", "--example", "matrices", "-o", "sub/m.toml")
+    assert str(tmp_path) not in (tmp_path / "sub" / "m.toml").read_text()
+    (tmp_path / "sub").rename(tmp_path / "moved")
+    commands.run("reduce", "moved/m.toml", "-q")
+    assert (tmp_path / "moved" / "m.h5").is_file()

@@ -6,7 +6,7 @@ What a verb needs it imports itself: most of the time of short commands would go
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
@@ -88,11 +88,9 @@ def reduce(
 
     if attached:
         leave_with_input()
-    counts = {"order": order, "modes": modes}
-    options = {key: value for key, value in counts.items() if value is not None}
     with messages():
-        jobs, load = _loader(jobs, loads, outputs, method, options)
-    short = {"reduce.method": method, **{f"reduce.{key}": value for key, value in options.items()}, "output.path": out}
+        jobs, load = _loader(jobs, loads, outputs)
+    short = {"reduce.method": method, "reduce.order": order, "reduce.modes": modes, "output.path": out}
     every = [*(f"{key}={value}" for key, value in short.items() if value is not None), *(changes or ())]
 
     def work(path: Path, progress: Progress) -> Done:
@@ -111,9 +109,7 @@ def reduce(
     each_job(jobs, as_json, work, quiet, _order(jobs, every, load), report)
 
 
-def _loader(
-    files: list[Path], loads: Path | None, outputs: Path | None, method: str | None, options: Mapping[str, int]
-) -> tuple[list[Path], Load]:
+def _loader(files: list[Path], loads: Path | None, outputs: Path | None) -> tuple[list[Path], Load]:
     """Job files and what loads them; of matrices the one job that takes them.
 
     Raises:
@@ -128,8 +124,8 @@ def _loader(
         return files, load_job
     from morembs.app.jobs.template import job_of_matrices
 
-    text = job_of_matrices(files, loads, outputs, method, options)
     # A job of the working directory, from which the command line names its files.
+    text = job_of_matrices(files, *(None if file is None else file.absolute() for file in (loads, outputs)))
     return [Path(files[0].name.partition(".")[0] + ".toml")], partial(job_of_text, text)
 
 

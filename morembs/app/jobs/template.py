@@ -13,6 +13,7 @@ import numpy as np
 
 from morembs.app.jobs.proposals import Proposal, propose_interfaces
 from morembs.app.jobs.tolerances import TOL
+from morembs.app.kinds import DECKS
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.base.units import Units, parse_units
@@ -25,8 +26,6 @@ from morembs.importers.model_file import is_model_file, read_model
 from morembs.storage.contents import keeping_ledger, same_place
 from morembs.storage.safefile import replacing
 
-# Formats whose files hold materials beside a mesh.
-DECKS = ("abaqus", "nastran", "ansys")
 _ROLES = ("stiffness", "mass", "damping")
 NONE: Ints = np.empty(0, dtype=np.int64)
 
@@ -294,7 +293,8 @@ def write_example(name: str, job: Path) -> None:
     first = example.write(job.parent)
     if name == "matrices":
         K, M, B = (Path(file.name) for file in files)
-        text = job_of_matrices([K, M], B, None, "krylov", {"order": TOL.example_order}, body=job.stem)
+        options = {"order": TOL.example_order}
+        text = job_of_matrices([K, M], B, method="krylov", options=options, body=job.stem)
         text += f"picture = {_quoted(f'{job.stem}.png')}\n"
     else:
         text = job_text(first, job.parent, parse_units(example.units), picture=True)
@@ -304,16 +304,16 @@ def write_example(name: str, job: Path) -> None:
 
 def job_of_matrices(
     files: Sequence[Path],
-    loads: Path | None,
-    outputs: Path | None,
-    method: str | None,
-    options: Mapping[str, object],
+    loads: Path | None = None,
+    outputs: Path | None = None,
     *,
+    method: str = "modal",
+    options: Mapping[str, object] | None = None,
     body: str = "",
 ) -> str:
     """A job that reduces K, M and D of ``files``, in this order, with columns of ``loads`` and rows of ``outputs``.
 
-    Its file of bodies has the name ``body``, by default that of K.
+    Its file of bodies has the name ``body``, by default that of K. Loads and outputs without a folder lie beside K.
 
     Raises:
         InputError: no two or three files, or none that a method needs.
@@ -321,16 +321,14 @@ def job_of_matrices(
     if not 2 <= len(files) <= len(_ROLES):
         count = f"{len(files)} {'matrix was' if len(files) == 1 else 'matrices were'} given"
         raise InputError(f"{count}; expected stiffness and mass, and maybe damping: morembs reduce K.mtx M.mtx D.mtx")
-    named = {"B": loads, "C": outputs}
-    # Files beside the one of K where they are named without a folder.
-    given = {name: file.absolute() for name, file in named.items() if file is not None}
+    given = {name: file for name, file in (("B", loads), ("C", outputs)) if file is not None}
     lines = ["[model]", *(f"{role} = {_quoted(str(file))}" for role, file in zip(_ROLES, files, strict=False))]
     if given:
         lines += [f"set = {{ {', '.join(f'{name} = {_quoted(str(file))}' for name, file in given.items())} }}"]
     for name in given:
         lines += ["", "[[interface]]", f"name = {_quoted(name)}", f"matrix = {_quoted(name)}"]
-    keys = [f"{key} = {value}" for key, value in options.items()]
-    lines += ["", "[[reduce]]", f"method = {_quoted(method or 'modal')}", *keys]
+    keys = [f"{key} = {value}" for key, value in (options or {}).items()]
+    lines += ["", "[[reduce]]", f"method = {_quoted(method)}", *keys]
     stem = body or files[0].name.partition(".")[0]
     return "\n".join([*lines, "", "[output]", f"path = {_quoted(f'{stem}.h5')}", ""])
 
