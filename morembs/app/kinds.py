@@ -9,6 +9,7 @@ from pathlib import Path
 CAD = (".step", ".stp", ".iges", ".igs", ".brep")
 SURFACES = (".stl", ".obj", ".off")
 MATRICES = (".mtx", ".mtx.gz", ".mm")
+MATRICES_BY_NAME = (".mat", ".npz")
 HDF5 = (".h5", ".hdf5")
 
 
@@ -26,10 +27,11 @@ DECK = Kind("a deck", "morembs init {}")
 MODEL = Kind("a model file", "morembs init {}")
 BODY = Kind("a body file", "morembs info {}")
 MATRIX = Kind("a matrix", "morembs reduce K.mtx M.mtx --input B.mtx --method krylov --order 20")
+MATRIX_FILE = Kind("a file of matrices", "morembs init {}")
 CAD_PART = Kind("a CAD part", "morembs init {} --size 3mm")
 SURFACE = Kind("a surface without volume", "")
 # Kinds that ``init`` writes a job for.
-PARTS = (MESH, DECK, MODEL, CAD_PART)
+PARTS = (MESH, DECK, MODEL, MATRIX_FILE, CAD_PART)
 # What ``init`` expects.
 PART = "a mesh, a deck or a model file"
 # Formats whose files hold materials beside a mesh.
@@ -41,7 +43,8 @@ def kind_of(path: Path) -> Kind | None:
     name = path.name.lower()
     if name.endswith(".toml"):
         return JOB
-    for endings, kind in ((CAD, CAD_PART), (SURFACES, SURFACE), (MATRICES, MATRIX)):
+    endings_of = {CAD: CAD_PART, SURFACES: SURFACE, MATRICES: MATRIX, MATRICES_BY_NAME: MATRIX_FILE}
+    for endings, kind in endings_of.items():
         if name.endswith(endings):
             return kind
     if name.endswith(HDF5):

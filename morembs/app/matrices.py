@@ -102,6 +102,7 @@ def reduce(
             "a first-order system E x' = A x + B u was given; expected K, M, D, B and C of M u'' + D u' + K u = B q; "
             "pymor.models.iosys.LTIModel takes E and A"
         )
+    _refuse_inputs_as_damping(K, D)
     full = from_matrices(K, M, D, B, C)
     for sentence in examined(full):
         warnings.warn(sentence, stacklevel=2)
@@ -112,6 +113,20 @@ def reduce(
     if reducer.needs_interfaces and not ports:
         raise InputError(f'method {reducer.method!r} needs inputs; give B = (N, m), or take method = "modal"')
     return _reduced(reducer, Problem(full, ports, damping=damping), ports)
+
+
+def _refuse_inputs_as_damping(K: Any, D: Any) -> None:
+    """Refuse inputs in the place of D.
+
+    Raises:
+        InputError: D is not square and has as many rows as K.
+    """
+    rows, shape = np.shape(K)[:1], np.shape(D)
+    if len(shape) == 2 and shape[:1] == rows != shape[1:]:
+        raise InputError(
+            f"D = a matrix of {shape[0]} x {shape[1]} was given, the third argument; expected a square one, as K is. "
+            "Inputs go by name: reduce(K, M, B=B)"
+        )
 
 
 def _reducer(method: str, options: dict[str, Any]) -> Reducer:

@@ -5,6 +5,7 @@ An importer takes a path and returns an ``Imported`` in the units of the file; o
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -50,6 +51,8 @@ READERS: dict[str, Callable[..., Mesh | Deck]] = {
 }
 
 
+# Endings of compressed files, and what makes the file of one.
+_UNPACK = {".gz": "gunzip -k", ".bz2": "bunzip2 -k", ".xz": "unxz -k", ".zip": "unzip", ".zst": "unzstd"}
 # Parameters of importers that a user does not give.
 _NO_OPTIONS = ("budget",)
 
@@ -141,6 +144,7 @@ def read_mesh(
         raise InputError(f"mesh {str(path)!r} is not a file; expected a mesh file such as conrod.msh")
     if not path.is_file():
         raise InputError(f"mesh file {str(path)!r} does not exist; check the path")
+    refuse_compressed(path)
     reader = READERS.get(path.suffix.lower())
     given: dict[str, Any] = {"dialect": dialect} if dialect != "auto" else {}
     if given and reader is not read_abaqus:
@@ -174,9 +178,21 @@ def format_of(path: Path, given: str | None = None) -> str:
     for format, importer in IMPORTERS.items():
         if name.endswith(importer.endings):
             return _by_content(path, format)
+    refuse_compressed(path)
     raise InputError(
         f"the ending of {path.name!r} says nothing about its format; give --format, one of {', '.join(IMPORTERS)}"
     )
+
+
+def refuse_compressed(path: Path) -> None:
+    """Refuse a compressed file other than a matrix .mtx.gz.
+
+    Raises:
+        InputError: as said.
+    """
+    if path.suffix.lower() in _UNPACK:
+        unpack = f"{_UNPACK[path.suffix.lower()]} {shlex.quote(str(path))}"
+        raise InputError(f"{path.name} is compressed; expected the file itself: {unpack}")
 
 
 def _by_content(path: Path, format: str) -> str:

@@ -99,14 +99,18 @@ def massless_words(motions: tuple[str, ...]) -> str:
 
 
 def without_mass_perhaps(problem: Problem) -> tuple[str, ...]:
-    """The warning that a reduction may turn out to have ``massless_motions``, which take a factorisation."""
+    """The warning that a reduction has ``massless_motions``, or may have: in large models they take a factorisation."""
     loaded = loaded_without_mass(problem)
     if not loaded:
         return ()
+    if problem.K.shape[0] <= TOL.quickly_factorised:
+        motions = massless_motions(problem)
+        return (massless_words(motions),) if motions else ()
     return (
         f"interfaces load dofs without mass ({', '.join(loaded)}): what such loads deform without moving any mass, as "
-        "torsion of a beam with lumped masses, cannot be part of a reduced model; a reduction says whether there is "
-        "such a motion; give these dofs mass (rotary inertia), or leave them out of the interface (components = [...])",
+        "torsion of a beam with lumped masses, cannot be part of a reduced model; shells seldom have such motions, and "
+        "a reduction says whether there is one; give these dofs mass (rotary inertia), or leave them out of the "
+        "interface (components = [...])",
     )
 
 

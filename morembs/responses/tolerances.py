@@ -88,6 +88,8 @@ class ResponseTolerances:
 
     # Rows that M couples and that are searched for motions without mass: the dofs of some nodes or a frame.
     massless_group: int = 100
+    # Rows of a stiffness that is factorised within about a second, so that a check may do it.
+    quickly_factorised: int = 20_000
     # Mass of a motion per stiffness, over the largest, that is none: frequencies beyond 1e6 times those that count.
     no_mass: float = 1e-12
     # Flexibility under a load, over the largest, that is round-off of a sum over all dofs.

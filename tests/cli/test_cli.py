@@ -77,6 +77,33 @@ def test_reduce_json(tmp_path: Path) -> None:
     assert all(count > 1e6 for count in done["peak_memory_bytes"].values())
 
 
+@pytest.mark.parametrize("damping", [{}, {"damping": "modal = 0.02"}])
+def test_errors_at_peaks_without_damping_are_told_as_such(tmp_path: Path, damping: dict[str, str]) -> None:
+    tables = {"response": "from_hz = 100.0\nto_hz = 60000.0\npoints = 200"} | damping
+    job = folder(tmp_path, tables)
+    done = run("reduce", str(job))
+    body = done["bodies"]["cb"]
+    assert done["response_damped"] is bool(damping)
+    assert 0 < body["quasistatic_response_error"] < 0.1
+    assert 0 < body["median_response_error"] < body["largest_response_error"]
+    assert body["largest_response_error"] > 1
+    said = " ".join(RUNNER.invoke(cli.app, ["reduce", str(job)]).stdout.split())
+    assert ("the largest errors lie at resonances" in said) is not bool(damping)
+    assert f"below half the first resonance {body['quasistatic_response_error']:.1e})" in said
+
+
+def test_tables_of_a_certificate_fit_a_terminal_of_100_columns(tmp_path: Path) -> None:
+    job = folder(tmp_path, {"certify": "band_hz = [0, 20000]"})
+    tables = (
+        RUNNER.invoke(cli.app, ["reduce", str(job)]).stdout.partition("certificate: ")[2].partition("  error of")[0]
+    )
+    rows = tables.splitlines()
+    assert max(map(len, rows)) <= 100 and sum(row.startswith("cb") for row in rows) == 2
+    assert all(
+        word in tables for word in ("envelope <=", "pointwise <=", "worst at Hz", "residues off by", "MAC", "kind")
+    )
+
+
 def test_units_and_damping_are_converted(tmp_path: Path) -> None:
     """The same part in mm-t-s and in m-kg-ms gives the same body."""
     (tmp_path / "a").mkdir()

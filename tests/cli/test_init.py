@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
+import tomllib
 from pathlib import Path
 
 import meshio
 import numpy as np
 import pytest
+import scipy.io
 from typer.testing import CliRunner
 
 import morembs
@@ -302,3 +304,24 @@ def test_matrices_of_an_example_lie_beside_their_job(tmp_path: Path, monkeypatch
     (tmp_path / "sub").rename(tmp_path / "moved")
     commands.run("reduce", "moved/m.toml", "-q")
     assert (tmp_path / "moved" / "m.h5").is_file()
+
+
+@pytest.mark.parametrize("ending", ["mat", "npz", "model.h5"])
+def test_inputs_of_a_file_of_matrices_become_the_interface(ending: str, tmp_path: Path) -> None:
+    held = {"K": np.diag([2e4, 3e4, 5e4]) - 1e4 * np.diag([1, 1], 1) - 1e4 * np.diag([1, 1], -1), "M": np.eye(3)}
+    held |= {"B": np.array([[0.0], [0.0], [1.0]]), "C": np.eye(3)[:2]}
+    file = tmp_path / f"chain.{ending}"
+    if ending == "mat":
+        scipy.io.savemat(file, held)
+    elif ending == "npz":
+        np.savez(file, **held)
+    else:
+        morembs.write_model(file, morembs.from_matrices(**held))
+    commands.run("init", file)
+    job = tmp_path / "chain.toml"
+    tables = tomllib.loads(job.read_text())
+    assert [(one["name"], one["matrix"]) for one in tables["interface"]] == [("B", "B"), ("C", "C")]
+    commands.run("reduce", job, "--set", "reduce.order=3", "-o", tmp_path / "b.h5")
+    (body,) = morembs.read_body(tmp_path / "b.h5").bodies.values()
+    exact = np.sqrt(np.linalg.eigvalsh(held["K"])) / (2 * np.pi)
+    assert np.allclose(body.frequencies_hz, exact, rtol=1e-9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import shutil
 import subprocess
@@ -50,6 +51,10 @@ def files(tmp_path_factory: pytest.TempPathFactory, small_meshes: Path) -> Path:
     (folder / "surface.stl").write_text("solid s\nendsolid s\n")
     for name, matrix in (("K", CHAIN), ("M", sp.eye_array(12).tocsr()), ("B", sp.csr_array(np.eye(12)[:, -1:]))):
         scipy.io.mmwrite(folder / f"{name}.mtx", matrix)
+    named = {"K": CHAIN, "M": sp.eye_array(12).tocsr(), "B": np.eye(12)[:, -1:]}
+    scipy.io.savemat(folder / "model.mat", named)
+    np.savez(folder / "model.npz", K=CHAIN.toarray(), M=np.eye(12), B=np.eye(12)[:, -1])
+    (folder / "bar.msh.gz").write_bytes(gzip.compress((folder / "bar.msh").read_bytes()))
     (folder / "bar.toml").write_text(JOB)
     mesh = morembs.read_mesh(folder / "bar.msh", "m-kg-s")
     steel = morembs.isotropic(set="all", young=2e11, poisson=0.3, density=7850.0)
@@ -101,7 +106,7 @@ def test_a_call_is_answered_with_what_works(entry: dict[str, str]) -> None:
     M = sp.eye_array(12).tocsr()
     mesh = morembs.read_mesh("bar.msh", "m-kg-s")
     names = {"morembs": morembs, "K": K, "M": M, "B": sp.csr_array(np.eye(12)[:, :1]), "diagonal": np.ones(12)}
-    names |= {"mesh": mesh, "model": SimpleNamespace()}
+    names |= {"mesh": mesh, "model": SimpleNamespace(), "masked": np.ma.masked_less(K.toarray(), 0.0)}
     if "model" in entry["typed"]:
         names["model"] = morembs.read_model("bar.model.h5")
     if "answer" not in entry:

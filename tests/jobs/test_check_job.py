@@ -28,7 +28,7 @@ from morembs.reducers import AutoReducer, BalancedTruncation, CraigBampton, Gram
 from morembs.reducers.cost import mode_seconds
 from morembs.responses.direct import why_no_response
 from tests.support.commands import FACTORISING, factorisations, without_progress
-from tests.support.decks import BEAM, deck, folder
+from tests.support.decks import BEAM, MATERIAL, deck, folder
 from tests.support.meshes import box, steel, where
 from tests.support.progress import Heard
 
@@ -161,6 +161,17 @@ def test_a_mesh_in_mm_beside_a_material_in_si(tmp_path: Path) -> None:
     assert checked(folder(tmp_path, tables))["warnings"] == []
     warnings = checked(folder(tmp_path, tables, deck(BEAM, size=100.0)))["warnings"]
     assert len(warnings) == 1 and "m long" in warnings[0] and "7.85e-9" in warnings[0]
+
+
+def test_units_of_a_deck_are_those_that_the_job_declares(tmp_path: Path) -> None:
+    """A density in kg/m3 beside a modulus in MPa, in the key of the job for materials that lack one."""
+    job = folder(tmp_path, {"interface": 'name = "left"\nnodes = "box:-1,0,0,1,20,20"'})
+    text = (tmp_path / "part.inp").read_text() + MATERIAL.replace("*DENSITY\n7.85e-9\n", "")
+    (tmp_path / "part.inp").write_text(text)
+    tables = '[model]\nfile = "part.inp"\nunits = "mm-t-s"\ndensity = 7850.0\n'
+    job.write_text(tables + '[[reduce]]\nmethod = "modal"\nmodes = 3\n[output]\npath = "part.h5"\n')
+    (warning,) = (text for text in checked(job)["warnings"] if text.startswith("taken in"))
+    assert warning.startswith("taken in mm-t-s as declared") and "density in t/mm3" in warning
 
 
 def test_warnings_go_to_standard_error_first(tmp_path: Path) -> None:

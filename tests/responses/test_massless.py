@@ -19,13 +19,15 @@ from morembs.fem.interface import make_interface
 from morembs.importers.model_file import write_model
 from morembs.problem import Damping, Problem
 from morembs.reducers import AutoReducer, FreeInterface, Gramian, Krylov, Modal
+from morembs.responses.massless import loaded_without_mass, without_mass_perhaps
+from morembs.responses.tolerances import TOL
 from tests.support.frames import beams, chain, clamped_beam, model_on
 
 WHOLE = (0, 1, 2, 3, 4, 5)
 
 
 def lumped(model: FEModel) -> FEModel:
-    M = np.abs(np.diag(model.M.toarray().sum(axis=1) * (model.dofs.component < 3)))
+    M = sp.diags_array(np.abs(model.M.sum(axis=1) * (model.dofs.component < 3)))
     return replace(model, M=sp.csr_array(M))
 
 
@@ -107,7 +109,15 @@ def test_check_and_reduce_and_the_file_say_it(tmp_path: Path) -> None:
     checked, made = (CliRunner().invoke(app, [verb, str(job)]) for verb in ("check", "reduce"))
     assert checked.exit_code == made.exit_code == 0
     told = " ".join((checked.stdout + checked.stderr).split())
-    assert "interfaces load dofs without mass (tip rotation x, tip rotation y, tip rotation z)" in told
+    assert "1 motions of the interfaces deform the body without moving any mass (tip rotation x)" in told
     said = " ".join((made.stdout + made.stderr).split())
     for text in (said, " ".join(read_body(tmp_path / "body.h5").warnings)):
         assert "deform the body without moving any mass (tip rotation x)" in text
+
+
+def test_a_check_tells_what_a_small_model_has_and_a_large_one_may_have() -> None:
+    with at_tip(lumped(clamped_beam(6)), (0, 1, 2, 4, 5)) as bending:
+        assert loaded_without_mass(bending) and without_mass_perhaps(bending) == ()
+    with at_tip(lumped(clamped_beam(TOL.quickly_factorised // 6 + 2))) as large:
+        (told,) = without_mass_perhaps(large)
+        assert "interfaces load dofs without mass (tip rotation x, tip rotation y, tip rotation z)" in told

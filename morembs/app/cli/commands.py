@@ -9,7 +9,6 @@ import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -65,14 +64,20 @@ app = typer.Typer(
 def reduce(
     jobs: Annotated[
         list[Path],
-        typer.Argument(metavar="JOB.toml...", help="Job files, or matrices: K.mtx M.mtx [D.mtx].", show_default=False),
+        typer.Argument(
+            metavar="JOB.toml...",
+            help="Job files, or matrices: K.mtx M.mtx [D.mtx], or one .mat, .npz.",
+            show_default=False,
+        ),
     ],
     changes: Changes = None,
     method: Annotated[str | None, typer.Option(help="As --set reduce.method=NAME.")] = None,
     order: Annotated[int | None, typer.Option(help="As --set reduce.order=COUNT.")] = None,
     modes: Annotated[int | None, typer.Option(help="As --set reduce.modes=COUNT.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="As --set output.path=BODY.h5.")] = None,
-    loads: Annotated[Path | None, typer.Option("--input", metavar="B.mtx", help="Inputs of matrices.")] = None,
+    loads: Annotated[
+        Path | None, typer.Option("--input", metavar="B.mtx", help="Inputs of matrices; in a .mat, .npz a name.")
+    ] = None,
     outputs: Annotated[Path | None, typer.Option("--output", metavar="C.mtx", help="Outputs of matrices.")] = None,
     report: Report = None,
     as_json: AsJson = False,
@@ -116,17 +121,43 @@ def _loader(files: list[Path], loads: Path | None, outputs: Path | None) -> tupl
         InputError: --input or --output without matrices, or matrices that make no job.
     """
     from morembs.app.jobs.job import job_of_text, load_job
-    from morembs.app.kinds import MATRIX, kind_of
+    from morembs.app.kinds import MATRIX, MATRIX_FILE, kind_of
 
-    if not all(kind_of(file) is MATRIX for file in files):
+    alone = len(files) == 1 and kind_of(files[0]) is MATRIX_FILE
+    if not alone and not all(kind_of(file) is MATRIX for file in files):
         if loads is not None or outputs is not None:
             raise InputError("--input and --output belong to matrices: morembs reduce K.mtx M.mtx --input B.mtx")
         return files, load_job
     from morembs.app.jobs.template import job_of_matrices
 
-    # A job of the working directory, from which the command line names its files.
-    text = job_of_matrices(files, *(None if file is None else file.absolute() for file in (loads, outputs)))
-    return [Path(files[0].name.partition(".")[0] + ".toml")], partial(job_of_text, text)
+    # A job of the working directory, from which the command line names its files; in one file matrices have names.
+    ends = [file if file is None or alone else file.absolute() for file in (loads, outputs)]
+    text = job_of_matrices(files, *ends)
+
+    def load(path: Path, changes: Sequence[str]) -> Job:
+        try:
+            job = job_of_text(text, path, changes)
+            if not any(ends):
+                _refuse_without_inputs(job, "B" if alone else "B.mtx")
+        except InputError as error:
+            raise InputError(
+                f"{error}; keys are flags here: --method NAME, --modes COUNT, --order COUNT, --input "
+                f"{'B' if alone else 'B.mtx'}, others --set reduce.KEY=VALUE"
+            ) from error
+        return job
+
+    return [Path(files[0].name.partition(".")[0] + ".toml")], load
+
+
+def _refuse_without_inputs(job: Job, name: str) -> None:
+    """Refuse methods that need inputs.
+
+    Raises:
+        InputError: as said.
+    """
+    for reducer in job.reducers.values():
+        if reducer.needs_interfaces:
+            raise InputError(f"method {reducer.method} needs inputs: --input {name}; or take --method modal --modes 20")
 
 
 @app.command(cls=Verb, epilog=example("morembs compare part.toml --picture compared.png"))

@@ -24,7 +24,7 @@ def init(
     file: Annotated[
         Path | None,
         typer.Argument(
-            metavar="PART", help="A mesh, a deck, a model file or a CAD part; or an example.", show_default=False
+            metavar="PART", help="A mesh, deck, model file, CAD part, .mat or .npz; or an example.", show_default=False
         ),
     ] = None,
     out: Annotated[

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from typer.core import TyperGroup
 from morembs.app.cli.messages import echo, failure, tell
 from morembs.app.cli.terminal import without_flag_types
 from morembs.app.kinds import BODY, JOB, MATRIX, PARTS, SURFACE, instead, kind_of
-from morembs.base.errors import ExitCode, InputError, MorembsError
+from morembs.base.errors import ExitCode, InputError, MorembsError, alike
 from morembs.storage.contents import keeping_ledger
 from morembs.version import VERSION
 
@@ -39,6 +40,15 @@ KEYS = {
     "plot": 'picture = "NAME.png" under [output] of a job, or morembs reduce JOB.toml --report PAGE.html',
     "view": "morembs reduce JOB.toml --report PAGE.html, or a body in ParaView, which opens its HDF5 file",
     "simulate": "morembs export BODY.h5 --to exudyn, or morembs.dynamics.multibody in Python",
+}
+# What people ask help about that is no verb -> where it is said.
+TOPICS = {
+    "units": 'units = "mm-t-s" under [model] of a job, --units mm-t-s of init and import: length, mass and time of all '
+    "numbers of an input. In mm-t-s forces are in N, moduli in MPa, densities in t/mm3 (steel 7.85e-9); in m-kg-s "
+    "in N, Pa and kg/m3. Body files are in m, kg and s.",
+    "formats": "morembs import --list names the formats that are read, morembs export --list those that are written.",
+    "methods": 'method = "NAME" under [[reduce]] of a job, or morembs reduce --method NAME (docs/methods.md).',
+    "jobs": "morembs init PART writes a job with comments; morembs schema prints all of its keys.",
 }
 
 
@@ -76,17 +86,34 @@ class Verbs(TyperGroup):
         if first == "version" and len(args) == 1:
             echo(f"morembs {VERSION}")
             raise typer.Exit
+        if first == "help" and len(args) == 2 and args[1].lower() in TOPICS:
+            echo(TOPICS[args[1].lower()])
+            raise typer.Exit
         if first == "help":
             args = [*args[1:], "--help"]
         elif first == "doctor":
             args = [*SYNONYMS["doctor"].split(), *args[1:]]
         elif first and not known and (Path(first).exists() or kind_of(Path(first)) is not None):
             args = _arguments_of_file(args)
+        _refuse_slash(args)
         return super().parse_args(ctx, args)
 
     def get_params(self, ctx: Any) -> list[Any]:
         """As of typer."""
         return without_flag_types(super().get_params(ctx))
+
+
+def _refuse_slash(args: Sequence[str]) -> None:
+    """Refuse a file to write whose name ends as that of a folder.
+
+    Raises:
+        InputError: as said.
+    """
+    outs = [word for before, word in pairwise(args) if before in ("-o", "--out")]
+    outs += [word.partition("=")[2] for word in args if word.startswith("--out=")]
+    for word in outs:
+        if word.endswith(("/", "\\")) and Path(word).suffix and not Path(word).is_dir():
+            raise InputError(f"-o {word} names a folder; expected a file: -o {word[:-1]}")
 
 
 def _arguments_of_file(args: Sequence[str]) -> list[str]:
@@ -109,6 +136,10 @@ def _arguments_of_file(args: Sequence[str]) -> list[str]:
         return ["init", "--show", *args]
     if kind is MATRIX or kind is SURFACE:
         raise InputError(f"{file}: {instead(path, 'a verb')}")
+    # Not at the top: the table of formats takes as long to load as a short command.
+    from morembs.importers import refuse_compressed
+
+    refuse_compressed(path)
     raise InputError(f"{file}: its kind is not known by its ending; morembs import {shlex.quote(file)} --format NAME")
 
 
@@ -123,7 +154,10 @@ def _answer(error: Any) -> str:
     if missing in KEYS:
         return f"there is no verb {missing!r}; take {KEYS[missing]}"
     if missing:
-        return f"{said[0].lower()}{said[1:]}; morembs help lists all verbs"
+        close = alike(missing, [*context.command.commands, "help", "version", "doctor"])
+        return (
+            f"there is no verb {missing!r}; {f'did you mean {close!r}? ' if close else ''}morembs help lists all verbs"
+        )
     example = "" if context is None else (context.command.epilog or "").removeprefix("Example: ")
     cure = f"; for example: {example}" if example and verb else ""
     return f"{f'{verb}: ' if verb else ''}{said[:1].lower()}{said[1:]}{cure}; morembs help {verb}".rstrip()

@@ -19,13 +19,14 @@ from morembs.fem.selection import nodes_in_region
 @dataclass(frozen=True, eq=False)
 class Proposal:
     """An interface for a job: its name, its selection, what it is in words, rows of its nodes, and whether some of them
-    follow other nodes."""
+    follow other nodes; or, in place of a selection, the ``matrix`` of its forces."""
 
     name: str
     nodes: str
     about: str
     rows: Ints
     follows: bool = False
+    matrix: str = ""
 
     def is_fit(self, xyz: Floats, taken: NDArray[np.bool_]) -> bool:
         """Whether it can be an interface: no node of it is taken, it holds all six motions, and half of all at most."""

@@ -155,7 +155,7 @@ class ModelTable(SingleTable, ImportOptions):
 class OutputTable(SingleTable):
     """``[output]``: the body file, and a picture if one is wanted."""
 
-    path: Annotated[str, text('the path of the body file such as "conrod.h5"')]
+    path: Annotated[str, text('the path of the body file such as "conrod.h5", not of a folder', r"[^/\\]$")]
     nodes: Literal["all", "skin", "interfaces"] = "all"
     picture: Annotated[str, text("the path of a .png, .pdf or .svg file", r"\.(png|pdf|svg)$")] | None = None
 

@@ -13,16 +13,18 @@ import numpy as np
 
 from morembs.app.jobs.proposals import Proposal, propose_interfaces
 from morembs.app.jobs.tolerances import TOL
-from morembs.app.kinds import DECKS
+from morembs.app.kinds import DECKS, MATRIX_FILE, kind_of
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.base.units import Units, parse_units
 from morembs.examples import EXAMPLES
 from morembs.fem import FEModel, Mesh
+from morembs.fem.fe_model import has_places
 from morembs.importers import format_of, import_file, read_deck, read_mesh
 from morembs.importers.advice import advising
 from morembs.importers.decks.problems import DeckError, Form
 from morembs.importers.model_file import is_model_file, read_model
+from morembs.importers.to_model import model_of
 from morembs.storage.contents import keeping_ledger, same_place
 from morembs.storage.safefile import replacing
 
@@ -59,9 +61,24 @@ def job_text(file: Path, folder: Path, units: Units | None = None, *, picture: b
     with keeping_ledger() as ledger:
         if is_model_file(file):
             model = read_model(file)
-            head = _model(path, model)
+            head = _model(path, model.size, len(model.nodes))
+            if has_places(model):
+                head[1:1] = [
+                    "# Numbers of this job, such as corners of a box, are in m, kg and s, as those of a model file."
+                ]
             followers = NONE if model.dependent is None else model.dofs.node[model.dependent.owner >= 0]
             interfaces = _choose(model, model.mesh, tuple(model.couplings), followers, parse_units("m-kg-s"))
+            interfaces = _with_matrices(interfaces, model)
+            dofs = model.size
+        elif kind_of(file) is MATRIX_FILE:
+            model = _with_columns(file)
+            head = _model(path, model.size, 0)
+            roles = [role for role, held in (("B", model.inputs), ("C", model.outputs)) if held is not None]
+            if roles:
+                head[-1:] = [f"set = {{ {', '.join(f'{role} = {_quoted(role)}' for role in roles)} }}", ""]
+            if units is not None:
+                head[-1:] = [f"units = {_quoted(units.name)}", ""]
+            interfaces = _with_matrices(_choose(model, None, (), NONE, parse_units("m-kg-s")), model)
             dofs = model.size
         else:
             deck = _whole_deck(file)
@@ -111,6 +128,8 @@ class Interfaces:
 
 def _table(one: Proposal) -> list[str]:
     name = "_".join(one.name.replace("/", "_").split()).lstrip(".") or "interface"
+    if one.matrix:
+        return ["[[interface]]", f"name = {_quoted(name)}", f"matrix = {_quoted(one.matrix)}"]
     lines = ["[[interface]]", f"name = {_quoted(name)}", f"nodes = {_quoted(one.nodes)}"]
     if one.nodes.startswith("coupling:"):
         return lines
@@ -224,8 +243,26 @@ def _mesh(path: str, mesh: Mesh, units: Units, guessed: str, deck: WholeDeck | N
     ]
 
 
-def _model(path: str, model: FEModel) -> list[str]:
-    return ["[model]", f"file = {_quoted(path)}        # {model.size:,} dofs at {len(model.nodes):,} nodes", ""]
+def _model(path: str, size: int, nodes: int) -> list[str]:
+    held = f"{size:,} dofs" + (f" at {nodes:,} nodes" if nodes else " without nodes")
+    return ["[model]", f"file = {_quoted(path)}        # {held}", ""]
+
+
+def _with_columns(file: Path) -> FEModel:
+    """The model of a file of matrices, with the B and C that it holds."""
+    plain = import_file(file)
+    roles = {role: role for role in ("B", "C") if any(f"--set {role}=" in note for note in plain.notes)}
+    return model_of(import_file(file, options=roles) if roles else plain)
+
+
+def _with_matrices(interfaces: Interfaces, model: FEModel) -> Interfaces:
+    """Inputs and outputs of a model before its sets."""
+    held = {"B": model.inputs, "C": model.outputs}
+    named = [Proposal(role, "", "", NONE, matrix=role) for role, columns in held.items() if columns is not None]
+    if not named:
+        return interfaces
+    about = '# Inputs (columns of B) and outputs (rows of C); some of them by name: matrix = "B:NAME,NAME".'
+    return Interfaces(chosen=named, others=[*interfaces.chosen, *interfaces.others], about=about)
 
 
 def _node_sets(source: Mesh | FEModel) -> tuple[list[Proposal], list[Proposal]]:
@@ -247,6 +284,13 @@ def _reduction(interfaces: Interfaces, dofs: int) -> list[str]:
     left = dofs - (3 * len(np.unique(np.concatenate(rows))) if rows else 0)
     modes = max(1, min(TOL.template_modes, int(TOL.many_modes_part * left)))
     lines = ["[[reduce]]                  # one body for each; morembs compare sets them side by side"]
+    if any(one.matrix for one in interfaces.chosen):
+        order = max(1, min(TOL.template_modes, int(TOL.many_modes_part * dofs)))
+        lines += [
+            'method = "krylov"',
+            f"order = {order:<20}# coordinates; or balanced-truncation, irka with band_hz = [0, 2000]",
+        ]
+        return [*lines, ""]
     if not rows:
         lines += ['method = "modal"            # without interfaces; with some: craig-bampton', f"modes = {modes}"]
     elif left <= 0:
@@ -313,16 +357,19 @@ def job_of_matrices(
 ) -> str:
     """A job that reduces K, M and D of ``files``, in this order, with columns of ``loads`` and rows of ``outputs``.
 
-    Its file of bodies has the name ``body``, by default that of K. Loads and outputs without a folder lie beside K.
+    One file that holds matrices by name may stand for all; ``loads`` and ``outputs`` are then names in it. The file of
+    bodies has the name ``body``, by default that of K. Loads and outputs without a folder lie beside K.
 
     Raises:
         InputError: no two or three files, or none that a method needs.
     """
-    if not 2 <= len(files) <= len(_ROLES):
+    alone = len(files) == 1 and kind_of(files[0]) is MATRIX_FILE
+    if not alone and not 2 <= len(files) <= len(_ROLES):
         count = f"{len(files)} {'matrix was' if len(files) == 1 else 'matrices were'} given"
         raise InputError(f"{count}; expected stiffness and mass, and maybe damping: morembs reduce K.mtx M.mtx D.mtx")
     given = {name: file for name, file in (("B", loads), ("C", outputs)) if file is not None}
-    lines = ["[model]", *(f"{role} = {_quoted(str(file))}" for role, file in zip(_ROLES, files, strict=False))]
+    roles = ("file",) if alone else _ROLES
+    lines = ["[model]", *(f"{role} = {_quoted(str(file))}" for role, file in zip(roles, files, strict=False))]
     if given:
         lines += [f"set = {{ {', '.join(f'{name} = {_quoted(str(file))}' for name, file in given.items())} }}"]
     for name in given:

@@ -72,6 +72,10 @@ class JobTolerances:
     picture_points: int = 400
     # Their band: parts of the lowest and of the highest known mode.
     picture_band: tuple[float, float] = (0.2, 1.1)
+    # Part of the first resonance up to which a response is nearly static: the dynamic part is below a third.
+    quasistatic_part: float = 0.5
+    # Relative error beyond which a response is wrong, unless a peak without damping is what is off.
+    large_error: float = 0.1
     # Error that a picture draws at least: below eps.
     least_drawn_error: float = 1e-16
     # Order, seconds or GB that a picture draws at least, on an axis of logarithms.

@@ -19,10 +19,9 @@ LEGEND = (
     "itself (pointwise); block: of the worst pair of interfaces, by the envelope; static: at 0 Hz; modes, residues, "
     "MAC: the worst mode in the band that loads excite"
 )
-COLUMNS = (
-    *("body", "order", *(f"{name} <=" for name in MEASURES), "worst at Hz", "block <=", "static", "modes off by"),
-    *("residues off by", "MAC", "kind"),
-)
+# Two tables, each of which fits a terminal of 100 columns.
+LIMITS = ("body", "order", *(f"{name} <=" for name in MEASURES), "worst at Hz", "block <=", "kind")
+DEVIATIONS = ("body", "static", "modes off by", "residues off by", "MAC")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,10 +52,12 @@ def certificate_sections(known: Sequence[Certified], interfaces: Sequence[str]) 
         else:
             lines.append(_at_samples(certified))
     sections = [Section(lines=lines)] if lines else []
-    return sections + [_section(*band, group, interfaces) for band, group in groups.items()]
+    return sections + [one for band, group in groups.items() for one in _sections(*band, group, interfaces)]
 
 
-def _section(low: float, high: float, floor: float, known: Sequence[Certified], interfaces: Sequence[str]) -> Section:
+def _sections(
+    low: float, high: float, floor: float, known: Sequence[Certified], interfaces: Sequence[str]
+) -> list[Section]:
     holds = any(KINDS[certified.text("bound_kind")] != "sampled" for certified in known)
     what = "holds at every frequency" if holds else "errors at samples"
     lines = [f"  {LEGEND}"]
@@ -70,19 +71,38 @@ def _section(low: float, high: float, floor: float, known: Sequence[Certified], 
         for certified in known
         for note in (*_does_not_serve(certified, interfaces), *_notes(certified))
     ]
-    return Section(
-        title=f"certificate: {what} from {low:,.6g} to {high:,.6g} Hz",
-        columns=COLUMNS,
-        rows=[_row(certified) for certified in known],
-        lines=lines,
-    )
+    return [
+        Section(
+            title=f"certificate: {what} from {low:,.6g} to {high:,.6g} Hz",
+            columns=LIMITS,
+            rows=[_limits(certified) for certified in known],
+        ),
+        Section(
+            title="deviations of the static response and of the modes in that band",
+            columns=DEVIATIONS,
+            rows=[_deviations(certified) for certified in known],
+            lines=lines,
+        ),
+    ]
 
 
-def _row(certified: Certified) -> tuple[str, ...]:
+def _limits(certified: Certified) -> tuple[str, ...]:
     values = certified.values
     kind = KINDS[certified.text("bound_kind")]
     limits = [np.asarray(values["limits"][name], dtype=float) for name in MEASURES]
     worst = limits[MEASURES.index(certified.text("measure"))]
+    return (
+        certified.name,
+        str(certified.order),
+        *("-" if kind == "sampled" else upwards(limit[1]) for limit in limits),
+        "-" if kind == "sampled" else f"{worst[2]:,.6g}",
+        "-" if kind == "sampled" else upwards(np.max(values["block_limit"], initial=0.0)),
+        kind,
+    )
+
+
+def _deviations(certified: Certified) -> tuple[str, ...]:
+    values = certified.values
     residue = np.asarray(values["residue_deviation"], dtype=float)
     # Modes that no load excites have no residue; what resembles them in a body says nothing.
     mac, moved = (
@@ -90,15 +110,10 @@ def _row(certified: Certified) -> tuple[str, ...]:
     )
     return (
         certified.name,
-        str(certified.order),
-        *("-" if kind == "sampled" else upwards(limit[1]) for limit in limits),
-        "-" if kind == "sampled" else f"{worst[2]:,.6g}",
-        "-" if kind == "sampled" else upwards(np.max(values["block_limit"], initial=0.0)),
         f"{float(values['static_error']):.1e}",
         _largest(moved),
         _largest(residue),
         f"{mac.min():.4f}" if len(mac) else "-",
-        kind,
     )
 
 

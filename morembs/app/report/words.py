@@ -25,7 +25,10 @@ def percent(ratio: float) -> str:
 
 
 def mass_section(document: Mapping[str, Any]) -> Section:
-    """Mass, center of mass and inertia of a document."""
+    """Mass, center of mass and inertia of a document; those of coordinates at one point mean nothing."""
+    if not np.any(document["inertia"]):
+        place = "all coordinates lie at one point, as those of matrices without nodes do"
+        return Section(lines=["", f"mass properties: none; {place} (morembs import --nodes MESH gives them places)"])
     center, inertia = _clean(document["center_of_mass"]), _clean(document["inertia"])
     labels = ("inertia about it", "", "")
     rows = [

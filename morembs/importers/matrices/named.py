@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,6 +32,11 @@ def square_csr(source: str, name: str, matrix: Any) -> sp.csr_array:
     Raises:
         InputError: no numbers, not square, or entries that are not finite.
     """
+    if np.ma.is_masked(matrix):
+        raise InputError(
+            f"{source}: {name} is a masked array with entries that are masked out; expected a number in each: give "
+            f"{name}.filled(0.0) if they are zero"
+        )
     try:
         A = sp.csr_array(matrix if sp.issparse(matrix) or np.ndim(matrix) != 1 else sp.diags_array(np.asarray(matrix)))
     except (TypeError, ValueError) as error:
@@ -163,10 +168,22 @@ def matrices_by_name(
             "--set K=NAME --set M=NAME"
         )
     left = [name for name in matrices if name not in used]
+    notes = (*notes, *_unused_columns(besides, used, next(iter(taken.values()))[1].shape[0]))
     notes = (*notes, f"matrices of the file: {chosen}" + (f"; left out: {', '.join(left)}" if left else ""))
     ready = {role: square_csr(source, name, matrix) for role, (name, matrix) in taken.items()}
     imported = Imported(source=source, nodes=nodes, dofs=dofs, notes=notes, **ready)
     return wanted.with_columns(imported, lambda name: besides[_there(source, besides, name)])
+
+
+def _unused_columns(held: Mapping[str, Any], used: Container[str], size: int) -> list[str]:
+    """A note for each matrix under the name of inputs or outputs that is none yet."""
+    notes = []
+    for role, what, side in (("B", "inputs", 0), ("C", "outputs", -1)):
+        name = next((name for name in held if name.upper() == role and name not in used), None)
+        shape = () if name is None else np.shape(held[name])
+        if shape and shape[side] == size and shape != (size, size):
+            notes.append(f"{name} ({' x '.join(map(str, shape))}) is left out; --set {role}={name} takes it as {what}")
+    return notes
 
 
 def _there(source: str, matrices: Mapping[str, Any], name: str) -> str:

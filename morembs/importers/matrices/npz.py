@@ -61,7 +61,7 @@ def import_npz(
 
 
 def _by_name(source: str, held: Mapping[str, Values], names: set[str]) -> tuple[Matrices, Matrices]:
-    """Matrices that may be K, M or D, and dense ones that are not square."""
+    """Matrices that may be K, M or D, and dense ones that are not square; B and C may be vectors."""
     matrices: Matrices = {}
     other: Matrices = {}
     for name in sorted(names):
@@ -70,6 +70,8 @@ def _by_name(source: str, held: Mapping[str, Values], names: set[str]) -> tuple[
             matrices[name[:-7]] = checked_csr(f"{source}: {name[:-7]}", data, indices, indptr, _sizes(source, shape))
         elif (array := held[name]).ndim == 2 and array.dtype.kind in "fiuc":
             (matrices if array.shape[0] == array.shape[1] else other)[name] = sp.csr_array(array)
+        elif array.ndim == 1 and array.dtype.kind in "fiuc" and name.upper() in ("B", "C"):
+            other[name] = sp.csr_array(array[:, None] if name.upper() == "B" else array[None, :])
     return matrices, other
 
 

@@ -9,6 +9,7 @@ from morembs.base.errors import InputError
 from morembs.base.progress import duration_words
 from morembs.body.diagnostics.warnings import examined, examined_mesh
 from morembs.fem import FEModel
+from morembs.importers.model_file import is_model_file
 from morembs.reducers import ProblemSummary
 from morembs.reducers.problem_summary import ShiftedFactorisations
 from morembs.responses.direct import why_no_response
@@ -20,8 +21,11 @@ def model_warnings(job: Job, model: FEModel) -> tuple[str, ...]:
     Raises:
         InputError: matrices that no reduction takes.
     """
-    if ModelTable.of(job).mesh is None:
-        return examined(model)
+    table = ModelTable.of(job)
+    if table.mesh is None:
+        files = table.with_paths(job.resolve).files if table.brings_matrices else ()
+        # A model file is in SI units, whatever those of its origin were.
+        return examined(model, declared=None if not files or any(map(is_model_file, files)) else job.units)
     return examined_mesh(model, job.units)
 
 

@@ -88,11 +88,18 @@ class Response(JobStage):
         response = results.get(RESPONSE)
         if response is None:
             return {}
+        body, hz = results[BODIES][0], response.frequencies_hz
+        low = hz <= TOL.quasistatic_part * _elastic(body)[:1].sum()
         errors = {
-            name: {"largest_response_error": float(error.max()), "median_response_error": float(np.median(error))}
+            name: {
+                "largest_response_error": float(error.max()),
+                "median_response_error": float(np.median(error)),
+                "quasistatic_response_error": float(error[low].max()) if low.any() else None,
+            }
             for name, error in response.error.items()
         }
-        return {"response_band_hz": response.frequencies_hz[[0, -1]].tolist(), "bodies": errors}
+        damped = bool(body.reduced.D.any() or body.reduced.structural)
+        return {"response_band_hz": hz[[0, -1]].tolist(), "response_damped": damped, "bodies": errors}
 
     def sections(self, document: Mapping[str, Any]) -> Sequence[Section]:
         bodies = document["bodies"]
@@ -101,16 +108,34 @@ class Response(JobStage):
         low, high = document["response_band_hz"]
         lines = [
             f"{name}: relative error of the frequency response at most {body['largest_response_error']:.2e} from "
-            f"{low:,.6g} to {high:,.6g} Hz (median {body['median_response_error']:.1e})"
+            f"{low:,.6g} to {high:,.6g} Hz (median {body['median_response_error']:.1e}{_quasistatic(body)})"
             for name, body in bodies.items()
         ]
+        largest = max(body["largest_response_error"] for body in bodies.values())
+        if largest > TOL.large_error and not document["response_damped"]:
+            lines.append(
+                "  the largest errors lie at resonances: without damping their peaks are infinite, and a peak that "
+                "moves by 0.1 % is wrong by more than all of it; look at the other two numbers, or give the job "
+                "[damping], such as modal = 0.01"
+            )
         return [Section(place=Place.REMARKS, lines=lines)]
+
+
+def _quasistatic(body: Mapping[str, Any]) -> str:
+    """The error well below the first resonance, where such frequencies were compared."""
+    error = body["quasistatic_response_error"]
+    return "" if error is None else f", below half the first resonance {error:.1e}"
 
 
 def _band(job: Job, body: Body) -> Floats:
     given = ResponseTable.of(job)
     if given is not None:
         return np.geomspace(given.from_hz, given.to_hz, given.points)
-    known = body.frequencies_hz if body.full_frequencies_hz is None else body.full_frequencies_hz
-    elastic = known[known > 0][: max(CheckTable.of(job).full_modes, 1)]
+    elastic = _elastic(body)[: max(CheckTable.of(job).full_modes, 1)]
     return np.geomspace(TOL.picture_band[0] * elastic[0], TOL.picture_band[1] * elastic[-1], TOL.picture_points)
+
+
+def _elastic(body: Body) -> Floats:
+    """Frequencies of elastic modes, of the full model where they are known."""
+    known = body.frequencies_hz if body.full_frequencies_hz is None else body.full_frequencies_hz
+    return known[known > 0]
