@@ -45,13 +45,38 @@ class Exported:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ExportContext:
-    """One body on its way to the file ``path``; ``file`` is the body file it comes from, if it has one."""
+class Destination:
+    """The file ``path`` that is to be written; ``file`` is the body file it comes from, if it has one."""
+
+    path: Path
+    file: Path | None = None
+
+    def beside(self, ending: str) -> Path:
+        """A further file of the same set: ``conrod_M.mtx`` beside ``conrod.inp`` for the ending ``_M.mtx``.
+
+        Raises:
+            InputError: that is the body file itself.
+        """
+        path = self.path.with_name(f"{self.path.name.removesuffix(self.path.suffix)}{ending}")
+        self.refuse_source(path)
+        return path
+
+    def refuse_source(self, path: Path) -> None:
+        """Refuse to write over the body file.
+
+        Raises:
+            InputError: as said.
+        """
+        if self.file is not None and _same(path, self.file):
+            raise InputError(f"{path} is the body file itself; give another name for the output")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExportContext(Destination):
+    """One body on its way to its destination."""
 
     source: StoredBodies
     body: Body
-    path: Path
-    file: Path | None = None
 
     @property
     def frame(self) -> FloatingFrame:
@@ -80,17 +105,6 @@ class ExportContext:
     def coordinates(self) -> Floats:
         """Positions (n, 3) of the stored nodes in m, from the origin of the floating frame along its axes."""
         return np.asarray(self.source.coordinates - self.frame.origin)
-
-    def beside(self, ending: str) -> Path:
-        """A further file of the same set: ``conrod_M.mtx`` beside ``conrod.inp`` for the ending ``_M.mtx``.
-
-        Raises:
-            InputError: that is the body file itself.
-        """
-        path = self.path.with_name(f"{self.path.name.removesuffix(self.path.suffix)}{ending}")
-        if self.file is not None and _same(path, self.file):
-            raise InputError(f"{path} is the body file itself; give another name for the output")
-        return path
 
     @staticmethod
     def left_from_before(paths: Iterable[Path]) -> tuple[str, ...]:
@@ -181,8 +195,7 @@ class Exporter(ABC):
             OutputError: the file cannot be written.
         """
         context = ExportContext(source=source, body=body, path=Path(path), file=file)
-        if file is not None and _same(context.path, file):
-            raise InputError(f"{path} is the body file itself; give another name for the output")
+        context.refuse_source(context.path)
         if not len(body.mass_matrix):
             raise InputError(f"body {body.name!r} has no coordinates; keep at least one mode")
         for name in ("mass_matrix", "stiffness_matrix", "damping_matrix", "input_matrix", "output_matrix"):

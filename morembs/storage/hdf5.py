@@ -35,6 +35,8 @@ DAMAGE = (
 )
 # Filters within the library: deflate, shuffle, fletcher32, szip, nbit, scaleoffset, and the LZF of h5py.
 _FILTERS = {1, 2, 3, 4, 5, 6, 32000}
+# Format of the files of planar members, which are told from others.
+MEMBERS = "morembs-members"
 
 
 @contextmanager
@@ -77,6 +79,11 @@ def reading_format(
         InputError: as ``reading``, another kind of file, or one of a newer version.
     """
     with reading(path, expected, cure) as file:
+        if is_format(file, MEMBERS):
+            raise InputError(
+                f"{path} holds planar members, expected {expected}; morembs info and morembs export take members, and "
+                "in Python morembs.dynamics.gmp.stored.read_members"
+            )
         if not is_format(file, name):
             raise InputError(f"{path} is an HDF5 file but not {expected} of morembs (no /format {name!r}){hint}")
         if not isinstance(file.get("format_version"), h5py.Dataset):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,6 +20,7 @@ from morembs.base.scratch import ScratchFolder
 
 if TYPE_CHECKING:
     from morembs.body.recovery.recover import Recovered
+    from morembs.exporters import Exported
 
 app = typer.Typer()
 
@@ -81,7 +82,7 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write bodies for another program."""
-    from morembs.exporters import EXPORTERS, export_body
+    from morembs.exporters import EXPORTERS
     from morembs.storage.contents import note_input
 
     with messages():
@@ -106,16 +107,8 @@ def export(
     taken: list[Path] = []
 
     def write(file: Path, documents: Documents) -> None:
-        done = export_body(
-            file,
-            to,
-            path=out,
-            body=body,
-            options=pairs(option or []),
-            frame=frame,
-            taken=taken,
-            at=None if at is None else values_of(at),
-        )
+        values = None if at is None else values_of(at)
+        done = _exported(file, to, out, body, pairs(option or []), frame, values, taken)
         taken.extend(done.paths)
         paths = [str(path) for path in done.paths]
         if documents is not None:
@@ -125,6 +118,34 @@ def export(
             typer.echo("\n".join([f"written: {', '.join(paths)}", *(f"note: {note}" for note in done.notes)]))
 
     each_file(files, as_json, write)
+
+
+def _exported(
+    file: Path,
+    to: str | None,
+    out: Path | None,
+    name: str | None,
+    options: Mapping[str, object],
+    frame: str | None,
+    at: Mapping[str, float] | None,
+    taken: Sequence[Path],
+) -> Exported:
+    """A body, or a planar member, written for another program."""
+    # Not at the top: help needs no exporter.
+    from morembs.exporters import export_body
+    from morembs.storage.hdf5 import MEMBERS, holds_format
+
+    target = to or ""
+    if not holds_format(file, MEMBERS):
+        return export_body(file, target, path=out, body=name, options=options, frame=frame, taken=taken, at=at)
+    if frame is not None or at is not None:
+        raise InputError(
+            f"--frame or --at was given, and {file} holds planar members, which have neither; leave it out"
+        )
+    # Not at the top: few files hold members.
+    from morembs.dynamics.gmp.export import export_member
+
+    return export_member(file, target, path=out, member=name, options=options, taken=taken)
 
 
 def values_of(text: str | None, option: str = "--at") -> dict[str, float]:

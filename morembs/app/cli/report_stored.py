@@ -14,7 +14,7 @@ from morembs.body.delivery_check import refuse_unsound, stored_findings
 from morembs.body.diagnostics.findings import Diagnosis
 from morembs.body.file import read_unexamined
 from morembs.body.stored import StoredBodies
-from morembs.storage.hdf5 import holds_format
+from morembs.storage.hdf5 import MEMBERS, holds_format
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -58,10 +58,10 @@ def _show_members(path: Path, documents: list[dict[str, Any]] | None) -> bool:
     Raises:
         InputError: the file is damaged, or of a newer version.
     """
+    if not holds_format(path, MEMBERS):
+        return False
     from morembs.dynamics.gmp.stored import MemberFormat, read_members
 
-    if not holds_format(path, MemberFormat.NAME):
-        return False
     members = read_members(path)
     if documents is not None:
         told = {name: data.outline() for name, data in members.items()}

@@ -13,7 +13,7 @@ from morembs.base.errors import InputError
 from morembs.dynamics.gmp.chebyshev import ChebyshevTable
 from morembs.dynamics.gmp.data import Parameterised
 from morembs.storage.checksums import Checksums
-from morembs.storage.hdf5 import is_format, reading, refuse_newer
+from morembs.storage.hdf5 import MEMBERS, is_format, reading, refuse_newer
 from morembs.storage.table import Row, Table, read_rows, table_of
 from morembs.storage.table_check import TableCheck
 from morembs.storage.writer import writing
@@ -22,7 +22,7 @@ from morembs.storage.writer import writing
 class MemberFormat:
     """Format of files of ``write_members``."""
 
-    NAME = "morembs-members"
+    NAME = MEMBERS
     VERSION = 1
 
 

@@ -70,6 +70,7 @@ def floating_system(context: ExportContext, *, stress: Sequence[int], damping_ra
             "MASS": float(frame.integrals.mass),
             "LENGTH": length,
         },
+        buffers={"at_q": 9 * frame.count, "at_rate": 3 * frame.count, "J": 9, "Cr": 3 * frame.count, "moment": 3},
         notes=(*_left_out(context), *frame.notes, *renamed_note(known)),
     )
 

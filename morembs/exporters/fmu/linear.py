@@ -15,6 +15,7 @@ from morembs.exporters.fmu.system import (
     GRAVITY,
     LOADS,
     MOTIONS,
+    REACTIONS,
     VELOCITIES,
     StressRows,
     System,
@@ -29,8 +30,6 @@ from morembs.exporters.reduced import refuse_two_sided, to_interfaces
 from morembs.exporters.tolerances import TOL
 from morembs.linalg.dense import symmetric
 from morembs.linalg.eigen import accurate_eigh
-
-_REACTIONS = (("reaction_force", "N"), ("reaction_moment", "N.m"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,7 +82,7 @@ def linear_system(
     tables = _tables(context, at, free, fixed, weight, rows)
     moves = bool(len(fixed)) and bool((body.output_matrix[free] @ at.X).any())
     outputs = (
-        *of(fixed, _REACTIONS, "of what holds the body, on the body", direct=True),
+        *of(fixed, REACTIONS, "of what holds the body, on the body", direct=True),
         *of(free, MOTIONS, "of the interface", direct=moves),
         *of(free, VELOCITIES, "of the interface", direct=moves),
         *rows.outputs,

@@ -17,9 +17,17 @@ from morembs.exporters.tolerances import TOL
 
 Precision = Literal["double", "single"]
 # Files of each structure, in their order: what both targets have, then steps of any size or of one size.
-_COMMON = {"linear": ("common", "linear_accelerations", "linear"), "floating": ("common", "floating", "gauss")}
-_FREE = {"linear": ("linear_rates", "linear_free"), "floating": ("floating_rates", "gauss_free")}
-_FIXED = {"linear": ("linear_fixed",), "floating": ("gauss_fixed",)}
+_COMMON = {
+    "linear": ("common", "stresses", "linear_accelerations", "linear"),
+    "floating": ("common", "stresses", "dense", "floating", "gauss"),
+    "member": ("common", "dense", "member", "gauss"),
+}
+_FREE = {
+    "linear": ("linear_rates", "linear_free"),
+    "floating": ("floating_rates", "gauss_free"),
+    "member": ("member_rates", "gauss_free"),
+}
+_FIXED = {"linear": ("linear_fixed",), "floating": ("gauss_fixed",), "member": ("gauss_fixed",)}
 _SINGLE = "".join(f"#define {name} {name}f\n" for name in ("sqrt", "sin", "cos", "fabs"))
 
 
@@ -93,19 +101,15 @@ class Code:
         """Type and length of the arrays of a body: its variables, then what the functions work with."""
         system, S, free = self.system, self.stages, self.fixed is None
         n, states = int(system.constants["MODES"]), len(system.states)
-        size, places, width = 6 + n, 1 + free, states * (states + len(system.inputs))
+        rigid, places, width = 6 * (system.structure == "floating"), 1 + free, states * (states + len(system.inputs))
+        size = rigid + n
         real = {"p": len(system.parameters), "u": len(system.inputs), "x": states, "y": len(system.outputs)}
         whole: dict[str, int] = {}
         if system.structure == "linear":
             real |= {"change": states}
             real |= {"A": width, "F": width, "work": width, "h": 1, "h_damping": 1} if free else {}
         else:
-            real |= {
-                "at_q": 9 * n,
-                "at_rate": 3 * n,
-                "J": 9,
-                "Cr": 3 * n,
-                "moment": 3,
+            real |= system.buffers | {
                 "column": size,
                 "residual": size,
                 "stage": max(size, S) * size,
@@ -113,11 +117,10 @@ class Code:
                 "h": places,
                 "convergence": places,
                 "a": S * size,
-                "w": 3 * S,
                 "q": S * n,
                 "rate": S * n,
-                "turns": 4 * S,
             }
+            real |= {"w": 3 * S, "turns": 4 * S} if rigid else {}
             real |= {"whole": states, "halves": states} if free else {}
             whole = {"pivot": places * S * size} | ({"level": 1} if free else {})
         typed = {key: (f"{self.name}_real", max(1, count)) for key, count in real.items()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -22,6 +22,7 @@ AXES = "xyz"
 LOADS = (("force", "N"), ("moment", "N.m"))
 MOTIONS = (("displacement", "m"), ("rotation", "rad"))
 VELOCITIES = (("velocity", "m/s"), ("angular_velocity", "rad/s"))
+REACTIONS = (("reaction_force", "N"), ("reaction_moment", "N.m"))
 ACCELERATIONS = (("acceleration", "m/s2"), ("angular_acceleration", "rad/s2"))
 _TENSOR = ("xx", "yy", "zz", "xy", "yz", "zx")
 # Keywords of C, and files beside which those of a body lie.
@@ -92,16 +93,18 @@ class Variable:
 class System:
     """A body of one ``structure`` with n normal or elastic coordinates, ready to be written as C.
 
-    ``tables`` and ``constants`` by the names that the C code has; ``buffers`` are the numbers that it needs to work.
+    ``tables`` and ``constants`` by the names that the C code has; ``buffers``: length of each array that its equations
+    work with. A "member" is a planar one of large deflections.
     """
 
-    structure: Literal["linear", "floating"]
+    structure: Literal["linear", "floating", "member"]
     parameters: tuple[Variable, ...]
     inputs: tuple[Variable, ...]
     states: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     tables: Mapping[str, Floats]
     constants: Mapping[str, int | float]
+    buffers: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 

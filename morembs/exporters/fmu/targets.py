@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import sys
 import zipfile
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from io import BytesIO
@@ -16,7 +17,7 @@ import scipy.linalg as sl
 from morembs.base.errors import InputError
 from morembs.base.limits import NotNegative, Positive
 from morembs.base.types import Floats
-from morembs.exporters.base import LOSSES, ExportContext, Exported, Exporter
+from morembs.exporters.base import LOSSES, Destination, ExportContext, Exported, Exporter
 from morembs.exporters.fmu.compiler import compiled, single_error
 from morembs.exporters.fmu.description import Version, build_description, model_description
 from morembs.exporters.fmu.floating import floating_system
@@ -40,7 +41,7 @@ _DAY = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Equations(Exporter):
+class Equations(Exporter):
     """What both targets are told.
 
     ``structure`` "linear" (small motion, ``held`` at some interfaces or at none) or "floating" (large rotations;
@@ -53,34 +54,47 @@ class _Equations(Exporter):
     holds: ClassVar[frozenset[str]] = frozenset({"damping", "forces", "stress"})
 
     structure: Structure = "auto"
-    held: list[str] = field(default_factory=list)
+    held: list[str] | None = None
     stress: list[int] = field(default_factory=list)
     damping_ratio: NotNegative = 0.0
 
     def _system(self, context: ExportContext) -> System:
         body = context.body
         forces = any(interface.forces for interface in context.source.interfaces.values())
-        small = bool(self.held) or body.floating is None or forces
+        held = self.held or []
+        small = bool(held) or body.floating is None or forces
         linear = self.structure == "linear" or (self.structure == "auto" and small)
         if linear:
-            return linear_system(context, held=self.held, stress=self.stress, damping_ratio=self.damping_ratio)
-        if self.held:
+            return linear_system(context, held=held, stress=self.stress, damping_ratio=self.damping_ratio)
+        if held:
             raise InputError('structure = "floating" was given with held interfaces; take structure = "linear"')
         return floating_system(context, stress=self.stress, damping_ratio=self.damping_ratio)
 
-    def _notes(self, context: ExportContext, system: System, name: str) -> tuple[str, ...]:
+    def _write(self, context: ExportContext) -> Exported:
+        system = self._system(context)
+        return self.write_equations(system, context, context.body.name, self._notes(context, system))
+
+    @abstractmethod
+    def write_equations(self, system: System, to: Destination, body: str, notes: tuple[str, ...] = ()) -> Exported:
+        """The code of a ``system`` that stands for ``body``, with ``notes`` on what it is.
+
+        Raises:
+            InputError: a name or an option that does not fit.
+            OutputError: the file cannot be written.
+        """
+
+    def _notes(self, context: ExportContext, system: System) -> tuple[str, ...]:
         left = ({"forces"} if system.structure == "floating" else set()) | (set() if self.stress else {"stress"})
         motion = {"linear": "small motion about its place", "floating": "large rotations, in its floating frame"}
         return (
             f"{system.structure} body: {motion[system.structure]}",
             *context.lost(LOSSES.keys() - left),
             *system.notes,
-            *renamed_note({context.path.name.partition(".")[0]: name}),
         )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fmu(_Equations):
+class Fmu(Equations):
     """Functional Mock-up Unit of version ``fmi`` for model exchange and co-simulation, with its C sources.
 
     Co-simulation of linear bodies is exact for held inputs (matrix exponential); floating bodies take as many steps of
@@ -94,18 +108,18 @@ class Fmu(_Equations):
 
     fmi: Version = "2.0"
 
-    def _write(self, context: ExportContext) -> Exported:
-        name = identifier(context.path.name.partition(".")[0])
-        system = self._system(context)
+    def write_equations(self, system: System, to: Destination, body: str, notes: tuple[str, ...] = ()) -> Exported:
+        stem = to.path.name.partition(".")[0]
+        name = identifier(stem)
         sources = glue(Code(name=name, system=system), self.fmi)
         members = {
-            "modelDescription.xml": model_description(system, context.body.name, name, token_of(sources), self.fmi),
+            "modelDescription.xml": model_description(system, body, name, token_of(sources), self.fmi),
             **{f"sources/{file}": text.encode("ascii") for file, text in sources.items()},
         }
         if self.fmi == "3.0":
             members["sources/buildDescription.xml"] = build_description(name)
-        notes = self._notes(context, system, name)
-        with replacing(context.path) as file:
+        notes = (*notes, *renamed_note({stem: name}))
+        with replacing(to.path) as file:
             file.doing = "the compiled library"
             library: bytes | str = ""
             try:
@@ -119,11 +133,11 @@ class Fmu(_Equations):
             file.doing = "the FMU"
             file.write(_zipped(members))
             file.check()
-        return Exported(paths=(context.path,), notes=notes)
+        return Exported(paths=(to.path,), notes=notes)
 
 
 @dataclass(frozen=True, kw_only=True)
-class CSource(_Equations):
+class CSource(Equations):
     """C99 source and header with a function that makes one ``step`` (s) and allocates nothing.
 
     ``method`` "exponential" (linear bodies: exact for held inputs) or "midpoint" (implicit midpoint rule, the one for
@@ -139,28 +153,28 @@ class CSource(_Equations):
     method: Method = "auto"
     precision: Precision = "double"
 
-    def _write(self, context: ExportContext) -> Exported:
-        if context.path.suffix != self.suffix:
-            raise InputError(f"{context.path} was given; expected a name that ends in .c, beside which the header goes")
-        name = identifier(context.path.name.removesuffix(self.suffix))
-        system = self._system(context)
+    def write_equations(self, system: System, to: Destination, body: str, notes: tuple[str, ...] = ()) -> Exported:
+        if to.path.suffix != self.suffix:
+            raise InputError(f"{to.path} was given; expected a name that ends in .c, beside which the header goes")
+        name = identifier(to.path.name.removesuffix(self.suffix))
         code = self._code(name, system)
-        header = context.beside(".h")
-        notes = [
+        header = to.beside(".h")
+        told = [
             f"one call is one step of {self.step:g} s; take another by --set step=SECONDS",
-            *self._notes(context, system, name),
+            *notes,
+            *renamed_note({to.path.name.partition(".")[0]: name}),
         ]
-        notes += [_single_words(code)] if self.precision == "single" else []
-        text = {context.path: code.source().replace(f'"{name}.h"', f'"{header.name}"'), header: code.header()}
+        told += [_single_words(code)] if self.precision == "single" else []
+        text = {to.path: code.source().replace(f'"{name}.h"', f'"{header.name}"'), header: code.header()}
         with replacing_all(list(text)) as opened:
             for file, content in zip(opened, text.values(), strict=True):
                 file.write(content.encode("ascii"))
-        return Exported(paths=tuple(text), notes=tuple(notes))
+        return Exported(paths=tuple(text), notes=tuple(told))
 
     def _code(self, name: str, system: System) -> Code:
-        if system.structure == "floating":
+        if system.structure != "linear":
             if self.method == "exponential":
-                raise InputError('method = "exponential" was given; floating bodies take "midpoint"')
+                raise InputError(f'method = "exponential" was given; {system.structure} bodies take "midpoint"')
             constants = {key: value for key, value in system.constants.items() if key != "TOLERANCE"}
             slim = replace(system, parameters=system.parameters[:1], constants=constants)
             return Code(name=name, system=slim, precision=self.precision, fixed={"STEP": self.step}, stages=1)

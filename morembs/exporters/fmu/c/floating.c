@@ -5,32 +5,22 @@
    Accelerations have the parts [R' r'', w', q''], axes of the frame. Inputs u = [gravity; force and moment on each
    marker], along the inertial axes. */
 
-#define SIZE (6 + MODES)
+#define RIGID 6
+#define SIZE (RIGID + MODES)
 #define POSITION 0
 #define QUATERNION 3
 #define ELASTIC 7
 #define VELOCITY (7 + MODES)
 #define SPIN (10 + MODES)
 #define RATE (13 + MODES)
+#define STIFFNESS_OF(body, kl) KE[kl]
+#define DAMPING_OF(body, kl) (DE[kl] + (body)->p[DAMPING_RATIO] * D_UNIT[kl])
 
 static void cross(const real *a, const real *b, real *c)
 {
     c[0] = a[1] * b[2] - a[2] * b[1];
     c[1] = a[2] * b[0] - a[0] * b[2];
     c[2] = a[0] * b[1] - a[1] * b[0];
-}
-
-/* Four sums at a time, which wait for each other less. */
-static real dot(const real *a, const real *b, int n)
-{
-    real sum[4] = {0, 0, 0, 0};
-    int i = 0;
-    for (; i + 4 <= n; i += 4)
-        for (int k = 0; k < 4; k++)
-            sum[k] += a[i + k] * b[i + k];
-    for (; i < n; i++)
-        sum[0] += a[i] * b[i];
-    return sum[0] + sum[1] + (sum[2] + sum[3]);
 }
 
 /* R (3, 3) by rows of a quaternion (w, x, y, z) of any length. */
@@ -207,48 +197,17 @@ static void residual(Body *body, const real *Q, const real *w, const real *q, co
     subtract_loads(body, R, q, to);
 }
 
-/* LU with row exchanges in place, by columns; 1 where there is none. */
-static int factorise(real *A, int n, int *pivot)
+/* The mass matrix of x in body->stage. */
+static void linearise(Body *body, const real *x)
 {
-    for (int k = 0; k < n; k++) {
-        int best = k;
-        for (int i = k + 1; i < n; i++)
-            if (fabs(A[k * n + i]) > fabs(A[k * n + best]))
-                best = i;
-        pivot[k] = best;
-        if (!(fabs(A[k * n + best]) > 0))
-            return 1;
-        for (int j = 0; best != k && j < n; j++) {
-            real kept = A[j * n + k];
-            A[j * n + k] = A[j * n + best];
-            A[j * n + best] = kept;
-        }
-        for (int i = k + 1; i < n; i++)
-            A[k * n + i] /= A[k * n + k];
-        for (int j = k + 1; j < n; j++) {
-            real value = A[j * n + k];
-            for (int i = k + 1; i < n; i++)
-                A[j * n + i] -= A[k * n + i] * value;
-        }
-    }
-    return 0;
+    inertia(body, x + SPIN, x + ELASTIC, x + RATE, body->residual);
+    mass_matrix(body, body->stage);
 }
 
-static void solve(const real *A, int n, const int *pivot, real *b)
+static void stage_residual(Body *body, int s, real *to)
 {
-    for (int k = 0; k < n; k++) {
-        real kept = b[pivot[k]];
-        b[pivot[k]] = b[k];
-        b[k] = kept;
-    }
-    for (int k = 0; k < n; k++)
-        for (int i = k + 1; i < n; i++)
-            b[i] -= A[k * n + i] * b[k];
-    for (int k = n - 1; k >= 0; k--) {
-        b[k] /= A[k * n + k];
-        for (int i = 0; i < k; i++)
-            b[i] -= A[k * n + i] * b[k];
-    }
+    residual(body, body->turns + 4 * s, body->w + 3 * s, body->q + s * MODES, body->rate + s * MODES,
+             body->a + s * SIZE, to);
 }
 
 static void quaternion_rate(const real *Q, const real *w, real *to)

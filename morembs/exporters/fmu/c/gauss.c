@@ -17,21 +17,26 @@ static const real GAUSS[4] = {(real)0.25, (real)-0.038675134594812866, (real)0.5
 #define NEWTON(body) (10 * ROUND_OFF)
 #endif
 
-/* Size of a change of place and turn of the frame and of q, by its mass without coupling, per length of the body. */
-static real relative_size(const real *place, const real *turn, const real *q)
+/* Size of a change of place and turn of the frame, if any, and of q, by its mass without coupling, per length of the
+   body. */
+static real relative_size(const real *change)
 {
-    real elastic = 0;
+    const real *q = change + RIGID;
+    real square = 0;
     for (int l = 0; l < MODES; l++)
-        elastic += ME[l * MODES + l] * q[l] * q[l];
-    return sqrt((dot(place, place, 3) + elastic / MASS) / (LENGTH * LENGTH) + dot(turn, turn, 3));
+        square += ME[l * MODES + l] * q[l] * q[l];
+    square /= MASS * LENGTH * LENGTH;
+#if RIGID
+    square += dot(change, change, 3) / (LENGTH * LENGTH) + dot(change + 3, change + 3, 3);
+#endif
+    return sqrt(square);
 }
 
 /* The matrix of Newton's method for steps of size h, factorised in the place of that number. */
 static int prepare(Body *body, const real *x, real h, int place)
 {
-    real *M = body->stage, *A = body->matrix + place * LARGE * LARGE, zeta = body->p[DAMPING_RATIO];
-    inertia(body, x + SPIN, x + ELASTIC, x + RATE, body->residual);
-    mass_matrix(body, M);
+    real *M = body->stage, *A = body->matrix + place * LARGE * LARGE;
+    linearise(body, x);
     for (int s = 0; s < STAGES; s++)
         for (int t = 0; t < STAGES; t++) {
             real once = h * GAUSS[s * STAGES + t], twice = 0;
@@ -39,9 +44,9 @@ static int prepare(Body *body, const real *x, real h, int place)
                 twice += h * h * GAUSS[s * STAGES + r] * GAUSS[r * STAGES + t];
             for (int k = 0; k < SIZE; k++)
                 for (int i = 0; i < SIZE; i++) {
-                    int kl = (k - 6) * MODES + i - 6, elastic = k > 5 && i > 5;
+                    int kl = (k - RIGID) * MODES + i - RIGID, elastic = k >= RIGID && i >= RIGID;
                     A[(t * SIZE + k) * LARGE + s * SIZE + i] = (s == t ? M[k * SIZE + i] : 0)
-                        + (elastic ? twice * KE[kl] + once * (DE[kl] + zeta * D_UNIT[kl]) : 0);
+                        + (elastic ? twice * STIFFNESS_OF(body, kl) + once * DAMPING_OF(body, kl) : 0);
                 }
         }
     body->h[place] = h;
@@ -49,11 +54,15 @@ static int prepare(Body *body, const real *x, real h, int place)
     return factorise(A, LARGE, body->pivot + place * LARGE);
 }
 
-/* Angular velocity, elastic coordinates and rates of stage s; and where its quaternion moves. */
-static void stage_motion(const Body *body, const real *x, real h, int s, real *w, real *q, real *rate)
+/* Angular velocity, if any, elastic coordinates and rates of stage s. */
+static void stage_motion(Body *body, const real *x, real h, int s)
 {
+    real *q = body->q + s * MODES, *rate = body->rate + s * MODES;
+#if RIGID
+    real *w = body->w + 3 * s;
     for (int i = 0; i < 3; i++)
         w[i] = x[SPIN + i];
+#endif
     for (int l = 0; l < MODES; l++) {
         rate[l] = x[RATE + l];
         q[l] = x[ELASTIC + l];
@@ -65,15 +74,18 @@ static void stage_motion(const Body *body, const real *x, real h, int s, real *w
             twice += h * h * GAUSS[s * STAGES + r] * GAUSS[r * STAGES + t];
             row += GAUSS[s * STAGES + r];
         }
+#if RIGID
         for (int i = 0; i < 3; i++)
             w[i] += once * a[3 + i];
+#endif
         for (int l = 0; l < MODES; l++) {
-            rate[l] += once * a[6 + l];
-            q[l] += twice * a[6 + l] + (t == 0 ? h * row * x[RATE + l] : 0);
+            rate[l] += once * a[RIGID + l];
+            q[l] += twice * a[RIGID + l] + (t == 0 ? h * row * x[RATE + l] : 0);
         }
     }
 }
 
+#if RIGID
 /* Quaternions of all stages once more; the largest change. */
 static real turn_stages(Body *body, const real *x, real h)
 {
@@ -90,20 +102,22 @@ static real turn_stages(Body *body, const real *x, real h)
         }
     return largest;
 }
+#endif
 
 /* One iteration: the size of its correction. */
 static real iterate(Body *body, const real *x, real h, int place)
 {
-    real size = 0, *all = body->stage;
+    real size = 0, turn = 0, *all = body->stage;
     for (int s = 0; s < STAGES; s++)
-        stage_motion(body, x, h, s, body->w + 3 * s, body->q + s * MODES, body->rate + s * MODES);
-    real turn = turn_stages(body, x, h);
+        stage_motion(body, x, h, s);
+#if RIGID
+    turn = turn_stages(body, x, h);
+#endif
     for (int s = 0; s < STAGES; s++)
-        residual(body, body->turns + 4 * s, body->w + 3 * s, body->q + s * MODES, body->rate + s * MODES,
-                 body->a + s * SIZE, all + s * SIZE);
+        stage_residual(body, s, all + s * SIZE);
     solve(body->matrix + place * LARGE * LARGE, LARGE, body->pivot + place * LARGE, all);
     for (int s = 0; s < STAGES; s++) {
-        real *d = all + s * SIZE, part = h * h * relative_size(d, d + 3, d + 6);
+        real *d = all + s * SIZE, part = h * h * relative_size(d);
         size = part > size || part != part ? part : size;
         for (int i = 0; i < SIZE; i++)
             body->a[s * SIZE + i] -= d[i];
@@ -114,15 +128,23 @@ static real iterate(Body *body, const real *x, real h, int place)
 /* From the stages to the end of the step. */
 static void finish(Body *body, real *x, real h)
 {
-    real R[9], a[3], moved[4 * STAGES], share = (real)1 / STAGES;
+    real share = (real)1 / STAGES;
+#if RIGID
+    real R[9], a[3], moved[4 * STAGES];
     for (int i = 0; i < 3; i++)
         x[POSITION + i] += h * x[VELOCITY + i];
+#endif
     for (int l = 0; l < MODES; l++)
         x[ELASTIC + l] += h * x[RATE + l];
     for (int t = 0; t < STAGES; t++) {
         real twice = 0;
         for (int s = 0; s < STAGES; s++)
             twice += h * h * share * GAUSS[s * STAGES + t];
+        for (int l = 0; l < MODES; l++) {
+            x[ELASTIC + l] += twice * body->a[t * SIZE + RIGID + l];
+            x[RATE + l] += h * share * body->a[t * SIZE + RIGID + l];
+        }
+#if RIGID
         rotation(body->turns + 4 * t, R);
         turned(R, body->a + t * SIZE, a);
         for (int i = 0; i < 3; i++) {
@@ -130,15 +152,14 @@ static void finish(Body *body, real *x, real h)
             x[VELOCITY + i] += h * share * a[i];
             x[SPIN + i] += h * share * body->a[t * SIZE + 3 + i];
         }
-        for (int l = 0; l < MODES; l++) {
-            x[ELASTIC + l] += twice * body->a[t * SIZE + 6 + l];
-            x[RATE + l] += h * share * body->a[t * SIZE + 6 + l];
-        }
         quaternion_rate(body->turns + 4 * t, body->w + 3 * t, moved + 4 * t);
+#endif
     }
+#if RIGID
     for (int t = 0; t < STAGES; t++)
         for (int i = 0; i < 4; i++)
             x[QUATERNION + i] += h * share * moved[4 * t + i];
+#endif
 }
 
 /* x moves by h; 1 where the iteration does not converge, and then x stays. The factor is kept in one of the places. */
@@ -148,9 +169,11 @@ static int gauss_step(Body *body, real *x, real h, int place)
     /* Sizes that are nearly one do with one matrix. */
     if (fabs(h - body->h[place]) > (real)1e-3 * body->h[place] && prepare(body, x, h, place))
         return 1;
+#if RIGID
     for (int s = 0; s < STAGES; s++)
         for (int i = 0; i < 4; i++)
             body->turns[4 * s + i] = x[QUATERNION + i];
+#endif
     for (int count = 0; count < MOST_ITERATIONS; count++) {
         real size = iterate(body, x, h, place);
         if (!(size < (real)1e30))

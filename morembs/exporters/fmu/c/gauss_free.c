@@ -13,21 +13,27 @@ static void copy(const real *from, real *to)
 /* Distance of two states per length of the body, velocities as far as they carry in h. */
 static real distance(Body *body, const real *a, const real *b, real h)
 {
-    real place[3], turn[3], *q = body->q, size = 0;
+    real *change = body->column, size = 0;
     for (int part = 0; part < 2; part++) {
         real scale = part ? h : 1;
+#if RIGID
         int at = part ? VELOCITY : POSITION;
         for (int i = 0; i < 3; i++) {
-            place[i] = scale * (a[at + i] - b[at + i]);
-            turn[i] = part ? h * (a[SPIN + i] - b[SPIN + i]) : 2 * (a[QUATERNION + 1 + i] - b[QUATERNION + 1 + i]);
+            change[i] = scale * (a[at + i] - b[at + i]);
+            change[3 + i] = part ? h * (a[SPIN + i] - b[SPIN + i])
+                                 : 2 * (a[QUATERNION + 1 + i] - b[QUATERNION + 1 + i]);
         }
+#endif
         for (int l = 0; l < MODES; l++)
-            q[l] = scale * (a[(part ? RATE : ELASTIC) + l] - b[(part ? RATE : ELASTIC) + l]);
-        real found = relative_size(place, turn, q);
+            change[RIGID + l] = scale * (a[(part ? RATE : ELASTIC) + l] - b[(part ? RATE : ELASTIC) + l]);
+        real found = relative_size(change);
         size = found > size || found != found ? found : size;
     }
+#if RIGID
     real real_part = fabs(a[QUATERNION] - b[QUATERNION]);
-    return real_part > size ? real_part : size;
+    size = real_part > size ? real_part : size;
+#endif
+    return size;
 }
 
 /* From body->x by h; the result is body->halves, the error what is returned; negative where it does not converge. */
