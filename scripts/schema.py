@@ -17,7 +17,11 @@ from pathlib import Path
 
 from morembs.app.cli.tolerance_table import tolerances
 from morembs.app.jobs.job import job_tables
+from morembs.app.simulations.laws import LawTable, MotionTable
+from morembs.app.simulations.result_file import RECORDING
+from morembs.app.simulations.tables import SystemTables
 from morembs.base.arguments import hints_of
+from morembs.base.key_tables import Table as KeyTable
 from morembs.base.key_tables import expected, holds_several, inner_table
 from morembs.base.limits import choices
 from morembs.base.options import in_toml
@@ -54,7 +58,10 @@ SHOWN = {
     ],
     "member": [("", MEMBER)],
     "model file": [("", MODEL)],
+    "simulation": [("/", RECORDING)],
 }
+# Tables within tables of system files that have many keys.
+UNFOLDED = (LawTable, MotionTable)
 
 
 def lines(at: str, table: Table) -> Iterator[str]:
@@ -124,13 +131,27 @@ def default(field: Field[object]) -> str:
 
 def job_keys() -> Iterator[str]:
     """A row for each key of a job that is the same for all methods."""
-    for table, hint in hints_of(job_tables()).items():
+    return keys_of(job_tables())
+
+
+def keys_of(tables: type[KeyTable]) -> Iterator[str]:
+    """A row for each key of the tables of a file."""
+    for table, hint in hints_of(tables).items():
         kind = inner_table(hint)
         if kind is None:
-            raise TypeError(f"{table} of a job holds no table")
+            raise TypeError(f"{table} holds no table")
         name = f"[[{table}]]" if holds_several(hint) else f"[{table}]"
-        for key in fields(kind):
-            yield f"| `{name}` | `{key.name}` | {left_out(key)} | {expected(key, hints_of(kind)[key.name])} |"
+        yield from rows_of(f"`{name}`", kind)
+
+
+def rows_of(name: str, kind: type[KeyTable], within: str = "") -> Iterator[str]:
+    """A row for each key of a table; those of laws and motions, which are many, follow theirs."""
+    hints = hints_of(kind)
+    for key in fields(kind):
+        yield f"| {name} | `{within}{key.name}` | {left_out(key)} | {expected(key, hints[key.name])} |"
+        inner = inner_table(hints[key.name])
+        if inner in UNFOLDED:
+            yield from rows_of(name, inner, f"{within}{key.name}.")
 
 
 def import_options() -> Iterator[str]:
@@ -172,6 +193,8 @@ def renewed(text: str) -> str:
             head, rows = ["| method | key | default | meaning |", "|---|---|---|---|"], list(keys())
         elif match[1] == "job keys":
             head, rows = ["| table | key | default | what to give |", "|---|---|---|---|"], list(job_keys())
+        elif match[1] == "system keys":
+            head, rows = ["| table | key | default | what to give |", "|---|---|---|---|"], list(keys_of(SystemTables))
         elif match[1] == "import options":
             head = ["| option | key, argument | default | meaning |", "|---|---|---|---|"]
             rows = list(import_options())

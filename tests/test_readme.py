@@ -13,6 +13,7 @@ import typer
 from morembs.app.cli.commands import app
 from morembs.app.cli.models import import_command
 from morembs.app.jobs.job import job_tables
+from morembs.app.simulations.result_file import read_recording
 from morembs.base.key_tables import read_table
 from morembs.body.file import read_body
 from morembs.importers.model_file import read_model, write_model
@@ -183,6 +184,21 @@ def test_a_deck_is_read_by_its_labels(tmp_path, monkeypatch):
     assert len(names["tip"]) == len(names["model"].nodes.sets["TIP"]) > 0
 
 
+def test_simulate_example(tmp_path):
+    """The commands of docs/simulate.md, from an empty folder."""
+    text = (ROOT / "docs" / "simulate.md").read_text()
+    (tmp_path / "pendulum.toml").write_text(re.search(r"```toml\n(.*?)```", text, re.DOTALL).group(1))
+    for line in re.findall(r"^    morembs (.*)$", text, re.MULTILINE):
+        done = morembs(*line.split(), folder=tmp_path)
+        assert done.code == 0, done.errors
+    told = read_recording(tmp_path / "pendulum.h5")
+    # It swings from the horizontal, nearly as a rigid body: energy is kept.
+    energy = told.energy.kinetic + told.energy.potential - told.energy.work
+    assert len(told.time) == 5001 and np.ptp(energy) < 1e-4 * told.energy.kinetic.max()
+    assert told.bodies["rod"].markers["SMALLEND"].position[:, 2].min() < -0.1
+    assert (tmp_path / "pendulum.vtkhdf").exists()
+
+
 # Tables of a job that go with those of a fragment.
 WHOLE = {
     "model": {"mesh": "part.msh"},
@@ -236,6 +252,7 @@ RUN = {
     "parametric.md": {"toml": 2, "python": 2},
     "scale.md": {"toml": 1, "sh": 1},
     "schema.md": {"python": 4, "octave": 1, "matlab": 1, "sh": 1},
+    "simulate.md": {"toml": 1},
     "simulators.md": {"python": 3},
     "solvers.md": {"python": 1},
     "switching.md": {"toml": 1, "python": 2},

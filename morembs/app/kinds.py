@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,13 @@ class Kind:
     command: str
 
 
+SYSTEM_FILE = "a system of bodies"
+# The table that every system file has and no job.
+SYSTEM_TABLE = "simulation"
+SYSTEM = Kind(SYSTEM_FILE, "morembs simulate {}")
+# What files of results are told by.
+RESULT_FORMAT = "morembs-simulation"
+RESULT = Kind("the result of a simulation", "morembs info {}")
 JOB = Kind("a job", "morembs reduce {}")
 MESH = Kind("a mesh", "morembs init {}")
 DECK = Kind("a deck", "morembs init {}")
@@ -39,10 +47,10 @@ DECKS = ("abaqus", "nastran", "ansys")
 
 
 def kind_of(path: Path) -> Kind | None:
-    """The kind of a file by its ending, of HDF5 files by what they hold; None where neither says it."""
+    """The kind of a file by its ending, of TOML and HDF5 files by what they hold; None where neither says it."""
     name = path.name.lower()
     if name.endswith(".toml"):
-        return JOB
+        return SYSTEM if _holds_system(path) else JOB
     endings_of = {CAD: CAD_PART, SURFACES: SURFACE, MATRICES: MATRIX, MATRICES_BY_NAME: MATRIX_FILE}
     for endings, kind in endings_of.items():
         if name.endswith(endings):
@@ -58,9 +66,21 @@ def kind_of(path: Path) -> Kind | None:
     return MESH if name.endswith((*READERS, *IMPORTERS["mesh"].endings)) else None
 
 
+def _holds_system(path: Path) -> bool:
+    """Whether a TOML file has the table of systems, also where it is not valid TOML."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+    return re.search(rf"^\s*(\[\s*{SYSTEM_TABLE}\s*\]|{SYSTEM_TABLE}\s*[.=])", text, re.MULTILINE) is not None
+
+
 def _kind_of_hdf5(path: Path) -> Kind:
     from morembs.importers.model_file import is_model_file
+    from morembs.storage.hdf5 import holds_format
 
+    if holds_format(path, RESULT_FORMAT):
+        return RESULT
     return MODEL if path.name.lower().endswith(".model.h5") or is_model_file(path) else BODY
 
 

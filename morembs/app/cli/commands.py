@@ -20,6 +20,7 @@ from morembs.app.cli.evaluate import app as evaluation
 from morembs.app.cli.messages import console, echo, print_json, printing, warn
 from morembs.app.cli.models import app as models
 from morembs.app.cli.modes import app as modes
+from morembs.app.cli.simulate import app as simulating
 from morembs.app.cli.start import app as starting
 from morembs.app.cli.terminal import (
     EXIT_CODES,
@@ -212,15 +213,19 @@ def compare(
 def check(
     jobs: Jobs, changes: Changes = None, as_json: AsJson = False, quiet: Quiet = False, attached: Attached = False
 ) -> None:
-    """Check job files and forecast size and memory; factorises nothing, writes nothing."""
+    """Check jobs and systems, and forecast size and memory; factorises nothing, writes nothing."""
     from morembs.app.cli.report import print_forecast
+    from morembs.app.cli.simulate import checked_system
     from morembs.app.jobs.check import check_job
     from morembs.app.jobs.job import load_job
+    from morembs.app.kinds import SYSTEM, kind_of
 
     if attached:
         leave_with_input()
 
     def work(path: Path, progress: Progress) -> Done:
+        if kind_of(path) is SYSTEM:
+            return checked_system(path, changes or (), progress)
         with keeping_ledger() as ledger:
             forecast = check_job(load_job(path, changes or ()), progress)
         document = {"job": str(path), **forecast.as_json(), "inputs": ledger.names()}
@@ -257,6 +262,7 @@ app.add_typer(batches)
 app.add_typer(bodies)
 app.add_typer(evaluation)
 app.add_typer(updating)
+app.add_typer(simulating)
 app.add_typer(models)
 app.add_typer(modes)
 

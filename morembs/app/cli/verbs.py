@@ -14,7 +14,7 @@ from typer.core import TyperGroup
 
 from morembs.app.cli.messages import echo, failure, tell
 from morembs.app.cli.terminal import without_flag_types
-from morembs.app.kinds import BODY, JOB, MATRIX, PARTS, SURFACE, instead, kind_of
+from morembs.app.kinds import BODY, JOB, MATRIX, PARTS, RESULT, SURFACE, SYSTEM, instead, kind_of
 from morembs.base.errors import ExitCode, InputError, MorembsError, alike
 from morembs.storage.contents import keeping_ledger
 from morembs.version import VERSION
@@ -39,7 +39,6 @@ KEYS = {
     "certify": "the table [certify] of a job, with band_hz = [0, 2000]; then: morembs reduce JOB.toml",
     "plot": 'picture = "NAME.png" under [output] of a job, or morembs reduce JOB.toml --report PAGE.html',
     "view": "morembs reduce JOB.toml --report PAGE.html, or a body in ParaView, which opens its HDF5 file",
-    "simulate": "morembs export BODY.h5 --to exudyn, or morembs.dynamics.multibody in Python",
 }
 # What people ask help about that is no verb -> where it is said.
 TOPICS = {
@@ -48,6 +47,8 @@ TOPICS = {
     "in N, Pa and kg/m3. Body files are in m, kg and s.",
     "formats": "morembs import --list names the formats that are read, morembs export --list those that are written.",
     "methods": 'method = "NAME" under [[reduce]] of a job, or morembs reduce --method NAME (docs/methods.md).',
+    "systems": "A system of bodies is a TOML file with the table [simulation], which morembs simulate runs "
+    "(docs/simulate.md).",
     "jobs": "morembs init PART writes a job with comments; morembs schema prints all of its keys.",
 }
 
@@ -128,9 +129,9 @@ def _arguments_of_file(args: Sequence[str]) -> list[str]:
         raise InputError(f"{file} is not there; check the path")
     if path.is_dir():
         raise InputError(f"{file} is a folder: morembs batch {shlex.quote(file)} runs all jobs in it")
-    if kind is JOB:
+    if kind in (JOB, SYSTEM):
         return ["check", *args]
-    if kind is BODY:
+    if kind in (BODY, RESULT):
         return ["info", *args]
     if kind in PARTS:
         return ["init", "--show", *args]

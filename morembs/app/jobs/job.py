@@ -16,7 +16,7 @@ from morembs.app.jobs.stages.reduction import make_reducers
 from morembs.app.jobs.stages.stage import STAGES, in_order
 from morembs.app.jobs.tables import Job, JobTable, JobTables, ModesTable
 from morembs.app.jobs.tolerances import TOL
-from morembs.app.kinds import instead
+from morembs.app.kinds import SYSTEM_FILE, SYSTEM_TABLE, instead
 from morembs.base.errors import InputError
 from morembs.base.key_tables import read_table
 from morembs.base.options import Text, pairs, readings
@@ -55,15 +55,7 @@ def load_job(path: str | Path, changes: Sequence[str] = ()) -> Job:
             each fault.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise InputError(f"job file {str(path)!r} cannot be read ({reason}); {_near(path)}") from error
-    except UnicodeDecodeError as error:
-        cure = instead(path, "a job") or "expected a TOML file"
-        raise InputError(f"job file {str(path)!r} is not UTF-8 text; {cure}") from error
-    return job_of_text(text, path, changes)
+    return job_of_text(read_text(path), path, changes)
 
 
 def job_of_text(text: str, path: Path, changes: Sequence[str] = ()) -> Job:
@@ -72,22 +64,52 @@ def job_of_text(text: str, path: Path, changes: Sequence[str] = ()) -> Job:
     Raises:
         InputError: as ``load_job``.
     """
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        # TOMLDecodeError among them; numbers of thousands of digits and endless nesting are others.
-        cure = "" if path.suffix == ".toml" else instead(path, "a job")
-        raise InputError(f"job file {str(path)!r} is not valid TOML: {error}; {cure or 'mend that line'}") from error
-    for key, value in pairs(changes).items():
-        _change(data, key, value)
-    wrong = next((word for word in _words_in(data) if "\0" in word), None)
-    if wrong is not None:
-        raise InputError(f"{wrong[:100]!r} in {str(path)!r} has a NUL character, as no name has; give another text")
+    data = read_toml(text, path, changes)
     tables = read_table(job_tables(), data)
     given = SolverTable.of(tables).memory
     memory = None if given is None else parse_memory(given)
     reducers = {} if MemberTable.of(tables) is not None else make_reducers(tables)
     return Job(path=path, text=text, tables=tables, reducers=reducers, memory=memory, changes=tuple(changes))
+
+
+def read_text(path: Path, words: str = "job file", kind: str = "a job") -> str:
+    """The text of a TOML file that messages call by its ``words``, and expect to be of a ``kind``.
+
+    Raises:
+        InputError: it cannot be read, or is no text.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise InputError(f"{words} {str(path)!r} cannot be read ({reason}); {_near(path)}") from error
+    except UnicodeDecodeError as error:
+        cure = instead(path, kind) or "expected a TOML file"
+        raise InputError(f"{words} {str(path)!r} is not UTF-8 text; {cure}") from error
+
+
+def read_toml(
+    text: str, path: Path, changes: Sequence[str] = (), words: str = "job file", kind: str = "a job"
+) -> dict[str, Any]:
+    """The tables of a text, with other values of some keys.
+
+    Raises:
+        InputError: the text is no TOML, holds names that cannot be, is of another kind, or a change does not fit.
+    """
+    try:
+        data = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        # TOMLDecodeError among them; numbers of thousands of digits and endless nesting are others.
+        cure = "" if path.suffix == ".toml" else instead(path, kind)
+        raise InputError(f"{words} {str(path)!r} is not valid TOML: {error}; {cure or 'mend that line'}") from error
+    if kind != SYSTEM_FILE and SYSTEM_TABLE in data and instead(path, kind):
+        raise InputError(f"{path}: {instead(path, kind)}")
+    for key, value in pairs(changes).items():
+        _change(data, key, value)
+    wrong = next((word for word in _words_in(data) if "\0" in word), None)
+    if wrong is not None:
+        raise InputError(f"{wrong[:100]!r} in {str(path)!r} has a NUL character, as no name has; give another text")
+    return data
 
 
 def _near(path: Path) -> str:

@@ -169,6 +169,20 @@ class ModesTable(SingleTable):
     held: list[str] = described("names of the interfaces at rest, for complex modes", [])
 
 
+def resolved(file: Path, path: str) -> Path:
+    """A path that stands in ``file``, seen from the working directory.
+
+    Raises:
+        InputError: no file can have this path.
+    """
+    try:
+        whole = file.parent / Path(path).expanduser()
+        whole.exists()
+    except (RuntimeError, ValueError, OSError) as error:
+        raise InputError(f"the path {path[:100]!r} cannot be used ({error}); give another") from error
+    return whole
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Job:
     """A checked job: its tables, its text, and the reducers by name. Paths are relative to its folder.
@@ -195,12 +209,7 @@ class Job:
         Raises:
             InputError: no file can have this path.
         """
-        try:
-            whole = self.path.parent / Path(path).expanduser()
-            whole.exists()
-        except (RuntimeError, ValueError, OSError) as error:
-            raise InputError(f"the path {path[:100]!r} cannot be used ({error}); give another") from error
-        return whole
+        return resolved(self.path, path)
 
     def result(self, path: str) -> Path:
         """The place of a file that the job writes, which the attempt writes beside it."""

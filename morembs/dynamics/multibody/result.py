@@ -77,6 +77,21 @@ class Result:
                 rows.append(value(place, assembly.twist(same, place, v)))
         return np.array(rows)
 
+    def motion(self, marker: Marker) -> dict[str, Floats]:
+        """``position``, ``axes``, ``velocity`` and ``angular_velocity`` of a marker by these names, as the methods give
+        them, in a quarter of their time."""
+
+        def all_of(place: MarkerState, twist: Floats) -> Floats:
+            return np.concatenate((place.position, place.axes.ravel(), twist))
+
+        rows = self._markers(marker, all_of)
+        return {
+            "position": rows[:, :3],
+            "axes": rows[:, 3:12].reshape(-1, 3, 3),
+            "velocity": rows[:, 12:15],
+            "angular_velocity": rows[:, 15:],
+        }
+
     def position(self, marker: Marker) -> Floats:
         """(s, 3) m."""
         return self._markers(marker, lambda place, _: place.position)

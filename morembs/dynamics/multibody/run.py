@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from morembs.base import progress
 from morembs.base.arguments import check_value, checked
 from morembs.base.errors import InputError, SolverError
 from morembs.base.limits import Finite
@@ -279,6 +280,7 @@ class Run:
         for number in range(1, count + 1):
             before = self.states[-1]
             after = stepper.advance(t + number * h)
+            progress.update(f"t = {after.time:.4g} of {self.end:.4g} s")
             cut = self.events.cut(before, after, self._repeat(stepper, before))
             if cut is not before:
                 self._check_deflection(cut or after)

@@ -1,0 +1,116 @@
+"""The file of a simulation: each dataset is declared here, by which it is written, read and documented."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from morembs.app.kinds import RESULT, RESULT_FORMAT
+from morembs.base.types import Floats
+from morembs.storage.checksums import Checksums
+from morembs.storage.hdf5 import reading_format
+from morembs.storage.table import dataset, derived, read_rows, table_of
+from morembs.storage.writer import writing
+
+
+class ResultVersion:
+    """Versions of the file of a simulation."""
+
+    LATEST = 1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MarkerHistory:
+    """The motion of a marker along the inertial axes."""
+
+    position: Floats = dataset("real", "s 3", "along the inertial axes", "m")
+    axes: Floats = dataset("real", "s 3 3", "axes of the marker as columns")
+    velocity: Floats = dataset("real", "s 3", "along the inertial axes", "m/s")
+    angular_velocity: Floats = dataset("real", "s 3", "along the inertial axes", "rad/s")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BodyHistory:
+    """A body: the motion of its frame, its own coordinates, and its markers."""
+
+    kind: str = dataset("text", doc="`elastic`, `rigid` or `member`", known=("elastic", "rigid", "member"))
+    position: Floats | None = dataset("real", "s 3", "of the frame", "m", default=None, when="of bodies that float")
+    rotation: Floats | None = dataset(
+        "real", "s 3 3", "axes of the frame as columns", default=None, when="of bodies that float"
+    )
+    coordinates: Floats = dataset("real", "s any", "elastic coordinates, of a member its configuration")
+    speeds: Floats = dataset("real", "s any", "of the frame and of the coordinates, as the simulator has them")
+    markers: Mapping[str, MarkerHistory] = dataset(table_of(MarkerHistory), name="markers/*")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointHistory:
+    """A joint and what it takes."""
+
+    kind: str = dataset("text", doc="as in the system file")
+    between: tuple[str, ...] = dataset("text", "2", "its markers")
+    reaction: Floats = dataset("real", "s 6", "on the second marker, at it, along the inertial axes", "N, Nm")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EnergyHistory:
+    """Energies; ``kinetic + potential - work`` is constant up to integration error."""
+
+    kinetic: Floats = dataset("real", "s", "", "J", doc="kinetic energy")
+    potential: Floats = dataset("real", "s", "gravity, strain, springs", "J")
+    work: Floats = dataset("real", "s", "put in by loads, dampers and prescribed motions since the start", "J")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """All of the file of a simulation, SI units. A time at which the run was restarted occurs twice."""
+
+    @derived("text", doc=f"`{RESULT_FORMAT}`")
+    def format(self) -> str:
+        """What kind of file it is."""
+        return RESULT_FORMAT
+
+    @derived("whole", doc="1")
+    def format_version(self) -> int:
+        """Its version."""
+        return ResultVersion.LATEST
+
+    time: Floats = dataset("real", "s", "", "s", doc="times of all histories")
+    bodies: Mapping[str, BodyHistory] = dataset(table_of(BodyHistory), name="bodies/*")
+    joints: Mapping[str, JointHistory] = dataset(table_of(JointHistory), name="joints/*")
+    energy: EnergyHistory = dataset(table_of(EnergyHistory))
+    system: str = dataset("text", doc="text of the system file")
+    changes: tuple[str, ...] = dataset("text", "any", "keys that were given another value", default=(), when="if any")
+    warnings: tuple[str, ...] = dataset("text", "any", "what to know, a sentence each", default=(), when="if any")
+    provenance: Mapping[str, Any] = dataset(
+        "json", doc="where it comes from, as JSON: version, inputs with checksums, seconds", default_factory=dict
+    )
+
+
+RECORDING = table_of(Recording)
+
+
+def write_recording(path: Path, recording: Recording) -> None:
+    """Write the file, whole or not at all.
+
+    Raises:
+        OutputError: it cannot be written; an old file is kept.
+    """
+    with writing(path) as out:
+        given = {key: getattr(recording, key) or None for key in ("changes", "warnings")}
+        out.rows("", RECORDING, recording, **given)
+
+
+def read_recording(path: str | Path) -> Recording:
+    """All of the file of a simulation.
+
+    Raises:
+        InputError: another file, a damaged one, or one of a newer version.
+    """
+    place = Path(path)
+    with reading_format(place, RESULT.name, RESULT_FORMAT, ResultVersion.LATEST) as file:
+        Checksums(place, file).verify()
+        recording: Recording = read_rows(file, RECORDING)
+    return recording

@@ -1,0 +1,173 @@
+"""Runs a system file: bodies from their files, a run of the simulator, and the file of its result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from morembs.app.simulations.build import Built, build, told_of
+from morembs.app.simulations.check import warnings_of
+from morembs.app.simulations.histories import histories, kept_rows, thinned
+from morembs.app.simulations.result_file import Recording, write_recording
+from morembs.app.simulations.system_file import SystemFile
+from morembs.app.simulations.tables import ObserveTable
+from morembs.base.errors import InputError, nearest
+from morembs.base.memory import PeakMemory
+from morembs.base.progress import Progress, Stage, Stopwatch, listening
+from morembs.body.recovery.recover import Recovered, recover
+from morembs.body.recovery.trajectory import Trajectory
+from morembs.dynamics.multibody import FlexibleBody, Result, equilibrium, simulate
+from morembs.storage.contents import keeping_ledger
+from morembs.version import VERSION
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SimulationResult:
+    """A finished run: what was written, and what it cost."""
+
+    built: Built
+    result: Result
+    recording: Recording
+    stages: tuple[Stage, ...]
+    peak_memory_bytes: int
+    observed: tuple[Recovered, ...] = ()
+
+    def document(self) -> dict[str, Any]:
+        """All there is to tell, SI units."""
+        recording, file = self.recording, self.built.file
+        reactions = {name: np.abs(joint.reaction) for name, joint in recording.joints.items()}
+        energy = recording.energy
+        total = energy.kinetic + energy.potential
+        return {
+            "job": str(file.path),
+            "output": str(file.output),
+            "bodies": {
+                name: {"kind": body.kind, "coordinates": body.coordinates.shape[1], "markers": list(body.markers)}
+                for name, body in recording.bodies.items()
+            },
+            "begin": float(recording.time[0]),
+            "end": float(recording.time[-1]),
+            "times": len(recording.time),
+            "restarts": len(self.result.segments) - 1,
+            "largest_reactions": {
+                name: {
+                    "force": float(np.linalg.norm(each[:, :3], axis=1).max()),
+                    "moment": float(np.linalg.norm(each[:, 3:], axis=1).max()),
+                }
+                for name, each in reactions.items()
+            },
+            "energy": {
+                "kinetic_max": float(energy.kinetic.max()),
+                "drift": float(np.abs(total - energy.work - total[0]).max()),
+            },
+            "stress": {
+                each.body: dict(zip(("von_mises_pa", "node", "time_s"), each.peak, strict=True))
+                for each in self.observed
+                if each.peak is not None
+            },
+            "notes": [f"{each.path.name}: {note}" for each in self.observed for note in each.notes],
+            "warnings": list(recording.warnings),
+            "written": [str(path) for _, path in file.results()],
+            "seconds": {stage.name: stage.seconds for stage in self.stages},
+            "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in self.stages},
+            "job_peak_memory_bytes": self.peak_memory_bytes,
+        }
+
+
+@keeping_ledger()
+def run_system(
+    file: SystemFile, progress: Progress | None = None, warn: Callable[[str], None] = lambda _: None
+) -> SimulationResult:
+    """Simulate the system of ``file`` and write its results; ``warn`` hears what to know before the run begins.
+
+    Raises:
+        MorembsError: input that cannot be used, a run that cannot go on, with its time, or a result that cannot be
+            written.
+    """
+    file.prepare_output()
+    with listening(progress), PeakMemory() as memory:
+        watch = Stopwatch(memory)
+        with keeping_ledger() as ledger, watch.stage("read"):
+            built = build(file)
+            for sentence in warnings_of(built):
+                warn(sentence)
+        with watch.stage("simulate"):
+            result = simulated(built)
+        with watch.stage("motions"):
+            rows = kept_rows(result, file.tables.output.every)
+            values = histories(built, result, rows)
+        with watch.stage("write"):
+            observed = [_observed(built, thinned(result, rows), table) for table in file.tables.observe]
+            recording = Recording(
+                **values,
+                system=file.text,
+                changes=file.changes,
+                warnings=warnings_of(built),
+                provenance={
+                    "morembs_version": VERSION,
+                    "inputs": [{"file": name, "sha256": each.sha256} for name, each in ledger.contents().items()],
+                    "seconds": {stage.name: stage.seconds for stage in watch.stages},
+                },
+            )
+            write_recording(file.output, recording)
+    return SimulationResult(
+        built=built,
+        result=result,
+        recording=recording,
+        stages=tuple(watch.stages),
+        peak_memory_bytes=watch.peak_memory_bytes,
+        observed=tuple(observed),
+    )
+
+
+def simulated(built: Built) -> Result:
+    """The run that the tables ask for.
+
+    Raises:
+        InputError, SolverError: what the simulator refuses.
+    """
+    times, still, start = built.tables.simulation, built.tables.equilibrium, None
+    if still is not None:
+        start = equilibrium(built.system, load_steps=still.load_steps, tolerance=still.tolerance, time=times.begin)
+    return simulate(
+        built.system,
+        begin=times.begin,
+        end=times.end,
+        step=times.step,
+        rho=times.rho,
+        tolerance=times.tolerance,
+        corrected_start=times.corrected_start,
+        max_deflection=times.deflection,
+        start=start,
+    )
+
+
+def _observed(built: Built, result: Result, table: ObserveTable) -> Recovered:
+    """The moving mesh of a body, in its file.
+
+    Raises:
+        InputError: a body without a mesh, or without the stresses that are asked for.
+    """
+    with told_of("observe", table.body):
+        moving = built.bodies.get(table.body)
+        if not isinstance(moving, FlexibleBody):
+            raise InputError(
+                f"body = {table.body!r} is not of a body file, which has a mesh; {nearest(table.body, built.files)}"
+            )
+        place, bodies, body = built.files[table.body]
+        stress = bool(body.recovery) if table.stress is None else table.stress
+        framed = [name for name in bodies.interfaces if name in built.markers[table.body]]
+        loads = framed if stress and len(framed) == len(bodies.interfaces) else []
+        motion = Trajectory(**result.trajectory(moving, loads))
+        return recover(
+            place,
+            motion,
+            built.file.resolve(table.path),
+            body=body.name,
+            stress=stress,
+            scale=table.scale,
+            every=table.every,
+        )

@@ -1,0 +1,245 @@
+"""The tables of a system file, SI units. Docs, messages and the JSON schema come from the hints of their keys."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from morembs.app.jobs.stages.unreduced import RotationTable
+from morembs.app.jobs.tables import Three
+from morembs.app.simulations.laws import LawTable, MotionTable
+from morembs.base.errors import InputError
+from morembs.base.key_tables import Table, described
+from morembs.base.limits import Finite, NotNegative, Positive, PositiveCount, SpectralRadius, length, text
+from morembs.dynamics.multibody.tolerances import TOL, NewtonTolerance
+
+NAME = r"^[^/:\s.\x00-\x1f][^/:\x00-\x1f]*$"
+PartName = Annotated[str, text("a name without colons and slashes", NAME, longest=100)]
+OptionalName = Annotated[str, text("a name without colons and slashes", rf"{NAME}|^$", longest=100)]
+MarkerName = Annotated[str, text('a marker "BODY:NAME" such as "rod:big_end", "ground" or "ground:NAME"')]
+Between = Annotated[list[MarkerName], length('two markers such as ["ground", "rod:big_end"]', 2)]
+ORIGIN = [0.0, 0.0, 0.0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationTable(Table):
+    """``[simulation]``: times, and the integrator: generalised-alpha."""
+
+    end: Finite = described("the time at which the run ends, s")
+    step: Positive = described("the time step, s")
+    begin: Finite = described("the time at which it begins, s", 0.0)
+    rho: SpectralRadius = TOL.default_rho
+    tolerance: NewtonTolerance = TOL.newton_error
+    corrected_start: bool = described("true for a start of second order, or false", True)
+    max_deflection: Positive | Literal["none"] = described(
+        'the largest deflection of an elastic body per length of it, or "none"', 1.0
+    )
+
+    def refuse_conflicts(self) -> None:
+        if not self.end > self.begin:
+            raise InputError(f"end = {self.end:g} was given with begin = {self.begin:g}; expected an end after it")
+        if self.step > self.end - self.begin:
+            raise InputError(
+                f"step = {self.step:g} was given for a run of {self.end - self.begin:g} s; expected a shorter step"
+            )
+
+    @property
+    def steps(self) -> int:
+        """Number of steps without events."""
+        return max(1, round((self.end - self.begin) / self.step))
+
+    @property
+    def deflection(self) -> float | None:
+        """The limit as the simulator takes it."""
+        return None if isinstance(self.max_deflection, str) else self.max_deflection
+
+
+@dataclass(frozen=True, kw_only=True)
+class GravityTable(Table):
+    """``[gravity]``."""
+
+    acceleration: Three = described("[x, y, z] in m/s2, such as [0, 0, -9.81]", ORIGIN)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EquilibriumTable(Table):
+    """``[equilibrium]``: the run starts from the static equilibrium nearest to where the bodies are put."""
+
+    load_steps: PositiveCount = 1
+    tolerance: NewtonTolerance = TOL.left_force
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyTable(Table):
+    """``[[body]]``: an elastic body of a body file; its interfaces are its markers."""
+
+    name: PartName
+    file: Annotated[str, text('the path of a body file such as "rod.h5"')]
+    reduction: str | None = described("the body of the file, where it has several", None)
+    at: dict[str, Finite] = described("values of its parameters in SI units such as { E = 2.0e11 }", {})
+    frame: str | None = described('another floating frame, such as "mean-axes" or "tangent:LEFT"', None)
+    stiffening: bool = False
+    position: Three = described("[x, y, z] of the origin of its model, m", ORIGIN)
+    rotation: RotationTable | None = described("a table { axis = [x, y, z], degrees = ... }", None)
+    velocity: Three = described("[x, y, z] of the origin of its model along the inertial axes, m/s", ORIGIN)
+    angular_velocity: Three = described("[x, y, z] along the axes of the body, rad/s", ORIGIN)
+    elastic: list[Finite] = described("its elastic coordinates at the start, zero unless given", [])
+    elastic_rate: list[Finite] = described("their rates at the start, zero unless given", [])
+    nodes: dict[str, int] = described("further markers at nodes of the file, such as { middle = 1234 }", {})
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigidBodyTable(Table):
+    """``[[rigid_body]]``: a rigid body, by its mass and inertia."""
+
+    name: PartName
+    mass: Positive
+    inertia: list[Finite] | list[Three] = described(
+        "three principal moments or a matrix (3, 3), kg m2, about the centre of mass"
+    )
+    center_of_mass: Three = described("[x, y, z] from its origin, m", ORIGIN)
+    position: Three = described("[x, y, z] of its origin, m", ORIGIN)
+    rotation: RotationTable | None = described("a table { axis = [x, y, z], degrees = ... }", None)
+    velocity: Three = described("[x, y, z] of its origin along the inertial axes, m/s", ORIGIN)
+    angular_velocity: Three = described("[x, y, z] along the axes of the body, rad/s", ORIGIN)
+    markers: dict[str, Three] = described("points of the body such as { pin = [0.1, 0, 0] }, m", {})
+
+
+@dataclass(frozen=True, kw_only=True)
+class MemberTable(Table):
+    """``[[member]]``: a member with large deflections in a plane, of a file of its parameterisation.
+
+    Its markers are ``start`` and ``end``.
+    """
+
+    name: PartName
+    file: Annotated[str, text('the path of a file of members such as "rod.h5"')]
+    member: str | None = described("the member of the file, where it has several", None)
+    position: Three = described("[x, y, z] of its start, m", ORIGIN)
+    rotation: RotationTable | None = described(
+        "a table { axis = [x, y, z], degrees = ... }: turns chord, direction across and normal from x, y and z", None
+    )
+    velocity: Three = described("[x, y, z] of its start along the inertial axes, within its plane, m/s", ORIGIN)
+    spin: Finite = described("its angular velocity about its normal, rad/s", 0.0)
+    ends: Annotated[list[Finite], length("two angles of start and end to the chord, rad", 2)] = described(
+        "two angles of start and end to the chord, rad", [0.0, 0.0]
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerTable(Table):
+    """``[[marker]]``: a frame on the ground or on a rigid body, beside the markers that bodies have."""
+
+    name: PartName
+    body: PartName = "ground"
+    point: Three = described("[x, y, z] from the origin of the body, m", ORIGIN)
+    rotation: RotationTable | None = described("a table { axis = [x, y, z], degrees = ... } of its axes", None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointTable(Table):
+    """``[[joint]]``: constraints between two markers; "ground" alone is where the other marker is at the start."""
+
+    kind: Literal["fixed", "revolute", "spherical", "prismatic", "plane", "plane-fixed", "angle", "position"]
+    between: Between
+    axis: Three = described("[x, y, z] along the axes of the first marker; of plane joints the normal", [0.0, 0.0, 1.0])
+    motion: MotionTable | None = described("a table { kind = ..., ... }, of the kinds angle and position", None)
+    name: OptionalName = described("a name; joint_1, joint_2, ... unless given", "")
+
+    def refuse_conflicts(self) -> None:
+        driven = self.kind in ("angle", "position")
+        if driven and self.motion is None:
+            raise InputError(f'kind = "{self.kind}" was given without motion; expected a table {{ kind = ..., ... }}')
+        if self.motion is not None and not driven:
+            raise InputError(
+                f'motion was given beside kind = "{self.kind}"; add a [[joint]] for it, of kind "angle" or "position"'
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadTable(Table):
+    """``[[load]]``: a force and a moment at a marker."""
+
+    marker: MarkerName
+    force: Three = described("[x, y, z] in N", ORIGIN)
+    moment: Three = described("[x, y, z] in Nm", ORIGIN)
+    follows: bool = described("true along the axes of the marker, false along those of the ground", False)
+    law: LawTable | None = described("a table { kind = ..., ... }: a factor of time; constant without it", None)
+    name: OptionalName = described("a name; load_1, load_2, ... unless given", "")
+
+    def refuse_conflicts(self) -> None:
+        if not any([*self.force, *self.moment]) and (self.law is None or self.law.kind != "table"):
+            raise InputError("neither force nor moment was given; expected one, or a law of the kind table")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpringTable(Table):
+    """``[[spring]]``: a spring and damper along the line of two markers, or about an axis."""
+
+    kind: Literal["line", "torsion"] = "line"
+    between: Between
+    stiffness: NotNegative = described("N/m, of a torsion spring Nm/rad")
+    damping: NotNegative = described("Ns/m, of a torsion spring Nms/rad", 0.0)
+    length: NotNegative | None = described("m without force, of the kind line; the distance at the start", None)
+    axis: Three | None = described("[x, y, z] along the axes of the first marker, of the kind torsion", None)
+    angle: Finite = described("rad without moment from the start, of the kind torsion", 0.0)
+    name: OptionalName = described("a name; spring_1, spring_2, ... unless given", "")
+
+    def refuse_conflicts(self) -> None:
+        wrong = {"length"} if self.kind == "torsion" else {"axis", "angle"}
+        for key in sorted(wrong & self.given):
+            raise InputError(f'{key} was given beside kind = "{self.kind}", which does not have it; leave it out')
+        if self.kind == "torsion" and self.axis is None:
+            raise InputError('kind = "torsion" was given without axis; expected [x, y, z]')
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObserveTable(Table):
+    """``[[observe]]``: the moving mesh of an elastic body, with its stresses, for ParaView."""
+
+    body: PartName
+    path: Annotated[str, text("the path of a .vtkhdf file", r"\.(vtkhdf|hdf)$")]
+    stress: bool | None = described("true or false; where its file has a stress recovery", None)
+    scale: Positive = described("magnifies deformations", 1.0)
+    every: PositiveCount = described("n to take every n-th of the times of the result", 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputTable(Table):
+    """``[output]``: the file of the result."""
+
+    path: Annotated[str, text('the path of the result such as "swing.h5"', r"\.(h5|hdf5)$")]
+    every: PositiveCount = described("n to keep every n-th step", 1)
+    markers: list[MarkerName] | None = described("those whose motion is written; all", None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SystemTables(Table):
+    """All tables of a system file."""
+
+    simulation: SimulationTable
+    gravity: GravityTable = field(default_factory=GravityTable)
+    equilibrium: EquilibriumTable | None = None
+    body: list[BodyTable] = field(default_factory=list)
+    rigid_body: list[RigidBodyTable] = field(default_factory=list)
+    member: list[MemberTable] = field(default_factory=list)
+    marker: list[MarkerTable] = field(default_factory=list)
+    joint: list[JointTable] = field(default_factory=list)
+    load: list[LoadTable] = field(default_factory=list)
+    spring: list[SpringTable] = field(default_factory=list)
+    observe: list[ObserveTable] = field(default_factory=list)
+    output: OutputTable
+
+    def refuse_conflicts(self) -> None:
+        bodies = [each.name for key in ("body", "rigid_body", "member") for each in getattr(self, key)]
+        if not bodies:
+            raise InputError("no body was given; expected tables [[body]], [[rigid_body]] or [[member]]")
+        _refuse_twice("body", [*bodies, "ground"])
+        for key in ("joint", "load", "spring"):
+            _refuse_twice(key, [each.name for each in getattr(self, key) if each.name])
+
+
+def _refuse_twice(what: str, names: list[str]) -> None:
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"the name {twice!r} was given twice for a {what}; give each a name of its own")

@@ -1,0 +1,20 @@
+"""Numbers of system files and their checks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class SimulationTolerances:
+    """Limits of what is told before a run, each named by its quantity."""
+
+    # Steps in a period below which generalised-alpha changes its length by more than 3 % (Chung and Hulbert 1993).
+    steps_per_period: int = 10
+    # Steps in a period of a load or of a motion below which its samples have another frequency (Nyquist 1928).
+    sampled_steps_per_period: int = 2
+    # Largest over smallest elastic body from which units are in doubt: below the 1000 of mm that are read as m.
+    size_ratio: float = 300.0
+
+
+TOL = SimulationTolerances()
