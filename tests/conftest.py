@@ -19,6 +19,8 @@ for name in ("PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED"):
     os.environ.pop(name, None)
 # So is that of the tests: asserts are else rewritten in each run, which takes most of the time of collection.
 sys.dont_write_bytecode = False
+# What a command opens in a browser is opened by a program that does nothing.
+os.environ["BROWSER"] = "true"
 # Open MPI refuses root, as which a container runs its tests, and more processes than there are processors.
 for name in ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_MCA_rmaps_base_oversubscribe"):
     os.environ[name] = "1"

@@ -299,13 +299,15 @@ class Body(Viewed):
         shapes = self.part.transformation @ (self.model.V @ Y)
         return np.asarray(shapes).T.reshape(Y.shape[1], -1, 3)
 
-    def view(self, modes: int) -> View:
-        """The first elastic ``modes``, or as many as there are, for ``plot`` and ``to_pyvista``.
+    def view(self, modes: int = TOL.viewed_modes) -> View:
+        """The first elastic ``modes``, or as many as there are: a notebook shows them as they move, and ``plot`` and
+        ``to_pyvista`` draw them.
 
         Raises:
             InputError: no positive count was asked for, the body keeps no nodes, or its file is gone or damaged.
         """
         # Not at the top: most who read a file do not look at shapes.
+        from morembs.body.view_scene import scene_of_view
         from morembs.body.vtkhdf_series import View
 
         check_value("modes", modes, PositiveCount)
@@ -320,6 +322,7 @@ class Body(Viewed):
             motion=motion,
             frequencies_hz=self.frequencies_hz[self.rigid_count :][: len(motion)],
             interfaces=interfaces,
+            scene=scene_of_view,
         )
 
     @property

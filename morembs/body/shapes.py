@@ -15,6 +15,7 @@ from morembs.body.vtkhdf_series import Grid, View
 from morembs.fem import ElementBlock, Mesh, Nodes
 from morembs.fem.elements import FACES, TYPES
 from morembs.fem.surface import outer_faces
+from morembs.fem.viewer.skin import triangles_of
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 
@@ -43,7 +44,7 @@ def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:
     shown = slice(reduced.rigid_count, reduced.rigid_count + TOL.drawn_modes)
     if mesh is None or not len(values[shown]):
         return None
-    triangles = _triangles(outer_faces(mesh))
+    triangles = triangles_of(outer_faces(mesh))[0]
     rows = np.unique(triangles)
     dofs = problem.model.dofs.of_nodes(rows).ravel()
     motion = problem.coupling.T[dofs] @ (reduced.V @ Y[:, shown])
@@ -59,7 +60,7 @@ def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:
 
 def shapes_on(view: View) -> Shapes | None:
     """The modes of a view on the faces of its cells; None if there are neither modes nor faces."""
-    triangles = _triangles(_faces(view.grid))
+    triangles = triangles_of(faces_of(view.grid))[0]
     if not len(triangles) or not len(view.motion):
         return None
     rows, renumbered = np.unique(triangles, return_inverse=True)
@@ -73,7 +74,7 @@ def shapes_on(view: View) -> Shapes | None:
     )
 
 
-def _faces(grid: Grid) -> dict[str, Ints]:
+def faces_of(grid: Grid) -> dict[str, Ints]:
     """The outer faces of the cells of a body file, which are faces themselves or solids."""
     faces: dict[str, list[Ints]] = {}
     blocks = []
@@ -90,20 +91,3 @@ def _faces(grid: Grid) -> dict[str, Ints]:
         for name, outer in outer_faces(Mesh(nodes=nodes, blocks=tuple(blocks))).items():
             faces.setdefault(name, []).append(outer)
     return {name: np.concatenate(parts) for name, parts in faces.items()}
-
-
-# Corners of the triangles that a face is drawn with, by the number of its nodes in VTK order.
-_DRAWN = {
-    3: ((0, 1, 2),),
-    4: ((0, 1, 2), (0, 2, 3)),
-    6: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
-    8: ((0, 4, 7), (4, 1, 5), (5, 2, 6), (6, 3, 7), (4, 5, 7), (5, 6, 7)),
-}
-
-
-def _triangles(faces: Mapping[str, Ints]) -> Ints:
-    """Triangles (nt, 3) of faces, through their middle nodes too."""
-    parts = [np.empty((0, 3), dtype=np.int64)]
-    for nodes in faces.values():
-        parts += [nodes[:, corners] for corners in _DRAWN[min(nodes.shape[1], 8)]]
-    return np.concatenate(parts)

@@ -88,6 +88,16 @@ class BodyTolerances:
     view_turn: float = -18.0
     # Elastic modes of a picture: two rows of two.
     drawn_modes: int = 4
+    # Elastic modes that the viewer shows of a body: each takes some 4 bytes a node of its page.
+    viewed_modes: int = 12
+    # The same of all bodies of one page beyond the first.
+    viewed_modes_of_all: int = 24
+    # Steps that it shows of a motion: between them it is drawn along straight lines.
+    viewed_steps: int = 120
+    # Coordinates of all steps: 3 MB of a page, of the 5 MB that it may have.
+    viewed_numbers: int = 2_500_000
+    # Distance of nodes of two meshes that are compared, over the size of the part: shapes change by little there.
+    compared_distance: float = 0.02
     # Elastic modes of a VTKHDF file: each takes 12 bytes a node.
     vtk_modes: int = 20
     # Bytes of a basis that are in memory at a time while that is written.

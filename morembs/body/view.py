@@ -9,6 +9,7 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.optional import optional
+from morembs.body.tolerances import TOL
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,7 +21,7 @@ class Viewed(ABC):
     """What can be looked at: a body just made, or one read from its file."""
 
     @abstractmethod
-    def view(self, modes: int) -> View:
+    def view(self, modes: int = TOL.viewed_modes) -> View:
         """The first elastic ``modes``, or as many as there are.
 
         Raises:

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -25,6 +25,9 @@ from morembs.storage.hdf5 import reading
 from morembs.storage.storable import text
 from morembs.storage.writer import writing
 
+if TYPE_CHECKING:
+    from morembs.fem.viewer.page import Scene
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Grid:
@@ -39,7 +42,7 @@ class Grid:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class View:
     """``motion`` (k, n, 3) of elastic modes at the nodes of ``grid``, whose labels are ``node_ids`` (n,), with
-    ``frequencies_hz`` (k,); ``interfaces`` their points (3,) in m by name."""
+    ``frequencies_hz`` (k,); ``interfaces`` their points (3,) in m by name. A notebook shows the ``scene`` of it."""
 
     body: str
     grid: Grid
@@ -47,6 +50,10 @@ class View:
     motion: Floats
     frequencies_hz: Floats
     interfaces: Mapping[str, Floats]
+    scene: Callable[[View], Scene]
+
+    def _repr_html_(self) -> str:
+        return self.scene(self)._repr_html_()
 
 
 def read_grid(path: Path) -> Grid:

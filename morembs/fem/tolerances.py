@@ -67,6 +67,16 @@ class FemTolerances:
     # Steps of Gauss and Newton's method, which squares the error in each: four are enough from a guess of 10 %.
     cylinder_steps: int = 8
 
+    # --- Pictures that move
+    # Triangles of a surface that is shown: each is a few pixels then, and software draws them at 10 pictures a second.
+    drawn_triangles: int = 60_000
+    # Whole steps from the middle of a surface to its rim: five digits of a place.
+    drawn_place_steps: int = 2**17
+    # Whole steps of the largest displacement of a shape: 0.1 pixels where it is drawn 200 pixels large.
+    drawn_shape_steps: int = 2**11 - 1
+    # Whole steps of a scale of colors, which has bytes.
+    drawn_color_steps: int = 127
+
     # --- Force under rigid motion, over the sum of magnitudes that cancel in it
     # Force by which the motion strains the body.
     strained_force: float = 1e-6

@@ -39,6 +39,7 @@ from morembs.app.cli.terminal import (
 )
 from morembs.app.cli.update import app as updating
 from morembs.app.cli.verbs import Verbs
+from morembs.app.cli.view import app as viewing
 from morembs.base.errors import InputError, MorembsError
 from morembs.base.progress import Progress
 from morembs.storage.contents import keeping_ledger
@@ -265,6 +266,7 @@ app.add_typer(updating)
 app.add_typer(simulating)
 app.add_typer(models)
 app.add_typer(modes)
+app.add_typer(viewing)
 
 
 @app.command(cls=Verb, epilog=example("morembs solvers"))

@@ -38,7 +38,6 @@ SYNONYMS = {
 KEYS = {
     "certify": "the table [certify] of a job, with band_hz = [0, 2000]; then: morembs reduce JOB.toml",
     "plot": 'picture = "NAME.png" under [output] of a job, or morembs reduce JOB.toml --report PAGE.html',
-    "view": "morembs reduce JOB.toml --report PAGE.html, or a body in ParaView, which opens its HDF5 file",
 }
 # What people ask help about that is no verb -> where it is said.
 TOPICS = {

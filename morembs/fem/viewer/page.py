@@ -1,0 +1,179 @@
+"""A scene and HTML around it: a page of its own, a section of a report, a frame in a notebook; none needs a network."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from morembs.base.types import Floats
+from morembs.base.units import Units
+from morembs.fem.tolerances import TOL
+from morembs.fem.viewer.packing import pack_steps, pack_whole
+from morembs.fem.viewer.scene import Feature, Group, Motion, Surface
+
+# The module in the order in which its parts are put behind each other.
+PROGRAM = ("reading.js", "drawing.js", "picking.js", "viewer.js", "panel.js")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """All that one viewer shows.
+
+    ``frames`` are points (3,) m of interfaces by name; ``view`` (3, 3) rows to the right, upwards, and to the viewer;
+    ``mac`` (k1, k2) compares the modes of two motions, ``side_by_side`` shows the first two at once; ``picks`` is
+    whether a click gives a line of a job, whose numbers are in ``units``.
+    """
+
+    title: str
+    surfaces: tuple[Surface, ...]
+    motions: tuple[Motion, ...] = ()
+    groups: tuple[Group, ...] = ()
+    features: tuple[Feature, ...] = ()
+    frames: Mapping[str, Floats] = field(default_factory=dict)
+    view: Floats = field(default_factory=lambda: np.eye(3))
+    mac: Mapping[tuple[int, int], Floats] = field(default_factory=dict)
+    side_by_side: bool = False
+    picks: bool = False
+    units: Units = field(default_factory=Units)
+    notes: tuple[str, ...] = ()
+
+    def _repr_html_(self) -> str:
+        return embedded(self)
+
+    def page(self) -> str:
+        """The scene as a page of its own, to be written to a file .html."""
+        return viewer_page(self)
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """How much is drawn."""
+        return {
+            "triangles": sum(len(surface.triangles) for surface in self.surfaces),
+            "points": sum(len(surface.points) for surface in self.surfaces),
+            "shapes": sum(len(motion.shapes) for motion in self.motions),
+        }
+
+
+def viewer_page(scene: Scene, picture: str = "") -> str:
+    """The scene as a whole page; ``picture``, the address of a still one, is shown where no script runs.
+
+    >>> page = viewer_page(mesh.view())
+    >>> page.startswith("<!DOCTYPE html>"), "http" in page
+    (True, False)
+    """
+    title = html.escape(scene.title)
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{title}</title>\n{viewer_head()}\n</head>\n"
+        f'<body class="morembs-page">\n<main>\n<h1>{title}</h1>\n{viewer_section(scene, picture)}\n</main>\n</body>\n'
+        "</html>\n"
+    )
+
+
+def viewer_section(scene: Scene, picture: str = "") -> str:
+    """The scene within a page that has ``viewer_head()`` once; it begins when it is scrolled to or its details open."""
+    still = ""
+    if picture:
+        still = f'<img src="{html.escape(picture)}" alt="{html.escape(scene.title)}, a still picture">'
+    # Within a script only "<" can end it.
+    data = json.dumps(_document(scene), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return (
+        f'<div class="morembs-viewer"><div class="still">{still}'
+        "<noscript><p>A picture that moves needs JavaScript.</p></noscript></div>"
+        f'<script type="application/json">{data}</script></div>'
+    )
+
+
+@cache
+def viewer_head() -> str:
+    """What a page with sections has once: the style and the program."""
+    folder = files("morembs.fem.viewer")
+    style, *parts = (folder.joinpath(name).read_text(encoding="utf-8") for name in ("viewer.css", *PROGRAM))
+    # Without comments and indentation: a tenth of a page.
+    lines = (line.strip() for part in parts for line in part.splitlines())
+    program = "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))
+    return f'<style>\n{style}</style>\n<script type="module">\n{program}mountAll(document);\n</script>'
+
+
+def embedded(scene: Scene) -> str:
+    """The scene in a frame, as notebooks show it: nothing of it touches the page around."""
+    page = html.escape(viewer_page(scene))
+    return (
+        f'<iframe title="{html.escape(scene.title)}" srcdoc="{page}" sandbox="allow-scripts allow-downloads" '
+        'allow="clipboard-write" loading="lazy" style="width:100%;height:36rem;border:0"></iframe>'
+    )
+
+
+def _document(scene: Scene) -> dict[str, Any]:
+    """The scene in numbers and texts of JSON."""
+    length = scene.units.length
+    whole = np.concatenate([surface.points for surface in scene.surfaces])
+    low, high = whole.min(axis=0), whole.max(axis=0)
+    middle, half = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
+    said: dict[str, Any] = {
+        "title": scene.title,
+        "middle": middle.tolist(),
+        "half": half,
+        "unit": {"name": scene.units.name.partition("-")[0], "length": length},
+        "view": scene.view.tolist(),
+        "surfaces": [_surface(surface, middle, half) for surface in scene.surfaces],
+        "motions": [_motion(motion) for motion in scene.motions],
+        "groups": [_group(group) for group in scene.groups],
+        "frames": [{"name": name, "at": np.asarray(point).tolist()} for name, point in scene.frames.items()],
+        "picks": scene.picks,
+        "mac": [[one, two, np.round(values, 3).tolist()] for (one, two), values in scene.mac.items()],
+        "sideBySide": scene.side_by_side,
+        "notes": [*scene.notes, *(surface.note for surface in scene.surfaces if surface.note)],
+    }
+    if scene.features:
+        owner = np.full(len(scene.surfaces[0].triangles), -1, dtype=np.int64)
+        for number, feature in enumerate(scene.features):
+            owner[feature.triangles] = number
+        said["owner"] = pack_whole(owner)
+        said["features"] = [{"select": feature.select, "about": feature.about} for feature in scene.features]
+    return said
+
+
+def _surface(surface: Surface, middle: Any, half: float) -> dict[str, Any]:
+    """Columns b and c of triangles are differences to a, which are small."""
+    triangles = surface.triangles.copy()
+    triangles[:, 1:] -= triangles[:, :1]
+    return {
+        "points": pack_whole(np.round((surface.points - middle) / half * TOL.drawn_place_steps)),
+        "scale": 1 / TOL.drawn_place_steps,
+        "labels": pack_whole(surface.node_ids),
+        "triangles": pack_whole(triangles),
+        "sides": pack_whole(surface.sides),
+    }
+
+
+def _motion(motion: Motion) -> dict[str, Any]:
+    """Shapes one by one; of modes each has a scale of its own, of steps all have that of the largest."""
+    scales = np.abs(motion.shapes).max(axis=(1, 2), initial=0.0)
+    said: dict[str, Any] = {
+        "name": motion.name,
+        "surface": motion.surface,
+        "values": [float(value) for value in motion.values],
+        "overTime": motion.over_time,
+        "shapes": [pack_steps(shape, TOL.drawn_shape_steps) for shape in motion.shapes],
+        "largest": float(scales.max(initial=0.0)),
+    }
+    if motion.stress is not None:
+        said["stress"] = [pack_steps(values[:, None], TOL.drawn_color_steps) for values in motion.stress]
+    return said
+
+
+def _group(group: Group) -> dict[str, Any]:
+    texts = {key: getattr(group, key) for key in ("name", "kind", "about", "select") if getattr(group, key)}
+    parts = {
+        key: pack_whole(getattr(group, key)) for key in ("triangles", "nodes", "lines") if len(getattr(group, key))
+    }
+    return {**texts, "count": group.count or len(group.nodes) or len(group.triangles), **parts}

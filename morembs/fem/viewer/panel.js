@@ -1,0 +1,381 @@
+// The panel beside the picture, the names over it, and what pointer and keys do.
+
+Object.assign(Viewer.prototype, {
+  build() {
+    const { data } = this;
+    this.stage = make("div", { className: "stage" });
+    this.cover = make("canvas", { className: "cover" });
+    this.cover.setAttribute("aria-hidden", "true");
+    this.tip = make("div", { className: "tip", hidden: true });
+    this.stage.append(this.cover, this.tip);
+    this.panel = make("div", { className: "panel" });
+    const parts = [data.motions.length ? this.motionPart() : null, this.lookPart(), data.picks ? this.pickPart() : null,
+      data.groups.length ? this.groupPart() : null, this.notePart()];
+    this.panel.append(...parts.filter(Boolean));
+    this.root.querySelector(".still")?.remove();
+    this.root.append(make("div", { className: "viewer" }, this.stage, this.panel));
+    new ResizeObserver(() => { this.fit(); }).observe(this.stage);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.touch());
+  },
+
+  field(label, control) { return make("label", {}, make("span", {}, label), control); },
+
+  range(label, given, set) {
+    return this.field(label, make("input", { type: "range", ...given, oninput: (e) => { set(+e.target.value); this.touch(); } }));
+  },
+
+  check(label, key) {
+    return make("label", { className: "check" }, make("input", { type: "checkbox", checked: this.show[key],
+      onchange: (e) => { this.show[key] = e.target.checked; this.touch(); } }), make("span", {}, label));
+  },
+
+  value(motion, mode) {
+    const { values, overTime } = this.data.motions[motion];
+    return overTime ? `${short(values[mode])} s` : `${short(values[mode], 5)} Hz`;
+  },
+
+  modeNames(motion) {
+    return this.data.motions[motion].values.map((_, i) => new Option(`${i + 1}: ${this.value(motion, i)}`, i));
+  },
+
+  motionPart() {
+    const { data, panes } = this, part = make("fieldset", {}, make("legend", {}, "Motion"));
+    const bodies = () => data.motions.map((motion, i) => new Option(motion.name, i));
+    const over = () => data.motions[panes[0].motion].overTime;
+    this.modes = make("select", { className: "modes", size: 7, onchange: () => this.choose(0, +this.modes.value) });
+    this.body = make("select", { onchange: () => this.chooseBody(0, +this.body.value) });
+    this.body.append(...bodies());
+    if (data.motions.length > 1) part.append(this.field("Body", this.body));
+    if (!over()) part.append(this.field("Mode", this.modes));
+    if (data.motions.length > 1) {
+      this.second = make("select", { onchange: () => this.chooseBody(1, +this.second.value) });
+      this.second.append(new Option("nothing", -1), ...bodies());
+      this.second.value = panes[1] ? panes[1].motion : -1;
+      this.otherModes = make("select", { onchange: () => this.choose(1, +this.otherModes.value) });
+      this.otherField = this.field("Its mode", this.otherModes);
+      this.macBox = make("details", { className: "mac" }, make("summary", {}, "MAC of all modes"), make("div", { className: "scroll", tabIndex: 0 }));
+      part.append(this.field("Beside it", this.second), this.otherField, this.macBox);
+    }
+    this.playButton = make("button", { type: "button", onclick: () => this.play() });
+    part.append(make("div", { className: "row" }, this.playButton));
+    if (over()) {
+      this.timeText = make("output");
+      this.timeSlider = make("input", { type: "range", min: 0, max: 1, step: 0.001, value: 0, oninput: () => {
+        this.play(false); this.time = Math.min(0.999999, +this.timeSlider.value); this.clock = 6 * this.time; this.sliders(); this.touch(); } });
+      part.append(this.field("Time", this.timeSlider), this.timeText);
+    }
+    part.append(this.range("Amplitude", { min: 0, max: 3, step: 0.05, value: 1 }, (x) => { this.amplitude = x; this.sliders(); }));
+    part.append(this.range("Speed", { min: 0.1, max: 3, step: 0.1, value: 1 }, (x) => { this.speed = x; }));
+    const colors = make("select", { onchange: () => { this.color = colors.value; this.touch(); } });
+    colors.append(new Option("displacement"));
+    if (data.motions.some((motion) => motion.stress)) colors.append(new Option("von Mises stress", "stress"));
+    colors.append(new Option("one color", "none"));
+    part.append(this.field("Color", colors));
+    this.refill();
+    this.play(this.playing);
+    return part;
+  },
+
+  refill() {
+    const [one, two] = this.panes;
+    this.modes.replaceChildren(...this.modeNames(one.motion));
+    this.modes.value = one.mode;
+    this.body.value = one.motion;
+    if (!this.second) return;
+    this.otherField.hidden = this.macBox.hidden = !two;
+    if (!two) return;
+    const mac = this.mac();
+    this.otherModes.replaceChildren(...this.modeNames(two.motion));
+    this.otherModes.value = two.mode;
+    if (mac) for (const option of this.otherModes.options) option.textContent += `, MAC ${mac[one.mode][option.value].toFixed(2)}`;
+    this.macBox.hidden = !mac;
+    if (!mac) return;
+    const head = make("tr", {}, make("td"), ...mac[0].map((_, j) => make("th", { scope: "col" }, String(j + 1))));
+    const rows = mac.map((row, i) => make("tr", {}, make("th", { scope: "row" }, String(i + 1)), ...row.map((x, j) => {
+      const cell = make("td", { onclick: () => { this.choose(0, i); this.choose(1, j); } }, x.toFixed(2));
+      cell.style.setProperty("--mac", `${Math.round(70 * x)}%`);
+      if (i === one.mode && j === two.mode) cell.className = "chosen";
+      return cell;
+    })));
+    const caption = make("caption", {}, `${this.data.motions[one.motion].name} down, ${this.data.motions[two.motion].name} across`);
+    this.macBox.lastChild.replaceChildren(make("table", {}, caption, head, ...rows));
+  },
+
+  mac() {
+    const [i, j] = this.panes.map((pane) => pane.motion);
+    const known = this.data.mac.find(([a, b]) => (a === i && b === j) || (a === j && b === i));
+    if (!known) return null;
+    return known[0] === i ? known[2] : known[2][0].map((_, column) => known[2].map((row) => row[column]));
+  },
+
+  choose(pane, mode) {
+    this.panes[pane].mode = mode;
+    const mac = pane === 0 && this.panes[1] && this.mac();
+    if (mac) this.panes[1].mode = mac[mode].indexOf(Math.max(...mac[mode]));
+    this.refill();
+    this.touch();
+  },
+
+  chooseBody(pane, motion) {
+    if (motion < 0) this.panes.length = 1;
+    else this.panes[pane] = { motion, mode: Math.min(this.panes[pane]?.mode || 0, this.data.motions[motion].values.length - 1) };
+    this.choose(0, this.panes[0].mode);
+    this.fit();
+  },
+
+  play(on = !this.playing) {
+    this.playing = on;
+    if (!on && !this.data.motions[this.panes[0].motion].overTime) this.phase = 1;
+    this.playButton.textContent = on ? "Stop" : "Play";
+    this.playButton.setAttribute("aria-pressed", on);
+    this.touch();
+  },
+
+  sliders() {
+    if (!this.timeSlider) return;
+    const { motion } = this.panes[0], { values } = this.data.motions[motion];
+    this.timeSlider.value = this.time;
+    const shown = short(this.magnification(motion), 3);
+    this.timeText.textContent = `${short(values[0] + this.time * (values[values.length - 1] - values[0]))} s, drawn ${shown} times as large`;
+  },
+
+  lookPart() {
+    const views = Object.keys(VIEWS).map((name) => make("button", { type: "button", onclick: () => this.turnTo(name) }, name));
+    const part = make("fieldset", {}, make("legend", {}, "View"));
+    part.append(make("div", { className: "row" }, make("button", { type: "button", onclick: () => this.turnTo("0") }, "first"), ...views));
+    part.append(make("div", { className: "row" }, make("button", { type: "button", onclick: () => this.fit() }, "Fit"),
+      make("button", { type: "button", onclick: () => this.save() }, "Save picture")));
+    if (this.data.motions.length) part.append(this.check("undeformed edges", "ghost"));
+    part.append(this.check("mesh", "mesh"));
+    if (this.data.frames.length) part.append(this.check(`interfaces: ${this.data.frames.map((frame) => frame.name).join(", ")}`, "names"));
+    return part;
+  },
+
+  pickPart() {
+    this.boxButton = make("button", { type: "button", onclick: () => this.drawBox(!this.boxing) }, "Draw a box");
+    this.boxButton.setAttribute("aria-pressed", "false");
+    this.found = make("div", { className: "found", role: "status" }, make("p", { className: "soft" }, "Click the part, or draw a box over it: the selection as a line of a job."));
+    return make("fieldset", {}, make("legend", {}, "Select nodes"), make("div", { className: "row" }, this.boxButton), this.found);
+  },
+
+  drawBox(on) {
+    this.boxing = on;
+    this.boxButton.setAttribute("aria-pressed", on);
+    this.stage.classList.toggle("boxing", on);
+  },
+
+  // Lines of a job, each with a button that copies it.
+  offer(lines) {
+    const quoted = (text) => `nodes = "${text.replace(/[\\"]/g, "\\$&")}"`;
+    this.found.replaceChildren(...lines.map(({ line, about }) => make("div", { className: "line" }, make("code", {}, quoted(line)),
+      make("button", { type: "button", onclick: (e) => this.copy(e.target, quoted(line)) }, "Copy"), make("span", { className: "soft" }, about))));
+    if (!lines.length) this.found.replaceChildren(make("p", { className: "soft" }, "No node of the part is seen there."));
+  },
+
+  async copy(button, text) {
+    try { await navigator.clipboard.writeText(text); } catch {
+      const field = make("textarea", { value: text });
+      button.after(field); field.select(); document.execCommand("copy"); field.remove();
+    }
+    button.textContent = "Copied";
+    setTimeout(() => { button.textContent = "Copy"; }, 1500);
+  },
+
+  groupPart() {
+    const part = make("fieldset", {}, make("legend", {}, "Shown"));
+    const order = ["error", "warning", "note", "interface", "coupling", "nodes", "elements"];
+    const lists = order.map((kind) => this.groups.filter((group) => group.kind === kind)).flat();
+    const list = make("ul", { className: "groups" }, ...lists.map((group) => {
+      const box = make("input", { type: "checkbox", checked: group.shown, onchange: () => { group.shown = box.checked; this.touch(); } });
+      const swatch = make("span", { className: "swatch" });
+      swatch.style.background = `rgb(${group.color.map((x) => Math.round(255 * x))})`;
+      const words = group.kind in GRAVE ? `${group.kind}: ${group.about}` : `${group.name} (${group.count.toLocaleString("en")} ${{ elements: "elements", coupling: "joined nodes" }[group.kind] || "nodes"})`;
+      const there = group.nodes.length ? make("button", { type: "button", onclick: () => this.goTo(group) }, "Go to") : null;
+      return make("li", {}, make("label", { className: "check" }, box, swatch, make("span", {}, words)), there);
+    }));
+    if (lists.length > 12) {
+      part.append(this.field("Filter", make("input", { type: "search", oninput: (e) => {
+        for (const item of list.children) item.hidden = !item.textContent.toLowerCase().includes(e.target.value.toLowerCase());
+      } })));
+    }
+    part.append(list);
+    return part;
+  },
+
+  // The points of a group in the middle of the picture, close.
+  goTo(group) {
+    const { points } = this.surfaces[0], { turn } = this.camera;
+    const mean = [0, 1, 2].map((axis) => group.nodes.reduce((sum, v) => sum + points[3 * v + axis], 0) / group.nodes.length);
+    group.shown = true;
+    this.camera.zoom = Math.max(this.camera.zoom, 4);
+    this.camera.pan = [0, 1].map((k) => -this.camera.zoom * (turn[3 * k] * mean[0] + turn[3 * k + 1] * mean[1] + turn[3 * k + 2] * mean[2]));
+    this.touch();
+  },
+
+  notePart() {
+    const lines = this.data.notes.map((note) => make("p", { className: "soft" }, note));
+    return make("details", { className: "help", open: lines.length > 0 }, make("summary", {}, "Keys and notes"), ...lines, make("p", { className: "soft" }, KEYS));
+  },
+
+  turnTo(name) {
+    this.camera.turn = [...(VIEWS[name] || this.data.view.flat())];
+    this.fit();
+  },
+
+  // Turn about the axes of the picture.
+  turn(right, up) {
+    const [c, s, d, e] = [Math.cos(right), Math.sin(right), Math.cos(up), Math.sin(up)], old = this.camera.turn;
+    const R = [c, 0, s, e * s, d, -e * c, -d * s, e, d * c];
+    this.camera.turn = R.map((_, i) => [0, 1, 2].reduce((sum, k) => sum + R[3 * Math.floor(i / 3) + k] * old[3 * k + (i % 3)], 0));
+    this.touch();
+  },
+
+  zoom(factor, x = null, y = null) {
+    const { width, height } = this.size(), box = width / this.panes.length, half = Math.min(box, height) / 2;
+    const at = x === null ? [0, 0] : [((x % box) - box / 2) / half, (height / 2 - y) / half];
+    this.camera.zoom *= factor;
+    this.camera.pan = this.camera.pan.map((p, k) => at[k] + (p - at[k]) * factor);
+    this.touch();
+  },
+
+  save() {
+    if (!this.begin()) return;
+    this.paint();
+    make("a", { href: this.picture().toDataURL("image/png"), download: `${this.data.title.replace(/[^\w.-]+/g, "_")}.png` }).click();
+  },
+
+  listen() {
+    const { canvas } = this;
+    let held = null;
+    const place = (e) => { const at = canvas.getBoundingClientRect(); return [e.clientX - at.left, e.clientY - at.top]; };
+    canvas.addEventListener("contextmenu", (e) => e.preventDefault());
+    canvas.addEventListener("pointerdown", (e) => {
+      canvas.setPointerCapture(e.pointerId);
+      held = { from: place(e), last: place(e), moves: e.button === 2 || e.shiftKey, far: 0 };
+    });
+    canvas.addEventListener("pointermove", (e) => {
+      const [x, y] = place(e);
+      if (!held) { this.hover = [x, y]; this.point(); return; }
+      const [dx, dy] = [x - held.last[0], y - held.last[1]];
+      held.far += Math.hypot(dx, dy);
+      held.last = [x, y];
+      this.tip.hidden = true;
+      if (this.boxing) { this.drawn = [...held.from, x, y]; this.touch(); return; }
+      const { width, height } = this.size(), half = Math.min(width / this.panes.length, height) / 2;
+      if (held.moves) { this.camera.pan = [this.camera.pan[0] + dx / half, this.camera.pan[1] - dy / half]; this.touch(); }
+      else this.turn(dx / 120, dy / 120);
+    });
+    canvas.addEventListener("pointerup", (e) => {
+      if (this.picker && this.boxing && this.drawn) this.pickBox();
+      else if (this.picker && held && held.far < 4) this.pickAt(...place(e));
+      held = this.drawn = null;
+      this.touch();
+    });
+    canvas.addEventListener("pointerleave", () => { this.hover = null; this.tip.hidden = true; });
+    canvas.addEventListener("wheel", (e) => { e.preventDefault(); this.zoom(Math.exp(-e.deltaY / 600), ...place(e)); }, { passive: false });
+    canvas.addEventListener("keydown", (e) => this.key(e));
+  },
+
+  key(e) {
+    const { panes, data } = this, moving = data.motions.length > 0, count = moving && data.motions[panes[0].motion].values.length;
+    const flip = (name) => { this.show[name] = !this.show[name]; this.touch(); };
+    const acts = { ArrowLeft: () => this.turn(-0.15, 0), ArrowRight: () => this.turn(0.15, 0), ArrowUp: () => this.turn(0, -0.15),
+      ArrowDown: () => this.turn(0, 0.15), "+": () => this.zoom(1.2), "=": () => this.zoom(1.2), "-": () => this.zoom(1 / 1.2),
+      0: () => this.turnTo("0"), f: () => this.fit(), m: () => flip("mesh"), u: () => flip("ghost"), s: () => this.save(),
+      " ": () => moving && this.play(), n: () => moving && this.choose(0, (panes[0].mode + 1) % count),
+      p: () => moving && this.choose(0, (panes[0].mode + count - 1) % count), b: () => this.picker && this.drawBox(!this.boxing) };
+    Object.keys(VIEWS).forEach((name, i) => { acts[i + 1] = () => this.turnTo(name); });
+    const act = acts[e.key.length === 1 ? e.key.toLowerCase() : e.key];
+    if (!act || e.ctrlKey || e.metaKey || e.altKey) return;
+    e.preventDefault();
+    act();
+  },
+
+  // The pane under a place, its surface, and where its points are on the canvas.
+  under(x) {
+    const { width, height } = this.size(), i = Math.min(this.panes.length - 1, Math.floor((x * this.panes.length) / width));
+    const pane = this.panes[i], surface = this.surfaceOf(pane), { numbers, scales, blend, amp } = this.moved(pane);
+    const [now, next] = pane.motion < 0 ? [] : numbers.map((number) => this.fields[pane.motion].shapes[number]);
+    const shape = (k) => (now && k < now.length ? amp * (now[k] * scales[0] * (1 - blend) + next[k] * scales[1] * blend) : 0);
+    return { surface, at: projected(surface, shape, this.camera, this.boxes()[i], height) };
+  },
+
+  // Label and coordinates of the node under the pointer.
+  point() {
+    if (this.pointing) return;
+    this.pointing = requestAnimationFrame(() => {
+      this.pointing = null;
+      if (!this.hover) return;
+      const [x, y] = this.hover, { surface, at } = this.under(x), hit = hitAt(surface.triangles, at, x, y);
+      this.tip.hidden = !hit;
+      if (!hit) return;
+      const { data } = this, where = [0, 1, 2].map((axis) => (data.middle[axis] + data.half * surface.points[3 * hit.node + axis]) / data.unit.length);
+      this.tip.textContent = `node ${surface.labels[hit.node]}: ${where.map((v) => short(v, 5)).join(", ")} ${data.unit.name}`;
+      this.tip.style.left = `${Math.min(x + 14, this.size().width - this.tip.offsetWidth - 4)}px`;
+      this.tip.style.top = `${Math.max(2, y - 30)}px`;
+    });
+  },
+
+  pickAt(x, y) {
+    const { surface, at } = this.under(x), hit = hitAt(surface.triangles, at, x, y);
+    this.offer(hit ? this.picker.ofClick(hit) : []);
+  },
+
+  pickBox() {
+    const [a, b, c, d] = this.drawn, { surface, at } = this.under(a);
+    this.offer(this.picker.ofBox(seenWithin(surface.triangles, at, [Math.min(a, c), Math.min(b, d), Math.max(a, c), Math.max(b, d)])));
+  },
+
+  // Names, the scale of colors and the drawn box, over the picture.
+  over(ink) {
+    const { width, height, ratio } = this.size(), { cover, data, camera } = this, brush = cover.getContext("2d");
+    if (cover.width !== width * ratio || cover.height !== height * ratio) Object.assign(cover, { width: width * ratio, height: height * ratio });
+    brush.setTransform(ratio, 0, 0, ratio, 0, 0);
+    brush.clearRect(0, 0, width, height);
+    const color = `rgb(${ink.map((x) => Math.round(255 * x))})`, paper = getComputedStyle(this.stage).backgroundColor;
+    brush.font = "13px system-ui, sans-serif";
+    brush.lineWidth = 4;
+    brush.lineJoin = "round";
+    const write = (text, x, y) => { brush.strokeStyle = paper; brush.fillStyle = color; brush.strokeText(text, x, y); brush.fillText(text, x, y); };
+    this.boxes().forEach((box, i) => {
+      const half = Math.min(box[1], height) / 2, pane = this.panes[i];
+      const spot = (p) => [0, 1].map((k) => [0, 1, 2].reduce((sum, axis) => sum + (camera.turn[3 * k + axis] * (p[axis] - data.middle[axis])) / data.half, 0) * camera.zoom + camera.pan[k])
+        .map((value, k) => (k ? height / 2 - half * value : box[0] + box[1] / 2 + half * value));
+      for (const { name, at } of this.show.names ? data.frames : []) {
+        const [x, y] = spot(at);
+        ["#d33", "#2a2", "#36d"].forEach((stroke, axis) => {
+          const end = spot(at.map((value, k) => value + (k === axis ? (0.09 * data.half) / Math.max(0.6, camera.zoom) : 0)));
+          Object.assign(brush, { strokeStyle: stroke, lineWidth: 2 });
+          brush.beginPath(); brush.moveTo(x, y); brush.lineTo(...end); brush.stroke();
+        });
+        brush.lineWidth = 4;
+        write(name, x + 6, y - 7);
+      }
+      if (pane.motion >= 0) {
+        const { name, overTime } = data.motions[pane.motion];
+        write(overTime ? name : `${name}, mode ${pane.mode + 1}: ${this.value(pane.motion, pane.mode)}`, box[0] + 12, 22);
+      }
+      if (i) { brush.fillStyle = color; brush.globalAlpha = 0.25; brush.fillRect(box[0], 0, 1, height); brush.globalAlpha = 1; }
+    });
+    if (this.panes[0].motion >= 0 && this.color !== "none") this.legend(brush, write, height);
+    if (this.drawn) {
+      const [a, b, c, d] = this.drawn;
+      Object.assign(brush, { strokeStyle: color, lineWidth: 1.5 });
+      brush.setLineDash([5, 4]); brush.strokeRect(a, b, c - a, d - b); brush.setLineDash([]);
+    }
+  },
+
+  legend(brush, write, height) {
+    const { motion, mode } = this.panes[0], given = this.data.motions[motion], stressed = this.color === "stress" && given.stress;
+    const top = height - 30, slope = brush.createLinearGradient(12, 0, 152, 0);
+    // Viridis at its quarters.
+    ["#440154", "#3b528b", "#21918c", "#5ec962", "#fde725"].forEach((color, i) => slope.addColorStop(i / 4, color));
+    brush.fillStyle = slope;
+    brush.fillRect(12, top, 140, 8);
+    const most = stressed ? this.stressScale(motion, mode) * 127 : this.peak(motion, mode);
+    const [scale, unit] = stressed ? [1e6, "MPa"] : [this.data.unit.length, this.data.unit.name];
+    write("0", 12, top + 22);
+    write(given.overTime ? `${short(most / scale, 3)} ${unit}` : "largest", 130, top + 22);
+    write(stressed ? "von Mises stress" : "displacement", 12, top - 6);
+  },
+});
