@@ -19,7 +19,7 @@ from morembs.body.body import BODY, Body
 from morembs.fem.fe_model import Component
 from morembs.fem.interface import Interface
 from morembs.storage.checksums import GROUP, Checksums, unsealed
-from morembs.storage.hdf5 import reading_format
+from morembs.storage.hdf5 import reading_format, tree
 from morembs.storage.kinds import refuse_not_finite
 from morembs.storage.table import Later, Row, Table, dataset, derived, read_rows, table_of
 
@@ -209,7 +209,7 @@ class BodyFile:
         self.content = StoredBodies(
             interfaces=ByName("interface", shown),
             bodies=ByName("body", {name: self._body(name, file[f"bodies/{name}"], kinds) for name in names}),
-            provenance={name: item for name, item in _tree(file.get("provenance", {})).items() if name != GROUP},
+            provenance={name: item for name, item in tree(file.get("provenance", {})).items() if name != GROUP},
             **values,
         )
         return self.content
@@ -266,15 +266,6 @@ def _interface(name: str, group: Any, kept: Ints) -> Interface:
         places = order[np.minimum(np.searchsorted(kept, values["node_ids"], sorter=order), len(kept) - 1)]
         rows = np.where(kept[places] == values["node_ids"], places, -1)
     return Interface(name=name, nodes=rows, **values)
-
-
-def _tree(group: Any) -> dict[str, Any]:
-    """Nested mapping of a group; text as str, numbers as Python numbers, arrays as lists."""
-    return {name: _tree(item) if hasattr(item, "items") else _plain(item[()]) for name, item in group.items()}
-
-
-def _plain(value: Any) -> Any:
-    return value.decode() if isinstance(value, bytes) else value.tolist()
 
 
 def basis_columns(data: Any, columns: slice) -> Floats:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +19,6 @@ from morembs.body.stored import FILE, INTERFACE, FormatVersion, StoredBodies
 from morembs.storage.checksums import GROUP
 from morembs.storage.safefile import one_file
 from morembs.storage.tolerances import TOL as STORAGE
-from morembs.version import VERSION
 
 if TYPE_CHECKING:
     from morembs.body.part import Part
@@ -109,9 +107,7 @@ def _write(
         out.check()
         for body in content.bodies.values():
             _write_one(out, body, block_bytes)
-        stamp = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "morembs_version": VERSION}
-        given = {f"{key}_" if key == GROUP else key: value for key, value in provenance.items()}
-        out.tree("provenance", {**stamp, **given})
+        out.provenance({f"{key}_" if key == GROUP else key: value for key, value in provenance.items()})
     return target
 
 

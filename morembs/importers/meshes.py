@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
@@ -53,8 +53,11 @@ _MED = (".med", ".rmed")
 CARRIERS = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9"}
 
 
-def read_with_meshio(path: Path) -> Mesh:
+def read_with_meshio(path: Path, kinds: Mapping[str, str] = SOLIDS) -> Mesh:
     """Mesh of any file that meshio reads, in the units of the file. Labels are counted from 1, since meshio drops them.
+
+    Args:
+        kinds: cells of meshio that become elements, with the type of these; solids unless given.
 
     Raises:
         InputError: a file that meshio cannot read or that is damaged, or elements that are no solids known here.
@@ -68,16 +71,17 @@ def read_with_meshio(path: Path) -> Mesh:
     for index, cells in enumerate(data.cells):
         ids = np.arange(label, label + len(cells.data))
         label += len(cells.data)
-        if cells.type in SOLIDS:
-            kind = SOLIDS[cells.type]
-            nodes = cells.data[:, _mirror(kind)] if path.suffix.lower() in _MED else cells.data
+        if cells.type in kinds:
+            kind = kinds[cells.type]
+            mirrored = kind in TYPES and path.suffix.lower() in _MED
+            nodes = cells.data[:, _mirror(kind)] if mirrored else cells.data
             joined = parts.setdefault(kind, [])
             place[index] = kind, sum(len(i) for _, i in joined)
             joined.append((nodes, ids))
         elif cells.type not in CARRIERS:
             raise InputError(
-                f"{path.name} has elements of the type {cells.type!r}, which is not supported; expected solids: "
-                f"{', '.join(SOLIDS.values())}"
+                f"{path.name} has elements of the type {cells.type!r}, which is not supported; expected "
+                f"{'solids' if kinds is SOLIDS else 'plane elements'}: {', '.join(kinds.values())}"
             )
     blocks = [
         ElementBlock(

@@ -23,6 +23,10 @@ class ImporterTolerances:
     # A size that is divided by, at least: any positive one.
     least_size: float = 1e-300
 
+    # --- Meshes of plane elements
+    # Extent of a mesh across its plane over its longest side that is none: coordinates with six digits.
+    out_of_plane: float = 1e-6
+
     # --- Parts of CAD
     # Size of elements over the longest side of a part, where none is asked for.
     cad_element_part: float = 0.05

@@ -107,6 +107,15 @@ def holds_format(path: Path, name: str) -> bool:
         return False
 
 
+def tree(group: Any) -> dict[str, Any]:
+    """Nested mapping of a group; text as str, numbers as Python numbers, arrays as lists."""
+    return {name: tree(item) if hasattr(item, "items") else _plain(item[()]) for name, item in group.items()}
+
+
+def _plain(value: Any) -> Any:
+    return value.decode() if isinstance(value, bytes) else value.tolist()
+
+
 def refuse_unsafe_file(path: Path) -> None:
     """Look at a file that another reader will open; what is no HDF5 file, or damaged, is left to that reader.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from morembs.storage.safefile import SafeFile, replacing
 from morembs.storage.storable import plain, storable
 from morembs.storage.table import Table
 from morembs.storage.tolerances import TOL
+from morembs.version import VERSION
 
 
 @contextmanager
@@ -115,6 +117,11 @@ class Writer:
                     self.put(at + name, KINDS[row.kind].encode(part), row.about, row.units)
         for name, words in table.attributes.items():
             self.file[at or "/"].attrs[name] = np.bytes_(words)
+
+    def provenance(self, given: Mapping[str, object]) -> None:
+        """Store where the file comes from, with the time and the version."""
+        stamp = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "morembs_version": VERSION}
+        self.tree("provenance", {**stamp, **given})
 
     def tree(self, name: str, value: object) -> None:
         """Store nested mappings as groups; None is left out, rows of equal keys become columns."""

@@ -11,10 +11,12 @@ import pytest
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
 from morembs.app.jobs.stages.member import MEMBERS
+from morembs.base import progress
 from morembs.base.errors import InputError
 from morembs.dynamics.gmp import AngleRange, Parameterised, ReducedMember
-from morembs.dynamics.gmp.stored import read_members
+from morembs.dynamics.gmp.stored import read_members, read_origin
 from morembs.dynamics.nonlinear import PlanarBeam, Section
+from morembs.storage.checksums import whole_sum
 from studies import flexible_slider_crank as slider_crank
 from tests.support.processes import morembs
 
@@ -146,9 +148,41 @@ def test_the_command_line_checks_reduces_and_shows(tmp_path: Path) -> None:
 def test_a_result_says_what_it_is_and_the_same_job_writes_the_same_bytes(tmp_path: Path) -> None:
     result = run_job(load_job(write(tmp_path)))
     assert result.bodies == () and result[MEMBERS]["rod"].modes == 3 and "rod.toml" in repr(result)
-    before = (tmp_path / "rod.h5").read_bytes()
+    before = whole_sum(tmp_path / "rod.h5")
     run_job(load_job(tmp_path / "rod.toml", ["solver.workers=2"]))
-    assert (tmp_path / "rod.h5").read_bytes() == before
+    assert whole_sum(tmp_path / "rod.h5") == before
+    recipe, provenance = read_origin(tmp_path / "rod.h5")
+    assert recipe["member"]["young"] == 2e6 and recipe["reduce"][0]["name"] == "rod"
+    assert provenance["job"] == ROD and provenance["equilibria"]["rod"]["tables"] == 25
+    assert provenance["seconds"]["reduce rod"] > 0 and provenance["changes"] == [b"solver.workers=2"]
+
+
+def test_a_run_that_was_ended_goes_on_from_its_equilibria(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ended by the listener after some equilibria, of a job and of one that was changed since."""
+    whole = made(tmp_path, ROD)
+    (tmp_path / "rod.h5").unlink()
+
+    class Ender:
+        def stage(self, name: str) -> None: ...
+
+        def update(self, text: str) -> None:
+            if text.startswith("equilibria: 4"):
+                raise KeyboardInterrupt
+
+    job = load_job(write(tmp_path))
+    with pytest.raises(KeyboardInterrupt), progress.listening(Ender()):
+        run_job(job)
+    left = list(tmp_path.glob("*.equilibria"))
+    assert len(left) == 1 and not (tmp_path / "rod.h5").exists()
+    kept = left[0].read_bytes()
+    other = run_job(load_job(tmp_path / "rod.toml", ["reduce.reach=0.6"]))
+    assert other.document()["members"]["rod"]["restored"] == 0 and not list(tmp_path.glob("*.equilibria"))
+    left[0].write_bytes(kept)
+    result = run_job(job)
+    report = result.document()["members"]["rod"]
+    assert report["restored"] >= 3 and report["restored"] + report["solved"] < 25
+    agree(next(iter(read_members(job.output).values())), whole, 0.0)
+    assert not list(tmp_path.glob("*.equilibria"))
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def reduce(
     """Reduce the models of job files and write their bodies."""
     from morembs.app.jobs.document import sections_of
     from morembs.app.jobs.run import run_job
-    from morembs.app.jobs.stages.member import MemberTable
+    from morembs.app.jobs.stages.member_table import MemberTable
     from morembs.app.report.text import print_document
 
     if attached:

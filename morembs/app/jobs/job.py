@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from morembs.app.jobs.solver import SolverTable
-from morembs.app.jobs.stages.member import MemberTable
+from morembs.app.jobs.stages.member_table import MemberTable
 from morembs.app.jobs.stages.reduction import make_reducers
 from morembs.app.jobs.stages.stage import STAGES, in_order
 from morembs.app.jobs.tables import Job, JobTable, JobTables, ModesTable

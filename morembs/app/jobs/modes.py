@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from morembs.app.jobs.picture import BODY_COLORS, save
 from morembs.app.jobs.solver import SolverTable, budget_of, solver_of
 from morembs.app.jobs.stages.couple import damping_of, interfaces_of
-from morembs.app.jobs.stages.member import MemberTable
+from morembs.app.jobs.stages.member_table import MemberTable
 from morembs.app.jobs.stages.model import materials_of
 from morembs.app.jobs.stages.preload import PreloadTable, preload_of
 from morembs.app.jobs.stages.spin import SpinTable, rotation_of

@@ -108,6 +108,8 @@ class JobTolerances:
     least_count_bytes: int = 6_000_000
     # Tangents of a member that take as long as each equilibrium of its tables with all steps and checks; measured.
     tangents_per_equilibrium: int = 50
+    # The same of a solid, in tangents with their factors; measured.
+    factors_per_equilibrium: int = 8
     # Equilibria of a grid of 5 by 5 points and of its 16 checks: most members need no finer one.
     equilibria_of_a_member: int = 41
     # Equilibria that take as long as a formulation that solves for none; measured.

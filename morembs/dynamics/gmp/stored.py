@@ -5,6 +5,7 @@ Equations and an evaluator that needs nothing but these datasets are in docs/gmp
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,8 @@ from typing import Any
 from morembs.base.errors import InputError
 from morembs.dynamics.gmp.chebyshev import ChebyshevTable
 from morembs.dynamics.gmp.data import Parameterised
-from morembs.storage.checksums import Checksums
-from morembs.storage.hdf5 import MEMBERS, is_format, reading, refuse_newer
+from morembs.storage.checksums import GROUP, Checksums
+from morembs.storage.hdf5 import MEMBERS, is_format, reading, refuse_newer, tree
 from morembs.storage.table import Row, Table, read_rows, table_of
 from morembs.storage.table_check import TableCheck
 from morembs.storage.writer import writing
@@ -40,6 +41,7 @@ _MEMBERS = Table(
     (
         Row("format", "text", when="files of 0.1.0 lack it"),
         Row("format_version", "whole", when="files of 0.1.0 lack it"),
+        Row("recipe", "json", when="of members of jobs, since 0.2", doc="what was asked for, as JSON"),
         Row("bodies/*", Table((Row("parameterised", MEMBER),))),
     )
 )
@@ -61,8 +63,19 @@ def _checked(path: Path, group: Any) -> Parameterised:
     return data
 
 
-def write_members(path: str | Path, members: Mapping[str, Parameterised]) -> Path:
+def write_members(
+    path: str | Path,
+    members: Mapping[str, Parameterised],
+    *,
+    recipe: Mapping[str, object] | None = None,
+    provenance: Mapping[str, object] | None = None,
+) -> Path:
     """A file with one group bodies/NAME/parameterised for each member; the old file stays if that fails.
+
+    Args:
+        recipe: what was asked for (the job).
+        provenance: where the file comes from, any nested names and values, beside time and version; nothing else in
+            the file depends on it. None: the file has none.
 
     Raises:
         InputError: no member, a name that HDF5 cannot hold.
@@ -74,9 +87,13 @@ def write_members(path: str | Path, members: Mapping[str, Parameterised]) -> Pat
     wrong = [name for name in members if not name or "/" in name or name == "." or "\0" in name]
     if wrong:
         raise InputError(f"{wrong[0]!r} was given as the name of a member; expected one without slashes")
-    with writing(target) as out:
+    # Checksums of /provenance apart, as nothing outside depends on it.
+    with writing(target, apart=[] if provenance is None else ["provenance"]) as out:
         bodies = {name: {"parameterised": data} for name, data in members.items()}
-        out.rows("", _MEMBERS, {"format": MemberFormat.NAME, "format_version": MemberFormat.VERSION, "bodies": bodies})
+        head = {"format": MemberFormat.NAME, "format_version": MemberFormat.VERSION, "recipe": recipe}
+        out.rows("", _MEMBERS, {**head, "bodies": bodies})
+        if provenance is not None:
+            out.provenance(provenance)
     return target
 
 
@@ -96,3 +113,16 @@ def read_members(path: str | Path) -> dict[str, Parameterised]:
             raise InputError(f"{path} holds no group bodies/NAME/parameterised; expected a file of write_members")
         Checksums(path, file).verify()
     return members
+
+
+def read_origin(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What was asked for and where the file comes from, by the names of its job; empty where it does not say.
+
+    Raises:
+        InputError: no such file, or one that is damaged.
+    """
+    with reading(Path(path), "a file of write_members") as file:
+        recipe = json.loads(file["recipe"][()]) if "recipe" in file else {}
+        if "provenance" in file:
+            Checksums(path, file["provenance"]).verify()
+        return recipe, {name: item for name, item in tree(file.get("provenance", {})).items() if name != GROUP}

@@ -19,6 +19,7 @@ from morembs.base.errors import BudgetError, InputError, SingularMatrixError, So
 from morembs.base.limits import Positive, PositiveCount
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.tolerances import TOL
+from morembs.linalg.sparse.cost import Forecast
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import Analysis, Factorization, LinearSolver
 
@@ -73,6 +74,17 @@ class Tangents(Closing):
         """Release the analysis and its factor."""
         if self._analysis is not None:
             self._analysis.close()
+
+    @property
+    def forecast(self) -> Forecast:
+        """What a factor takes, after the first one.
+
+        Raises:
+            SolverError: there was none.
+        """
+        if self._analysis is None:
+            raise SolverError("no tangent was factorised yet")
+        return self._analysis.forecast
 
     def factor(self, K: sp.csr_matrix) -> Factorization:
         """Factor of the free part of K (N, N).

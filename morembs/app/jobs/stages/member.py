@@ -1,122 +1,36 @@
-"""``[member]``: a planar beam in place of a model, which the job reduces by global modal parameterisation."""
+"""``[member]``: a planar part in place of a model, which the job reduces by global modal parameterisation."""
 
 from __future__ import annotations
 
-import math
-import sys
-import time
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from morembs.app.jobs.solver import SolverTable
+from morembs.app.jobs.stages.member_cost import cost_of, counts_of
+from morembs.app.jobs.stages.member_table import MemberTable, component_of, mesh_of
 from morembs.app.jobs.stages.reduction import ReduceTable, named_tables
 from morembs.app.jobs.stages.stage import JobForecast, JobStage, Result, Results, Work
-from morembs.app.jobs.tables import HasTables, Job, JobTables, ModelTable, OptionalTable, Three
+from morembs.app.jobs.tables import HasTables, Job, JobTables, ModelTable
 from morembs.app.jobs.tolerances import TOL
 from morembs.app.report.sections import Place, Section
 from morembs.base.errors import InputError
-from morembs.base.key_tables import Table, described
-from morembs.base.limits import NotNegative, PoissonRatio, Positive, length, number
 from morembs.base.memory import resident_bytes
 from morembs.base.options import read_options
 from morembs.base.units import Units
 from morembs.linalg.sparse.threads import blas_threads
 from morembs.storage.checksums import whole_sum
+from morembs.storage.contents import Content
 
 if TYPE_CHECKING:
     from morembs.dynamics.gmp import AngleRange, ReducedMember
-    from morembs.dynamics.nonlinear import PlanarBeam
-    from morembs.dynamics.nonlinear import Section as BeamSection
+    from morembs.dynamics.nonlinear import NonlinearSolid, PlanarBeam
 
 MEMBERS: Result[Mapping[str, ReducedMember]] = Result("members")
 METHOD = "global-modal-parameterisation"
 BESIDE = {"member", "model", "reduce", "solver", "output", "modes"}
-_LINE, _SECTION = ("length", "elements"), ("young", "density", "width", "height", "area", "second_moment")
-
-
-@dataclass(frozen=True, kw_only=True)
-class SectionTable(Table):
-    """Stiffness and mass of a cross-section."""
-
-    EA: Positive
-    GA: Positive
-    EI: Positive
-    mass: Positive
-    rotary: NotNegative = 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class MemberTable(OptionalTable):
-    """``[member]``: a planar beam of one cross-section. Its frames are its first and last node."""
-
-    length: Positive | None = described("the length of a straight beam", None)
-    elements: Annotated[int, number("a count of elements from 1 to 100000", ge=1, le=100_000)] | None = None
-    points: Annotated[list[Three], length("two or more", 2, sys.maxsize)] | None = described(
-        "in place of length and elements, [x, y, direction of the axis in rad] of each node", None
-    )
-    young: Positive | None = described("Young's modulus", None)
-    density: Positive | None = None
-    poisson: PoissonRatio = 0.3
-    width: Positive | None = described("of a rectangle, across the plane of motion", None)
-    height: Positive | None = described("of a rectangle, in the plane of motion", None)
-    area: Positive | None = described("in place of width and height, beside second_moment", None)
-    second_moment: Positive | None = described("in place of width and height, beside area", None)
-    section: SectionTable | None = described(
-        "a table { EA = ..., GA = ..., EI = ..., mass = ..., rotary = ... } in place of young, density, width, height: "
-        "force, force, force length2, mass/length, mass length",
-        None,
-    )
-
-    def refuse_conflicts(self) -> None:
-        line = [key for key in _LINE if key in self.given]
-        if line != ([] if "points" in self.given else list(_LINE)):
-            raise InputError(f"{_listed(self.given, _LINE, 'points')}; expected length and elements, or points")
-        if self.section is None:
-            given = {key for key in _SECTION if key in self.given}
-            if given not in ({"young", "density", *pair} for pair in (_SECTION[2:4], _SECTION[4:])):
-                raise InputError(
-                    f"{_listed(self.given, _SECTION)}; expected young and density with width and height or with area "
-                    "and second_moment, or section"
-                )
-        elif self.given & {*_SECTION, "poisson"}:
-            raise InputError(f"section and {_listed(self.given, (*_SECTION, 'poisson'))}; expected one of them")
-
-    def beam(self, units: Units) -> PlanarBeam:
-        """The beam in SI units.
-
-        Raises:
-            InputError: points that are no beam.
-        """
-        # Not at the top: most jobs have no member.
-        from morembs.dynamics.nonlinear import PlanarBeam
-
-        section = self._section(units)
-        if self.points is None:
-            return PlanarBeam.straight((self.length or 0.0) * units.length, self.elements or 0, section)
-        return PlanarBeam.along([[units.length * x, units.length * y, turn] for x, y, turn in self.points], section)
-
-    def _section(self, units: Units) -> BeamSection:
-        from morembs.dynamics.nonlinear import Section as BeamSection
-
-        if self.section is not None:
-            force, given = units.stress * units.length**2, self.section
-            return BeamSection(
-                EA=given.EA * force,
-                GA=given.GA * force,
-                EI=given.EI * force * units.length**2,
-                mass=given.mass * units.mass / units.length,
-                rotary=given.rotary * units.mass * units.length,
-            )
-        width, height = self.width or 0.0, self.height or 0.0
-        return BeamSection.of(
-            E=(self.young or 0.0) * units.stress,
-            A=(self.area or width * height) * units.length**2,
-            I=(self.second_moment or width * height**3 / 12) * units.length**4,
-            density=(self.density or 0.0) * units.density,
-            nu=self.poisson,
-        )
 
 
 class ReduceMember(JobStage):
@@ -133,7 +47,7 @@ class ReduceMember(JobStage):
         if MemberTable.of(tables) is None:
             return
         for key in sorted(tables.given - BESIDE):
-            raise InputError(f"[{key}] was given beside [member], a beam between two frames; leave it out")
+            raise InputError(f"[{key}] was given beside [member], a part between two frames; leave it out")
         kept = {"model": {"units"}, "output": {"path"}, "solver": {"threads", "workers"}}
         for place, keys in kept.items():
             for key in sorted(tables.table(place).given - keys):
@@ -146,84 +60,103 @@ class ReduceMember(JobStage):
                 raise InputError(
                     f'[[reduce]] {name!r}: method = {table.method!r} was given beside [member]; expected "{METHOD}"'
                 )
-            _options(name, table, ModelTable.of(tables).parsed_units)
+            options = _options(name, table, ModelTable.of(tables).parsed_units)
+            formulation = options.get("formulation", "tangent")
+            if MemberTable.needed(tables).mesh is not None and formulation != "tangent":
+                raise InputError(
+                    f'[[reduce]] {name!r}: formulation = "{formulation}" was given for a mesh; expected "tangent"'
+                )
 
     def is_asked(self, job: Job) -> bool:
         return MemberTable.of(job) is not None
+
+    def reads(self, job: Job) -> Mapping[str, Path]:
+        return mesh_of(job)
 
     def writes(self, job: Job) -> Mapping[str, Path]:
         return {"[output] path": job.output}
 
     def prepare(self, job: Job) -> None:
-        _beam(job)
+        component_of(job)
 
     def forecast(self, job: Job) -> JobForecast:
-        beam = _beam(job)
-        K, M = beam.tangent(beam.reference), beam.M
-        begin = time.perf_counter()
-        beam.tangent(beam.reference)
-        seconds = TOL.tangents_per_equilibrium * (time.perf_counter() - begin)
+        part = cost_of(component_of(job))
         equilibria = {name: _equilibria(options) for name, options in _all_options(job).items()}
-        tables_bytes = TOL.numbers_per_equilibrium * 8 * beam.size * max(equilibria.values())
-        # Node by node nothing fills in, and each row meets the six before it.
-        factor_bytes, nodes = 12 * K.nnz, beam.size // 3
+        tables_bytes = TOL.numbers_per_equilibrium * 8 * part.dofs * max(equilibria.values())
+        peak = resident_bytes() + part.factor_bytes + tables_bytes
         return JobForecast(
-            solver="superlu",
-            choice="superlu, for the equilibria of a chain of beam elements",
-            nodes=nodes,
-            elements=nodes - 1,
-            dofs=beam.size,
-            coupled_dofs=beam.size,
+            solver=part.solver,
+            choice=f"{part.solver}, for the equilibria of {part.what}",
+            nodes=part.nodes,
+            elements=part.elements,
+            dofs=part.dofs,
+            coupled_dofs=part.dofs,
             rigid_modes=3,
-            stiffness_nonzeros=K.nnz,
-            mass_nonzeros=M.nnz,
-            matrices_bytes=12 * (K.nnz + M.nnz),
-            factor_entries=K.nnz,
-            factor_flops=float(36 * beam.size),
-            factor_bytes=factor_bytes,
+            stiffness_nonzeros=part.stiffness_nonzeros,
+            mass_nonzeros=part.mass_nonzeros,
+            matrices_bytes=12 * (part.stiffness_nonzeros + part.mass_nonzeros),
+            factor_entries=part.factor_entries,
+            factor_flops=part.factor_flops,
+            factor_bytes=part.factor_bytes,
             scratch_bytes=0,
             columns_bytes=tables_bytes,
-            peak_memory_bytes=resident_bytes() + factor_bytes + tables_bytes,
-            factor_seconds=0.0,
+            peak_memory_bytes=peak,
+            factor_seconds=part.factor_seconds,
             threads=blas_threads(),
             shift_factor_entries=0,
             shift_factor_bytes=0,
             shift_seconds=0.0,
             processes=0,
             process_bytes=0,
-            all_processes_bytes=resident_bytes() + factor_bytes + tables_bytes,
-            extent=(_chord(beam), 0.0, 0.0),
-            interface_nodes={"start": 1, "end": 1},
-            reduction_seconds={name: count * seconds for name, count in equilibria.items()},
+            all_processes_bytes=peak,
+            extent=part.extent,
+            interface_nodes=part.interface_nodes,
+            reduction_seconds={name: count * part.equilibrium_seconds for name, count in equilibria.items()},
         )
 
     def run(self, work: Work) -> None:
         from morembs.dynamics.gmp import ReducedMember
         from morembs.dynamics.gmp.stored import write_members
 
-        job, members = work.job, dict[str, ReducedMember]()
-        beam, workers = _beam(job), SolverTable.of(job).workers
+        job, members, kept = work.job, dict[str, ReducedMember](), list[Path]()
+        inputs = [{"file": str(path), "sha256": Content.of(path).sha256} for path in mesh_of(job).values()]
         for name, options in _all_options(job).items():
+            kept.append(_checkpoint(job, name, inputs))
             with work.watch.stage(f"reduce {name}"):
                 try:
-                    members[name] = ReducedMember(beam, **options, workers=workers)
+                    members[name] = _reduced(component_of(job), options, SolverTable.of(job).workers, kept[-1])
                 except InputError as error:
                     raise InputError(f"[[reduce]] {name!r}: {error}") from error
             report = members[name].report
             work.tell(*(f"{name}: {note}" for note in (report.notes if report is not None else ())))
-        with work.watch.stage("write"):
-            write_members(job.output, {name: member.data for name, member in members.items()})
+        watch = work.watch
+        with watch.stage("write"):
+            write_members(
+                job.output,
+                {name: member.data for name, member in members.items()},
+                recipe=job.tables.values(without_none=True, but={"output", "solver"}),
+                provenance={
+                    "job": job.text,
+                    "changes": list(job.changes) or None,
+                    "inputs": inputs or None,
+                    "equilibria": {name: _solved(member) for name, member in members.items()},
+                    "seconds": {stage.name: stage.seconds for stage in watch.stages},
+                    "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in watch.stages},
+                    "job_peak_memory_bytes": watch.peak_memory_bytes,
+                },
+            )
+        for path in kept:
+            path.unlink(missing_ok=True)
         work.give(MEMBERS, members)
 
     def document(self, job: Job, results: Results) -> Mapping[str, Any]:
-        beam, members = _beam(job), results[MEMBERS]
-        nodes = beam.size // 3
+        nodes, elements, dofs = counts_of(component_of(job))
         return {
             "nodes": nodes,
-            "elements": nodes - 1,
-            "dofs": beam.size,
+            "elements": elements,
+            "dofs": dofs,
             "bodies": {},
-            "members": {name: _document(member) for name, member in members.items()},
+            "members": {name: _document(member) for name, member in results[MEMBERS].items()},
             "output": str(job.output),
             "body_sha256": whole_sum(job.output),
         }
@@ -254,18 +187,35 @@ class ReduceMember(JobStage):
         ]
 
 
-def _listed(given: frozenset[str], *keys: Any) -> str:
-    known = [key for each in keys for key in ([each] if isinstance(each, str) else each) if key in given]
-    return f"{', '.join(known) or 'nothing of it'} was given"
+def _reduced(
+    component: PlanarBeam | NonlinearSolid, options: Mapping[str, Any], workers: int, checkpoint: Path
+) -> ReducedMember:
+    from morembs.dynamics.gmp import ReducedMember, solid_member
+    from morembs.dynamics.nonlinear import PlanarBeam
+
+    if isinstance(component, PlanarBeam):
+        return ReducedMember(component, **options, workers=workers, checkpoint=checkpoint)
+    others = {key: value for key, value in options.items() if key != "formulation"}
+    return solid_member(component, **others, workers=workers, checkpoint=checkpoint)
 
 
-def _beam(job: Job) -> PlanarBeam:
-    return MemberTable.needed(job).beam(job.units)
+def _checkpoint(job: Job, name: str, inputs: object) -> Path:
+    """File of the equilibria of a reduction, from which a run that was killed goes on; those of other jobs go."""
+    asked = job.tables.values(without_none=True, but={"output", "solver"})
+    digest = hashlib.sha256(json.dumps([asked, inputs], sort_keys=True, default=str).encode()).hexdigest()
+    label = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in name)
+    path = job.output.with_name(f"{job.output.name}.{label}.{digest[:12]}.equilibria")
+    for left in job.output.parent.glob(f"{job.output.name}.{label}.{12 * '?'}.equilibria"):
+        if left != path:
+            left.unlink(missing_ok=True)
+    return path
 
 
-def _chord(beam: PlanarBeam) -> float:
-    start, end = beam.reference[:2], beam.reference[-3:-1]
-    return math.hypot(*(end - start))
+def _solved(member: ReducedMember) -> dict[str, int]:
+    report = member.report
+    if report is None:
+        return {}
+    return {"tables": report.equilibria, "solved": report.solved, "restored": report.restored}
 
 
 def _equilibria(options: Mapping[str, Any]) -> int:
@@ -322,5 +272,6 @@ def _document(member: ReducedMember) -> dict[str, Any]:
     if report is None:
         return told
     errors = dict(report.errors)
-    solved = {"equilibria": report.equilibria, "solved": report.solved, "symmetries": list(report.symmetries)}
+    counts = {"equilibria": report.equilibria, "solved": report.solved, "restored": report.restored}
+    solved = {**counts, "symmetries": list(report.symmetries)}
     return {**told, **solved, "errors": errors, "error": max([told["error"], *errors.values()]), "notes": report.notes}
