@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 import shutil
 import subprocess
 from collections.abc import Sequence
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
+from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from morembs.app.cli import commands as cli
-from morembs.app.cli.page import Entry, write_report
 from morembs.app.jobs.compare import recommended
+from morembs.app.pages.page import Entry, write_report
+from morembs.body.file import read_body
 from tests.support import decks
 
 RUNNER = CliRunner()
@@ -96,6 +101,81 @@ def test_where_no_report_can_be_written_nothing_is_run(tmp_path: Path, name: str
     assert done.exit_code == 2 and said in done.stderr and not (tmp_path / "part.h5").exists()
 
 
+def test_its_data_is_beside_it_as_json(report: Path) -> None:
+    data = json.loads(report.with_suffix(".json").read_text())
+    assert (data["format"], data["version"]) == ("morembs-report", 1)
+    named = {part["name"]: part for part in data["parts"]}
+    assert list(named) == ['a <b>&"x', "wrong", "long"]
+    assert named["wrong"]["state"] == "failed" and "nothing.inp" in named["wrong"]["message"]
+    told = named["long"]["body_file"]
+    body = read_body(report.parent / unquote(named["long"]["output"])).bodies["cb"]
+    assert told["shown"] == "cb" and list(told["bodies"]) == ["cb", "worse"]
+    assert told["bodies"]["cb"]["asked"] == {"modes": 4} and told["bodies"]["cb"]["order"] == 16
+    assert told["bodies"]["cb"]["frequencies_hz"] == body.frequencies_hz[6:26].tolist()
+    assert told["bodies"]["cb"]["limits"]["envelope"] == body.certificate.limits["envelope"].upper
+    assert told["sha256"] == hashlib.sha256((report.parent / "long" / "part.h5").read_bytes()).hexdigest()
+    assert "".join(part["name"] for part in data["parts"]) not in report.read_text()  # names are escaped there too
+
+
+def test_frequencies_have_equal_digits_and_reductions_say_what_was_asked_for(report: Path) -> None:
+    text = report.read_text()
+    page = Page(text)
+    [shown] = [words for words in page.texts if words.startswith("25,426.4")][:1]
+    assert {len(number.partition(".")[2]) for number in shown.split(", ")} == {1}
+    assert "118,146.8" in text and "modes = 4" in " ".join(page.texts)
+
+
+def test_files_to_take_are_linked(report: Path) -> None:
+    done = RUNNER.invoke(cli.app, ["export", str(report.parent / "long/part.h5"), "--to", "op4", "--body", "cb"])
+    assert done.exit_code == 0, done.stderr
+    path = report.with_name("again.html")
+    write_report(path, [entry_of(report.parent / "long/part.h5")], "x")
+    assert '<a href="long/part_cb.op4" download>part_cb.op4</a> <span class="soft">op4</span>' in path.read_text()
+
+
+def entry_of(body: Path, state: str = "unchanged") -> Entry:
+    return Entry(name=body.parent.name, job=str(body.with_suffix(".toml")), output=str(body), state=state)
+
+
+def test_pictures_and_words_on_unchanged_bodies_are_kept(report: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the last report holds of the same file is taken from it; a damaged report, or another file, is not."""
+    path, body = report.with_name("kept.html"), report.parent / "long" / "part.h5"
+    write_report(path, [entry_of(body)], "x")
+    first, drawn = path.read_text(), []
+    figures = Figure.__init__
+
+    def counted(self: Figure, *args: object, **options: object) -> None:
+        drawn.append(1)
+        figures(self, *args, **options)
+
+    monkeypatch.setattr(Figure, "__init__", counted)
+    write_report(path, [entry_of(body)], "x")
+    assert not drawn and path.read_text() == first
+    # Another file, with the name of one that is known.
+    other = report.parent / 'a <b>&"x' / "part.h5"
+    write_report(path, [replace(entry_of(other), name="long")], "x")
+    assert len(drawn) == 3 and "58,949.2" in path.read_text()
+    # Words of the old report that somebody changed are not believed.
+    path.write_text(first.replace("25426.", "11111."))
+    write_report(path, [entry_of(body)], "x")
+    assert path.read_text() == first
+
+
+def test_nothing_but_pictures_and_numbers_gets_out_of_an_old_report(report: Path) -> None:
+    path, body = report.with_name("evil.html"), report.parent / "long" / "part.h5"
+    write_report(path, [entry_of(body)], "x")
+    first = path.read_text()
+    path.write_text(re.sub(r"base64,[A-Za-z0-9+/=]+", 'base64,AAAA" onerror="alert(1)', first))
+    write_report(path, [entry_of(body)], "x")
+    assert path.read_text() == first
+
+
+def browser(folder: Path) -> list[str]:
+    """A browser without a window, with a profile of its own."""
+    plain = ("--headless=new", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--v=0")
+    return [str(BROWSER), *plain, f"--user-data-dir={folder / 'profile'}"]
+
+
 def browsed(text: str, clicks: Sequence[str], folder: Path) -> tuple[list[str], str]:
     """Numbers of the parts that a browser shows at first and after each script, and what its console says."""
     rows = "Array.from(document.links).map(link => link.hash).filter(hash => hash.startsWith('#part-'))"
@@ -106,22 +186,8 @@ def browsed(text: str, clicks: Sequence[str], folder: Path) -> tuple[list[str], 
     script = "var shown = [];" + note + "".join(click + note for click in clicks) + seen
     page = folder / "page.html"
     page.write_text(text.replace("</body>", f"<script>{script}</script></body>"))
-    done = subprocess.run(
-        [
-            str(BROWSER),
-            "--headless=new",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--enable-logging=stderr",
-            "--v=0",
-            f"--user-data-dir={folder / 'profile'}",
-            "--dump-dom",
-            page.as_uri(),
-        ],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    command = [*browser(folder), "--dump-dom", page.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     shown = re.search(r'<pre id="shown">(.*?)</pre>', done.stdout)
     faults = "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line)
     return shown[1].split(",") if shown else [], faults
@@ -169,3 +235,72 @@ def test_parts_without_a_certificate_and_long_numbers_are_sorted_as_numbers(tmp_
     text = (tmp_path / "report.html").read_text()
     clicks = [by("error"), by("error"), by("elastic")]
     assert browsed(text, clicks, tmp_path)[0][1:] == ["312", "132", "213"]
+
+
+# Styles of what is asked for by a selector, in a frame of a width, as ``dump`` writes them.
+MEASURE = """
+var e = document.createElement('pre'); e.id = 'measured';
+var img = document.querySelector('#parts td img').getBoundingClientRect();
+e.textContent = [img.width, img.height, getComputedStyle(document.body).backgroundColor,
+  document.documentElement.scrollWidth <= innerWidth].join(';');
+document.body.append(e);
+"""
+
+
+def in_browser(text: str, script: str, folder: Path, width: int = 1400, options: Sequence[str] = ()) -> str:
+    """The text of #measured that a ``script`` leaves in a page as wide as ``width``."""
+    # The window of a browser has a least width; a frame has none, and its page goes by its width.
+    (folder / "inner.html").write_text(text.replace("</body>", f"<script>{script}</script></body>"))
+    tell = (
+        "addEventListener('message', e => { var p = document.createElement('pre'); p.id = 'told'; "
+        "p.textContent = e.data; document.body.append(p); });"
+    )
+    (folder / "outer.html").write_text(
+        f'<!DOCTYPE html><body><script>{tell}</script><iframe src="inner.html" style="width:{width}px;height:900px">'
+    )
+    inner = (folder / "inner.html").read_text()
+    post = "parent.postMessage(document.getElementById('measured').textContent, '*');"
+    (folder / "inner.html").write_text(inner.replace("</body>", f"<script>{post}</script></body>"))
+    done = subprocess.run(
+        [*browser(folder), *options, "--virtual-time-budget=3000", "--dump-dom", (folder / "outer.html").as_uri()],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "CONSOLE" not in done.stderr, done.stderr
+    told = re.search(r'<pre id="told">(.*?)</pre>', done.stdout)
+    return told[1] if told else ""
+
+
+@pytest.mark.skipif(BROWSER is None, reason="chromium is not installed")
+@pytest.mark.parametrize(("width", "size"), [(390, "64;40"), (820, "96;60"), (1400, "96;60")])
+def test_thumbnails_have_a_size_at_all_widths_and_the_page_does_not_scroll(
+    report: Path, tmp_path: Path, width: int, size: str
+) -> None:
+    assert in_browser(report.read_text(), MEASURE, tmp_path, width) == f"{size};rgb(255, 255, 255);true"
+
+
+@pytest.mark.skipif(BROWSER is None, reason="chromium is not installed")
+def test_the_page_is_dark_where_the_reader_wants_it(report: Path, tmp_path: Path) -> None:
+    dark = "--blink-settings=preferredColorScheme=0"
+    assert "rgb(21, 24, 28)" in in_browser(report.read_text(), MEASURE, tmp_path, options=[dark])
+
+
+@pytest.mark.skipif(BROWSER is None, reason="chromium is not installed")
+def test_heads_are_sorted_by_keys_and_the_filter_hides_sections(report: Path, tmp_path: Path) -> None:
+    script = """
+    var said = [], heads = Array.from(document.querySelectorAll('#parts th button'));
+    var dofs = heads.find(head => head.textContent === 'dofs'), f = document.getElementById('filter');
+    var shown = () => Array.from(document.querySelectorAll('section')).filter(s => s.offsetParent !== null).length;
+    dofs.focus(); said.push(document.activeElement === dofs && dofs.tabIndex === 0);
+    // What a browser makes of Enter on a button is a click.
+    dofs.click(); said.push(dofs.parentNode.getAttribute('aria-sort'));
+    dofs.click(); said.push(dofs.parentNode.getAttribute('aria-sort'));
+    said.push(shown());
+    f.value = 'LONG'; f.dispatchEvent(new Event('input')); said.push(shown());
+    // Before the page is printed nothing comes back.
+    window.dispatchEvent(new Event('beforeprint')); said.push(shown());
+    said.push(document.querySelectorAll('#parts tbody tr').length);
+    var e = document.createElement('pre'); e.id = 'measured'; e.textContent = said.join(';'); document.body.append(e);
+    """
+    assert in_browser(report.read_text(), script, tmp_path) == "true;ascending;descending;3;1;1;1"

@@ -48,7 +48,7 @@ def batch(
 ) -> None:
     """Run many jobs beside each other; those whose results are up to date are left alone."""
     from morembs.app.batches.run import batch as run
-    from morembs.app.cli.page import Entry, check_report, write_report
+    from morembs.app.pages.page import Entry, check_report, write_report
 
     with messages():
         check_report(report)

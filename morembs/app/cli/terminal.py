@@ -213,7 +213,7 @@ def each_job(
 ) -> None:
     """Do ``work`` for each job, assemblies after their parts, but for those that ``order`` refuses."""
     if report is not None:
-        from morembs.app.cli.page import check_report
+        from morembs.app.pages.page import check_report
 
         with messages():
             check_report(report)
@@ -260,7 +260,7 @@ def _do(work: Work, path: Path, as_json: bool, quiet: bool, documents: list[dict
 
 
 def _write_report(report: Path, documents: Sequence[Mapping[str, Any]]) -> None:
-    from morembs.app.cli.page import Entry, write_report
+    from morembs.app.pages.page import Entry, write_report
 
     entries = [
         Entry(

@@ -9,10 +9,15 @@ from dataclasses import dataclass
 class ReportStyle:
     """Sizes of layout, each named by its quantity."""
 
-    # Elastic frequencies of a body: that evaluate prints where no number is given, of a report, and on a page.
+    # Elastic frequencies of a body: that evaluate prints where no number is given, of a report, on a page, and
+    # in its JSON.
     evaluated_frequencies: int = 6
     reported_frequencies: int = 10
     page_frequencies: int = 5
+    document_frequencies: int = 20
+    # Significant digits of the lowest frequency of a page, and digits behind the point at most.
+    frequency_digits: int = 4
+    frequency_decimals: int = 4
     # Columns of a table of frequencies, and terms of a ranking.
     bodies_per_table: int = 2
     ranked_terms: int = 8

@@ -1,0 +1,141 @@
+"""What a new report takes from an older one: what it says of body files that are the same, and their pictures.
+
+An older report is read as data alone: its document is JSON, pictures are taken where they are PNG in base64, and what
+plots show where it is JSON. Nothing else of it gets into a new page.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from morembs.app.report.style import STYLE
+from morembs.base.errors import InputError
+from morembs.storage.contents import own_files
+from morembs.version import VERSION
+
+DOCUMENT = re.compile(r'<script type="application/json" id="report">([^<]*)</script>')
+_PICTURE = re.compile(r'data-key="([0-9a-f]{64}:[a-z-]+)" src="data:image/png;base64,(iVBORw0KGgo[A-Za-z0-9+/=]+)"')
+_NOTHING = re.compile(r'<template data-key="([0-9a-f]{64}:[a-z-]+)"></template>')
+_DATA = re.compile(r'<script type="application/json" data-key="([0-9a-f]{64}:[a-z-]+)">([^<]*)</script>')
+
+
+class ReportFormat:
+    """Format of the document of a report."""
+
+    NAME = "morembs-report"
+    VERSION = 1
+
+
+def as_json(value: Any) -> Markup:
+    """A value as JSON that can stand in a page: nothing in it begins or ends a tag."""
+    text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+    return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """The document of a report, from its page or from the JSON file beside it.
+
+    Raises:
+        InputError: it cannot be read, or is no report, or one of another version.
+    """
+    try:
+        return _document(_text(path), path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} cannot be read as a report ({error})") from error
+
+
+def _text(path: Path) -> str:
+    """An older report, which the new one may replace: to read it is not to take it as an input of a job."""
+    with own_files():
+        return path.read_text(encoding="utf-8")
+
+
+def _document(text: str, path: Path) -> dict[str, Any]:
+    found = DOCUMENT.search(text)
+    try:
+        document = json.loads(found[1] if found else text)
+        known = isinstance(document, dict) and document.get("format") == ReportFormat.NAME
+        known = known and all(isinstance(part, dict) and "name" in part for part in document["parts"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        known = False
+    if not known:
+        raise InputError(
+            f"{path} has no data of a report; expected a report (.html or .json) that this morembs wrote, or the "
+            "manifest of a batch"
+        )
+    if document.get("version") != ReportFormat.VERSION:
+        raise InputError(
+            f"{path} has the format version {document.get('version')}; this morembs reads {ReportFormat.VERSION}"
+        )
+    return dict(document)
+
+
+class KeptParts:
+    """What older reports say and draw of body files, by the SHA-256 of the file.
+
+    Pictures and data are kept under ``key:name``, where the key is that of ``key_of``: other versions and other sizes
+    of pictures have other keys. Reports that are not there, or no reports, have nothing.
+    """
+
+    def __init__(self, reports: Iterable[Path]) -> None:
+        self._contents: dict[str, Mapping[str, Any]] = {}
+        self._pictures: dict[str, str] = {}
+        self._data: dict[str, str] = {}
+        for path in reports:
+            try:
+                text = _text(path)
+                document = _document(text, path)
+            except (OSError, UnicodeDecodeError, InputError):
+                continue
+            if document.get("morembs_version") == VERSION:
+                whole = [part["body_file"] for part in document["parts"] if _is_whole(part.get("body_file"))]
+                self._contents |= {content["sha256"]: content for content in whole}
+            self._pictures |= dict(_PICTURE.findall(text)) | dict.fromkeys(_NOTHING.findall(text), "")
+            self._data |= dict(_DATA.findall(text))
+
+    def content(self, sha256: str) -> Mapping[str, Any] | None:
+        """What a report of this version says of a body file, None where there is none."""
+        return self._contents.get(sha256)
+
+    def picture(self, key: str, make: Callable[[], bytes]) -> str:
+        """The picture that was kept under ``key``, or a new one, as PNG in base64; empty where there is none."""
+        if key not in self._pictures:
+            self._pictures[key] = base64.b64encode(make()).decode()
+        return self._pictures[key]
+
+    def data(self, key: str, make: Callable[[], Any]) -> Any:
+        """The plain values that were kept under ``key``, or new ones."""
+        if key in self._data:
+            try:
+                return json.loads(self._data[key])
+            except (ValueError, RecursionError):
+                pass  # damaged: made anew
+        return make()
+
+
+def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
+    """What is said of a body file, with the checksum by which a later report knows that it is as it was written."""
+    return {**content, "seal": _seal(content)}
+
+
+def _seal(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+def _is_whole(content: Any) -> bool:
+    if not isinstance(content, dict) or not content.get("sha256"):
+        return False
+    return bool(content.get("seal") == _seal({key: value for key, value in content.items() if key != "seal"}))
+
+
+def key_of(sha256: str) -> str:
+    """Key of what is drawn of a body file: by its content, this version, and the sizes of pictures."""
+    return hashlib.sha256(f"{sha256} {VERSION} {STYLE!r}".encode()).hexdigest()

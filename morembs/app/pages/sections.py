@@ -1,0 +1,153 @@
+"""What stands in the section of a part: the table below is its contents page.
+
+Each is a function of the part that gives HTML as ``Markup``, empty where the part has none of it. Values get into it
+by ``Markup.format`` or ``as_json`` alone, which escape them. Tables of stages are not here: a stage has them itself
+(``JobStage.sections`` and ``on_page``).
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from markupsafe import Markup
+
+from morembs.app.pages.kept import KeptParts, key_of
+from morembs.app.report.style import STYLE
+from morembs.body.file import read_body
+from morembs.body.stored import StoredBodies
+from morembs.body.tolerances import TOL as BODY
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from morembs.body.shapes import Shapes
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PartPage:
+    """A part on its way into a page: the body ``file``, its ``sha256``, what the page says of it (``content``).
+
+    ``stored`` is read when it is asked for: a part that has not changed goes without. ``report`` is the page, ``count``
+    the number of its parts; ``folder`` beside it is for what is too large for a page with many of them.
+    """
+
+    name: str
+    number: int
+    count: int
+    report: Path
+    file: Path
+    sha256: str
+    content: Mapping[str, Any]
+    kept: KeptParts = field(default_factory=lambda: KeptParts(()))
+
+    @cached_property
+    def stored(self) -> StoredBodies:
+        """All of the body file.
+
+        Raises:
+            InputError: it cannot be read.
+        """
+        return read_body(self.file)
+
+    @property
+    def shown(self) -> str:
+        """Name of the body that stands for the part."""
+        return str(self.content["shown"])
+
+    @property
+    def folder(self) -> Path:
+        """``night_files`` beside ``night.html``; it is made by who writes into it."""
+        return self.report.with_name(f"{self.report.stem}_files")
+
+    @property
+    def key(self) -> str:
+        """Under which pictures of this body file are kept."""
+        return key_of(self.sha256)
+
+    @cached_property
+    def shapes(self) -> Shapes | None:
+        """The first modes of the body that is shown on its skin; None where it keeps no nodes, or no elements."""
+        from morembs.body.shapes import shapes_on
+
+        return shapes_on(self.stored.bodies[self.shown].view(BODY.drawn_modes)) if len(self.stored.node_ids) else None
+
+    def picture(self, name: str, alt: str, size: tuple[float, float, int], draw: Callable[[Figure], bool]) -> Markup:
+        """An image of what ``draw`` draws, or the one that was kept; where it draws nothing, that is remembered."""
+        key = f"{self.key}:{name}"
+        source = self.kept.picture(key, lambda: png_of(size, draw))
+        if not source:
+            return Markup('<template data-key="{}"></template>').format(key)
+        width, height, dots = size
+        image = '<img data-key="{}" src="data:image/png;base64,{}" alt="{}" width="{:.0f}" height="{:.0f}">'
+        return Markup(image).format(key, source, alt, width * dots, height * dots)
+
+
+def png_of(size: tuple[float, float, int], draw: Callable[[Figure], bool]) -> bytes:
+    """A drawing as PNG of 256 colors, which takes a third of one of all colors; nothing where nothing is drawn."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    width, height, dots = size
+    with mpl.rc_context({"font.size": 9, "axes.titlesize": 10, "font.family": "DejaVu Sans"}):
+        figure = Figure(figsize=(width, height), dpi=dots, facecolor="white")
+        canvas = FigureCanvasAgg(figure)
+        if not draw(figure):
+            return b""
+        canvas.draw()
+        pixels = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+    file = io.BytesIO()
+    pixels.quantize(256).save(file, format="png", optimize=True)
+    return file.getvalue()
+
+
+def thumbnail(part: PartPage) -> Markup:
+    """The first mode, for the row of the part."""
+    from morembs.body.drawing import draw_first
+
+    def draw(figure: Figure) -> bool:
+        if part.shapes is not None:
+            draw_first(figure, part.shapes)
+        return part.shapes is not None
+
+    return part.picture("row", f"first mode of {part.name}", STYLE.row_picture, draw)
+
+
+def mode_pictures(part: PartPage) -> Markup:
+    """Four modes of the body that is shown."""
+    from morembs.body.drawing import draw_shapes
+
+    def draw(figure: Figure) -> bool:
+        if part.shapes is not None:
+            draw_shapes(figure, part.shapes)
+        return part.shapes is not None
+
+    return part.picture("modes", f"modes of {part.shown} of {part.name}", STYLE.shapes_picture, draw)
+
+
+def response_picture(part: PartPage) -> Markup:
+    """The response with its certificates, of all bodies."""
+    from morembs.app.jobs.compare import certified_response
+    from morembs.app.jobs.picture import draw_response
+
+    def draw(figure: Figure) -> bool:
+        response = certified_response(list(part.stored.bodies.values()))
+        if response is not None:
+            draw_response(figure, response)
+        return response is not None
+
+    return part.picture("response", f"response and error of {part.name}", STYLE.response_picture, draw)
+
+
+# One line for each, in the order in which they stand in the section of a part.
+SECTIONS: tuple[Callable[[PartPage], Markup], ...] = (mode_pictures, response_picture)
+# Scripts and style sheets that a page holds once: package and file.
+SCRIPTS: tuple[tuple[str, str], ...] = (("morembs.app.pages", "page.js"),)
+STYLES: tuple[tuple[str, str], ...] = (("morembs.app.pages", "page.css"),)
