@@ -40,7 +40,7 @@ def test_it_holds_the_package_and_nothing_else(wheel):
     held = {name for name in archive.namelist() if ".dist-info/" not in name}
     files = (path for path in (ROOT / "morembs").rglob("*") if path.is_file() and path.suffix not in (".pyc", ".pyo"))
     assert held == {path.relative_to(ROOT).as_posix() for path in files}
-    assert {"morembs/py.typed", "morembs/__init__.pyi", "morembs/app/pages/page.html", "morembs/app/pages/page.js"} <= held
+    assert {"morembs/py.typed", "morembs/__init__.pyi", "morembs/app/pages/page.html"} <= held
 
 
 def test_it_gives_a_first_body_and_a_picture_by_itself(wheel, tmp_path):
