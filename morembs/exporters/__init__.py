@@ -19,6 +19,7 @@ from morembs.exporters.dmig import DmigExporter
 from morembs.exporters.extptfm import ExtPtfm
 from morembs.exporters.exudyn import Exudyn
 from morembs.exporters.fmu.targets import CSource, Fmu
+from morembs.exporters.gltf import Gltf
 from morembs.exporters.matrix_market import MatrixMarketExporter
 from morembs.exporters.mbdyn import MBDynExporter
 from morembs.exporters.modelica import Modelica
@@ -45,6 +46,7 @@ _ALL: tuple[type[Exporter], ...] = (
     MuJoCo,
     Fmu,
     CSource,
+    Gltf,
 )
 EXPORTERS: Registry[type[Exporter]] = Registry(
     "morembs.exporters", {exporter.name: exporter for exporter in _ALL}, subclass_fault(Exporter, "name")
@@ -58,6 +60,7 @@ ADVICE: dict[str, str] = {
     **dict.fromkeys(("mjcf", "newton"), "take 'mujoco'"),
     **dict.fromkeys(("openfast", "fast"), "take 'extptfm'"),
     **dict.fromkeys(("chrono",), "its modal assembly wants the inner nodes of a model; take 'matrix-market'"),
+    **dict.fromkeys(("glb", "blender", "three.js", "threejs", "powerpoint"), "take 'gltf'"),
     **dict.fromkeys(("fmi", "fmpy", "omsimulator"), "take 'fmu'"),
     **dict.fromkeys(("nastran", "optistruct"), "take 'dmig' or 'op4'"),
     **dict.fromkeys(("mtx", "ansys", "octave", "julia", "scipy"), "take 'matrix-market'"),
@@ -148,7 +151,9 @@ def _in_frame(body: Body, text: str) -> tuple[Body, tuple[str, ...]]:
     return replace(body, floating=moved), (lost,) if body.floating.stiffening is not None else ()
 
 
-def default_path(place: Path, exporter: Exporter, body: str, *, several: bool, frame: str | None = None) -> Path:
+def default_path(
+    place: Path, exporter: Exporter | type[Exporter], body: str, *, several: bool, frame: str | None = None
+) -> Path:
     """``conrod.SID_FEM`` beside ``conrod.h5``; ``conrod_cb30.SID_FEM`` where the file holds several bodies,
     ``conrod_tangent-LEFT.SID_FEM`` in another frame than that of the file."""
     stem = place.name

@@ -117,5 +117,9 @@ class ExporterTolerances:
     # Exudyn: relative tolerance of its Newton iteration: chosen, far below the error of steps.
     newton_error: float = 1e-11
 
+    # --- Pictures
+    # Straight steps in which a period of a sine is drawn: they leave it by 1 - cos(pi / 32), half a per cent.
+    animation_steps: int = 32
+
 
 TOL = ExporterTolerances()

@@ -65,7 +65,7 @@ def write_report(path: Path, entries: Sequence[Entry], title: str) -> None:
     """
     kept = KeptParts([path])
     pairs = [_part(number, entry, path, len(entries), kept) for number, entry in enumerate(entries, start=1)]
-    document = {
+    document: dict[str, Any] = {
         "format": ReportFormat.NAME,
         "version": ReportFormat.VERSION,
         "morembs_version": VERSION,

@@ -14,7 +14,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from markupsafe import Markup
 
 from morembs.app.pages.kept import KeptParts, key_of
@@ -98,13 +97,12 @@ def png_of(size: tuple[float, float, int], draw: Callable[[Figure], bool]) -> by
     width, height, dots = size
     with mpl.rc_context({"font.size": 9, "axes.titlesize": 10, "font.family": "DejaVu Sans"}):
         figure = Figure(figsize=(width, height), dpi=dots, facecolor="white")
-        canvas = FigureCanvasAgg(figure)
+        FigureCanvasAgg(figure)
         if not draw(figure):
             return b""
-        canvas.draw()
-        pixels = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
-    file = io.BytesIO()
-    pixels.quantize(256).save(file, format="png", optimize=True)
+        pixels, file = io.BytesIO(), io.BytesIO()
+        figure.savefig(pixels, format="png")
+    Image.open(pixels).convert("RGB").quantize(256).save(file, format="png", optimize=True)
     return file.getvalue()
 
 
