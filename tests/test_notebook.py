@@ -85,12 +85,15 @@ def test_eight_cells_show_what_matters_and_no_more(tmp_path: Path, monkeypatch: 
     names: dict[str, Any] = {"MESH": str(MESH)}
     for cell, expected in CELLS:
         value = shown(cell, names)
-        text, table = repr(value), value._repr_html_()
+        text, (table, frame, picture) = repr(value), value._repr_html_().partition("<iframe")
         flat = " ".join(text.split())
         assert all(words in flat for words in expected), text
         lines = text.splitlines()
         assert len(lines) <= 2 and max(map(len, lines)) <= 100
         assert len(table) < 1500 and table.count("<tr>") <= 8
+        # Bodies and models are seen too, in a frame that needs nothing of the notebook.
+        assert bool(frame) == isinstance(value, morembs.FEModel | morembs.Body)
+        assert not frame or ("srcdoc=" in picture and "<script" not in picture and len(picture) < 300_000)
         # The table shows all that the text begins to say.
         for fact in flat.partition(": ")[2].removesuffix(" ...").split("; ")[:3]:
             assert fact.split()[0] in table and fact.split()[-1] in table

@@ -21,7 +21,10 @@ Class = TypeVar("Class", bound=type)
 
 
 def summarised(kind: Class) -> Class:
-    """Decorator: show what the method ``_facts`` of the class tells, name -> value; by default all fields."""
+    """Decorator: show what the method ``_facts`` of the class tells, name -> value; by default all fields.
+
+    In a notebook the HTML that ``_picture`` gives stands below, where the class has it.
+    """
     for name, shown in (("__repr__", _text), ("_repr_html_", _table)):
         setattr(kind, name, shown)
     return kind
@@ -109,4 +112,5 @@ def _table(instance: Any) -> str:
         "</tr>"
         for name, words in _shown(instance).items()
     )
-    return f"<table><caption>{html.escape(type(instance).__name__)}</caption>{rows}</table>"
+    picture = instance._picture() if hasattr(instance, "_picture") else ""
+    return f"<table><caption>{html.escape(type(instance).__name__)}</caption>{rows}</table>{picture}"

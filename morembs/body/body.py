@@ -299,6 +299,12 @@ class Body(Viewed):
         shapes = self.part.transformation @ (self.model.V @ Y)
         return np.asarray(shapes).T.reshape(Y.shape[1], -1, 3)
 
+    def _picture(self) -> str:
+        try:
+            return self.view(TOL.drawn_modes)._repr_html_()
+        except InputError:
+            return ""  # there is nothing to show
+
     def view(self, modes: int = TOL.viewed_modes) -> View:
         """The first elastic ``modes``, or as many as there are: a notebook shows them as they move, and ``plot`` and
         ``to_pyvista`` draw them.

@@ -41,6 +41,16 @@ class RigidElement:
     def __post_init__(self) -> None:
         object.__setattr__(self, "slaves", frozen(np.asarray(self.slaves, dtype=np.int64)))
 
+    @property
+    def center(self) -> int:
+        """Row of the node that stands for all: the master."""
+        return self.master
+
+    @property
+    def others(self) -> Ints:
+        """(k,) rows of the nodes around it."""
+        return self.slaves
+
 
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,6 +67,16 @@ class AverageElement:
     def __post_init__(self) -> None:
         object.__setattr__(self, "nodes", frozen(np.asarray(self.nodes, dtype=np.int64)))
         object.__setattr__(self, "weights", frozen(np.asarray(self.weights, dtype=np.float64)))
+
+    @property
+    def center(self) -> int:
+        """Row of the node that stands for all: the reference."""
+        return self.reference
+
+    @property
+    def others(self) -> Ints:
+        """(k,) rows of the nodes around it."""
+        return self.nodes
 
 
 @checked

@@ -26,6 +26,8 @@ from morembs.storage.table import dataset, derived, listed, table_of
 if TYPE_CHECKING:
     import scipy.sparse as sp
 
+    from morembs.fem.viewer.page import Scene
+
 # Stiffness, mass, damping, gyroscopic and circulatory matrix.
 MATRICES = ("K", "M", "D", "G", "N")
 # Keys of the recipe of a body: its loss factor, and motions of interfaces that no mass follows.
@@ -274,6 +276,24 @@ class FEModel:
     def size(self) -> int:
         """Number of degrees of freedom N."""
         return len(self.dofs)
+
+    def view(self) -> Scene:
+        """The skin with its sets, rigid and average elements, as a page that a notebook shows; a click selects nodes.
+
+        ``view().page()`` is the text of a file .html.
+
+        >>> [group.name for group in model.view().groups]
+        ['LEFT', 'RIGHT']
+        """
+        # Not at the top: few models are looked at.
+        from morembs.fem.viewer.models import groups_of_model, scene_of_nodes
+
+        groups = groups_of_model(self.nodes, self.mesh, self.couplings.values())
+        return scene_of_nodes(self.source or "model", self.nodes, self.mesh, groups)
+
+    def _picture(self) -> str:
+        small = self.mesh is not None and 0 < self.mesh.element_count <= TOL.shown_elements
+        return self.view()._repr_html_() if small else ""
 
     def _facts(self) -> dict[str, object]:
         return {

@@ -70,6 +70,16 @@ class FemTolerances:
     # --- Pictures that move
     # Triangles of a surface that is shown: each is a few pixels then, and software draws them at 10 pictures a second.
     drawn_triangles: int = 60_000
+    # Elements of a model that a notebook shows unasked: its skin is found in half a second.
+    shown_elements: int = 100_000
+    # Nodes of a set, and lines of a coupling, that are marked: more of them are one spot.
+    drawn_points: int = 5_000
+    # Sets that a page lists: a menu of more is searched by name elsewhere.
+    drawn_groups: int = 200
+    # Turn of the first view about z, in degrees: x runs to the right and y backwards.
+    view_turn: float = -30.0
+    # Height of the eye over the plane of x and y, in degrees: all three sides are seen.
+    view_tilt: float = 25.0
     # Whole steps from the middle of a surface to its rim: five digits of a place.
     drawn_place_steps: int = 2**17
     # Whole steps of the largest displacement of a shape: 0.1 pixels where it is drawn 200 pixels large.

@@ -7,13 +7,23 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from morembs.app.cli import commands as cli
+from morembs.app.jobs.job import load_job
+from morembs.app.jobs.stages.couple import interfaces_of
+from morembs.app.jobs.stages.forecast import outlined
+from morembs.app.jobs.stages.model import materials_of, mesh_of
+from morembs.app.jobs.viewing import scene_of_files
 from morembs.body.file import read_body
+from morembs.body.recovery.recover import recover
+from morembs.body.recovery.trajectory import Trajectory
+from morembs.fem.viewer import Scene
+from morembs.fem.viewer.skin import drawn_surface
 from tests.support import decks
 from tests.support.browser import CHROMIUM, Page, browser
 
@@ -156,3 +166,199 @@ def test_two_files_stand_side_by_side_with_their_mac(page: Page, folder: Path) -
     page.run(f"{VIEWER}.choose(0, 1), 1")
     assert page.run(f"{VIEWER}.mac()[1][{VIEWER}.panes[1].mode] === Math.max(...{VIEWER}.mac()[1])")
     assert page.faults == []
+
+
+# --- Models, decks and jobs
+
+
+def clicked(page: Page, point: tuple[float, float, float]) -> list[str]:
+    """Lines that a click at a place of the part gives, in the numbers of the job."""
+    page.run(f"{VIEWER}.turnTo('0'), 1")
+    x, y = seen_at(page, point)
+    page.drag((x, y), (x, y))
+    return list(page.run("[...document.querySelectorAll('.line code')].map((code) => code.textContent)"))
+
+
+def seen_at(page: Page, point: tuple[float, float, float]) -> tuple[float, float]:
+    """Where a place of the part, in the numbers of the job, is on the page."""
+    script = f"""(() => {{ const v = {VIEWER}, {{ turn, zoom, pan }} = v.camera, {{ width, height }} = v.size();
+      const p = {list(point)}.map((x, k) => (x * v.data.unit.length - v.data.middle[k]) / v.data.half);
+      const along = (k) => turn[3 * k] * p[0] + turn[3 * k + 1] * p[1] + turn[3 * k + 2] * p[2];
+      const [x, y] = [0, 1].map((k) => zoom * along(k) + pan[k]);
+      const box = v.stage.getBoundingClientRect(), half = Math.min(width, height) / 2;
+      return [box.left + 1 + width / 2 + half * x, box.top + 1 + height / 2 - half * y]; }})()"""
+    x, y = page.run(script)
+    return x, y
+
+
+def taken(folder: Path, line: str) -> list[list[float]]:
+    """Coordinates in mm of the nodes that a job takes whose interface has the line."""
+    job = folder / "picked.toml"
+    job.write_text(decks.job({"interface": f'name = "picked"\ncoupling = "direct"\n{line}', "interface2": None}))
+    loaded = load_job(job)
+    mesh = mesh_of(loaded)
+    (interface,) = interfaces_of(loaded, outlined(loaded, mesh, materials_of(loaded)))
+    return sorted((mesh.nodes.xyz[interface.nodes] * 1000).round(6).tolist())
+
+
+@needs_browser
+def test_a_click_on_a_face_gives_lines_that_a_job_takes(page: Page, folder: Path) -> None:
+    """The beam is 60 x 20 x 20 mm; the first view shows the faces of lowest y and of highest z, and an end."""
+    shown(page, str(folder / "part.toml"))
+    low, *others = ends_seen(page)
+    lines = clicked(page, low)
+    face = [[low[0], y, z] for y in (0.0, 10.0, 20.0) for z in (0.0, 10.0, 20.0)]
+    assert lines[0].startswith('nodes = "box:') and taken(folder, lines[0]) == face
+    name = "LEFT" if low[0] == 0 else "RIGHT"
+    assert f'nodes = "set:{name}"' in lines
+    (label,) = (line for line in lines if "ids:" in line)
+    assert taken(folder, label) == [[low[0], 10.0, 10.0]]
+    sphere = next(line for line in lines if "sphere:" in line)
+    # Across a cell of 10 x 10 mm: the whole end, and five nodes behind it.
+    assert len(taken(folder, sphere)) == 14 and all(place in taken(folder, sphere) for place in face)
+    # The top: three rows of seven nodes.
+    lines = clicked(page, others[0])
+    assert len(taken(folder, lines[0])) == 21 and all(z == 20.0 for _, _, z in taken(folder, lines[0]))
+    assert page.faults == []
+
+
+def ends_seen(page: Page) -> list[tuple[float, float, float]]:
+    """The middle of the end that the first view shows, and places on the top."""
+    towards = page.run(f"{VIEWER}.data.view[2]")
+    return [(0.0 if towards[0] < 0 else 60.0, 8.0, 12.0), (33.0, 8.0, 20.0)]
+
+
+@needs_browser
+def test_a_drawn_box_gives_the_seen_nodes_within(page: Page, folder: Path) -> None:
+    shown(page, str(folder / "part.toml"))
+    page.run(f"{VIEWER}.turnTo('+z'), {VIEWER}.drawBox(true), 1")
+    (x0, y0), (x1, y1) = seen_at(page, (-5.0, 25.0, 20.0)), seen_at(page, (15.0, 5.0, 20.0))
+    page.drag((x0, y0), (x1, y1))
+    lines = page.run("[...document.querySelectorAll('.line code')].map((code) => code.textContent)")
+    expected = [[x, y, 20.0] for x in (0.0, 10.0) for y in (10.0, 20.0)]
+    box, labels = lines[:2]
+    assert box.startswith('nodes = "box:') and taken(folder, box) == expected
+    assert labels.startswith('nodes = "ids:') and taken(folder, labels) == expected
+    assert page.run("document.querySelector('.line .soft').textContent") == "4 seen nodes of the skin"
+    # What is offered is what the button copies.
+    page.run("window.copied = '', navigator.clipboard.writeText = async (text) => { window.copied = text; }, 1")
+    page.run("document.querySelector('.line button').click(), new Promise((done) => setTimeout(done, 50))")
+    assert page.run("window.copied") == box
+
+
+def scene(path: Path) -> Scene:
+    """What a file shows."""
+    return scene_of_files([path])[0]
+
+
+def test_findings_are_shown_where_they_are(tmp_path: Path) -> None:
+    """Two cubes apart, an element twice, and a node of no element: each has its nodes."""
+    lines = decks.deck(decks.APART).splitlines()
+    lines.insert(1, "999, 70.0, 30.0, 40.0")
+    first = next(i for i, line in enumerate(lines) if line.startswith("*ELEMENT"))
+    lines.insert(first + 1, "500, " + lines[first + 1].partition(", ")[2])
+    (tmp_path / "part.inp").write_text("\n".join(lines))
+    shown = scene(tmp_path / "part.inp")
+    groups = {group.name: group for group in shown.groups}
+    surface = shown.surfaces[0]
+    assert surface.node_ids[groups["orphan nodes"].nodes].tolist() == [999]
+    assert groups["double-elements"].kind == "warning" and len(groups["double-elements"].nodes) == 8
+    assert surface.points[groups["double-elements"].nodes].max() == 10.0
+    loose = surface.points[groups["loose part"].nodes]
+    assert len(loose) == 27 and "part 2 of 2" in groups["loose part"].about
+    assert groups["LEFT"].select == "set:LEFT" and groups["FIRST"].kind == "elements"
+
+
+def test_rigid_and_average_elements_are_lines(tmp_path: Path) -> None:
+    text = (
+        decks.deck(decks.BEAM)
+        + "*NODE\n900, -20.0, 10.0, 10.0\n*RIGID BODY, NSET=LEFT, REF NODE=900\n"
+        + decks.MATERIAL
+    )
+    (tmp_path / "part.inp").write_text(text)
+    shown = scene(tmp_path / "part.inp")
+    # Three faces of the element at a corner are seen.
+    assert [len(group.triangles) for group in shown.groups if group.name == "FIRST"] == [6]
+    (rigid,) = (group for group in shown.groups if group.kind == "coupling")
+    ends = shown.surfaces[0].points[rigid.lines]
+    assert rigid.select.startswith("coupling:") and "rigid" in rigid.name
+    assert ends.shape == (9, 2, 3) and (ends[:, 0] == [-20.0, 10.0, 10.0]).all() and (ends[:, 1, 0] == 0).all()
+
+
+def test_a_large_skin_is_drawn_with_fewer_triangles_of_its_own_nodes() -> None:
+    """A box of 500,000 triangles: edges and corners stay, no face is lost, and the page says what it leaves out."""
+    n = 205
+    u, v = (axis.ravel() for axis in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
+    sides = [np.insert(np.column_stack([u, v]), axis, end, axis=1) for axis in range(3) for end in (0, n - 1)]
+    points, inverse = np.unique(np.concatenate(sides), axis=0, return_inverse=True)
+    cell = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    quads = np.stack([cell, cell + n, cell + n + 1, cell + 1], axis=1)
+    faces = np.concatenate([inverse.ravel()[quads + k * n * n] for k in range(6)])
+    assert 2 * len(faces) > 499_000
+    surface, rows = drawn_surface(points / 100.0, np.arange(len(points)) + 7, {"quad4": faces})
+    assert 30_000 < len(surface.triangles) <= 60_000 and "are drawn as" in surface.note
+    assert (surface.node_ids == rows + 7).all() and (surface.points == points[rows] / 100.0).all()
+    corners = surface.points[surface.triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    area = np.linalg.norm(normal, axis=1).sum()
+    assert area == pytest.approx(6 * ((n - 1) / 100) ** 2, rel=0.01)
+    for end in (points.min(), points.max() / 100):
+        assert (np.abs(surface.points - end).max(axis=1) < 1e-9).any()
+
+
+@needs_browser
+def test_a_recovered_motion_plays_over_time(page: Page, folder: Path) -> None:
+    body = read_body(folder / "part.h5").bodies["cb"]
+    times = np.linspace(0.0, 0.5, 300)
+    mode = body.reduced.modes()[1][:, 6]
+    trajectory = Trajectory(times=times, coordinates=np.sin(4 * np.pi * times)[:, None] * mode * 1e-6)
+    recover(folder / "part.h5", trajectory, folder / "part.vtkhdf", body="cb")
+    shown(page, str(folder / "part.vtkhdf"))
+    slider = "document.querySelector('input[step=\"0.001\"]')"
+    pictures = []
+    for place in (0.0, 0.25, 0.75):
+        page.run(f"{slider}.value = {place}, {slider}.dispatchEvent(new Event('input')), 1")
+        pictures.append(drawn(page))
+    assert difference(pictures[0], pictures[1]) > 0.02 and difference(pictures[1], pictures[2]) > 0.02
+    assert page.run("document.querySelector('output').textContent").startswith("0.375 s, drawn ")
+    assert "120 of 300 steps" in page.run("document.querySelector('.help').textContent")
+    legend = page.run(f"{VIEWER}.stressScale(0, 0) * 127")
+    assert legend == pytest.approx(np.nanmax(stress_of(folder / "part.vtkhdf")), rel=0.05) and page.faults == []
+
+
+def stress_of(path: Path) -> NDArray[np.float64]:
+    with h5py.File(path) as file:
+        return np.asarray(file["VTKHDF/PointData/von_mises"][()])
+
+
+@needs_browser
+def test_a_notebook_shows_a_body_and_a_model_in_frames(page: Page, folder: Path) -> None:
+    body = read_body(folder / "part.h5").bodies["cb"]
+    (folder / "cells.html").write_text(
+        f"<!DOCTYPE html><title>cells</title>{body._repr_html_()}{body.view()._repr_html_()}"
+    )
+    page.faults.clear()
+    page.open(folder / "cells.html", 900, 1400)
+    page.run("new Promise((done) => setTimeout(done, 1500))")
+    picture = page.picture()
+    assert colored(picture[200:700]) > 0.03 and colored(picture[800:]) > 0.03 and page.faults == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nowhere.h5"], "is not there"),
+        (["part.h5", "part.h5", "part.h5"], "3 files were given"),
+        (["part.h5", "-o", "page.txt"], "ends in .html"),
+        (["part.h5", "part.toml"], "expected two body files"),
+        (["K.mtx"], "a matrix was given"),
+    ],
+)
+def test_what_cannot_be_shown_is_answered(
+    folder: Path, arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    (folder / "K.mtx").write_text("%%MatrixMarket matrix coordinate real general\n1 1 1\n1 1 1.0\n")
+    done = RUNNER.invoke(cli.app, ["view", *arguments, "--no-open"])
+    assert done.exit_code == 2 and said in done.stderr and len(done.stderr.splitlines()) == 1
+    assert not list(folder.glob("*.view.html")) and not (folder / "page.txt").exists()

@@ -17,16 +17,17 @@ if TYPE_CHECKING:
     from morembs.fem.viewer import Scene
 
 app = typer.Typer()
+SHOWN = "A body, a recovered motion, a model, a mesh, a deck or a job; two bodies side by side."
 
 
 @app.command(cls=Verb, epilog=example("morembs view part.h5"))
 def view(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE [FILE2]", help="A body.", show_default=False)],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE [FILE2]", help=SHOWN, show_default=False)],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The page to write, by default beside FILE.")] = None,
     no_open: Annotated[bool, typer.Option("--no-open", help="Write the page, open no browser.")] = False,
 ) -> None:
-    """Show a body in a browser: its modes move, two bodies beside each other."""
-    from morembs.app.report.viewing import scene_of_files, still_picture
+    """Show bodies, models, decks and jobs in a browser; a click there selects nodes."""
+    from morembs.app.jobs.viewing import scene_of_files, still_picture
     from morembs.fem.viewer import viewer_page
 
     with messages():

@@ -60,6 +60,16 @@ def propose_interfaces(mesh: Mesh, units: Units) -> tuple[list[Proposal], list[P
     return chosen, [one for one in (*holes, *ends, *faces) if one not in chosen]
 
 
+def surface_selections(mesh: Mesh, units: Units) -> list[Proposal]:
+    """All round holes and plane faces of the skin with the selections that mean them; numbers are in ``units``."""
+    skin = Skin.of(mesh)
+    if not len(skin.areas) or not skin.areas.any():
+        return []
+    writer = _Writer(mesh.nodes.xyz, skin, units)
+    holes = [writer.of_hole(number, hole) for number, hole in enumerate(round_holes(skin), start=1)]
+    return [*(writer.of_face(f"face_{number}", face) for number, face in enumerate(plane_faces(skin), start=1)), *holes]
+
+
 def _place(xyz: Floats, holes: list[Proposal]) -> Floats | None:
     """The middle of the hole where there is one hole."""
     return xyz[holes[0].rows].mean(axis=0) if len(holes) == 1 else None

@@ -159,5 +159,8 @@ class DiagnosticTolerances:
     # Nodes whose neighbourhoods are looked at.
     sampled_nodes: int = 1000
 
+    # Loose parts that a picture lists, the largest first: a tenth one is found when nine are mended.
+    shown_parts: int = 9
+
 
 TOL = DiagnosticTolerances()

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from morembs.base.types import Floats
-from morembs.base.units import Units
 from morembs.fem.tolerances import TOL
 from morembs.fem.viewer.packing import pack_steps, pack_whole
 from morembs.fem.viewer.scene import Feature, Group, Motion, Surface
@@ -28,7 +27,7 @@ class Scene:
 
     ``frames`` are points (3,) m of interfaces by name; ``view`` (3, 3) rows to the right, upwards, and to the viewer;
     ``mac`` (k1, k2) compares the modes of two motions, ``side_by_side`` shows the first two at once; ``picks`` is
-    whether a click gives a line of a job, whose numbers are in ``units``.
+    whether a click gives a line of a job, whose numbers are in ``unit``: ``length`` m (of the points, 1) each.
     """
 
     title: str
@@ -41,7 +40,8 @@ class Scene:
     mac: Mapping[tuple[int, int], Floats] = field(default_factory=dict)
     side_by_side: bool = False
     picks: bool = False
-    units: Units = field(default_factory=Units)
+    unit: str = "m"
+    length: float = 1.0
     notes: tuple[str, ...] = ()
 
     def _repr_html_(self) -> str:
@@ -114,7 +114,6 @@ def embedded(scene: Scene) -> str:
 
 def _document(scene: Scene) -> dict[str, Any]:
     """The scene in numbers and texts of JSON."""
-    length = scene.units.length
     whole = np.concatenate([surface.points for surface in scene.surfaces])
     low, high = whole.min(axis=0), whole.max(axis=0)
     middle, half = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
@@ -122,7 +121,7 @@ def _document(scene: Scene) -> dict[str, Any]:
         "title": scene.title,
         "middle": middle.tolist(),
         "half": half,
-        "unit": {"name": scene.units.name.partition("-")[0], "length": length},
+        "unit": {"name": scene.unit, "length": scene.length},
         "view": scene.view.tolist(),
         "surfaces": [_surface(surface, middle, half) for surface in scene.surfaces],
         "motions": [_motion(motion) for motion in scene.motions],

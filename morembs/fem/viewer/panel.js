@@ -142,7 +142,7 @@ Object.assign(Viewer.prototype, {
   lookPart() {
     const views = Object.keys(VIEWS).map((name) => make("button", { type: "button", onclick: () => this.turnTo(name) }, name));
     const part = make("fieldset", {}, make("legend", {}, "View"));
-    part.append(make("div", { className: "row" }, make("button", { type: "button", onclick: () => this.turnTo("0") }, "first"), ...views));
+    part.append(make("div", { className: "row axes" }, make("button", { type: "button", onclick: () => this.turnTo("0") }, "first"), ...views));
     part.append(make("div", { className: "row" }, make("button", { type: "button", onclick: () => this.fit() }, "Fit"),
       make("button", { type: "button", onclick: () => this.save() }, "Save picture")));
     if (this.data.motions.length) part.append(this.check("undeformed edges", "ghost"));
