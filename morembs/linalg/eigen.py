@@ -16,9 +16,10 @@ from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz
 from morembs.linalg.columns import dense, fix_signs, m_norms
 from morembs.linalg.dense import symmetric
+from morembs.linalg.eigen_cost import block_width, is_dense_cheaper, slice_width
 from morembs.linalg.lanczos import BlockLanczos, largest
 from morembs.linalg.second_shift import first_look, keeps_two_factors, modes_below
-from morembs.linalg.slicing import sliced_modes
+from morembs.linalg.slicing import gap_after, sliced_modes
 from morembs.linalg.space import Space
 from morembs.linalg.statics import ConstrainedStatics
 from morembs.linalg.sturm import ShiftedInverse, count_below, off_eigenvalues
@@ -61,13 +62,13 @@ def lowest_modes(
     below: float | None = None,
     what: str = "modes",
     by_lapack: bool | None = None,
-    per_slice: int = TOL.slice_modes,
+    per_slice: int | None = None,
 ) -> Modes:
     """The lowest ``count`` modes, or all with eigenvalues up to ``below`` in (rad/s)2.
 
     Args:
         by_lapack: from dense matrices (True) or by block Lanczos (False); by default what the size is for.
-        per_slice: modes of a slice, where there are so many that they are found slice by slice.
+        per_slice: modes of a slice, where there are so many that they are found slice by slice; by default by cost.
 
     Raises:
         InputError: more modes than the restricted body has.
@@ -81,7 +82,7 @@ def lowest_modes(
         below *= 1 + TOL.eigenvalue_gap
         if not (M.shape[0] <= TOL.dense_rows if by_lapack is None else by_lapack):
             count, shifted = _up_to(body, M, below)
-            if count > TOL.most_modes and M.shape[0] > TOL.dense_part_rows:
+            if count > TOL.most_modes and M.shape[0] > TOL.small_rows:
                 raise InputError(
                     f"{count} {what} lie below {eigenvalue_in_hz(below):.6g} Hz, more than {TOL.most_modes}; "
                     "lower the limit"
@@ -89,26 +90,23 @@ def lowest_modes(
     if count is not None and count > size:
         raise InputError(_too_many(what, count, size))
     if by_lapack is None:
-        many = count is not None and 4 * count > size
-        by_lapack = M.shape[0] <= (TOL.dense_part_rows if many else TOL.dense_rows)
+        rows, left = M.shape[0], body.statics.budget.left()
+        by_lapack = rows <= TOL.dense_rows or (count is not None and is_dense_cheaper(rows, count, left))
     if by_lapack:
         return _dense(body, M, count, below)
     if not count:
         return Modes(eigenvalues=np.zeros(0), vectors=np.zeros((M.shape[0], 0)), verified_below=below or 0.0)
-    if below is not None and count > TOL.least_slices * per_slice:
+    per_slice = slice_width(body.statics.factor.stats) if per_slice is None else per_slice
+    if count > TOL.least_slices * per_slice:
         if shifted is not None:
             shifted.close()
-        first = _sparse(body, M, per_slice, None, what)
-        values, vectors = sliced_modes(
-            body, M, first.eigenvalues, first.vectors, count=count, below=below, per_slice=per_slice
-        )
-        return Modes(eigenvalues=values, vectors=body.statics.space.fix_signs(vectors), verified_below=below)
+        return _sliced(body, M, count, below, what, per_slice)
     return _sparse(body, M, count, below, what, shifted)
 
 
 def _up_to(body: ConstrainedStatics, M: sp.csr_array, below: float) -> tuple[int, ShiftedInverse | None]:
     """How many modes lie below, and the factor that counted them where it will be of use."""
-    if keeps_two_factors(body) and M.shape[0] > TOL.dense_part_rows:
+    if keeps_two_factors(body) and M.shape[0] > TOL.small_rows:
         try:
             shifted = off_eigenvalues(below, partial(ShiftedInverse, body))
             return shifted.below, shifted
@@ -193,12 +191,7 @@ def _sparse(
     shifted: ShiftedInverse | None = None,
 ) -> Modes:
     """Modes by block Lanczos, at shift zero and then at that of the Sturm count where its factor may be kept."""
-    rng = np.random.default_rng(2)
-    block = _block(body, count)
-    start = body.flexibility(M @ rng.standard_normal((M.shape[0], block)))
-    capacity = min(3 * (count + 2) + 8 * block, M.shape[0] - body.count)
-    lanczos = BlockLanczos(body.flexibility, Space(M, budget=body.statics.budget), start, capacity=capacity)
-    del start
+    lanczos = _space(body, M, count)
     if keeps_two_factors(body) and (count > TOL.one_factor_modes or shifted is not None):
         cut = first_look(lanczos, count, what=what)
         try:
@@ -215,6 +208,24 @@ def _sparse(
     return _counted(body, M, lanczos, count, below, what)
 
 
+def _sliced(
+    body: ConstrainedStatics, M: sp.csr_array, count: int, below: float | None, what: str, per_slice: int
+) -> Modes:
+    """Modes slice by slice, the first at shift zero, whose factor is there."""
+    theta, Y = largest(_space(body, M, per_slice), per_slice, what=what)
+    values, vectors, proven = sliced_modes(body, M, 1.0 / theta, Y, count=count, below=below, per_slice=per_slice)
+    vectors = body.statics.space.fix_signs(vectors)
+    return Modes(eigenvalues=values, vectors=vectors, verified_below=proven if below is None else below)
+
+
+def _space(body: ConstrainedStatics, M: sp.csr_array, count: int) -> BlockLanczos:
+    """A Krylov space at shift zero for ``count`` modes, of one block."""
+    block = _block(body, count)
+    start = body.flexibility(M @ np.random.default_rng(2).standard_normal((M.shape[0], block)))
+    capacity = min(3 * (count + 2) + 8 * block, M.shape[0] - body.count)
+    return BlockLanczos(body.flexibility, Space(M, budget=body.statics.budget), start, capacity=capacity)
+
+
 def _counted(
     body: ConstrainedStatics, M: sp.csr_array, lanczos: BlockLanczos, count: int, below: float | None, what: str
 ) -> Modes:
@@ -225,7 +236,7 @@ def _counted(
         values = 1.0 / theta
         if len(values) < count:
             raise InputError(_too_many(what, count, len(values)))
-        cut = below if below is not None else _gap_after(values, count)
+        cut = below if below is not None else gap_after(values, count)
         if cut is None and len(values) < wanted:
             cut = 2 * values[-1]  # no motion beyond these has mass
         if cut is None:
@@ -255,13 +266,5 @@ def _too_many(what: str, count: int, size: int) -> str:
 def _block(body: ConstrainedStatics, count: int) -> int:
     """Width of the Krylov blocks: a factor on disk is read as a whole for each of them, so they are wide there."""
     if not body.statics.factor.stats.out_of_core:
-        return int(np.clip(count // 4, 8, 12))
+        return block_width(body.statics.factor.stats, count)
     return int(np.clip(body.statics.columns(TOL.block_copies, TOL.widest_block), 8, max(TOL.wide_block, count + 2)))
-
-
-def _gap_after(values: Floats, count: int) -> float | None:
-    """A shift in the first gap behind mode ``count``; None if all further values cluster with it."""
-    for k in range(count, len(values)):
-        if values[k] - values[k - 1] > TOL.eigenvalue_gap * values[k]:
-            return float(0.5 * (values[k] + values[k - 1]))
-    return None

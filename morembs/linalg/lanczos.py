@@ -145,6 +145,11 @@ class BlockLanczos:
         V[:, : self.size], T[: self.size, : self.size] = self.V[:, : self.size], self.T[: self.size, : self.size]
         self.V, self.T, self.capacity = V, T, capacity
 
+    def grew_since(self, looked: int) -> bool:
+        """Whether another look at the Ritz values pays: their small eigenproblem costs more than the growth of a large
+        space. True where it cannot grow further."""
+        return self.size >= TOL.ritz_growth * looked or self.full() or not self.pending.shape[1]
+
     def full(self) -> bool:
         """No room for another block."""
         return bool(self.size + self.pending.shape[1] > self.capacity)
@@ -168,9 +173,8 @@ def largest(lanczos: BlockLanczos, count: int, *, what: str = "modes") -> tuple[
             lanczos.restart(min(count + 2 * lanczos.block, lanczos.size - lanczos.block))
             looked = 0
         lanczos.expand()
-        # The small eigenvalue problem of a large space costs more than its growth.
         ended = not lanczos.pending.shape[1]
-        if not ended and (lanczos.size < count or not (lanczos.size >= TOL.ritz_growth * looked or lanczos.full())):
+        if not ended and (lanczos.size < count or not lanczos.grew_since(looked)):
             continue
         looked = lanczos.size
         theta, Y, residual = lanczos.ritz()

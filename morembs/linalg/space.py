@@ -14,7 +14,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.base.budget import Budget, current_budget
-from morembs.base.types import Floats, Values
+from morembs.base.types import Floats, Ints, Values
 from morembs.linalg.columns import dense, fix_signs, m_norms, orthonormal
 from morembs.linalg.dense import symmetric
 from morembs.linalg.tolerances import TOL
@@ -60,6 +60,14 @@ class Columns:
             out[rows] = V[rows] @ Y
             self.budget.release_if_tight()
         return out
+
+    def reorder(self, V: Floats, order: Ints) -> Floats:
+        """Columns ``order`` (j,) of ``V`` (N, k), written over its first j ones: a block of rows at a time."""
+        for first in range(0, len(V), TOL.product_rows):
+            rows = slice(first, first + TOL.product_rows)
+            V[rows, : len(order)] = V[rows][:, order]
+            self.budget.release_if_tight()
+        return V[:, : len(order)]
 
     def hstack(self, *parts: Floats) -> Floats:
         """Columns of the ``parts`` (N, .) side by side, in memory or in a scratch file as the budget decides."""

@@ -33,8 +33,14 @@ class LinalgTolerances:
     # Rows up to which LAPACK finds all modes faster than block Lanczos finds some; a dense matrix of 18 MB. The
     # same decides for groups of rows where motions without energy are looked for.
     dense_rows: int = 1500
-    # Rows up to which that holds where more than a quarter of all modes is wanted; a dense matrix of 288 MB.
-    dense_part_rows: int = 6000
+    # Operations of LAPACK for all modes, over the cube of the rows, and those that a mode takes where matrices are small,
+    # both in those of matrix products: 0.4 ns and 4 ms, measured with 3,000 and 6,591 rows.
+    dense_operations: float = 11.0
+    mode_operations: float = 1.1e8
+    # Dense matrices that exist at once: measured.
+    dense_matrices: int = 9
+    # Rows of a small model, of which any number of modes may be wanted: not more than a body may have.
+    small_rows: int = 6000
     # Eigenvalue over the highest one below which LAPACK loses digits: its error is eps of the highest, which leaves
     # ten digits here.
     soft_eigenvalue: float = 1e-6
@@ -47,18 +53,40 @@ class LinalgTolerances:
     most_modes: int = 2000
     # Times that modes which the count finds missing are looked for. Not measured: each adds those that are missing.
     count_attempts: int = 4
-    # Modes of a slice. Not measured: its space has twice as many columns, and four blocks.
+    # Modes of a slice by default where nothing is known of the factor.
     slice_modes: int = 120
-    # Columns of a Krylov block in a slice: as many as for many modes with a factor in memory.
-    slice_block: int = 12
+    # Operations for each row and squared number of modes of a slice, in which its factorisation is worth as much:
+    # orthogonalisation of its space and of the modes that it locks.
+    slice_operations: float = 30.0
+    # Modes of a slice at least and at most: below, the analysis of its matrix and small matrices weigh more than what
+    # is modelled; above, its space takes more memory than the modes of most jobs.
+    least_slice_modes: int = 80
+    most_slice_modes: int = 240
+    # Columns of the Krylov space of a slice over its modes.
+    space_of_slice: int = 2
+    # Known modes that are locked out of the space of a slice, over its modes: those as near as what is looked for.
+    locked_slices: float = 1.0
     # Part of the modes of a slice that are to lie below its shift. Not measured: a little more than half, as those
     # above it are taken only where they converge.
     slice_part_below: float = 0.55
+    # Slice parts below the shift that one last slice takes at once rather than two of them.
+    last_slice: float = 1.5
+    # Modes beyond the last wanted one that its shift aims at, as a part of those that are missing and beside it.
+    beyond_last: float = 1.1
+    beyond_columns: int = 3
     # Part of a Krylov space that modes below a shift may need before it is enlarged. Not measured: 30 % is left for
     # its growth.
     needed_part: float = 0.7
-    # Slices that are worth their factors: more than 400 modes up to a limit are found slice by slice.
-    least_slices: float = 400 / slice_modes
+    # Slices that are worth their factors: one space of x slices costs 21 x^2 where slices cost 60 x less 30.
+    least_slices: float = 2.5
+    # Columns of a Krylov space for each mode, and blocks beyond these, in which modes converge: measured with 8 to 48
+    # columns and 50 and 300 modes of a cube.
+    columns_per_mode: float = 2.5
+    last_blocks: float = 9.0
+    # Columns of a block that are solved for in the time that a pass over the factor takes beside them.
+    solve_overhead_columns: float = 10.0
+    # Columns of a block to choose from.
+    block_widths: tuple[int, ...] = (4, 8, 12, 16, 24, 32)
     # Modes up to which shift zero is enough: a factor that is kept and checked for a second shift would not pay.
     one_factor_modes: int = 20
     # Columns of a Krylov block with a factor on disk, where a pass takes as long as their arithmetic.

@@ -14,10 +14,13 @@ from morembs.fem import DofMap, FEModel, Nodes
 from morembs.fem.assembly import assemble
 from morembs.fem.interface import make_interface
 from morembs.fem.material import isotropic
-from morembs.linalg.eigen import lowest_modes
+from morembs.linalg.eigen import Modes, lowest_modes
+from morembs.linalg.eigen_cost import is_dense_cheaper
 from morembs.linalg.slicing import sliced_modes
+from morembs.linalg.sturm import ShiftedInverse
+from morembs.linalg.tolerances import TOL
 from morembs.problem import Problem
-from tests.support.meshes import box
+from tests.support.meshes import STEEL, box
 from tests.support.progress import Heard
 
 
@@ -45,7 +48,7 @@ def test_slices_hold_every_mode_of_the_band(coupling: str | None) -> None:
         count = _gap(exact, 150)
         below = 0.5 * (exact[count - 1] + exact[count])
         first = lowest_modes(pencil, problem.M, count=10)
-        values, vectors = sliced_modes(
+        values, vectors, _ = sliced_modes(
             pencil, problem.M, first.eigenvalues, first.vectors, count=count, below=below, per_slice=30
         )
         np.testing.assert_allclose(values, exact[:count], rtol=1e-8)
@@ -86,7 +89,7 @@ def test_a_missing_first_mode_is_found_again() -> None:
         first = lowest_modes(problem.fixed_interface, problem.M, count=10)
         keep, k = np.arange(10) != 6, _gap(exact, 40)
         try:
-            values, _ = sliced_modes(
+            values, _, _ = sliced_modes(
                 problem.fixed_interface,
                 problem.M,
                 first.eigenvalues[keep],
@@ -152,3 +155,50 @@ def test_no_more_modes_than_masses(memory: int | None) -> None:
         np.testing.assert_allclose(modes.eigenvalues, np.linalg.eigvalsh(left), rtol=1e-9)
         with pytest.raises(InputError, match="only 18 degrees of freedom with mass"):
             lowest_modes(problem.free_free, problem.M, count=19, by_lapack=False)
+
+
+def _wanted(count: int, model: FEModel, heard: Heard, monkeypatch: pytest.MonkeyPatch) -> tuple[Modes, list[int]]:
+    """Free modes by the default, and the columns of each solve at a shift of the walk."""
+    solved: list[int] = []
+    apply = ShiftedInverse.apply
+
+    def counted(self: ShiftedInverse, F: np.ndarray) -> np.ndarray:
+        solved.append(F.shape[1])
+        return apply(self, F)
+
+    monkeypatch.setattr(ShiftedInverse, "apply", counted)
+    with Problem(model) as problem, listening(heard):
+        modes = lowest_modes(problem.free_free, problem.M, count=count)
+        stats = problem.statics.factor.stats
+        assert np.abs(modes.vectors.T @ (problem.M @ modes.vectors) - np.eye(count)).max() < 1e-10
+        return modes, [*solved, *[stats.columns // stats.passes] * stats.passes]
+
+
+def test_many_modes_by_count_take_few_solves_and_small_eigenproblems(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sixth of all modes of a block: those of LAPACK, with a hundredth of its operations.
+
+    ARPACK takes a pass over the factor for each column; in one space these modes took 43 looks at spaces of up to 800
+    columns.
+    """
+    model = assemble(box("hex8", (8, 8, 8), (0.1, 0.11, 0.123)), [isotropic(set="all", **STEEL)])
+    size, count, heard = model.K.shape[0], 360, Heard()
+    modes, solved = _wanted(count, model, heard, monkeypatch)
+    exact = sl.eigh(model.K.toarray(), model.M.toarray(), eigvals_only=True, subset_by_index=(6, 6 + count))
+    np.testing.assert_allclose(modes.eigenvalues, exact[:count], rtol=1e-9)
+    assert exact[count - 1] < modes.verified_below < exact[count] * (1 + 1e-9)
+    looks = [text for text in heard.news if "converged" in text or "known roughly" in text]
+    # Spaces of slices have up to twice as many columns as these have modes, and four blocks.
+    assert len(looks) * (3 * TOL.least_slice_modes) ** 3 < 0.2 * size**3
+    assert sum(solved) < 5 * count
+    assert len(solved) < count
+
+
+@pytest.mark.parametrize("share", [0.05, 0.5, 1.0])
+def test_large_shares_are_dense_where_that_is_cheaper_and_fits(share: float) -> None:
+    """Half of 2,187 modes cost as much one by one as all of them by LAPACK; a budget without room for it says no."""
+    rows = 2187
+    room = TOL.dense_matrices * 8 * rows**2
+    assert is_dense_cheaper(rows, int(share * rows), room) == (share > 0.45)
+    assert not is_dense_cheaper(rows, int(share * rows), room - 1)
+    # No share of a large model is found faster by its cube.
+    assert not is_dense_cheaper(20_000, int(share * 20_000), None)
