@@ -45,7 +45,7 @@ def first_look(lanczos: BlockLanczos, count: int, *, what: str) -> float | None:
 
 
 def has_converged(values: Floats, theta: Floats, residual: Floats) -> Bools:
-    """Which Ritz values ``theta`` (k,) of a shift are modes, whose eigenvalues are ``values``, by ``residual`` norms."""
+    """Which Ritz values ``theta`` (k,) of a shift of eigenvalues ``values`` are modes, by ``residual`` norms."""
     # An error weighs more than at shift zero, and the more, the nearer to zero a mode is.
     allowed = TOL.shifted_residual_part * TOL.ritz_residual * np.minimum(1.0, np.abs(values * theta))
     return np.asarray(residual <= allowed * np.abs(theta))

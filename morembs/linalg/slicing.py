@@ -40,7 +40,7 @@ def sliced_modes(
     below: float | None = None,
     per_slice: int = TOL.slice_modes,
 ) -> tuple[Floats, Floats, float]:
-    """The lowest ``count`` modes: values ascending (count,), vectors (N, count), eigenvalue below which none is missing.
+    """The lowest ``count`` modes: values ascending (count,), vectors (N, count), and where the proof ends (rad/s)2.
 
     ``values`` (m,), ``vectors`` (N, m) are the lowest modes, to begin with, which the count of the first slice proves.
     With ``below`` in (rad/s)2 the ``count`` has been counted there. Peak memory: the vectors, where the budget wants

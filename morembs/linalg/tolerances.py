@@ -33,8 +33,8 @@ class LinalgTolerances:
     # Rows up to which LAPACK finds all modes faster than block Lanczos finds some; a dense matrix of 18 MB. The
     # same decides for groups of rows where motions without energy are looked for.
     dense_rows: int = 1500
-    # Operations of LAPACK for all modes, over the cube of the rows, and those that a mode takes where matrices are small,
-    # both in those of matrix products: 0.4 ns and 4 ms, measured with 3,000 and 6,591 rows.
+    # Operations of LAPACK for all modes, over the cube of the rows, and those that a mode takes where matrices are
+    # small, both in those of matrix products: 0.4 ns and 4 ms, measured with 3,000 and 6,591 rows.
     dense_operations: float = 11.0
     mode_operations: float = 1.1e8
     # Dense matrices that exist at once: measured.

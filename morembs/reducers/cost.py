@@ -2,8 +2,8 @@
 
 Modes by block Lanczos (``count`` of them, S columns of length n in the Krylov space, blocks of b): 4 n S^2 operations
 keep the space orthogonal; the small eigenvalue problem of k columns takes about 5 k^3, each time that the space has
-grown by a twentieth, so 35 S^3 all together. S = 2.4 count + 10 b was seen for 100 to 800 modes. More are found slice by
-slice, in proportion.
+grown by a twentieth, so 35 S^3 all together. S = 2.4 count + 10 b was seen for 100 to 800 modes. More are found slice
+by slice, in proportion.
 
 Responses to p inputs: the space of the reference model has about 5 p columns, and its error is looked at
 at some two hundred frequencies; what ``auto`` makes of it takes a dozen times as long.
