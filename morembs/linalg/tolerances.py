@@ -33,9 +33,10 @@ class LinalgTolerances:
     # Rows up to which LAPACK finds all modes faster than block Lanczos finds some; a dense matrix of 18 MB. The
     # same decides for groups of rows where motions without energy are looked for.
     dense_rows: int = 1500
-    # Operations of LAPACK for all modes, over the cube of the rows, and those that a mode takes where matrices are
-    # small, both in those of matrix products: 0.4 ns and 4 ms, measured with 3,000 and 6,591 rows.
+    # Operations of LAPACK for all modes, over the cube of the rows, at the rate of products: 0.4 ns, measured with
+    # 3,000 and 6,591 rows.
     dense_operations: float = 11.0
+    # Operations of a sparse mode where matrices are small, at the same rate: 4 ms, measured with 3,000 rows.
     mode_operations: float = 1.1e8
     # Dense matrices that exist at once: measured.
     dense_matrices: int = 9
@@ -58,9 +59,10 @@ class LinalgTolerances:
     # Operations for each row and squared number of modes of a slice, in which its factorisation is worth as much:
     # orthogonalisation of its space and of the modes that it locks.
     slice_operations: float = 30.0
-    # Modes of a slice at least and at most: below, the analysis of its matrix and small matrices weigh more than what
-    # is modelled; above, its space takes more memory than the modes of most jobs.
+    # Modes of a slice at least: with fewer, the analysis of its matrix and small matrices weigh more than what is
+    # modelled.
     least_slice_modes: int = 80
+    # Modes of a slice at most: with more, its space takes more memory than the modes of most jobs.
     most_slice_modes: int = 240
     # Columns of the Krylov space of a slice over its modes.
     space_of_slice: int = 2
@@ -71,17 +73,19 @@ class LinalgTolerances:
     slice_part_below: float = 0.55
     # Slice parts below the shift that one last slice takes at once rather than two of them.
     last_slice: float = 1.5
-    # Modes beyond the last wanted one that its shift aims at, as a part of those that are missing and beside it.
+    # Modes that its shift aims at, over those that are missing: the estimate is off by some percent.
     beyond_last: float = 1.1
+    # The same beside them: few modes have no mean distance.
     beyond_columns: int = 3
     # Part of a Krylov space that modes below a shift may need before it is enlarged. Not measured: 30 % is left for
     # its growth.
     needed_part: float = 0.7
     # Slices that are worth their factors: one space of x slices costs 21 x^2 where slices cost 60 x less 30.
     least_slices: float = 2.5
-    # Columns of a Krylov space for each mode, and blocks beyond these, in which modes converge: measured with 8 to 48
-    # columns and 50 and 300 modes of a cube.
+    # Columns of a Krylov space in which a mode converges: measured with blocks of 8 to 48 columns, 50 and 300 modes of
+    # a cube.
     columns_per_mode: float = 2.5
+    # Blocks beyond these: from the same.
     last_blocks: float = 9.0
     # Columns of a block that are solved for in the time that a pass over the factor takes beside them.
     solve_overhead_columns: float = 10.0
