@@ -210,12 +210,11 @@ def test_many_motions_and_many_modes_are_warned_of(tmp_path: Path) -> None:
 
 
 def test_time_of_modes_grows_as_measured() -> None:
-    """10,956 dofs of a connecting rod, seconds of one processor at 30 GFlop/s: 100, 200, 400, 800 modes."""
+    """10,956 dofs of a connecting rod, seconds of one processor at 30 GFlop/s: of 100 to 3,000 modes."""
 
     speed = Speed(gemm_gflops=30.0, triad_gbs=10.0)
-    measured = {100: 0.95, 200: 1.7, 400: 5.0, 800: 10.1}
+    measured = {100: 0.95, 200: 1.7, 400: 5.0, 800: 10.1, 3000: 44.0}
     for count, seconds in measured.items():
         assert seconds / 3 < mode_seconds(10956, count, 2_110_617, speed) < 3 * seconds
-    assert mode_seconds(10956, 3000, 2_110_617, speed) > 3600
     assert [duration_words(s) for s in (0.01, 40.0, 600.0, 7200.0)] == ["1 s", "40 s", "10 min", "2.0 h"]
     assert np.isfinite(mode_seconds(1000, 10, 0))
