@@ -17,8 +17,10 @@ from pathlib import Path
 
 from morembs.app.cli.tolerance_table import tolerances
 from morembs.app.jobs.job import job_tables
+from morembs.app.simulations.contact_tables import SurfaceTable
 from morembs.app.simulations.laws import LawTable, MotionTable
 from morembs.app.simulations.result_file import RECORDING
+from morembs.app.simulations.sliding_tables import SwitchingTable
 from morembs.app.simulations.tables import SystemTables
 from morembs.base.arguments import hints_of
 from morembs.base.key_tables import Table as KeyTable
@@ -61,7 +63,7 @@ SHOWN = {
     "simulation": [("/", RECORDING)],
 }
 # Tables within tables of system files that have many keys.
-UNFOLDED = (LawTable, MotionTable)
+UNFOLDED = (LawTable, MotionTable, SwitchingTable, SurfaceTable)
 
 
 def lines(at: str, table: Table) -> Iterator[str]:

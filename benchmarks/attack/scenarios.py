@@ -85,6 +85,23 @@ def _motion(folder: Path) -> None:
     (folder / "motion.csv").write_text(MOTION + "\n".join(rows) + "\n")
 
 
+# A body that swings about its first end, and its moving mesh.
+SYSTEM = """
+simulation = { end = 0.02, step = 1e-4 }
+gravity = { acceleration = [0, 0, -9.81] }
+body = [{ name = "bar", file = "body.h5" }]
+joint = [{ kind = "revolute", between = ["ground", "bar:left"], axis = [0, 1, 0] }]
+observe = [{ body = "bar", path = "bar.vtkhdf", every = 10 }]
+output = { path = "swing.h5" }
+"""
+
+
+def _system(folder: Path) -> None:
+    """A body, and a system that it swings in."""
+    _body(folder)
+    (folder / "system.toml").write_text(SYSTEM)
+
+
 def _spilled(folder: Path) -> None:
     """A job all of whose arrays and factors go to the scratch folder, however small they are."""
     from morembs.linalg.sparse.mumps import EmbeddedMumps
@@ -124,6 +141,7 @@ SCENARIOS: dict[str, Scenario] = {
         _body, tuple(f"out_{role}.mtx" for role in "MKB"), "export", "body.h5", "--to", "matrix-market", "-o", "out.mtx"
     ),
     "recover": _verb(_motion, ("motion.vtkhdf",), "recover", "body.h5", "motion.csv", "-o", "motion.vtkhdf"),
+    "simulate": _verb(_system, ("swing.h5", "bar.vtkhdf"), "simulate", "system.toml"),
     "info": _verb(_body, (), "info", "body.h5"),
     "batch": _verb(
         _jobs({"a": {}, "b": {"stress": ""}, "c": {"reduce": 'method = "guyan"'}}),

@@ -28,7 +28,7 @@ from tests.support.processes import load  # noqa: E402
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="this system cannot fork processes")
 # Seconds of one run, whatever else the machine does.
 PATIENCE = 600
-KINDS = ("import", "export", "batch", "out-of-core", "gmp")
+KINDS = ("import", "export", "simulate", "batch", "out-of-core", "gmp")
 # One of each sort of reader: decks, meshes, matrices as text and binary, arrays, jobs, bodies.
 FORMATS = ("nastran", "mesh", "matrix-market", "op4", "npz", "native", "job", "body")
 

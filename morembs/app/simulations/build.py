@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 
 from morembs.app.jobs.stages.unreduced import RotationTable
+from morembs.app.simulations.build_contact import contact_of, element_of
+from morembs.app.simulations.build_sliding import slider_of, switching_body
+from morembs.app.simulations.laws import LawTable, Scalar
 from morembs.app.simulations.system_file import SystemFile
 from morembs.app.simulations.tables import (
     BodyTable,
@@ -33,18 +36,24 @@ from morembs.dynamics.gmp.stored import read_members
 from morembs.dynamics.multibody import (
     Component,
     Constraint,
+    Contact,
     DrivenAngle,
     DrivenPosition,
     FixedJoint,
     FlexibleBody,
     Force,
     Marker,
+    MovingLoad,
+    PathSupport,
     PointLoad,
+    PointOnPath,
     PrismaticJoint,
     RevoluteJoint,
     RigidBody,
+    SlidingSwitch,
     SphericalJoint,
     SpringDamper,
+    SwitchingBody,
     System,
     TorsionSpring,
     ground,
@@ -65,8 +74,8 @@ KINDS = {
 class Built:
     """A system with the names that its file gives to its parts.
 
-    ``bodies`` and their ``kinds`` by name, ``markers`` by body and name, ``joints`` and ``forces`` by name; ``files``
-    are the body file, its content and the body of it, of elastic bodies by name.
+    ``bodies`` and their ``kinds`` by name, ``markers`` by body and name, ``joints``, ``forces``, ``contacts`` and
+    ``sliders`` by name; ``files`` are the body file, its content and the body of it, of elastic bodies by name.
     """
 
     file: SystemFile
@@ -76,7 +85,10 @@ class Built:
     markers: dict[str, dict[str, Marker]] = field(default_factory=dict)
     joints: dict[str, Constraint] = field(default_factory=dict)
     forces: dict[str, Force] = field(default_factory=dict)
+    contacts: dict[str, Contact] = field(default_factory=dict)
+    sliders: dict[str, MovingLoad | PathSupport | PointOnPath] = field(default_factory=dict)
     files: dict[str, tuple[Path, StoredBodies, Body]] = field(default_factory=dict)
+    switch: SlidingSwitch | None = None
 
     @property
     def tables(self) -> SystemTables:
@@ -111,6 +123,36 @@ class Built:
                 )
             return f"body {body!r} has no interface {name!r}"
         return "the ground has no marker" if body == GROUND else f"body {body!r} has no marker {name!r}"
+
+    def node(self, body: str, row: int, name: str) -> Marker:
+        """A marker at a node of an elastic body, a row of its file; its axes do not turn as the body deforms."""
+        _, stored, content = self.files[body]
+        made = self.bodies[body]
+        if isinstance(made, SwitchingBody):
+            raise InputError(f"body {body!r} carries [[sliding]], and its nodes are no markers; take its interfaces")
+        flexible = cast(FlexibleBody, made)
+        if name in flexible.markers:
+            return flexible.markers[name]
+        motion = content.basis()[3 * row : 3 * row + 3] @ flexible.frame.elastic
+        return flexible.marker_at(stored.coordinates[row] - flexible.frame.origin, motion, name=name)
+
+    def factor(self, law: LawTable) -> Scalar:
+        """The factor of a law.
+
+        Raises:
+            InputError: a table that cannot be read, or has no factor.
+        """
+        if law.kind != "table":
+            return law.factor()
+        times, values = self.columns(law)
+        if values.shape[1] > 1:
+            raise InputError(f"{law.file} has a force and a moment; expected the columns t,factor")
+        return lambda t: float(np.interp(t, times, values[:, 0]))
+
+    def columns(self, law: LawTable) -> tuple[Floats, Floats]:
+        """Times and values of the table of a law."""
+        times = self.tables.simulation
+        return law.columns(self.file.resolve, times.begin, times.end)
 
     def pair(self, between: list[str]) -> tuple[Marker, Marker]:
         """Two markers, of which one may be where the other is.
@@ -149,23 +191,54 @@ def build(file: SystemFile) -> Built:
     """
     built = Built(file=file, system=System(gravity=file.tables.gravity.acceleration))
     built.markers[GROUND] = {}
-    _add_bodies(built)
-    for marker in file.tables.marker:
+    tables, add, carried = file.tables, built.system.add, {each.body for each in file.tables.sliding}
+    _add_bodies(built, carried)
+    for marker in tables.marker:
         with told_of("marker", marker.name):
             _add_marker(built, marker.name, marker.body, marker.point, axes_of(marker.rotation))
-    for number, joint in enumerate(file.tables.joint, start=1):
-        name = joint.name or f"joint_{number}"
-        with told_of("joint", name):
-            built.joints[name] = built.system.add(_joint(built, joint, name))
-    for number, load in enumerate(file.tables.load, start=1):
-        name = load.name or f"load_{number}"
-        with told_of("load", name):
-            built.forces[name] = built.system.add(_load(built, load, name))
-    for number, spring in enumerate(file.tables.spring, start=1):
-        name = spring.name or f"spring_{number}"
-        with told_of("spring", name):
-            built.forces[name] = built.system.add(_spring(built, spring, name))
+    for body in tables.body:
+        if body.name in carried:
+            with told_of("body", body.name):
+                _add_switching(built, body)
+    _refuse_unknown(carried, built)
+    built.joints = _made("joint", tables.joint, lambda table, name: add(_joint(built, table, name)))
+    built.forces |= _made("load", tables.load, lambda table, name: add(_load(built, table, name)))
+    built.forces |= _made("spring", tables.spring, lambda table, name: add(_spring(built, table, name)))
+    elements = tables.contact_element
+    built.forces |= _made("contact_element", elements, lambda table, name: add(element_of(built, table, name)))
+    built.contacts = _made("contact", tables.contact, lambda table, name: contact_of(built, table, name))
+    built.sliders = _made("sliding", tables.sliding, lambda table, name: add(slider_of(built, table, name)))
+    if carried:
+        built.switch = SlidingSwitch(*(cast(SwitchingBody, built.bodies[name]) for name in sorted(carried)))
     return built
+
+
+class Named(Protocol):
+    """A table with a name, or with the empty one."""
+
+    @property
+    def name(self) -> str:
+        """The name."""
+
+
+AnyNamed = TypeVar("AnyNamed", bound=Named)
+Part = TypeVar("Part")
+
+
+def _made(kind: str, tables: Sequence[AnyNamed], make: Callable[[AnyNamed, str], Part]) -> dict[str, Part]:
+    """What is made of tables, by their names, or those that they have unless given."""
+    made = {}
+    for number, table in enumerate(tables, start=1):
+        name = table.name or f"{kind}_{number}"
+        with told_of(kind, name):
+            made[name] = make(table, name)
+    return made
+
+
+def _refuse_unknown(carried: set[str], built: Built) -> None:
+    known = [table.name for table in built.tables.body]
+    for name in sorted(carried - set(known)):
+        raise InputError(f"[[sliding]] body = {name!r} is not a [[body]]; {nearest(name, known)}")
 
 
 def axes_of(table: RotationTable | None) -> Floats | None:
@@ -173,7 +246,8 @@ def axes_of(table: RotationTable | None) -> Floats | None:
     return None if table is None else rotation(np.array(table.axis), np.radians(table.degrees))
 
 
-def _add_bodies(built: Built) -> None:
+def _add_bodies(built: Built, carried: set[str]) -> None:
+    """All bodies but those that loads are ``carried`` by, whose start depends on them; all files are read."""
     read: dict[str, StoredBodies] = {}
     members: dict[str, Mapping[str, Parameterised]] = {}
     for table in built.tables.body:
@@ -186,10 +260,11 @@ def _add_bodies(built: Built) -> None:
                 bodies = choose_body(bodies, table.reduction, place).parametric.at(**table.at).bodies
             body = choose_body(bodies, table.reduction, place)
             built.files[table.name] = place, bodies, body
-            made = _elastic(table, body, place)
+            if table.name in carried:
+                continue
+            _add_body(built, "elastic", _elastic(table, body, place))
             for name, label in table.nodes.items():
-                _add_node(made, bodies, body, name, label)
-            _add_body(built, "elastic", made)
+                built.markers[table.name][name] = built.node(table.name, _row(bodies, name, label), name)
     for rigid in built.tables.rigid_body:
         with told_of("rigid_body", rigid.name):
             _add_body(built, "rigid", _rigid(rigid))
@@ -223,17 +298,31 @@ def _elastic(table: BodyTable, body: Body, place: Path) -> FlexibleBody:
     )
 
 
-def _add_node(made: FlexibleBody, bodies: StoredBodies, body: Body, name: str, label: int) -> None:
-    """A marker at a node of the file, whose axes do not turn as the body deforms."""
+def _row(bodies: StoredBodies, name: str, label: int) -> int:
+    """The row of a node of a file.
+
+    Raises:
+        InputError: the file does not keep it.
+    """
     rows = np.flatnonzero(bodies.node_ids == label)
     if not len(rows):
         raise InputError(
             f"nodes: {name} = {label} was given, and the file keeps no node {label} among its {len(bodies.node_ids)}; "
             'write it with nodes = "all", or take another'
         )
-    row, frame = int(rows[0]), made.frame
-    motion = body.basis()[3 * row : 3 * row + 3] @ frame.elastic
-    made.marker_at(bodies.coordinates[row] - frame.origin, motion, name=name)
+    return int(rows[0])
+
+
+def _add_switching(built: Built, table: BodyTable) -> None:
+    place, _, body = built.files[table.name]
+    if table.nodes:
+        raise InputError("nodes was given for a body that carries [[sliding]], whose markers are its interfaces")
+    moving = None if table.held else _elastic(table, body, place)
+    sliding = [each for each in built.tables.sliding if each.body == table.name]
+    made = switching_body(built, table, body, moving, sliding)
+    built.bodies[table.name] = built.system.add(made)
+    built.kinds[table.name] = "held" if moving is None else "elastic"
+    built.markers[table.name] = {name: made.marker(name) for name in ([] if moving is None else moving.markers)}
 
 
 def _frame(table: BodyTable, body: Body, place: Path) -> FloatingFrame:
@@ -320,18 +409,12 @@ def _joint(built: Built, table: JointTable, name: str) -> Constraint:
 def _load(built: Built, table: LoadTable, name: str) -> PointLoad:
     force, moment = np.array(table.force), np.array(table.moment)
     given: dict[str, Any] = {"force": force, "moment": moment}
-    if table.law is not None and table.law.kind != "table":
-        factor = table.law.factor()
+    if table.law is not None and (force.any() or moment.any()):
+        factor = built.factor(table.law)
         given = {"force": lambda t: factor(t) * force, "moment": lambda t: factor(t) * moment}
     elif table.law is not None:
-        times, values = table.law.columns(
-            built.file.resolve, built.tables.simulation.begin, built.tables.simulation.end
-        )
-        if force.any() or moment.any():
-            if values.shape[1] > 1:
-                raise InputError(f"force or moment was given beside {table.law.file}, which has them; leave them out")
-            values = values * np.concatenate((force, moment))
-        elif values.shape[1] == 1:
+        times, values = built.columns(table.law)
+        if values.shape[1] == 1:
             raise InputError(f"{table.law.file} has a factor; give the force or the moment that it multiplies")
 
         def at(t: float) -> Floats:

@@ -10,9 +10,26 @@ from typing import Any
 import numpy as np
 
 from morembs.app.simulations.build import Built
-from morembs.app.simulations.result_file import BodyHistory, EnergyHistory, JointHistory, MarkerHistory
+from morembs.app.simulations.result_file import (
+    BodyHistory,
+    ContactHistory,
+    EnergyHistory,
+    ImpactList,
+    JointHistory,
+    MarkerHistory,
+    SliderHistory,
+    SwitchLog,
+)
 from morembs.base.types import Floats, Ints
-from morembs.dynamics.multibody import Component, Result
+from morembs.dynamics.multibody import (
+    ContactResult,
+    MovingLoad,
+    PathSupport,
+    PointOnPath,
+    Result,
+    SwitchingBody,
+    local_response,
+)
 from morembs.dynamics.multibody.floating_body import FloatingBody
 
 
@@ -41,16 +58,12 @@ def thinned(result: Result, rows: list[Ints]) -> Result:
 def histories(built: Built, result: Result, rows: list[Ints]) -> dict[str, Any]:
     """The fields of ``Recording`` that a run fills, at the ``rows`` of its segments."""
     kept = thinned(result, rows)
-    energy = result.energy()
+    energy = result.balance() if isinstance(result, ContactResult) else result.energy()
     ends = np.cumsum([0, *(len(segment.time) for segment in result.segments)])
     flat = np.concatenate([begin + at for (begin, _), at in zip(pairwise(ends), rows, strict=True)])
-    wanted = built.tables.output.markers
     return {
         "time": kept.time,
-        "bodies": {
-            name: _body(built, name, body, kept, None if wanted is None else set(wanted))
-            for name, body in built.bodies.items()
-        },
+        "bodies": {name: _body(built, name, kept) for name in built.bodies},
         "joints": {
             name: JointHistory(
                 kind=table.kind, between=tuple(table.between), reaction=kept.reaction(built.joints[name])
@@ -58,17 +71,62 @@ def histories(built: Built, result: Result, rows: list[Ints]) -> dict[str, Any]:
             for name, table in zip(built.joints, built.tables.joint, strict=True)
         },
         "energy": EnergyHistory(**{key: values[flat] for key, values in vars(energy).items()}),
+        **(_contacts(built, result, flat) if isinstance(result, ContactResult) else {"contacts": {}}),
+        "sliders": {name: _slider(slider, kept) for name, slider in built.sliders.items()},
+        "switches": _switches(built),
     }
 
 
-def _body(built: Built, name: str, body: Component, result: Result, wanted: set[str] | None) -> BodyHistory:
+def _body(built: Built, name: str, result: Result) -> BodyHistory:
+    body, wanted = built.bodies[name], built.tables.output.markers
     x = result.configuration(body)
     markers = {
-        key: MarkerHistory(**result.motion(marker))
+        key: MarkerHistory(**result.motion(marker), load=result.load(marker))
         for key, marker in built.markers[name].items()
         if wanted is None or f"{name}:{key}" in wanted
     }
+    inner = body
+    if isinstance(body, SwitchingBody):
+        # The places of windows come last.
+        inner, x = body.inner, x[:, : body.configuration_size - body.windows]
     given: Mapping[str, Floats] = {"coordinates": x}
-    if isinstance(body, FloatingBody):
+    if isinstance(inner, FloatingBody):
         given = {"position": x[:, :3], "rotation": x[:, 3:12].reshape(-1, 3, 3), "coordinates": x[:, 12:]}
     return BodyHistory(kind=built.kinds[name], speeds=result.speeds(body), markers=markers, **given)
+
+
+def _contacts(built: Built, result: ContactResult, flat: Ints) -> dict[str, Any]:
+    values = ("gap", "force", "friction", "slip", "foot")
+    impacts = result.impacts
+    return {
+        "contacts": {
+            name: ContactHistory(**{key: getattr(result, key)(contact)[flat] for key in values})
+            for name, contact in built.contacts.items()
+        },
+        "impacts": ImpactList(
+            time=np.array([each.time for each in impacts]),
+            loss=np.array([each.loss for each in impacts]),
+            contact=tuple(", ".join(dict.fromkeys(name for name, _ in each.points)) for each in impacts),
+        ),
+    }
+
+
+def _slider(slider: MovingLoad | PathSupport | PointOnPath, result: Result) -> SliderHistory:
+    body = slider.path.component
+    told = local_response(result, body, slider, stress=body.switching.stress is not None)
+    return SliderHistory(
+        position=told.position, displacement=told.displacement, largest_amplitude=told.loads, stress=told.stress
+    )
+
+
+def _switches(built: Built) -> SwitchLog | None:
+    if built.switch is None:
+        return None
+    log = built.switch.log
+    return SwitchLog(
+        time=np.array([each.time for each in log]),
+        slider=tuple(each.slider for each in log),
+        position=np.array([each.position for each in log]),
+        rank=np.array([each.rank for each in log], dtype=int),
+        dropped=np.array([each.dropped for each in log]),
+    )

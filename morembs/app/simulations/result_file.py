@@ -29,13 +29,23 @@ class MarkerHistory:
     axes: Floats = dataset("real", "s 3 3", "axes of the marker as columns")
     velocity: Floats = dataset("real", "s 3", "along the inertial axes", "m/s")
     angular_velocity: Floats = dataset("real", "s 3", "along the inertial axes", "rad/s")
+    load: Floats = dataset(
+        "real",
+        "s 6",
+        "force and moment of all joints, loads and springs on the body at the marker, contacts left out",
+        "N, Nm",
+        doc="force and moment of all joints, loads and springs on the body at the marker, along the axes of the body, "
+        "of members and of bodies with `[[sliding]]` along the inertial ones; contacts are not in it",
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodyHistory:
     """A body: the motion of its frame, its own coordinates, and its markers."""
 
-    kind: str = dataset("text", doc="`elastic`, `rigid` or `member`", known=("elastic", "rigid", "member"))
+    kind: str = dataset(
+        "text", doc="`elastic`, `rigid`, `member`, or `held`", known=("elastic", "rigid", "member", "held")
+    )
     position: Floats | None = dataset("real", "s 3", "of the frame", "m", default=None, when="of bodies that float")
     rotation: Floats | None = dataset(
         "real", "s 3 3", "axes of the frame as columns", default=None, when="of bodies that float"
@@ -52,6 +62,49 @@ class JointHistory:
     kind: str = dataset("text", doc="as in the system file")
     between: tuple[str, ...] = dataset("text", "2", "its markers")
     reaction: Floats = dataset("real", "s 6", "on the second marker, at it, along the inertial axes", "N, Nm")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ContactHistory:
+    """The p points of a contact."""
+
+    gap: Floats = dataset("real", "s any", "of the points to the surface, zero where they touch", "m")
+    force: Floats = dataset("real", "s any", "on the points along the normal", "N")
+    friction: Floats = dataset("real", "s any 2", "on the points along `axis` in the tangent plane, and across", "N")
+    slip: Floats = dataset("real", "s any 2", "of the points over the surface", "m/s")
+    foot: Floats = dataset("real", "s any 3", "nearest points of the surface", "m")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImpactList:
+    """Impacts of all contacts, in their order."""
+
+    time: Floats = dataset("real", "i", "", "s", doc="of each impact")
+    loss: Floats = dataset("real", "i", "energy that is lost", "J")
+    contact: tuple[str, ...] = dataset("text", "i", "contacts that meet in it")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SliderHistory:
+    """A load or a rider, and the path below it."""
+
+    position: Floats = dataset("real", "s", "along the path", "m")
+    displacement: Floats = dataset("real", "s 3", "of the path there, static modes included, axes of the body", "m")
+    largest_amplitude: Floats = dataset("real", "s", "of the static modes", "N")
+    stress: Floats | None = dataset(
+        "real", "s 6", "at the path there (xx, yy, zz, xy, yz, zx)", "Pa", default=None, when="where its tables have it"
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SwitchLog:
+    """Every change of active static modes."""
+
+    time: Floats = dataset("real", "c", "", "s", doc="of each change")
+    slider: tuple[str, ...] = dataset("text", "c", "whose window moved")
+    position: Floats = dataset("real", "c", "along the path", "m")
+    rank: Any = dataset("whole", "c", "static modes in use from then on")
+    dropped: Floats = dataset("real", "c", "largest amplitude that went, per largest of all")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,6 +134,10 @@ class Recording:
     bodies: Mapping[str, BodyHistory] = dataset(table_of(BodyHistory), name="bodies/*")
     joints: Mapping[str, JointHistory] = dataset(table_of(JointHistory), name="joints/*")
     energy: EnergyHistory = dataset(table_of(EnergyHistory))
+    contacts: Mapping[str, ContactHistory] = dataset(table_of(ContactHistory), name="contacts/*")
+    impacts: ImpactList | None = dataset(table_of(ImpactList), default=None, when="if there are contacts")
+    sliders: Mapping[str, SliderHistory] = dataset(table_of(SliderHistory), name="sliders/*")
+    switches: SwitchLog | None = dataset(table_of(SwitchLog), default=None, when="if there are sliders")
     system: str = dataset("text", doc="text of the system file")
     changes: tuple[str, ...] = dataset("text", "any", "keys that were given another value", default=(), when="if any")
     warnings: tuple[str, ...] = dataset("text", "any", "what to know, a sentence each", default=(), when="if any")

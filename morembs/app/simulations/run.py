@@ -19,7 +19,7 @@ from morembs.base.memory import PeakMemory
 from morembs.base.progress import Progress, Stage, Stopwatch, listening
 from morembs.body.recovery.recover import Recovered, recover
 from morembs.body.recovery.trajectory import Trajectory
-from morembs.dynamics.multibody import FlexibleBody, Result, equilibrium, simulate
+from morembs.dynamics.multibody import FlexibleBody, Result, equilibrium, simulate, simulate_contact, simulate_sliding
 from morembs.storage.contents import keeping_ledger
 from morembs.version import VERSION
 
@@ -130,19 +130,16 @@ def simulated(built: Built) -> Result:
         InputError, SolverError: what the simulator refuses.
     """
     times, still, start = built.tables.simulation, built.tables.equilibrium, None
+    steps = {"begin": times.begin, "end": times.end, "step": times.step, "rho": times.rho, "tolerance": times.tolerance}
+    given: dict[str, Any] = {**steps, "max_deflection": times.deflection}
+    if built.switch is not None:
+        return simulate_sliding(built.system, built.switch, **given)
+    given["corrected_start"] = times.corrected_start
+    if built.contacts:
+        return simulate_contact(built.system, list(built.contacts.values()), **given)
     if still is not None:
         start = equilibrium(built.system, load_steps=still.load_steps, tolerance=still.tolerance, time=times.begin)
-    return simulate(
-        built.system,
-        begin=times.begin,
-        end=times.end,
-        step=times.step,
-        rho=times.rho,
-        tolerance=times.tolerance,
-        corrected_start=times.corrected_start,
-        max_deflection=times.deflection,
-        start=start,
-    )
+    return simulate(built.system, start=start, **given)
 
 
 def _observed(built: Built, result: Result, table: ObserveTable) -> Recovered:

@@ -47,9 +47,16 @@ class SystemFile:
             yield f"[[body]] {body.name!r} file", self.resolve(body.file)
         for member in self.tables.member:
             yield f"[[member]] {member.name!r} file", self.resolve(member.file)
-        for load in self.tables.load:
-            if load.law is not None and load.law.file is not None:
-                yield f"[[load]] {load.name!r} law", self.resolve(load.law.file)
+        laws = [(each.name, each.law) for each in self.tables.load]
+        for name, law in [*laws, *((each.name, each.law) for each in self.tables.sliding)]:
+            if law is not None and law.file is not None:
+                yield f"the law of {name!r}", self.resolve(law.file)
+        for sliding in self.tables.sliding:
+            if sliding.positions is not None:
+                yield f"[[sliding]] {sliding.name!r} positions", self.resolve(sliding.positions)
+        for contact in self.tables.contact:
+            if contact.surface.file is not None:
+                yield f"[[contact]] {contact.name!r} surface", self.resolve(contact.surface.file)
         for joint in self.tables.joint:
             if joint.motion is not None and joint.motion.file is not None:
                 yield f"[[joint]] {joint.name!r} motion", self.resolve(joint.motion.file)

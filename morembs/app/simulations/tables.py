@@ -7,18 +7,14 @@ from typing import Annotated, Literal
 
 from morembs.app.jobs.stages.unreduced import RotationTable
 from morembs.app.jobs.tables import Three
+from morembs.app.simulations.contact_tables import ContactElementTable, ContactTable
+from morembs.app.simulations.keys import ORIGIN, Between, MarkerName, OptionalName, PartName, refuse_foreign
 from morembs.app.simulations.laws import LawTable, MotionTable
+from morembs.app.simulations.sliding_tables import SlidingTable, SwitchingTable
 from morembs.base.errors import InputError
 from morembs.base.key_tables import Table, described
 from morembs.base.limits import Finite, NotNegative, Positive, PositiveCount, SpectralRadius, length, text
 from morembs.dynamics.multibody.tolerances import TOL, NewtonTolerance
-
-NAME = r"^[^/:\s.\x00-\x1f][^/:\x00-\x1f]*$"
-PartName = Annotated[str, text("a name without colons and slashes", NAME, longest=100)]
-OptionalName = Annotated[str, text("a name without colons and slashes", rf"{NAME}|^$", longest=100)]
-MarkerName = Annotated[str, text('a marker "BODY:NAME" such as "rod:big_end", "ground" or "ground:NAME"')]
-Between = Annotated[list[MarkerName], length('two markers such as ["ground", "rod:big_end"]', 2)]
-ORIGIN = [0.0, 0.0, 0.0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +81,8 @@ class BodyTable(Table):
     angular_velocity: Three = described("[x, y, z] along the axes of the body, rad/s", ORIGIN)
     elastic: list[Finite] = described("its elastic coordinates at the start, zero unless given", [])
     elastic_rate: list[Finite] = described("their rates at the start, zero unless given", [])
+    held: bool = described("true for a body at rest that only bends, below [[sliding]] loads", False)
+    switching: SwitchingTable = field(default_factory=SwitchingTable)
     nodes: dict[str, int] = described("further markers at nodes of the file, such as { middle = 1234 }", {})
 
 
@@ -186,9 +184,7 @@ class SpringTable(Table):
     name: OptionalName = described("a name; spring_1, spring_2, ... unless given", "")
 
     def refuse_conflicts(self) -> None:
-        wrong = {"length"} if self.kind == "torsion" else {"axis", "angle"}
-        for key in sorted(wrong & self.given):
-            raise InputError(f'{key} was given beside kind = "{self.kind}", which does not have it; leave it out')
+        refuse_foreign(self, self.kind, {"line": {"length"}, "torsion": {"axis", "angle"}})
         if self.kind == "torsion" and self.axis is None:
             raise InputError('kind = "torsion" was given without axis; expected [x, y, z]')
 
@@ -227,6 +223,9 @@ class SystemTables(Table):
     joint: list[JointTable] = field(default_factory=list)
     load: list[LoadTable] = field(default_factory=list)
     spring: list[SpringTable] = field(default_factory=list)
+    contact_element: list[ContactElementTable] = field(default_factory=list)
+    contact: list[ContactTable] = field(default_factory=list)
+    sliding: list[SlidingTable] = field(default_factory=list)
     observe: list[ObserveTable] = field(default_factory=list)
     output: OutputTable
 
@@ -235,8 +234,36 @@ class SystemTables(Table):
         if not bodies:
             raise InputError("no body was given; expected tables [[body]], [[rigid_body]] or [[member]]")
         _refuse_twice("body", [*bodies, "ground"])
-        for key in ("joint", "load", "spring"):
+        for key in ("joint", "load", "spring", "contact_element", "contact", "sliding"):
             _refuse_twice(key, [each.name for each in getattr(self, key) if each.name])
+        self._refuse_mixed()
+
+    def _refuse_mixed(self) -> None:
+        """Refuse what one run cannot have together: its integrators differ."""
+        if self.contact and self.sliding:
+            raise InputError(
+                "[[contact]] and [[sliding]] were both given, and no run has both; take [[contact_element]], a force"
+            )
+        special = "contact" if self.contact else "sliding" if self.sliding else ""
+        if special and self.equilibrium is not None:
+            raise InputError(f"[equilibrium] was given beside [[{special}]], whose run starts where bodies are put")
+        if self.sliding and "corrected_start" in self.simulation.given:
+            raise InputError(
+                "[simulation] corrected_start was given beside [[sliding]], which chooses it; leave it out"
+            )
+        carried = {each.body for each in self.sliding}
+        for body in self.body:
+            for key in sorted({"held", "switching"} & body.given) if body.name not in carried else ():
+                raise InputError(f"[[body]] {body.name!r}: {key} was given, and no [[sliding]] is on it; leave it out")
+            if body.held and body.given & {
+                "position",
+                "rotation",
+                "velocity",
+                "angular_velocity",
+                "stiffening",
+                "frame",
+            }:
+                raise InputError(f"[[body]] {body.name!r}: held was given, and it stays where its model is")
 
 
 def _refuse_twice(what: str, names: list[str]) -> None:

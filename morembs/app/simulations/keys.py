@@ -1,0 +1,27 @@
+"""Kinds of keys that several tables of a system file have."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from morembs.base.errors import InputError
+from morembs.base.key_tables import Table
+from morembs.base.limits import length, text
+
+NAME = r"^[^/:\s.\x00-\x1f][^/:\x00-\x1f]*$"
+PartName = Annotated[str, text("a name without colons and slashes", NAME, longest=100)]
+OptionalName = Annotated[str, text("a name without colons and slashes", rf"{NAME}|^$", longest=100)]
+MarkerName = Annotated[str, text('a marker "BODY:NAME" such as "rod:big_end", "ground" or "ground:NAME"')]
+Between = Annotated[list[MarkerName], length('two markers such as ["ground", "rod:big_end"]', 2)]
+ORIGIN = [0.0, 0.0, 0.0]
+
+
+def refuse_foreign(table: Table, kind: str, keys: dict[str, set[str]]) -> None:
+    """Refuse keys that belong to another kind of a table; ``keys`` are those that one kind alone has, by its name.
+
+    Raises:
+        InputError: as said.
+    """
+    own = keys.get(kind, set())
+    for key in sorted({key for several in keys.values() for key in several} & table.given - own):
+        raise InputError(f'{key} was given beside kind = "{kind}", which does not have it; leave it out')
