@@ -14,6 +14,7 @@ from morembs.app.cli.commands import app
 from morembs.app.cli.models import import_command
 from morembs.app.jobs.job import job_tables
 from morembs.app.simulations.result_file import read_recording
+from morembs.app.simulations.tables import SystemTables
 from morembs.base.key_tables import read_table
 from morembs.body.file import read_body
 from morembs.importers.model_file import read_model, write_model
@@ -196,7 +197,11 @@ def test_simulate_example(tmp_path):
     energy = told.energy.kinetic + told.energy.potential - told.energy.work
     assert len(told.time) == 5001 and np.ptp(energy) < 1e-4 * told.energy.kinetic.max()
     assert told.bodies["rod"].markers["SMALLEND"].position[:, 2].min() < -0.1
-    assert (tmp_path / "pendulum.vtkhdf").exists()
+    assert (tmp_path / "pendulum.vtkhdf").exists() and "energy" in (tmp_path / "pendulum.html").read_text()
+    # Fragments are taken beside the tables of the example.
+    whole, *fragments = map(tomllib.loads, re.findall(r"```toml\n(.*?)```", text, re.DOTALL))
+    for fragment in fragments:
+        assert read_table(SystemTables, {**whole, **fragment}).given > fragment.keys()
 
 
 # Tables of a job that go with those of a fragment.
@@ -252,7 +257,7 @@ RUN = {
     "parametric.md": {"toml": 2, "python": 2},
     "scale.md": {"toml": 1, "sh": 1},
     "schema.md": {"python": 4, "octave": 1, "matlab": 1, "sh": 1},
-    "simulate.md": {"toml": 1},
+    "simulate.md": {"toml": 3},
     "simulators.md": {"python": 3},
     "solvers.md": {"python": 1},
     "switching.md": {"toml": 1, "python": 2},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -18,10 +19,11 @@ from morembs.app.jobs.run import run_job
 from morembs.app.simulations.result_file import Recording, read_recording
 from morembs.app.simulations.run import run_system
 from morembs.app.simulations.system_file import load_system
-from morembs.base.errors import InputError
+from morembs.base.errors import InputError, SolverError
 from morembs.body.file import read_body
 from morembs.dynamics.multibody import FlexibleBody, PointLoad, RevoluteJoint, System, ground, rotation
 from morembs.dynamics.multibody import simulate as simulate_in_python
+from tests.support.processes import morembs as command
 
 G = 9.81
 ENDS = """
@@ -292,3 +294,100 @@ def test_what_is_wrong_is_told_before_a_step(strip: Path, case: str) -> None:
     with pytest.raises(InputError) as caught:
         simulated(strip, SWING, *changes)
     assert expected in str(caught.value)
+
+
+def test_the_command_says_what_it_did(strip: Path, tmp_path: Path) -> None:
+    """Result, page and JSON; check and info; the body file is named relative to the system, results are not."""
+    (strip / "swing.toml").write_text(SWING)
+    out, page = tmp_path / "swing.h5", tmp_path / "swing.html"
+    done = command("simulate", strip / "swing.toml", "-o", out, "--report", page, "--json", folder=tmp_path)
+    assert done.code == 0, done.errors
+    (told,) = json.loads(done.output)
+    recording = read_recording(out)
+    reaction = np.linalg.norm(recording.joints["hinge"].reaction[:, :3], axis=1)
+    assert told["largest_reactions"]["hinge"]["force"] == pytest.approx(reaction.max())
+    assert told["times"] == 51 and told["written"] == [str(out), str(page)]
+    assert told["bodies"]["strip"]["kind"] == "elastic"
+    text = page.read_text()
+    # Two markers, elastic coordinates, reactions, energy.
+    assert text.count("data:image/png") == 5 and "largest reactions" in text and "strip.h5" in text
+    shown = command("info", out, folder=tmp_path)
+    assert shown.code == 0 and "hinge" in shown.output and "0 to 0.05 s, 51 times" in shown.output
+    checked = command("check", strip / "swing.toml", "--set", "output.path=swing.h5", "--json", folder=tmp_path)
+    (forecast,) = json.loads(checked.output)
+    assert (forecast["constraints"], forecast["steps"]) == (5, 50)
+    assert forecast["coordinates"] == recording.bodies["strip"].speeds.shape[1]
+    assert forecast["degrees_of_freedom"] == forecast["coordinates"] - 5
+    states = 8 * (recording.time.size * (forecast["coordinates"] + 12))
+    assert states < forecast["result_bytes"] < 1.3 * out.stat().st_size
+    assert recording.provenance["inputs"]["file"][-1].endswith(b"strip.h5")
+
+
+REFUSED = {
+    "an unknown table": ("simulate", f"{SWING}\nbdoy = []", "did you mean 'body'?"),
+    "a joint twice": (
+        "simulate",
+        SWING.replace("joint = [", 'joint = [{ kind = "fixed", between = ["ground", "strip:ROOT"] }, '),
+        "joint equations are redundant: FixedJoint 'joint_1'",
+    ),
+    "an open joint": (
+        "simulate",
+        SWING.replace('["ground", "strip:ROOT"]', '["ground:wall", "strip:ROOT"]') + 'marker = [{ name = "wall" }]',
+        "joints are open at t = 0 s: RevoluteJoint 'hinge'",
+    ),
+    "a job": ("simulate", "model = { mesh = 'bar.msh' }", "a job was given, expected a system of bodies"),
+    "a system for reduce": ("reduce", SWING, "a system of bodies was given, expected a job: morembs simulate"),
+    "no TOML": ("simulate", "[simulation]\nend = = 1", "is not valid TOML"),
+    "a deflection beyond the limit": (
+        "simulate",
+        SWING.replace("step = 1e-3", "step = 1e-3, max_deflection = 1e-4"),
+        "body 'strip' deflects by",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_run_ends_with_two_and_keeps_the_old_result(strip: Path, case: str) -> None:
+    verb, text, expected = REFUSED[case]
+    (strip / "bad.toml").write_text(f'{text}\noutput = {{ path = "old.h5" }}\n')
+    (strip / "old.h5").write_bytes(b"an older result")
+    done = command(verb, "bad.toml", folder=strip)
+    assert done.code == 2 and expected in done.errors and "Traceback" not in done.errors
+    assert done.errors.count("error:") == 1
+    assert (strip / "old.h5").read_bytes() == b"an older result"
+    assert verb == "reduce" or command("check", "bad.toml", folder=strip).code == (0 if "deflection" in case else 2)
+
+
+def test_a_run_that_cannot_go_on_says_when_and_which(strip: Path) -> None:
+    with pytest.raises(SolverError, match=r"at t = 0\.0\d+ s body 'strip' deflects by .* of its length"):
+        simulated(strip, SWING, "simulation.max_deflection=1e-4")
+    with pytest.raises(SolverError, match=r"from t = 0 s .* does not converge .* most of it in body 'strip'"):
+        simulated(strip, SWING, f"body.strip.elastic={[1e-3] * 10}")
+
+
+def test_what_a_body_has_is_taken(strip: Path) -> None:
+    """Stiffening, another frame, elastic coordinates at the start: as the simulator has them."""
+    brief = "simulation.step=1e-4", "simulation.end=0.01"
+    plain = simulated(strip, SWING, *brief).bodies["strip"].markers["TIP"].position
+    stored = read_body(strip / "strip.h5").bodies["strip"].floating
+    assert stored is not None
+    for change, body in {
+        "body.strip.stiffening=true": FlexibleBody(stored, stiffening=True),
+        "body.strip.frame=mean-axes": FlexibleBody(stored.in_frame("mean-axes")),
+        f"body.strip.elastic={[1e-6] * stored.count}": FlexibleBody(stored, elastic=[1e-6] * stored.count),
+    }.items():
+        text = SWING.replace(f", {PLACE}", "")
+        moved = simulated(strip, text, change, *brief).bodies["strip"].markers["TIP"].position
+        origin = body.frame.origin
+        system = System(gravity=(0, 0, -G))
+        made = system.add(
+            FlexibleBody(body.frame, position=origin, elastic=body.start()[0][12:], stiffening="stiffening" in change)
+        )
+        root = made.marker("ROOT")
+        system.add(RevoluteJoint(ground.marker_at(root.place(made.start()[0]).position), root, axis=(0, 1, 0)))
+        system.add(
+            PointLoad(made.marker("TIP"), force=lambda t: (0.5 + np.sin(2 * np.pi * 30 * t)) * np.array([0, 1, -2]))
+        )
+        want = simulate_in_python(system, end=0.01, step=1e-4).position(made.marker("TIP"))
+        assert np.abs(moved - want).max() < 1e-10
+        assert np.abs(moved - plain).max() > 1e-6

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from morembs.app.cli.messages import console, printing, without_nan
+from morembs.app.kinds import RESULT_FORMAT
 from morembs.app.report.style import STYLE
 from morembs.base.errors import InputError
 from morembs.body.delivery_check import refuse_unsound, stored_findings
@@ -36,6 +37,12 @@ def show(file: str | Path, documents: list[dict[str, Any]] | None, proof: bool =
         stored = read_unexamined(file, whole=True)
     except InputError:
         if _show_members(Path(file), documents):
+            return
+        if holds_format(Path(file), RESULT_FORMAT):
+            # Not at the top: most files hold bodies.
+            from morembs.app.cli.simulate import show_recording
+
+            show_recording(Path(file), documents)
             return
         _refuse_model(Path(file))
         raise

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from morembs.app.cli.messages import console, warn
+from morembs.app.cli.messages import console, printing, warn
 from morembs.app.cli.terminal import AsJson, Changes, Done, Quiet, Verb, each_job, example
 from morembs.base.progress import Progress
 
@@ -21,10 +21,12 @@ def simulate(
     system: Annotated[Path, typer.Argument(metavar="SYSTEM.toml", help="A system of bodies.", show_default=False)],
     changes: Changes = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The result, in place of [output] path.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a page with pictures: an .html file.")] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Simulate a system of bodies: joints, loads, contact, from a file."""
+    from morembs.app.pages.page import check_report
     from morembs.app.simulations.run import run_system
     from morembs.app.simulations.system_file import load_system
 
@@ -32,7 +34,16 @@ def simulate(
     every = [*([] if out is None else [f"output.path={out.absolute()}"]), *(changes or ())]
 
     def work(path: Path, progress: Progress) -> Done:
-        document = run_system(load_system(path, every), progress, warn).document()
+        file = load_system(path, every)
+        check_report(report)
+        document = run_system(file, progress, warn).document()
+        if report is not None:
+            # Not at the top: few runs have a page.
+            from morembs.app.pages.simulation import write_simulation_page
+
+            progress.stage("write report")
+            write_simulation_page(report, path, file.output, document)
+            document["written"].append(str(report))
         return document, lambda: print_simulation(document)
 
     each_job([system], as_json, work, quiet)
@@ -43,10 +54,29 @@ def print_simulation(document: Mapping[str, Any]) -> None:
     from morembs.app.report.text import print_sections, print_written, say
     from morembs.app.simulations.report import sections_of
 
-    print_sections(console(), sections_of(document))
+    print_sections(console(), sections_of(document["job"], document))
     say(console(), *(f"note: {note}" for note in document["notes"]))
     say(console(), *(f"warning: {text}" for text in document["warnings"] if not console().is_terminal))
     print_written(console(), document["written"])
+
+
+def show_recording(path: Path, documents: list[dict[str, Any]] | None) -> None:
+    """Print what the file of a simulation holds, or add it to the ``documents``.
+
+    Raises:
+        InputError: the file is damaged, or of a newer version.
+    """
+    from morembs.app.report.text import print_sections, say
+    from morembs.app.simulations.report import outline, sections_of
+    from morembs.app.simulations.result_file import read_recording
+
+    told = outline(read_recording(path))
+    if documents is not None:
+        documents.append({"output": str(path), **told})
+        return
+    with printing():
+        print_sections(console(), sections_of(str(path), told))
+        say(console(), *(f"warning: {text}" for text in told["warnings"]))
 
 
 def checked_system(path: Path, changes: Sequence[str], progress: Progress) -> Done:

@@ -73,12 +73,12 @@ def write_report(path: Path, entries: Sequence[Entry], title: str) -> None:
         "parts": [plain for plain, _ in pairs],
     }
     data = as_json(document)
-    text = _rendered(
+    text = rendered(
+        "page.html",
         title=title,
         parts=[shown for _, shown in pairs],
         data=data,
         decimals=_decimals(document["parts"]),
-        version=VERSION,
         measures=MEASURES,
         data_link=quote(path.with_suffix(".json").name),
         data_name=path.with_suffix(".json").name,
@@ -88,7 +88,8 @@ def write_report(path: Path, entries: Sequence[Entry], title: str) -> None:
             file.write(content.encode())
 
 
-def _rendered(**values: Any) -> str:
+def rendered(template: str, **values: Any) -> str:
+    """A page by one of the templates in this folder, with the scripts and style sheets of all pages."""
     # Not at the top: commands without a report do without them.
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
@@ -109,7 +110,7 @@ def _rendered(**values: Any) -> str:
     resources = {
         name: [_resource(*place) for place in places] for name, places in (("scripts", SCRIPTS), ("styles", STYLES))
     }
-    return environment.get_template("page.html").render(**resources, **values)
+    return environment.get_template(template).render(version=VERSION, **resources, **values)
 
 
 def _resource(package: str, name: str) -> Markup:
@@ -124,7 +125,7 @@ def _part(
     read is a failure of its own."""
     said: dict[str, Any] = {
         "name": entry.name,
-        "job": _link(entry.job, report),
+        "job": link_to(entry.job, report),
         "state": entry.state,
         "message": entry.message,
     }
@@ -132,7 +133,7 @@ def _part(
     if entry.state == "failed":
         return said, shown
     said |= {
-        "output": _link(entry.output, report),
+        "output": link_to(entry.output, report),
         "seconds": entry.seconds,
         "peak_memory_bytes": entry.peak_memory_bytes,
     }
@@ -230,10 +231,10 @@ def _files(entry: Entry, report: Path, content: Mapping[str, Any]) -> list[tuple
             if path.is_file():
                 old = path.stat().st_mtime_ns < body.stat().st_mtime_ns
                 found.setdefault(path, f"{exporter.name}{', older than the body' if old else ''}")
-    return [(what, _link(path, report), path.name) for path, what in found.items()]
+    return [(what, link_to(path, report), path.name) for path, what in found.items()]
 
 
-def _link(path: str | Path, report: Path) -> str:
+def link_to(path: str | Path, report: Path) -> str:
     """Where a page finds a file."""
     try:
         target = Path(os.path.relpath(path, report.resolve().parent)).as_posix()

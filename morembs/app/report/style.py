@@ -32,6 +32,11 @@ class ReportStyle:
     still_dots: int = 72
     still_colors: int = 48
     response_picture: tuple[float, float, int] = (9.0, 4.6, 90)
+    curves_picture: tuple[float, float, int] = (9.0, 2.8, 90)
+    # Width of a curve over time in points, opacity of the grid behind it, and curves that a legend names at most.
+    curve_line: float = 1.3
+    grid_opacity: float = 0.3
+    named_curves: int = 8
 
 
 STYLE = ReportStyle()

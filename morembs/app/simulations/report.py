@@ -1,4 +1,4 @@
-"""What people see of a simulation: sections of a report, by its document."""
+"""What people see of a simulation: an outline of its file, and sections of it."""
 
 from __future__ import annotations
 
@@ -6,36 +6,72 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from morembs.app.report.sections import Section
+from morembs.app.simulations.result_file import Recording
+from morembs.base.types import Floats
 
 
-def sections_of(document: Mapping[str, Any]) -> Sequence[Section]:
-    """Bodies, largest reactions and energy of a finished run."""
-    restarts = f", {document['restarts']} restarts at events" if document["restarts"] else ""
-    head = f"{document['begin']:g} to {document['end']:g} s, {document['times']:,} times kept{restarts}"
-    sections = [
-        Section(
-            title=f"{Path(document['job']).name}: {head}",
-            columns=("body", "kind", "coordinates", "markers"),
-            rows=[
-                (name, body["kind"], str(body["coordinates"]), ", ".join(body["markers"]) or "none")
-                for name, body in document["bodies"].items()
-            ],
-        )
+def outline(recording: Recording) -> dict[str, Any]:
+    """The file of a simulation in plain values: bodies, largest reactions, contacts and energy, SI units."""
+    energy, time = recording.energy, recording.time
+    balance = energy.kinetic + energy.potential - energy.work
+    told: dict[str, Any] = {
+        "bodies": {
+            name: {"kind": body.kind, "coordinates": body.coordinates.shape[1], "markers": list(body.markers)}
+            for name, body in recording.bodies.items()
+        },
+        "begin": float(time[0]),
+        "end": float(time[-1]),
+        "times": len(time),
+        "restarts": int((np.diff(time) == 0).sum()),
+        "largest_reactions": {
+            name: {"force": _largest(joint.reaction[:, :3]), "moment": _largest(joint.reaction[:, 3:])}
+            for name, joint in recording.joints.items()
+        },
+        "energy": {"kinetic_max": float(energy.kinetic.max()), "drift": float(np.abs(balance - balance[0]).max())},
+        "contacts": {
+            name: {"force": float(each.force.max()), "touching": float((each.force > 0).any(axis=1).mean())}
+            for name, each in recording.contacts.items()
+        },
+        "sliders": {name: {"displacement": _largest(each.displacement)} for name, each in recording.sliders.items()},
+        "warnings": list(recording.warnings),
+    }
+    for name, events in (("impacts", recording.impacts), ("switches", recording.switches)):
+        if events is not None:
+            told[name] = len(events.time)
+    return told
+
+
+def _largest(vectors: Floats) -> float:
+    return float(np.linalg.norm(vectors, axis=1).max())
+
+
+def sections_of(name: str, told: Mapping[str, Any]) -> Sequence[Section]:
+    """Tables of an outline, or of the document of a run, which has more."""
+    head = f"{told['begin']:g} to {told['end']:g} s, {told['times']:,} times"
+    events = [f"{told[key]:,} {key}" for key in ("restarts", "impacts", "switches") if told.get(key)]
+    bodies = [
+        (body, each["kind"], str(each["coordinates"]), ", ".join(each["markers"]) or "none")
+        for body, each in told["bodies"].items()
     ]
-    if document["largest_reactions"]:
-        rows = [
-            (name, f"{each['force']:.4g}", f"{each['moment']:.4g}")
-            for name, each in document["largest_reactions"].items()
-        ]
-        sections.append(Section(title="largest reactions", columns=("joint", "N", "Nm"), rows=rows))
-    lines = [
-        f"energy: largest kinetic {document['energy']['kinetic_max']:.4g} J, balance kept within "
-        f"{document['energy']['drift']:.2g} J"
-    ]
+    title = f"{Path(name).name}: {', '.join([head, *events])}"
+    sections = [Section(title=title, columns=("body", "kind", "coordinates", "markers"), rows=bodies)]
+    tables = {
+        "largest reactions": ("joint", {"force": "N", "moment": "Nm"}, told["largest_reactions"]),
+        "contacts": ("contact", {"force": "largest N", "touching": "part of the times"}, told["contacts"]),
+        "paths below loads": ("slider", {"displacement": "largest m"}, told["sliders"]),
+    }
+    for title, (first, columns, rows) in tables.items():
+        if rows:
+            cells = [(each, *(f"{values[key]:.4g}" for key in columns)) for each, values in rows.items()]
+            sections.append(Section(title=title, columns=(first, *columns.values()), rows=cells))
+    energy = told["energy"]
+    lines = [f"energy: largest kinetic {energy['kinetic_max']:.4g} J, balance kept within {energy['drift']:.2g} J"]
     lines += [
-        f"{name}: largest von Mises stress {each['von_mises_pa'] / 1e6:,.4g} MPa at node {each['node']}, "
+        f"{body}: largest von Mises stress {each['von_mises_pa'] / 1e6:,.4g} MPa at node {each['node']}, "
         f"{each['time_s']:g} s"
-        for name, each in document["stress"].items()
+        for body, each in told.get("stress", {}).items()
     ]
     return [*sections, Section(lines=lines)]

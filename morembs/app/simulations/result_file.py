@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from morembs.app.kinds import RESULT, RESULT_FORMAT
 from morembs.base.types import Floats
-from morembs.storage.checksums import Checksums
-from morembs.storage.hdf5 import reading_format
+from morembs.storage.checksums import GROUP, Checksums
+from morembs.storage.hdf5 import reading_format, tree
 from morembs.storage.table import dataset, derived, read_rows, table_of
 from morembs.storage.writer import writing
 
@@ -118,7 +118,10 @@ class EnergyHistory:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """All of the file of a simulation, SI units. A time at which the run was restarted occurs twice."""
+    """All of the file of a simulation, SI units. A time at which the run was restarted occurs twice.
+
+    ``provenance`` says where it comes from: the group /provenance, on which nothing outside depends.
+    """
 
     @derived("text", doc=f"`{RESULT_FORMAT}`")
     def format(self) -> str:
@@ -141,9 +144,7 @@ class Recording:
     system: str = dataset("text", doc="text of the system file")
     changes: tuple[str, ...] = dataset("text", "any", "keys that were given another value", default=(), when="if any")
     warnings: tuple[str, ...] = dataset("text", "any", "what to know, a sentence each", default=(), when="if any")
-    provenance: Mapping[str, Any] = dataset(
-        "json", doc="where it comes from, as JSON: version, inputs with checksums, seconds", default_factory=dict
-    )
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
 RECORDING = table_of(Recording)
@@ -155,9 +156,10 @@ def write_recording(path: Path, recording: Recording) -> None:
     Raises:
         OutputError: it cannot be written; an old file is kept.
     """
-    with writing(path) as out:
+    with writing(path, apart=["provenance"]) as out:
         given = {key: getattr(recording, key) or None for key in ("changes", "warnings")}
         out.rows("", RECORDING, recording, **given)
+        out.tree("provenance", recording.provenance)
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -170,4 +172,5 @@ def read_recording(path: str | Path) -> Recording:
     with reading_format(place, RESULT.name, RESULT_FORMAT, ResultVersion.LATEST) as file:
         Checksums(place, file).verify()
         recording: Recording = read_rows(file, RECORDING)
-    return recording
+        origin = {name: item for name, item in tree(file["provenance"]).items() if name != GROUP}
+    return replace(recording, provenance=origin)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any
-
-import numpy as np
 
 from morembs.app.simulations.build import Built, build, told_of
 from morembs.app.simulations.check import warnings_of
 from morembs.app.simulations.histories import histories, kept_rows, thinned
+from morembs.app.simulations.report import outline
 from morembs.app.simulations.result_file import Recording, write_recording
 from morembs.app.simulations.system_file import SystemFile
 from morembs.app.simulations.tables import ObserveTable
@@ -37,39 +37,17 @@ class SimulationResult:
 
     def document(self) -> dict[str, Any]:
         """All there is to tell, SI units."""
-        recording, file = self.recording, self.built.file
-        reactions = {name: np.abs(joint.reaction) for name, joint in recording.joints.items()}
-        energy = recording.energy
-        total = energy.kinetic + energy.potential
+        file = self.built.file
         return {
             "job": str(file.path),
             "output": str(file.output),
-            "bodies": {
-                name: {"kind": body.kind, "coordinates": body.coordinates.shape[1], "markers": list(body.markers)}
-                for name, body in recording.bodies.items()
-            },
-            "begin": float(recording.time[0]),
-            "end": float(recording.time[-1]),
-            "times": len(recording.time),
-            "restarts": len(self.result.segments) - 1,
-            "largest_reactions": {
-                name: {
-                    "force": float(np.linalg.norm(each[:, :3], axis=1).max()),
-                    "moment": float(np.linalg.norm(each[:, 3:], axis=1).max()),
-                }
-                for name, each in reactions.items()
-            },
-            "energy": {
-                "kinetic_max": float(energy.kinetic.max()),
-                "drift": float(np.abs(total - energy.work - total[0]).max()),
-            },
+            **outline(self.recording),
             "stress": {
                 each.body: dict(zip(("von_mises_pa", "node", "time_s"), each.peak, strict=True))
                 for each in self.observed
                 if each.peak is not None
             },
             "notes": [f"{each.path.name}: {note}" for each in self.observed for note in each.notes],
-            "warnings": list(recording.warnings),
             "written": [str(path) for _, path in file.results()],
             "seconds": {stage.name: stage.seconds for stage in self.stages},
             "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in self.stages},
@@ -107,6 +85,7 @@ def run_system(
                 changes=file.changes,
                 warnings=warnings_of(built),
                 provenance={
+                    "created": datetime.now(UTC).isoformat(timespec="seconds"),
                     "morembs_version": VERSION,
                     "inputs": [{"file": name, "sha256": each.sha256} for name, each in ledger.contents().items()],
                     "seconds": {stage.name: stage.seconds for stage in watch.stages},

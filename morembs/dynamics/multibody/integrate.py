@@ -139,6 +139,8 @@ class Stepper:
         lu: LU = sl.lu_factor(S, check_finite=False)
         return lu
 
+    # Iterations that diverge end with a message of their own.
+    @np.errstate(over="ignore", invalid="ignore")
     def advance(self, time: float) -> State:
         """One step, to ``time``; the new state.
 
@@ -148,7 +150,7 @@ class Stepper:
         """
         s, old, iterate = self.assembly, self.state, self._predicted()
         s.begin_step(old.time, old.x, old.v)
-        factor, last, refreshed, M, noise = None, math.inf, False, self.tangents[0], 0.0
+        factor, last, refreshed, M, noise, d = None, math.inf, False, self.tangents[0], 0.0, np.zeros(s.size)
         for _ in range(self.reactions.iterations):
             x = s.moved(old.x, iterate.step)
             mass, g, Phi, B = s.equations(time, x, iterate.v)
@@ -173,8 +175,15 @@ class Stepper:
         raise SolverError(
             f"the step from t = {old.time:.9g} s with h = {self.h:.3g} s does not converge in "
             f"{self.reactions.iterations} Newton iterations (last change {last:.2g}, limit {noise:.2g}, in the norm of "
-            f"kinetic energy). Take a smaller step; {self.reactions.advice}"
+            f"kinetic energy{self._most_of(d, M)}). Take a smaller step; {self.reactions.advice}"
         )
+
+    def _most_of(self, d: Floats, M: Floats) -> str:
+        """The body with the largest part of a change (k,) of velocity, in words."""
+        s = self.assembly
+        with np.errstate(over="ignore", invalid="ignore"):
+            parts = np.nan_to_num([float(d[j] @ M[j, j] @ d[j]) for j in s.in_v], nan=np.inf)
+        return f", most of it in body {s.components[int(np.argmax(parts))].name!r}" if parts.any() else ""
 
 
 class ChangeLimit:

@@ -36,6 +36,9 @@ def _coefficients(square: float) -> tuple[float, float, float]:
             # Series of (p - sin p) / p^3 by p^2, as the two above.
             1 / 6 - square / 120 * (1 - square / 42),
         )
+    if not square < math.inf:
+        # Of iterations that diverge; what they find is not finite, and is refused there.
+        return math.nan, math.nan, math.nan
     p = math.sqrt(square)
     sine = math.sin(p)
     return sine / p, 2 * (math.sin(p / 2) / p) ** 2, (p - sine) / (p * square)
