@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from morembs.app.simulations.built import Built
 from morembs.app.simulations.contact_tables import ContactElementTable, ContactTable, SurfaceTable
 from morembs.base.errors import InputError
 from morembs.dynamics.multibody import (
@@ -23,9 +23,6 @@ from morembs.dynamics.multibody import (
 )
 from morembs.fem.selection import NUMBERS, nodes_in_region
 from morembs.storage.csv_table import read_table
-
-if TYPE_CHECKING:
-    from morembs.app.simulations.build import Built
 
 
 def contact_of(built: Built, table: ContactTable, name: str) -> Contact:

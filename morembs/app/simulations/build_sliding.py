@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
+from morembs.app.simulations.built import Built
 from morembs.app.simulations.laws import refuse_outside
 from morembs.app.simulations.sliding_tables import SlidingTable
 from morembs.app.simulations.tables import BodyTable
@@ -15,9 +16,6 @@ from morembs.body.body import Body
 from morembs.dynamics.multibody import FlexibleBody, LinearBody, MovingLoad, PathSupport, PointOnPath, SwitchingBody
 from morembs.responses.static_mode_tables import StaticModeTables
 from morembs.storage.csv_table import read_table
-
-if TYPE_CHECKING:
-    from morembs.app.simulations.build import Built
 
 
 def switching_body(

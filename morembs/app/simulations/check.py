@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from morembs.app.simulations.build import Built, build
+from morembs.app.simulations.build import build
+from morembs.app.simulations.built import Built
 from morembs.app.simulations.laws import LawTable, MotionTable
 from morembs.app.simulations.system_file import SystemFile
 from morembs.app.simulations.tables import SystemTables

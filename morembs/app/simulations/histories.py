@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from morembs.app.simulations.build import Built
+from morembs.app.simulations.built import Built
 from morembs.app.simulations.result_file import (
     BodyHistory,
     ContactHistory,

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from morembs.app.simulations.build import Built, build, told_of
+from morembs.app.simulations.build import build
+from morembs.app.simulations.built import Built, told_of
 from morembs.app.simulations.check import warnings_of
 from morembs.app.simulations.histories import histories, kept_rows, thinned
 from morembs.app.simulations.report import outline
