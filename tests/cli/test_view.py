@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import h5py
@@ -19,6 +19,7 @@ from morembs.app.jobs.stages.couple import interfaces_of
 from morembs.app.jobs.stages.forecast import outlined
 from morembs.app.jobs.stages.model import materials_of, mesh_of
 from morembs.app.jobs.viewing import scene_of_files
+from morembs.app.pages.page import Entry, write_report
 from morembs.body.file import read_body
 from morembs.body.recovery.recover import recover
 from morembs.body.recovery.trajectory import Trajectory
@@ -362,3 +363,56 @@ def test_what_cannot_be_shown_is_answered(
     done = RUNNER.invoke(cli.app, ["view", *arguments, "--no-open"])
     assert done.exit_code == 2 and said in done.stderr and len(done.stderr.splitlines()) == 1
     assert not list(folder.glob("*.view.html")) and not (folder / "page.txt").exists()
+
+
+# --- In reports
+
+
+def report_of(bodies: Sequence[Path], path: Path) -> str:
+    entries = [
+        Entry(name=f"<i>part {n}", job="j.toml", output=str(body), state="done") for n, body in enumerate(bodies)
+    ]
+    write_report(path, entries, "night")
+    return path.read_text()
+
+
+OPENED = "document.querySelector('.morembs-look').open = true, 1"
+
+
+@needs_browser
+def test_a_report_has_a_viewer_a_part_that_begins_when_it_is_opened(page: Page, folder: Path, tmp_path: Path) -> None:
+    text = report_of([folder / "part.h5", folder / "other.h5"], tmp_path / "night.html")
+    assert text.count('class="morembs-viewer"') == 2 and len(text) < 2 * 350_000
+    page.faults.clear(), page.requests.clear()
+    page.open(tmp_path / "night.html")
+    assert page.run("[...document.querySelectorAll('.morembs-viewer')].every((each) => !each.viewer)")
+    page.run(OPENED)
+    page.run("document.querySelector('.morembs-look').scrollIntoView(), 1")
+    page.wait(f"{VIEWER}?.drawing")
+    page.run("new Promise((done) => setTimeout(done, 300))")
+    assert colored(drawn(page)) > 0.05
+    assert (
+        page.run("[...document.querySelectorAll('.morembs-viewer')].filter((each) => each.viewer?.drawing).length") == 1
+    )
+    assert page.faults == [] and {url.partition(":")[0] for url in page.requests} <= {"file", "data"}
+
+
+@needs_browser
+def test_viewers_of_many_parts_lie_beside_the_report(page: Page, folder: Path, tmp_path: Path) -> None:
+    """Frames of pages in a folder, which are written again where a body has changed alone."""
+    body = tmp_path / "body.h5"
+    body.write_bytes((folder / "part.h5").read_bytes())
+    bodies = [body, *[folder / "other.h5"] * 20]
+    text = report_of(bodies, tmp_path / "night.html")
+    pages = sorted((tmp_path / "night_files").glob("view-*.html"))
+    assert len(pages) == 21 and 'class="morembs-viewer"' not in text
+    assert sorted(re.findall(r'iframe src="([^"]+)"', text)) == [f"night_files/{each.name}" for each in pages]
+    times = {each: each.stat().st_mtime_ns for each in pages}
+    body.write_bytes((folder / "other.h5").read_bytes())
+    report_of(bodies, tmp_path / "night.html")
+    assert sum(each.stat().st_mtime_ns != times[each] for each in pages) == 1
+    page.faults.clear()
+    page.open(tmp_path / "night.html")
+    page.run(OPENED)
+    page.run("document.querySelector('.morembs-look').scrollIntoView(), new Promise((done) => setTimeout(done, 2500))")
+    assert colored(page.picture()) > 0.03 and page.faults == []

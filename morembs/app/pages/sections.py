@@ -7,20 +7,27 @@ by ``Markup.format`` or ``as_json`` alone, which escape them. Tables of stages a
 
 from __future__ import annotations
 
+import hashlib
 import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from markupsafe import Markup
 
-from morembs.app.pages.kept import KeptParts, key_of
+from morembs.app.jobs.viewing import stored_scene
+from morembs.app.pages.kept import KeptParts, as_json, key_of
 from morembs.app.report.style import STYLE
+from morembs.base.errors import InputError
 from morembs.body.file import read_body
 from morembs.body.stored import StoredBodies
 from morembs.body.tolerances import TOL as BODY
+from morembs.fem.viewer.page import PROGRAM, Scene, document_of, section_of, viewer_page
+from morembs.storage.contents import own_files
+from morembs.storage.safefile import replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -144,8 +151,50 @@ def response_picture(part: PartPage) -> Markup:
     return part.picture("response", f"response and error of {part.name}", STYLE.response_picture, draw)
 
 
+def viewer(part: PartPage) -> Markup:
+    """The modes as they move: in the page, or of many parts in pages of their own in the folder beside it."""
+    try:
+        if part.count > STYLE.viewers_in_page:
+            return _framed_viewer(part)
+        data = as_json(document_of(_scene(part)))
+    except InputError:
+        return Markup("")  # there is nothing to show
+    return _opened(Markup(section_of(f'<script type="application/json">{data}</script>')))
+
+
+def _opened(inner: Markup) -> Markup:
+    text = '<details class="morembs-look"><summary>Look at it: modes that move</summary>{}</details>'
+    return Markup(text).format(inner)
+
+
+def _scene(part: PartPage) -> Scene:
+    return stored_scene(part.stored, part.name, part.shown)
+
+
+def _framed_viewer(part: PartPage) -> Markup:
+    """A page in the folder, written anew where the body file or the version is another one."""
+    page = part.folder / f"view-{hashlib.sha256(part.name.encode()).hexdigest()[:16]}.html"
+    mark = f"<!-- {part.key} -->\n"
+    with own_files():
+        old = page.read_text(encoding="utf-8") if page.is_file() else ""
+    if not old.endswith(mark):
+        text = viewer_page(_scene(part)) + mark
+        part.folder.mkdir(exist_ok=True)
+        with replacing(page) as file:
+            file.write(text.encode())
+    link = quote(f"{part.folder.name}/{page.name}")
+    text = (
+        '<iframe src="{0}" title="modes of {1}" loading="lazy"></iframe>'
+        '<p><a href="{0}">{1} on a page of its own</a></p>'
+    )
+    return _opened(Markup(text).format(link, part.name))
+
+
 # One line for each, in the order in which they stand in the section of a part.
-SECTIONS: tuple[Callable[[PartPage], Markup], ...] = (mode_pictures, response_picture)
+SECTIONS: tuple[Callable[[PartPage], Markup], ...] = (mode_pictures, viewer, response_picture)
 # Scripts and style sheets that a page holds once: package and file.
-SCRIPTS: tuple[tuple[str, str], ...] = (("morembs.app.pages", "page.js"),)
-STYLES: tuple[tuple[str, str], ...] = (("morembs.app.pages", "page.css"),)
+SCRIPTS: tuple[tuple[str, str], ...] = (
+    ("morembs.app.pages", "page.js"),
+    *(("morembs.fem.viewer", name) for name in PROGRAM),
+)
+STYLES: tuple[tuple[str, str], ...] = (("morembs.app.pages", "page.css"), ("morembs.fem.viewer", "viewer.css"))

@@ -84,11 +84,15 @@ def viewer_section(scene: Scene, picture: str = "") -> str:
     if picture:
         still = f'<img src="{html.escape(picture)}" alt="{html.escape(scene.title)}, a still picture">'
     # Within a script only "<" can end it.
-    data = json.dumps(_document(scene), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    data = json.dumps(document_of(scene), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return section_of(f'<script type="application/json">{data}</script>', still)
+
+
+def section_of(data: str, still: str = "") -> str:
+    """The section around a script element with the document of a scene; both are HTML."""
     return (
         f'<div class="morembs-viewer"><div class="still">{still}'
-        "<noscript><p>A picture that moves needs JavaScript.</p></noscript></div>"
-        f'<script type="application/json">{data}</script></div>'
+        f"<noscript><p>A picture that moves needs JavaScript.</p></noscript></div>{data}</div>"
     )
 
 
@@ -100,7 +104,7 @@ def viewer_head() -> str:
     # Without comments and indentation: a tenth of a page.
     lines = (line.strip() for part in parts for line in part.splitlines())
     program = "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))
-    return f'<style>\n{style}</style>\n<script type="module">\n{program}mountAll(document);\n</script>'
+    return f'<style>\n{style}</style>\n<script type="module">\n{program}</script>'
 
 
 def embedded(scene: Scene) -> str:
@@ -112,8 +116,8 @@ def embedded(scene: Scene) -> str:
     )
 
 
-def _document(scene: Scene) -> dict[str, Any]:
-    """The scene in numbers and texts of JSON."""
+def document_of(scene: Scene) -> dict[str, Any]:
+    """The scene in numbers and texts of JSON, as ``viewer.js`` reads it."""
     whole = np.concatenate([surface.points for surface in scene.surfaces])
     low, high = whole.min(axis=0), whole.max(axis=0)
     middle, half = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0

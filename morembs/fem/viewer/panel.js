@@ -379,3 +379,5 @@ Object.assign(Viewer.prototype, {
     write(stressed ? "von Mises stress" : "displacement", 12, top - 6);
   },
 });
+
+mountAll(document);
