@@ -81,8 +81,8 @@ def reading_format(
     with reading(path, expected, cure) as file:
         if is_format(file, MEMBERS):
             raise InputError(
-                f"{path} holds planar members, expected {expected}; morembs info and morembs export take members, and "
-                "in Python morembs.dynamics.gmp.stored.read_members"
+                f"{path} holds planar members, expected {expected}; morembs info, evaluate and export take members, "
+                "and in Python morembs.dynamics.gmp.stored.read_members"
             )
         if not is_format(file, name):
             raise InputError(f"{path} is an HDF5 file but not {expected} of morembs (no /format {name!r}){hint}")

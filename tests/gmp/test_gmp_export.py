@@ -261,5 +261,7 @@ def test_names_of_members(member, source, tmp_path):
 
 
 def test_verbs_for_bodies_name_members(source):
-    with pytest.raises(InputError, match="holds planar members, expected a body file; morembs info and morembs export"):
+    with pytest.raises(
+        InputError, match="holds planar members, expected a body file; morembs info, evaluate and export take members"
+    ):
         read_body(source)

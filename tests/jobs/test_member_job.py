@@ -129,9 +129,10 @@ def test_the_command_line_checks_reduces_and_shows(tmp_path: Path) -> None:
     assert (forecast["dofs"], forecast["elements"], forecast["interface_nodes"]) == (21, 6, {"start": 1, "end": 1})
     assert 0 < forecast["reduction_seconds"]["rod"] < 60 and not (tmp_path / "rod.h5").exists()
     assert "to run it: morembs reduce rod.toml" in morembs("check", "rod.toml", folder=tmp_path).output
-    refused = morembs("reduce", "rod.toml", "--report", "rod.html", folder=tmp_path)
-    assert refused.code == 2 and "--report" in refused.errors
-    done = morembs("reduce", "rod.toml", folder=tmp_path)
+    done = morembs("reduce", "rod.toml", "--report", "rod.html", folder=tmp_path)
+    page = (tmp_path / "rod.html").read_text()
+    assert "9</td>" in page and "tables of 5 points per angle" in page and page.count("data:image/png") == 2
+    assert "--body rod --to fmu" in page and "source beam" in page and "written by morembs" in page
     assert done.code == 0 and "21 degrees of freedom" in done.output and "rod.h5" in done.output
     assert "global modal parameterisation" in done.output
     shown = morembs("info", "rod.h5", folder=tmp_path)
@@ -141,8 +142,9 @@ def test_the_command_line_checks_reduces_and_shows(tmp_path: Path) -> None:
     assert (member["coordinates"], member["points"]) == (9, 5) and 0 < member["error"] < 0.02
     refused = morembs("modes", "rod.toml", folder=tmp_path)
     assert refused.code == 2 and "[member]" in refused.errors
-    batch = morembs("batch", ".", "--quiet", folder=tmp_path)
-    assert batch.code == 0
+    batch = morembs("batch", ".", "--quiet", "--report", "batch.html", folder=tmp_path)
+    page = (tmp_path / "batch.html").read_text()
+    assert batch.code == 0 and "0 failed" in page and "global modal parameterisation, membrane" in page
 
 
 def test_a_result_says_what_it_is_and_the_same_job_writes_the_same_bytes(tmp_path: Path) -> None:

@@ -90,7 +90,6 @@ def reduce(
     """Reduce the models of job files and write their bodies."""
     from morembs.app.jobs.document import sections_of
     from morembs.app.jobs.run import run_job
-    from morembs.app.jobs.stages.member_table import MemberTable
     from morembs.app.report.text import print_document
 
     if attached:
@@ -102,8 +101,6 @@ def reduce(
 
     def work(path: Path, progress: Progress) -> Done:
         job = replace(load(path, every), attempt=attempt)
-        if report is not None and MemberTable.of(job) is not None:
-            raise InputError("--report was given for a job with [member], which has no page; leave it out")
         shown: list[str] = []
 
         def tell(sentence: str) -> None:

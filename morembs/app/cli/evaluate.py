@@ -14,6 +14,7 @@ import typer
 
 from morembs.app.cli.bodies import BodyFile, BodyName, values_of
 from morembs.app.cli.families import parametric_of, read_values
+from morembs.app.cli.members import evaluate_member
 from morembs.app.cli.messages import print_json, printing, warn
 from morembs.app.cli.terminal import AsJson, Verb, example, messages
 from morembs.app.report.style import STYLE
@@ -52,8 +53,18 @@ def evaluate(
     body: BodyName = None,
     as_json: AsJson = False,
 ) -> None:
-    """Evaluate a body with parameters at other values."""
+    """Evaluate a body with parameters at other values, or a planar member between given frames."""
+    # Not at the top: help needs no file.
+    from morembs.storage.hdf5 import MEMBERS, holds_format
+
     with messages():
+        if holds_format(file, MEMBERS):
+            if table is not None or bound_hz is not None or sensitivity or matrices:
+                raise InputError(
+                    f"{file} holds planar members, which take --at start.angle=0.2,end.x=0.3,... and --out FILE.csv"
+                )
+            evaluate_member(file, body, values_of(at), out, as_json)
+            return
         _refuse_mixed(at, table, out, sensitivity, matrices)
         if frequencies < 1:
             raise InputError(f"--frequencies {frequencies} was given; expected a number, 1 or more")

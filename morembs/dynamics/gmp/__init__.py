@@ -2,6 +2,7 @@
 
 from morembs.dynamics.gmp.body import ParameterisedBody, PlaneJoint
 from morembs.dynamics.gmp.chebyshev import ChebyshevTable, points
+from morembs.dynamics.gmp.configuration import Configuration, configuration
 from morembs.dynamics.gmp.data import Formulation, Parameterised
 from morembs.dynamics.gmp.divided import DividedMember, divide_until_within, divided_member
 from morembs.dynamics.gmp.equilibria import Equilibrium, Solver
@@ -16,6 +17,7 @@ __all__ = [
     "AngleRange",
     "BendingModes",
     "ChebyshevTable",
+    "Configuration",
     "DividedMember",
     "Equilibrium",
     "Formulation",
@@ -28,6 +30,7 @@ __all__ = [
     "Report",
     "Solver",
     "bending_modes",
+    "configuration",
     "divide_until_within",
     "divided_member",
     "manifold",

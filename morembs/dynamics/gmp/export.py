@@ -10,6 +10,7 @@ import numpy as np
 
 from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
+from morembs.dynamics.gmp.configuration import FRAME_COORDINATES, FRAMES
 from morembs.dynamics.gmp.data import Parameterised
 from morembs.dynamics.gmp.member import ReducedMember
 from morembs.dynamics.gmp.stored import read_members
@@ -31,9 +32,8 @@ from morembs.exporters.tolerances import TOL
 from morembs.storage.contents import keeping_ledger
 
 _POSITIONS = (("position", "m"), ("angle", "rad"))
-_FRAMES = ("start", "end")
-# Coordinates of a frame, with their places among x, y, z and turns about them.
-_COORDINATES = {"x": 0, "y": 1, "angle": 5}
+# Places of the coordinates of a frame among x, y, z and turns about them.
+_COMPONENTS = (0, 1, 5)
 
 
 @keeping_ledger()
@@ -81,7 +81,7 @@ def export_member(
         )
     if getattr(exporter, "precision", "double") != "double":
         raise InputError('precision = "single" was given for a planar member; expected "double"')
-    held = [*_FRAMES] if exporter.held is None else exporter.held
+    held = [*FRAMES] if exporter.held is None else exporter.held
     system = member_system(members[name], held=held, damping_ratio=exporter.damping_ratio)
     target = default_path(place, exporter, name, several=len(members) > 1) if path is None else Path(path)
     if target.resolve() in {other.resolve() for other in taken}:
@@ -193,13 +193,13 @@ def _held_coordinates(held: Sequence[str]) -> Ints:
     Raises:
         InputError: neither a frame nor a coordinate of one.
     """
-    names = [f"{frame}.{coordinate}" for frame in _FRAMES for coordinate in _COORDINATES]
+    names = FRAME_COORDINATES
     numbers = set[int]()
     for name in held:
         found = [k for k, known in enumerate(names) if name in (known, known.partition(".")[0])]
         if not found:
             raise InputError(
-                f"held: a planar member has no frame or coordinate {name!r}; {nearest(name, [*_FRAMES, *names])}"
+                f"held: a planar member has no frame or coordinate {name!r}; {nearest(name, [*FRAMES, *names])}"
             )
         numbers |= {*found}
     return np.array(sorted(numbers), dtype=np.int64)
@@ -214,11 +214,10 @@ def _of(
     direct: bool = False,
 ) -> tuple[Variable, ...]:
     """One variable for each coordinate of a frame."""
-    parts = [*_COORDINATES.values()]
     return tuple(
         variables(
-            [_FRAMES[k // 3]],
-            [parts[k % 3]],
+            [FRAMES[k // 3]],
+            [_COMPONENTS[k % 3]],
             kinds,
             about,
             start=None if start is None else float(start[k]),

@@ -61,6 +61,11 @@ class MemberTolerances:
     # Last step of Newton's method for solids, over their size.
     solid_newton_step: float = 1e-10
 
+    # Steps of Newton's method to the amplitudes between held frames; chosen.
+    configuration_iterations: int = 50
+    # Largest deflection of the last one, over the length: twelve digits.
+    configuration_step: float = 1e-12
+
     # Difference of masses along the axes, and of what couples them, over the largest that is round-off of an assembly.
     mass_mismatch: float = 1e-9
     # Smallest singular value of functions of a beam that is kept, over the largest of the scaled shapes.

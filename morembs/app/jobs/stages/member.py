@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,7 @@ from morembs.app.jobs.stages.member_cost import cost_of, counts_of
 from morembs.app.jobs.stages.member_table import MemberTable, component_of, mesh_of
 from morembs.app.jobs.stages.reduction import ReduceTable, named_tables
 from morembs.app.jobs.stages.stage import JobForecast, JobStage, Result, Results, Work
-from morembs.app.jobs.tables import HasTables, Job, JobTables, ModelTable
+from morembs.app.jobs.tables import HasTables, Job, JobTables, ModelTable, OutputTable
 from morembs.app.jobs.tolerances import TOL
 from morembs.app.report.sections import Place, Section
 from morembs.base.errors import InputError
@@ -121,7 +122,7 @@ class ReduceMember(JobStage):
         job, members, kept = work.job, dict[str, ReducedMember](), list[Path]()
         inputs = [{"file": str(path), "sha256": Content.of(path).sha256} for path in mesh_of(job).values()]
         for name, options in _all_options(job).items():
-            kept.append(_checkpoint(job, name, inputs))
+            kept.append(_checkpoint(job, name, [each["sha256"] for each in inputs]))
             with work.watch.stage(f"reduce {name}"):
                 try:
                     members[name] = _reduced(component_of(job), options, SolverTable.of(job).workers, kept[-1])
@@ -199,13 +200,17 @@ def _reduced(
     return solid_member(component, **others, workers=workers, checkpoint=checkpoint)
 
 
-def _checkpoint(job: Job, name: str, inputs: object) -> Path:
-    """File of the equilibria of a reduction, from which a run that was killed goes on; those of other jobs go."""
+def _checkpoint(job: Job, name: str, sums: Sequence[str]) -> Path:
+    """File of the equilibria of a reduction, from which a run that was killed goes on; those of other jobs go.
+
+    It is of the output, not of the attempt at it; ``sums`` of the files that the job reads.
+    """
+    output = job.resolve(OutputTable.of(job).path)
     asked = job.tables.values(without_none=True, but={"output", "solver"})
-    digest = hashlib.sha256(json.dumps([asked, inputs], sort_keys=True, default=str).encode()).hexdigest()
+    digest = hashlib.sha256(json.dumps([asked, sums], sort_keys=True, default=str).encode()).hexdigest()
     label = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in name)
-    path = job.output.with_name(f"{job.output.name}.{label}.{digest[:12]}.equilibria")
-    for left in job.output.parent.glob(f"{job.output.name}.{label}.{12 * '?'}.equilibria"):
+    path = output.with_name(f"{output.name}.{label}.{digest[:12]}.equilibria")
+    for left in output.parent.glob(f"{glob.escape(output.name)}.{label}.{12 * '?'}.equilibria"):
         if left != path:
             left.unlink(missing_ok=True)
     return path
