@@ -22,9 +22,7 @@ def content_of(stored: StoredBodies) -> dict[str, Any]:
     # Not at the top: what checks the path of a report does without.
     from morembs.app.jobs.compare import recommended
 
-    origin = stored.provenance
     bodies = {name: _body(body) for name, body in stored.bodies.items()}
-    inputs = origin.get("inputs") or {}
     return {
         "bodies": bodies,
         "shown": recommended({name: _limit(body) for name, body in stored.bodies.items()}),
@@ -36,13 +34,21 @@ def content_of(stored: StoredBodies) -> dict[str, Any]:
             name: {"coupling": str(each.coupling), "nodes": len(each.node_ids)}
             for name, each in stored.interfaces.items()
         },
-        "stages": _stages(origin),
+        **origin_of(stored.provenance, str(stored.recipe.get("source") or "model")),
+    }
+
+
+def origin_of(provenance: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Where a file comes from: the stages of its job, the files that were read, solver and version."""
+    inputs = provenance.get("inputs") or {}
+    return {
+        "stages": _stages(provenance),
         "inputs": dict(zip(*(_texts(inputs.get(key, [])) for key in ("file", "sha256")), strict=True)),
         "origin": {
-            "source": str(stored.recipe.get("source") or "model"),
-            "solver": str(origin.get("solver", "-")),
-            "written by": f"morembs {origin.get('morembs_version', '-')}",
-            "at": str(origin.get("created", "-")),
+            "source": source,
+            "solver": str(provenance.get("solver", "-")),
+            "written by": f"morembs {provenance.get('morembs_version', '-')}",
+            "at": str(provenance.get("created", "-")),
         },
     }
 

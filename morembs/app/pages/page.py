@@ -152,9 +152,7 @@ def _content(
     """What a body file holds, as it was kept or is read, and what the page draws of it."""
     # Not at the top: what checks the path of a report does without.
     from morembs.app.jobs.document import sections_of
-    from morembs.app.pages.content import content_of
     from morembs.app.pages.sections import SECTIONS, PartPage, thumbnail
-    from morembs.body.file import read_body
 
     try:
         sha256 = Content.of(entry.output).sha256
@@ -162,7 +160,7 @@ def _content(
         sha256 = ""
     content = kept.content(sha256)
     if content is None:
-        content = sealed({"sha256": sha256, **content_of(read_body(entry.output))})
+        content = sealed({"sha256": sha256, **_read_content(Path(entry.output))})
     part = PartPage(
         name=entry.name,
         number=number,
@@ -181,6 +179,24 @@ def _content(
         "file": Path(entry.output).name,
         "links": _files(entry, report, content),
     }
+
+
+def _read_content(path: Path) -> dict[str, Any]:
+    """What a file of bodies or of planar members holds.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    # Not at the top: what checks the path of a report does without.
+    from morembs.app.pages.content import content_of
+    from morembs.body.file import read_body
+    from morembs.storage.hdf5 import MEMBERS, holds_format
+
+    if holds_format(path, MEMBERS):
+        from morembs.app.pages.members import content_of_members
+
+        return content_of_members(path)
+    return content_of(read_body(path))
 
 
 def _row(content: Mapping[str, Any], entry: Entry) -> dict[str, Any]:

@@ -67,6 +67,11 @@ class PartPage:
         return str(self.content["shown"])
 
     @property
+    def holds_members(self) -> bool:
+        """Whether the file holds planar members."""
+        return bool(self.content.get("members"))
+
+    @property
     def folder(self) -> Path:
         """``night_files`` beside ``night.html``; it is made by who writes into it."""
         return self.report.with_name(f"{self.report.stem}_files")
@@ -113,8 +118,17 @@ def png_of(size: tuple[float, float, int], draw: Callable[[Figure], bool]) -> by
     return file.getvalue()
 
 
+def _member_picture(part: PartPage, name: str, alt: str, size: tuple[float, float, int]) -> Markup:
+    from morembs.app.pages.members import draw_member
+
+    bare = size == STYLE.row_picture
+    return part.picture(name, alt, size, lambda figure: draw_member(figure, part.file, part.shown, bare=bare))
+
+
 def thumbnail(part: PartPage) -> Markup:
-    """The first mode, for the row of the part."""
+    """The first mode, or shapes of a planar member, for the row of the part."""
+    if part.holds_members:
+        return _member_picture(part, "row", f"shapes of {part.name}", STYLE.row_picture)
     from morembs.body.drawing import draw_first
 
     def draw(figure: Figure) -> bool:
@@ -126,7 +140,9 @@ def thumbnail(part: PartPage) -> Markup:
 
 
 def mode_pictures(part: PartPage) -> Markup:
-    """Four modes of the body that is shown."""
+    """Four modes of the body that is shown, or shapes of a planar member over its end angles."""
+    if part.holds_members:
+        return _member_picture(part, "modes", f"shapes of {part.shown} of {part.name}", STYLE.shapes_picture)
     from morembs.body.drawing import draw_shapes
 
     def draw(figure: Figure) -> bool:
@@ -139,6 +155,8 @@ def mode_pictures(part: PartPage) -> Markup:
 
 def response_picture(part: PartPage) -> Markup:
     """The response with its certificates, of all bodies."""
+    if part.holds_members:
+        return Markup("")
     from morembs.app.jobs.compare import certified_response
     from morembs.app.jobs.picture import draw_response
 
