@@ -32,8 +32,6 @@ from morembs.exporters.tolerances import TOL
 from morembs.storage.contents import keeping_ledger
 
 _POSITIONS = (("position", "m"), ("angle", "rad"))
-# Places of the coordinates of a frame among x, y, z and turns about them.
-_COMPONENTS = (0, 1, 5)
 
 
 @keeping_ledger()
@@ -217,7 +215,8 @@ def _of(
     return tuple(
         variables(
             [FRAMES[k // 3]],
-            [_COMPONENTS[k % 3]],
+            # Along x, along y, about z.
+            [(0, 1, 5)[k % 3]],
             kinds,
             about,
             start=None if start is None else float(start[k]),
