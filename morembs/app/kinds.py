@@ -94,5 +94,7 @@ def instead(path: Path, expected: str) -> str:
         return f"{said}: fill it with tetrahedra, as Gmsh does, and give that mesh"
     if kind in PARTS and expected == PART:
         return ""
+    if kind is BODY and expected == SYSTEM_FILE:
+        return f"{said}: morembs init {shlex.quote(str(path))} writes one for it"
     cure = kind.command.format(shlex.quote(str(path)))
     return f"{said}: {cure}{' writes one for it' if kind in PARTS and expected == 'a job' else ''}"

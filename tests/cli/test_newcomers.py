@@ -99,6 +99,14 @@ def test_the_answer_to_a_mesh_runs(folder: Path, capsys: pytest.CaptureFixture[s
     assert len(morembs.read_body(folder / "k.h5").bodies["krylov"].stiffness_matrix) == 6
 
 
+def test_the_answer_to_a_body_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for typed in ("init bar.h5", "bar.system.toml", "simulate bar.system.toml --set simulation.end=0.01"):
+        assert run(f"morembs {typed}", capsys)[0] == 0
+    assert (folder / "bar.motion.h5").exists()
+    # Not over what is there.
+    assert run("morembs init bar.h5", capsys)[0] == 2
+
+
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("entry", CALLS, ids=lambda entry: entry["typed"])
 def test_a_call_is_answered_with_what_works(entry: dict[str, str]) -> None:

@@ -1,6 +1,7 @@
 """Pipelines and studies with two simulators: both agree, and with beam theory."""
 
 import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -10,6 +11,9 @@ import pytest
 import scipy.linalg as sl
 from numpy.polynomial import Legendre
 
+from morembs.app.simulations.result_file import read_recording
+from morembs.app.simulations.run import run_system
+from morembs.app.simulations.system_file import load_system
 from morembs.body.recovery.recover import recover
 from morembs.exporters.exudyn_system import exudyn_missing
 from tests.support.processes import python
@@ -79,6 +83,23 @@ def test_slider_crank_is_that_of_exudyn(body_of):
     pin = slider_crank.CRANK * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     assert np.abs(ours.pin - pin).max() < 1e-9 and np.abs(theirs.pin - pin).max() < 1e-9
     assert np.abs(ours.wrist[:, 1:]).max() < 1e-9 and np.abs(ours.lead).max() < 1e-4
+
+
+def test_the_slider_crank_of_a_file_is_that_of_the_program_and_of_exudyn(body_of, tmp_path):
+    rod = body_of(slider_crank)
+    for name in ("slider_crank_system.toml", "slider_crank.h5"):
+        place = PIPELINES if name.endswith(".toml") else Path(rod.file).parent
+        shutil.copy(place / name, tmp_path / name)
+    changes = [f"simulation.end={slider_crank.TURN / 4!r}", f"simulation.step={STEP!r}"]
+    file = run_system(load_system(tmp_path / "slider_crank_system.toml", changes)).built.file
+    told = read_recording(file.output)
+    markers = told.bodies["rod"].markers
+    from_file = slider_crank.Run(told.time, *(markers[name].position for name in slider_crank.POINTS))
+    assert from_file.gap(slider_crank.run_ours(rod, slider_crank.TURN / 4, STEP)).max() < 1e-10 * slider_crank.LENGTH
+    assert (tmp_path / "slider_crank_system.vtkhdf").stat().st_size > 10_000
+    if not exudyn_missing():
+        theirs = slider_crank.run_theirs(rod, slider_crank.TURN / 4, STEP)
+        assert from_file.gap(theirs).max() < 1e-6 * slider_crank.LENGTH
 
 
 def test_a_rod_that_bends_draws_the_slider_in(body_of):

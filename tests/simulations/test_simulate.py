@@ -323,6 +323,13 @@ def test_the_command_says_what_it_did(strip: Path, tmp_path: Path) -> None:
     assert recording.provenance["inputs"]["file"][-1].endswith(b"strip.h5")
 
 
+def test_the_schema_of_systems_knows_their_keys(strip: Path) -> None:
+    done = command("schema", "--system", folder=strip)
+    schema = json.loads(done.output)
+    assert done.code == 0 and set(schema["required"]) == {"simulation", "output"}
+    assert schema["$defs"]["JointTable"]["properties"]["kind"]["enum"][:2] == ["fixed", "revolute"]
+
+
 REFUSED = {
     "an unknown table": ("simulate", f"{SWING}\nbdoy = []", "did you mean 'body'?"),
     "a joint twice": (

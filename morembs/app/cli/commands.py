@@ -233,13 +233,23 @@ def check(
 
 
 @app.command(cls=Verb, epilog=example("morembs schema > job.schema.json"))
-def schema() -> None:
+def schema(
+    system: Annotated[bool, typer.Option("--system", help="That of system files, for morembs simulate.")] = False,
+) -> None:
     """Print the JSON schema of job files, by which editors complete and check keys."""
-    from morembs.app.jobs.job import job_tables
-    from morembs.base.key_tables import json_schema
+    from morembs.base.key_tables import Table, json_schema
 
     with messages(), printing():
-        echo(json.dumps(json_schema(job_tables()), indent=2))
+        tables: type[Table]
+        if system:
+            from morembs.app.simulations.tables import SystemTables
+
+            tables = SystemTables
+        else:
+            from morembs.app.jobs.job import job_tables
+
+            tables = job_tables()
+        echo(json.dumps(json_schema(tables), indent=2))
 
 
 def _order(jobs: Sequence[Path], changes: Sequence[str], load: Load | None = None) -> Order:

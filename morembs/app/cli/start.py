@@ -42,9 +42,9 @@ def init(
         bool, typer.Option("--example", help="Write an example and its job: rod, bracket, deck or matrices.")
     ] = False,
 ) -> None:
-    """Write a first job for a mesh, a deck, a model file or a CAD part, with comments."""
+    """Write a first job for a mesh, a deck, a model file or a CAD part, or a first system for a body, with comments."""
     from morembs.app.jobs.template import job_text, refuse_existing
-    from morembs.app.kinds import CAD_PART, PART, instead, kind_of
+    from morembs.app.kinds import BODY, CAD_PART, PART, instead, kind_of
     from morembs.base.units import parse_units
     from morembs.storage.safefile import replacing
 
@@ -57,6 +57,10 @@ def init(
             raise InputError(f"init needs {PART}: morembs init part.msh; or, to try it: morembs init --example")
         if file.is_dir():
             raise InputError(f"{file} is a folder; expected {PART}")
+        if kind_of(file) is BODY and file.exists():
+            given = {"--units": units, "--size": size}
+            _write_system(file, out, show, next((option for option, value in given.items() if value), ""))
+            return
         other = instead(file, PART)
         if other:
             raise InputError(f"{file}: {other}")
@@ -79,6 +83,28 @@ def init(
         with printing([str(job)]):
             then = f"morembs check {shlex.quote(str(job))}"
             typer.echo(f"written: {said}{job}; look at its units, materials and interfaces, then: {then}")
+
+
+def _write_system(file: Path, out: Path | None, show: bool, refused: str) -> None:
+    """Write, or only print, a first system for a body file, and say the next command."""
+    # Not at the top: a job is what is wanted most.
+    from morembs.app.jobs.template import refuse_existing
+    from morembs.app.simulations.template import system_text
+    from morembs.storage.safefile import replacing
+
+    if refused:
+        raise InputError(f"a body file is in SI units and has its elements; leave {refused} out")
+    system = _job_of(f"{file.name.partition('.')[0]}.system", file.parent, out)
+    text = system_text(file, system.parent)
+    if show:
+        with printing():
+            typer.echo(text, nl=False)
+        return
+    refuse_existing(system)
+    with replacing(system) as written:
+        written.write(text.encode())
+    with printing([str(system)]):
+        typer.echo(f"written: {system}; then: morembs simulate {shlex.quote(str(system))}")
 
 
 def _job_of(name: str, folder: Path, out: Path | None) -> Path:
