@@ -325,6 +325,13 @@ def interpolation(spec: Spec) -> Row:
     return measure(spec, steel)
 
 
+def published(spec: Spec) -> Row:
+    """See published.py."""
+    from published_models import measure
+
+    return measure(spec)
+
+
 def frames(spec: Spec) -> Row:
     """See frames.py."""
     from frames import measure
@@ -397,6 +404,7 @@ TASKS: dict[str, Callable[[Spec], Row]] = {
     "job": write_job,
     "interpolation": interpolation,
     "frames": frames,
+    "published": published,
     "switching": switching,
     "certify": certificates,
     "fmu": fmu,

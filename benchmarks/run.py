@@ -30,6 +30,7 @@ MODULES = {
     "solvers": ("small", "medium", "large", "factor", "modes"),
     "krylov": ("krylov",),
     "frames": ("frames",),
+    "published": ("published",),
     "jobs": ("million", "forecast"),
     "switching": ("switching",),
     "deck_text": ("deck-text",),
@@ -48,6 +49,7 @@ LONG = {
     "krylov": "20 minutes",
     "budgets": "15 minutes",
     "workers": "10 minutes",
+    "published": "5 minutes",
 }
 ROUNDS = 3
 

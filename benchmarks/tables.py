@@ -128,6 +128,19 @@ TABLES: dict[str, Table] = {
          ("error", "response_error", "e")),
         tuple((words, f"{body}: {who}") for words, body, who in _REDUCTIONS),
     ),
+    "published": Table(
+        "published", "model and method",
+        (
+            _DOFS, ("order", "order", "n"), ("H2 error", "h2_error", "e"), ("pyMOR", "pymor_h2_error", "e"),
+            ("H-infinity error", "hinf_error", "e"), ("pyMOR", "pymor_hinf_error", "e"), _SECONDS,
+            ("pyMOR", "pymor_seconds", "s"),
+        ),
+        tuple(
+            (f"{model}, {words}", f"{model}, {method}")
+            for model in ("triple chain", "mass-spring-damper chain", "sandwich beam")
+            for method, words in (("krylov", "Krylov"), ("irka", "IRKA"), ("fv", "BT, fv"), ("pv", "BT, pv"))
+        ),
+    ),
     "workers": Table(
         "workers", "cube, one body on several processes",
         (

@@ -209,7 +209,10 @@ def _notes(context: ExportContext, *, drawn: bool) -> tuple[str, ...]:
         place = ", ".join(f"{value:.9g}" for value in frame.origin)
         notes.append(f"node positions count from the origin of the floating frame, ({place}) m in the model")
     if context.source.interfaces:
-        notes.append("nodes, weights and offset of the markers of interfaces: morembs.exporters.exudyn.exudyn_marker")
+        notes.append(
+            "morembs.exporters.exudyn_system puts the body into a system with joints at its interfaces (README); "
+            "nodes, weights and offset of their markers: morembs.exporters.exudyn.exudyn_marker"
+        )
     return (*notes, *frame.notes)
 
 

@@ -101,6 +101,35 @@ def low_rank_gramian(
     return LowRankGramian(Zp=Zp, Zv=Zv, residual=residual, shifts=tuple(iteration.shifts))
 
 
+def dense_gramian(K: Floats, M: Floats, D: Floats, F: Floats, rigid: int) -> LowRankGramian:
+    """The same by a dense Lyapunov equation in all elastic modes (Bartels and Stewart 1972), for small systems.
+
+    Columns below the round-off of P, sqrt(eps) of the leading one, are left out; ``residual`` is that of the equation
+    relative to its right side. Peak memory: a dozen matrices (2 N, 2 N).
+
+    Args:
+        rigid: number of rigid-body motions, whose modes come first.
+
+    Raises:
+        SolverError: a mode is not damped.
+    """
+    values, Phi = sl.eigh(K, M)
+    omega, Phi = np.sqrt(values[rigid:]), Phi[:, rigid:]
+    # Positions as energies: both halves of the state have one unit.
+    A = np.block([[np.zeros((len(omega),) * 2), np.diag(omega)], [-np.diag(omega), -(Phi.T @ D @ Phi)]])
+    G = np.vstack([np.zeros((len(omega), F.shape[1])), Phi.T @ F])
+    poles = np.linalg.eigvals(A)
+    if (poles.real > -TOL.undamped_mode * np.abs(poles)).any():
+        raise SolverError("a mode is not damped; give it damping, or take the Gramian over a frequency band")
+    P = symmetric(sl.solve_continuous_lyapunov(A, -G @ G.T))
+    residual = np.linalg.norm(A @ P + P @ A.T + G @ G.T) / np.linalg.norm(G @ G.T)
+    sizes, U = sl.eigh(P)
+    kept = sizes > np.finfo(float).eps * len(sizes) * sizes[-1]
+    Z = U[:, kept] * np.sqrt(sizes[kept])
+    Zp, Zv = Phi @ (Z[: len(omega)] / omega[:, None]), Phi @ Z[len(omega) :]
+    return LowRankGramian(Zp=Zp, Zv=Zv, residual=float(residual), shifts=())
+
+
 class _Iteration:
     """The residual factor [f; g] and what was solved so far."""
 

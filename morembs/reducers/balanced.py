@@ -19,10 +19,11 @@ from morembs.base.errors import InputError, SolverError
 from morembs.base.limits import PositiveCount, RelativeError, one_of
 from morembs.base.types import Floats, Values
 from morembs.base.units import angular_band, in_hz
-from morembs.linalg.adi import SecondOrder, low_rank_gramian
+from morembs.linalg.adi import LowRankGramian, SecondOrder, dense_gramian, low_rank_gramian
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
 from morembs.linalg.space import Space
 from morembs.linalg.sparse.select import select_solver
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem import Damping, Problem, System
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.families import OfResponses
@@ -77,7 +78,8 @@ class BalancedTruncation(OfResponses):
         band_hz: [lower, upper] limit of the frequencies that count; all by default, which needs damping.
         balancing: "bfsr" orthonormalises the bases, "sr" scales them; the reduced model is the same but for rounding.
         adi_tolerance: part of the loads' static compliance that the Gramian may leave unresolved.
-        adi_steps: most shifts, each of which factorises the full dynamic stiffness.
+        adi_steps: most shifts, each of which factorises the full dynamic stiffness; a model of at most 600 dofs that
+            takes more than 300 has its Gramian from a dense Lyapunov equation.
 
     >>> BalancedTruncation(order=8).reduce(held).order
     8
@@ -90,7 +92,7 @@ class BalancedTruncation(OfResponses):
     band_hz: Band | None = None
     balancing: Annotated[str, one_of(*BALANCING)] = "bfsr"
     adi_tolerance: RelativeError = 1e-10
-    adi_steps: PositiveCount = 300
+    adi_steps: PositiveCount = LINALG.adi_steps
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -153,13 +155,20 @@ class BalancedTruncation(OfResponses):
 
     def _over_all(self, problem: Problem) -> _Gramian:
         with _damped_system(problem) as (system, notes):
-            gramian = low_rank_gramian(
-                _elastic(problem, system),
-                _loads(problem),
-                tolerance=self.adi_tolerance,
-                max_steps=self.adi_steps,
-                space=problem.space,
-            )
+            elastic = _elastic(problem, system)
+            try:
+                gramian = low_rank_gramian(
+                    elastic,
+                    _loads(problem),
+                    tolerance=self.adi_tolerance,
+                    max_steps=self.adi_steps,
+                    space=problem.space,
+                )
+                way = "low-rank ADI over all frequencies"
+            except SolverError:
+                if problem.K.shape[0] > TOL.dense_gramian_rows or self.adi_steps < LINALG.adi_steps:
+                    raise
+                gramian, way = _dense_gramian(problem, elastic), "dense Lyapunov equation, as ADI took too many shifts"
         M, K, space, (alpha, beta) = problem.M, problem.K, problem.space, _rayleigh(problem)
         Zp, Zv = gramian.Zp, gramian.Zv
         Mpp, Mpv, Mvv = space.project(Zp, M), space.project(Zv, M, Zp), space.project(Zv, M)
@@ -168,12 +177,7 @@ class BalancedTruncation(OfResponses):
             Dpp, Dpv = Dpp + beta * space.project(Zp, K), Dpv + beta * space.project(Zv, K, Zp)
         if problem.D is not None:
             Dpp, Dpv = Dpp + space.project(Zp, problem.D), Dpv + space.project(Zv, problem.D, Zp)
-        notes = {
-            **notes,
-            "gramian": "low-rank ADI over all frequencies",
-            "adi_residual": gramian.residual,
-            "adi_shifts": len(gramian.shifts),
-        }
+        notes = {**notes, "gramian": way, "adi_residual": gramian.residual, "adi_shifts": len(gramian.shifts)}
         products = Products.of(Mpp, Mpv, Mvv, Dpp, Dpv)
         return _Gramian(Zp=Zp, Zv=Zv, products=products, reference=None, notes=notes)
 
@@ -202,6 +206,11 @@ class BalancedTruncation(OfResponses):
         raise SolverError(
             f"the singular values still change where the Gramian covers {top / (4 * np.pi):.6g} Hz; {INSTEAD}"
         )
+
+
+def _dense_gramian(problem: Problem, elastic: SecondOrder) -> LowRankGramian:
+    K, M = problem.K.toarray(), problem.M.toarray()
+    return dense_gramian(K, M, elastic.apply_D(np.eye(len(K))), _loads(problem), problem.rigid.shape[1])
 
 
 def _why_no_gramian(damping: Damping, own: bool) -> str:

@@ -72,6 +72,9 @@ class ReducerTolerances:
     # Reference models that a comparison costs in all.
     compared_references: float = 2.0
 
+    # Rows up to which a dense Lyapunov equation takes seconds, where modes are so lightly damped that ADI takes a shift
+    # for each.
+    dense_gramian_rows: int = 600
     # Direction over the leading one that is round-off: 450 eps.
     direction_noise: float = 1e-13
     # Columns that a greedy search adds.

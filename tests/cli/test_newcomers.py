@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -125,22 +126,95 @@ def test_a_call_is_answered_with_what_works(entry: dict[str, str]) -> None:
     assert entry["answer"] in str(caught.value)
 
 
-@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
-def test_bash_completes_verbs_and_options(folder: Path) -> None:
-    """A shell that loads what --install-completion wrote."""
+def shell_of(name: str) -> str:
+    """The program of a shell; the test is skipped where it is not installed."""
+    found = shutil.which(name)
+    if found is None:
+        pytest.skip(f"{name} is not installed")
+    return found
+
+
+@pytest.fixture
+def own(folder: Path) -> dict[str, str]:
+    """The environment of a user with a command of this program; a job and a body lie in a folder of their own too."""
     (folder / "morembs").write_text(f'#!/bin/sh\nexec {sys.executable} -m morembs "$@"\n')
     (folder / "morembs").chmod(0o755)
-    place = {**os.environ, "HOME": str(folder), "PATH": f"{folder}:{os.environ['PATH']}", "SHELL": "/bin/bash"}
+    (folder / "night").mkdir()
+    for name in ("bar.toml", "bar.h5", "bar.msh"):
+        shutil.copy(folder / name, folder / "night" / name)
+    return {**os.environ, "HOME": str(folder), "PATH": f"{folder}:{os.environ['PATH']}", "TERM": "dumb"}
+
+
+# What is typed -> words that are offered.
+OFFERED = {
+    "morembs exp": {"export"},
+    "morembs export --f": {"--frame"},
+    "morembs export bar.h5 --to ex": {"exudyn", "extptfm"},
+    "morembs reduce bar.toml --method cr": {"craig-bampton"},
+    "morembs import --format mat": {"matrix-market", "matlab"},
+    "morembs import --contact s": {"skip"},
+    "morembs init bar.msh --units mm-t": {"mm-t-s"},
+    "morembs init --example r": {"rod"},
+    "morembs check b": {"bar.toml"},
+    "morembs info night/": {"night/bar.h5"},
+    "morembs info nig": {"night/bar.h5"},
+    "morembs init night/": {"night/bar.msh"},
+    "morembs reduce --input B": {"B.mtx"},
+}
+
+
+def test_bash_completes_verbs_options_values_and_files(folder: Path, own: dict[str, str]) -> None:
+    """A shell that loads what --install-completion wrote."""
     script = """
         morembs --install-completion > /dev/null
         source ~/.bash_completions/morembs.sh
-        for words in "morembs exp" "morembs export --f"; do
-            COMP_WORDS=($words); COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); COMPREPLY=()
+        while read -r line; do
+            COMP_WORDS=($line); COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); COMPREPLY=()
             _morembs_completion morembs; echo "${COMPREPLY[@]}"
         done
     """
-    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, env=place, cwd=folder)
-    assert done.stdout.split() == ["export", "--frame"], done.stderr
+    done = subprocess.run(
+        [shell_of("bash"), "-c", script],
+        input="\n".join(OFFERED) + "\n",
+        capture_output=True,
+        text=True,
+        env={**own, "SHELL": "/bin/bash"},
+        cwd=folder,
+    )
+    answers = [set(line.split()) for line in done.stdout.splitlines()]
+    assert dict(zip(OFFERED, answers, strict=True)) == OFFERED, done.stderr
+
+
+def test_fish_completes_the_same(folder: Path, own: dict[str, str]) -> None:
+    fish = shell_of("fish")
+    subprocess.run([fish, "-c", "morembs --install-completion"], env=own, cwd=folder, check=True, capture_output=True)
+    (script,) = (folder / ".config" / "fish" / "completions").iterdir()
+    lines = "\n".join(f"complete --do-complete '{typed}'; echo ---" for typed in OFFERED)
+    done = subprocess.run(
+        [fish, "-c", f"source {script}\n{lines}"], capture_output=True, text=True, env=own, cwd=folder
+    )
+    answers = [{line.split("\t")[0] for line in part.splitlines() if line} for part in done.stdout.split("---\n")[:-1]]
+    assert dict(zip(OFFERED, answers, strict=True)) == OFFERED, done.stderr
+
+
+def test_zsh_completes_the_same(folder: Path, own: dict[str, str]) -> None:
+    """The words that the function of the completion hands to ``_arguments``, which shows them in a terminal alone."""
+    zsh = shell_of("zsh")
+    script = f"""
+        morembs --install-completion > /dev/null
+        compdef() {{ }}
+        _arguments() {{ print -r -- ${{1#*: :}} }}
+        _files() {{ print -r -- none }}
+        source {folder}/.zfunc/_morembs
+        while read -r line; do
+            words=(${{(z)line}}); CURRENT=${{#words}}; _morembs_completion; echo ---
+        done
+    """
+    done = subprocess.run(
+        [zsh, "-f", "-c", script], input="\n".join(OFFERED) + "\n", capture_output=True, text=True, env=own, cwd=folder
+    )
+    answers = [set(re.findall(r'"([^"]+)"(?::"[^"]*")?', part)) for part in done.stdout.split("---\n")[:-1]]
+    assert dict(zip(OFFERED, answers, strict=True)) == OFFERED, done.stderr
 
 
 def test_a_link_to_a_job_keeps_its_name(folder: Path) -> None:

@@ -5,6 +5,7 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+import morembs
 from benchmarks.certificates import truss
 from morembs.base.errors import InputError, SolverError
 from morembs.certificate.response import full_response, reduced_response
@@ -126,6 +127,22 @@ def test_all_variants_agree_with_pymor(balancing, variants):
             assert np.abs(reduced.recipe["singular_values"][:9] - exact).max() < 1e-8 * exact[0], variant
             assert error(reduced_response(reduced, OMEGA), H) < 1e-8, variant
             assert reduced.symmetric == (variant in ("fv", "pv"))
+
+
+def test_lightly_damped_modes_of_a_small_model_have_a_dense_gramian():
+    """Masses of one chain, a mode of each of which ADI would take a shift for: exact singular values."""
+    size = 320
+    K = sp.diags_array([np.full(size, 2.0), -np.ones(size - 1), -np.ones(size - 1)], offsets=[0, 1, -1]).tocsr()
+    D = sp.diags_array(np.r_[np.full(size - 1, 2e-4), 3e-2])
+    model = morembs.from_matrices(K, sp.eye_array(size), D, B=np.eye(size)[:, :1])
+    with Problem(model, [morembs.matrix_interface(model, name="B", matrix="B")]) as problem:
+        reduced = BalancedTruncation(order=6).reduce(problem)
+        with pytest.raises(SolverError, match="shifts"):
+            BalancedTruncation(order=6, adi_steps=250).reduce(problem)
+    assert "dense" in reduced.recipe["gramian"]
+    P, Q = dense_gramians(np.eye(size), D.toarray(), K.toarray(), np.eye(size)[:, :1])
+    exact = np.sort(np.sqrt(np.linalg.eigvals(P[:size, :size] @ Q[:size, :size]).real.clip(0.0)))[::-1]
+    assert np.allclose(reduced.recipe["singular_values"][:6], exact[:6], rtol=1e-9)
 
 
 def test_gramian_of_a_free_body_is_that_of_its_elastic_part():

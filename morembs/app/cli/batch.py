@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from morembs.app.cli.completion import JOBS, files_with
 from morembs.app.cli.messages import echo, print_json, printing, tell
 from morembs.app.cli.terminal import AsJson, Changes, Quiet, Report, Verb, example, messages
 from morembs.base.progress import duration_words
@@ -30,7 +31,13 @@ _STAGE = re.compile(r"\[[\d,]+ s\] (.+)")
 @app.command(cls=Verb, epilog=example("morembs batch jobs --report night.html"))
 def batch(
     jobs: Annotated[
-        list[Path], typer.Argument(metavar="JOB.toml|FOLDER...", help="Jobs, folders with jobs.", show_default=False)
+        list[Path],
+        typer.Argument(
+            metavar="JOB.toml|FOLDER...",
+            help="Jobs, folders with jobs.",
+            show_default=False,
+            autocompletion=files_with(*JOBS),
+        ),
     ],
     workers: Annotated[int | None, typer.Option("--jobs", "-j", help="How many run at once at most.")] = None,
     cluster: Annotated[

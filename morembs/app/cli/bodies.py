@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from morembs.app.cli.completion import BODIES, TABLES, files_with, names_of
 from morembs.app.cli.messages import Failure, print_json, print_names, printing
 from morembs.app.cli.terminal import AsJson, Verb, example, messages, progress_line
 from morembs.app.kinds import HDF5, instead
@@ -39,7 +40,14 @@ def expect_bodies(files: Any) -> Any:
 
 
 BodyFile = Annotated[
-    Path, typer.Argument(metavar="FILE.h5", help="A body file.", show_default=False, callback=expect_bodies)
+    Path,
+    typer.Argument(
+        metavar="FILE.h5",
+        help="A body file.",
+        show_default=False,
+        callback=expect_bodies,
+        autocompletion=files_with(*BODIES),
+    ),
 ]
 Documents = list[dict[str, Any]] | None
 BodyName = Annotated[str | None, typer.Option("--body", help="Which body, where the file holds several.")]
@@ -48,7 +56,14 @@ BodyName = Annotated[str | None, typer.Option("--body", help="Which body, where 
 @app.command(cls=Verb, epilog=example("morembs info part.h5"))
 def info(
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE.h5...", help="Body files.", show_default=False, callback=expect_bodies)
+        list[Path],
+        typer.Argument(
+            metavar="FILE.h5...",
+            help="Body files.",
+            show_default=False,
+            callback=expect_bodies,
+            autocompletion=files_with(*BODIES),
+        ),
     ],
     proof: Annotated[bool, typer.Option("--proof", help="Print the lemmas that limits of errors rest on.")] = False,
     as_json: AsJson = False,
@@ -63,9 +78,20 @@ def info(
 def export(
     files: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[FILE.h5...]", help="Body files.", show_default=False, callback=expect_bodies),
+        typer.Argument(
+            metavar="[FILE.h5...]",
+            help="Body files.",
+            show_default=False,
+            callback=expect_bodies,
+            autocompletion=files_with(*BODIES),
+        ),
     ] = None,
-    to: Annotated[str | None, typer.Option("--to", help="The target, one that --list names.")] = None,
+    to: Annotated[
+        str | None,
+        typer.Option(
+            "--to", help="The target, one that --list names.", autocompletion=names_of("morembs.exporters", "EXPORTERS")
+        ),
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The file to write, by default beside FILE.")] = None,
     body: BodyName = None,
     frame: Annotated[
@@ -76,7 +102,13 @@ def export(
         str | None, typer.Option("--at", metavar="NAME=VALUE,...", help="Values of parameters, in SI units.")
     ] = None,
     table: Annotated[
-        Path | None, typer.Option("--table", metavar="FILE.csv", help="Values of parameters, a row for each body.")
+        Path | None,
+        typer.Option(
+            "--table",
+            metavar="FILE.csv",
+            help="Values of parameters, a row for each body.",
+            autocompletion=files_with(*TABLES),
+        ),
     ] = None,
     listed: Annotated[bool, typer.Option("--list", help="List the targets.")] = False,
     as_json: AsJson = False,
@@ -194,7 +226,12 @@ def recover(
     file: BodyFile,
     trajectory: Annotated[
         Path,
-        typer.Argument(metavar="TRAJECTORY", help="Coordinates over time, .npz .csv .txt .h5.", show_default=False),
+        typer.Argument(
+            metavar="TRAJECTORY",
+            help="Coordinates over time, .npz .csv .txt .h5.",
+            show_default=False,
+            autocompletion=files_with(".npz", ".csv", ".txt", ".h5"),
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="The .vtkhdf file to write.", show_default=False)],
     body: BodyName = None,

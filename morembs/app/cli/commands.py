@@ -16,6 +16,7 @@ import typer
 
 from morembs.app.cli.batch import app as batches
 from morembs.app.cli.bodies import app as bodies
+from morembs.app.cli.completion import files_with, names_of
 from morembs.app.cli.evaluate import app as evaluation
 from morembs.app.cli.messages import console, echo, print_json, printing, warn
 from morembs.app.cli.models import app as models
@@ -40,6 +41,7 @@ from morembs.app.cli.terminal import (
 from morembs.app.cli.update import app as updating
 from morembs.app.cli.verbs import Verbs
 from morembs.app.cli.view import app as viewing
+from morembs.app.kinds import MATRICES
 from morembs.base.errors import InputError, MorembsError
 from morembs.base.progress import Progress
 from morembs.storage.contents import keeping_ledger
@@ -73,14 +75,26 @@ def reduce(
         ),
     ],
     changes: Changes = None,
-    method: Annotated[str | None, typer.Option(help="As --set reduce.method=NAME.")] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(help="As --set reduce.method=NAME.", autocompletion=names_of("morembs.reducers", "REDUCERS")),
+    ] = None,
     order: Annotated[int | None, typer.Option(help="As --set reduce.order=COUNT.")] = None,
     modes: Annotated[int | None, typer.Option(help="As --set reduce.modes=COUNT.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="As --set output.path=BODY.h5.")] = None,
     loads: Annotated[
-        Path | None, typer.Option("--input", metavar="B.mtx", help="Inputs of matrices; in a .mat, .npz a name.")
+        Path | None,
+        typer.Option(
+            "--input",
+            metavar="B.mtx",
+            help="Inputs of matrices; in a .mat, .npz a name.",
+            autocompletion=files_with(*MATRICES),
+        ),
     ] = None,
-    outputs: Annotated[Path | None, typer.Option("--output", metavar="C.mtx", help="Outputs of matrices.")] = None,
+    outputs: Annotated[
+        Path | None,
+        typer.Option("--output", metavar="C.mtx", help="Outputs of matrices.", autocompletion=files_with(*MATRICES)),
+    ] = None,
     report: Report = None,
     as_json: AsJson = False,
     quiet: Quiet = False,

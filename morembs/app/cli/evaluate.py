@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from morembs.app.cli.bodies import BodyFile, BodyName, values_of
+from morembs.app.cli.completion import TABLES, files_with
 from morembs.app.cli.families import parametric_of, read_values
 from morembs.app.cli.members import evaluate_member
 from morembs.app.cli.messages import print_json, printing, warn
@@ -32,7 +33,12 @@ app = typer.Typer()
 At = Annotated[
     str | None, typer.Option("--at", metavar="NAME=VALUE,...", help="Values in SI units; others are nominal.")
 ]
-Values = Annotated[Path | None, typer.Option("--table", metavar="FILE.csv", help="Values, a row for each body.")]
+Values = Annotated[
+    Path | None,
+    typer.Option(
+        "--table", metavar="FILE.csv", help="Values, a row for each body.", autocompletion=files_with(*TABLES)
+    ),
+]
 KIND = {"bound": "proven bound", "estimate": "estimate of a bound"}
 
 

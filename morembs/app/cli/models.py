@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from morembs.app.cli.completion import Offer, models, names_of, starting
 from morembs.app.cli.messages import print_json, print_names, printing
 from morembs.app.cli.terminal import AsJson, Verb, example, messages, progress_line
 from morembs.base.errors import InputError
@@ -48,11 +49,19 @@ def import_model() -> None:
 # How options look whose text has parts.
 _METAVARS = {"density": "X[,set=NAME]", "skip": "WORD[,WORD]", "set": "KEY=VALUE", "keep_files": "DIR"}
 
+# Names that options take from tables.
+_OFFERED = {
+    "format": names_of("morembs.importers", "IMPORTERS"),
+    "engine": names_of("morembs.importers.engines", "ENGINES"),
+    "units": names_of("morembs.body.diagnostics.units", "SYSTEMS"),
+}
+
 
 def _import(
     context: typer.Context,
     files: Annotated[
-        list[Path] | None, typer.Argument(metavar="[FILE]", help="The file of the model.", show_default=False)
+        list[Path] | None,
+        typer.Argument(metavar="[FILE]", help="The file of the model.", show_default=False, autocompletion=models),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The model file to write, NAME.model.h5.")] = None,
     material: Annotated[
@@ -126,12 +135,14 @@ def _import_options() -> Iterator[Parameter]:
         name, default, meaning = entry.name, default_of(entry), entry.metadata["meaning"].replace("`", "")
         if name == "file":
             continue
+        values = choices(hints[name])
         several = name in ("density", "skip", "set")
         kind: Any = list[str] | None if several else type(default) if default is not None else str | None
         shown = typer.Option(
             f"--{name.replace('_', '-')}",
-            metavar=_METAVARS.get(name, "FILE" if name in PATHS else "|".join(choices(hints[name])) or None),
+            metavar=_METAVARS.get(name, "FILE" if name in PATHS else "|".join(values) or None),
             help=f"{meaning[0].upper()}{meaning[1:]}.",
+            autocompletion=_OFFERED.get(name) or (_one_of(values) if values else None),
         )
         yield Parameter(
             name,
@@ -139,6 +150,10 @@ def _import_options() -> Iterator[Parameter]:
             default=None if several else default,
             annotation=Annotated[kind, shown],
         )
+
+
+def _one_of(values: Sequence[str]) -> Offer:
+    return lambda incomplete: starting(values, incomplete)
 
 
 def _options_given(file: Path | None, given: dict[str, Any]) -> ImportOptions:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from morembs.app.cli.completion import JOBS, files_with
 from morembs.app.cli.messages import console, print_json, printing, warn
 from morembs.app.cli.terminal import AsJson, Changes, Verb, example, messages, progress_line
 from morembs.base.errors import InputError
@@ -25,7 +26,10 @@ app = typer.Typer()
 
 @app.command(cls=Verb, epilog=example("morembs modes part.toml --count 20"))
 def modes(
-    job: Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job file.", show_default=False)],
+    job: Annotated[
+        Path,
+        typer.Argument(metavar="JOB.toml", help="A job file.", show_default=False, autocompletion=files_with(*JOBS)),
+    ],
     changes: Changes = None,
     complex_: Annotated[
         bool, typer.Option("--complex", help=r"Complex modes, at every speed of \[spin] where there is one.")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from morembs.app.cli.completion import names_of, parts, starting
 from morembs.app.cli.messages import printing
 from morembs.app.cli.terminal import Verb, messages
 from morembs.app.cli.terminal import example as shown
@@ -19,19 +20,36 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 
+def _offered(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Examples after --example, else parts."""
+    if ctx.params.get("example"):
+        from morembs.examples import EXAMPLES
+
+        return starting(EXAMPLES, incomplete)
+    return parts(incomplete)
+
+
 @app.command(cls=Verb, epilog=shown("morembs init part.msh --units mm-t-s"))
 def init(
     file: Annotated[
         Path | None,
         typer.Argument(
-            metavar="PART", help="A mesh, deck, model file, CAD part, .mat or .npz; or an example.", show_default=False
+            metavar="PART",
+            help="A mesh, deck, model file, CAD part, .mat or .npz; or an example.",
+            show_default=False,
+            autocompletion=_offered,
         ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="The job to write, by default beside the file.")
     ] = None,
     units: Annotated[
-        str | None, typer.Option(help="Length, mass and time of the mesh.", show_default="by its size m-kg-s or mm-t-s")
+        str | None,
+        typer.Option(
+            help="Length, mass and time of the mesh.",
+            show_default="by its size m-kg-s or mm-t-s",
+            autocompletion=names_of("morembs.body.diagnostics.units", "SYSTEMS"),
+        ),
     ] = None,
     size: Annotated[
         str | None,

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from morembs.app.cli.completion import JOBS, files_with
 from morembs.app.cli.messages import Failure, failure, print_json, printing, tell, without_nan
 from morembs.app.cli.tolerances import TOL
 from morembs.base import stopping
@@ -34,7 +35,10 @@ EXIT_CODES = (
     "others; the exit code is then 2, or 1 where one was a fault of this program."
 )
 
-Jobs = Annotated[list[Path], typer.Argument(metavar="JOB.toml...", help="Job files.", show_default=False)]
+Jobs = Annotated[
+    list[Path],
+    typer.Argument(metavar="JOB.toml...", help="Job files.", show_default=False, autocompletion=files_with(*JOBS)),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print a list of JSON documents on standard output.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress on standard error.")]
 Changes = Annotated[

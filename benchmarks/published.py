@@ -1,0 +1,61 @@
+"""Case about published second-order models: Krylov, IRKA and balanced truncation, here and by pyMOR.
+
+Two models are made by published_models.py from the papers. The third needs sandwich_beam_168.mat of the collection
+NLEVP (github.com/ftisseur/nlevp, folder private): the environment variable MOREMBS_NLEVP is the folder of that file.
+pyMOR is a test dependency: pip install pymor. All runs are on one thread of the BLAS.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+
+from measure import Report, Row, Settings, child, in_rounds
+
+# Model -> order of the reduced ones.
+ORDERS = {"triple chain": 12, "mass-spring-damper chain": 10, "sandwich beam": 10}
+METHODS = ("krylov", "irka", "fv", "pv")
+PROGRAMS = ("morembs", "pyMOR")
+FOLDER = "MOREMBS_NLEVP"
+_KEYS = ("h2_error", "hinf_error", "seconds")
+_COLUMNS = (
+    ("dofs", "dofs", "n"),
+    ("order", "order", "n"),
+    ("h2_error", "H2 error", "e"),
+    ("pymor_h2_error", "pyMOR", "e"),
+    ("hinf_error", "H-infinity error", "e"),
+    ("pymor_hinf_error", "pyMOR", "e"),
+    ("seconds", "s", "s"),
+    ("pymor_seconds", "pyMOR", "s"),
+)
+
+
+def published(settings: Settings) -> None:
+    """All models by all methods and both programs in turn."""
+    single = replace(settings, threads=1)
+    models = ["mass-spring-damper chain"] if settings.quick else list(ORDERS)
+    names = [(model, method, who) for model in models for method in METHODS for who in PROGRAMS]
+    rounds = in_rounds({", ".join(each): _measured(single, *each) for each in names}, settings.repeat)
+    report = Report("published", single)
+    for model in models:
+        for method in METHODS:
+            first, second = (rounds[f"{model}, {method}, {who}"] for who in PROGRAMS)
+            pairs = zip(first, second, strict=False)
+            report.add({f"{model}, {method}": [_beside(ours, theirs) for ours, theirs in pairs]})
+    report.table("published models: errors over the norms of the full model; -: unstable, or not installed", _COLUMNS)
+    report.write()
+
+
+def _beside(ours: Row, theirs: Row) -> Row:
+    """A row of both programs, and why there is none of pyMOR."""
+    reason = {"pymor_error": theirs["error"]} if "error" in theirs else {}
+    return {**ours, **{f"pymor_{key}": theirs.get(key) for key in _KEYS}, **reason}
+
+
+def _measured(settings: Settings, model: str, method: str, who: str) -> Callable[[], Row]:
+    data = os.environ.get(FOLDER, "")
+    return lambda: child("published", settings, model=model, method=method, who=who, order=ORDERS[model], data=data)
+
+
+CASES: dict[str, Callable[[Settings], None]] = {"published": published}
