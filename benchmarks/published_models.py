@@ -76,7 +76,7 @@ def mass_spring_damper(count: int) -> System:
 def sandwich_beam(folder: Path) -> System:
     """A clamped beam with a viscoelastic layer (Van Beeumen and others 2013), its modulus at rest and damping that is
     proportional to K; the force is on the last dof."""
-    held = scipy.io.loadmat(folder / "sandwich_beam_168.mat", spmatrix=False)
+    held = scipy.io.loadmat(str(folder / "sandwich_beam_168.mat"), spmatrix=False)
     M, Ke, Kv = (sp.csc_array(held[name]) for name in ("M", "Ke", "Kv"))
     K = sp.csc_array(Ke + RUBBER * Kv)
     return _system(M, BETA * K, K, np.eye(M.shape[0])[:, -1:])
