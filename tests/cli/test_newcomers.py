@@ -156,6 +156,8 @@ OFFERED = {
     "morembs init bar.msh --units mm-t": {"mm-t-s"},
     "morembs init --example r": {"rod"},
     "morembs check b": {"bar.toml"},
+    "morembs reduce K": {"K.mtx"},
+    "morembs view part": {"part.step"},
     "morembs info night/": {"night/bar.h5"},
     "morembs info nig": {"night/bar.h5"},
     "morembs init night/": {"night/bar.msh"},

@@ -16,7 +16,7 @@ import typer
 
 from morembs.app.cli.batch import app as batches
 from morembs.app.cli.bodies import app as bodies
-from morembs.app.cli.completion import files_with, names_of
+from morembs.app.cli.completion import JOBS, files_with, names_of
 from morembs.app.cli.evaluate import app as evaluation
 from morembs.app.cli.messages import console, echo, print_json, printing, warn
 from morembs.app.cli.models import app as models
@@ -41,7 +41,7 @@ from morembs.app.cli.terminal import (
 from morembs.app.cli.update import app as updating
 from morembs.app.cli.verbs import Verbs
 from morembs.app.cli.view import app as viewing
-from morembs.app.kinds import MATRICES
+from morembs.app.kinds import MATRICES, MATRICES_BY_NAME
 from morembs.base.errors import InputError, MorembsError
 from morembs.base.progress import Progress
 from morembs.storage.contents import keeping_ledger
@@ -72,6 +72,7 @@ def reduce(
             metavar="JOB.toml...",
             help="Job files, or matrices: K.mtx M.mtx [D.mtx], or one .mat, .npz.",
             show_default=False,
+            autocompletion=files_with(*JOBS, *MATRICES, *MATRICES_BY_NAME),
         ),
     ],
     changes: Changes = None,

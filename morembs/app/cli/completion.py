@@ -46,6 +46,13 @@ def parts(incomplete: str) -> list[str]:
     return [name for name in _files(incomplete, ("",)) if name.endswith("/") or kind_of(Path(name)) in PARTS]
 
 
+def known(incomplete: str) -> list[str]:
+    """Files of every kind that is known."""
+    from morembs.app.kinds import kind_of
+
+    return [name for name in _files(incomplete, ("",)) if name.endswith("/") or kind_of(Path(name)) is not None]
+
+
 def _files(incomplete: str, endings: tuple[str, ...]) -> list[str]:
     folder, slash, start = incomplete.rpartition("/")
     found = []

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from morembs.app.cli.completion import JOBS, files_with
 from morembs.app.cli.messages import console, printing, warn
 from morembs.app.cli.terminal import AsJson, Changes, Done, Quiet, Verb, each_job, example
 from morembs.base.progress import Progress
@@ -18,7 +19,12 @@ app = typer.Typer()
 
 @app.command(cls=Verb, epilog=example("morembs simulate swing.toml -o swing.h5"))
 def simulate(
-    system: Annotated[Path, typer.Argument(metavar="SYSTEM.toml", help="A system of bodies.", show_default=False)],
+    system: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SYSTEM.toml", help="A system of bodies.", show_default=False, autocompletion=files_with(*JOBS)
+        ),
+    ],
     changes: Changes = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The result, in place of [output] path.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write a page with pictures: an .html file.")] = None,
