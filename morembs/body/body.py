@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
@@ -27,6 +27,8 @@ from morembs.responses.static_mode_tables import StaticModeTables
 from morembs.storage.table import Later, Row, Table, dataset, listed, table_of
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from morembs.body.vtkhdf_series import Grid, View
     from morembs.reducers.base import ReducedModel
 
@@ -304,6 +306,60 @@ class Body(Viewed):
             return self.view(TOL.drawn_modes)._repr_html_()
         except InputError:
             return ""  # there is nothing to show
+
+    def plot_response(self, frequencies_hz: Any = None, entries: Sequence[tuple[int, int]] | None = None) -> Figure:
+        """Size and phase of the frequency response, drawn with Matplotlib.
+
+        Args:
+            frequencies_hz: (nf,), by default from below the first elastic mode to beyond the last.
+            entries: pairs (motion, load), rows of ``output_matrix`` and columns of ``input_matrix`` counted from 1; by
+                default the first six motions, each under its own load.
+
+        Raises:
+            InputError: an entry that is not there, or no frequencies for a body without elastic modes.
+
+        >>> body.plot_response(entries=[(1, 1), (7, 1)]).savefig("response.png")
+        """
+        from morembs.body.charts import response_chart
+
+        return response_chart(self, frequencies_hz, entries).figure()
+
+    def plot_modal_density(self) -> Figure:
+        """Modes below each frequency and modes per Hz, beside those of the full model where they are known.
+
+        Raises:
+            InputError: no elastic modes.
+
+        >>> body.plot_modal_density().savefig("density.png")
+        """
+        from morembs.body.charts import density_chart
+
+        own = {self.name: self.frequencies_hz[self.rigid_count :]}
+        return density_chart(own, self.full_frequencies_hz).figure()
+
+    def plot_mac(self, other: Body | None = None, modes: int = 10) -> Figure:
+        """Modal assurance criterion of the first elastic ``modes`` with those of an ``other`` body at the same nodes.
+
+        By default with its own: entries off the diagonal then say what the chosen nodes cannot tell apart.
+
+        Raises:
+            InputError: bodies at other nodes, or that keep no modes.
+
+        >>> body.plot_mac().savefig("mac.png")
+        """
+        from morembs.body.charts import mac_chart
+
+        return mac_chart(self, other, modes).figure()
+
+    def plot_campbell(self, speeds: Sequence[float] | None = None, count: int = 12) -> Figure:
+        """Campbell diagram: the ``count`` lowest frequencies over ``speeds`` in rad/s, by default those of [spin].
+
+        Raises:
+            InputError: a body without spin matrices, or a speed out of range.
+        """
+        from morembs.body.charts import campbell_chart
+
+        return campbell_chart(self, speeds, count).figure()
 
     def view(self, modes: int = TOL.viewed_modes) -> View:
         """The first elastic ``modes``, or as many as there are: a notebook shows them as they move, and ``plot`` and

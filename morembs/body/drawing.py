@@ -14,6 +14,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
+from morembs.base.charts import FULL_COLOR
 from morembs.base.types import Floats
 from morembs.body.shapes import Shapes
 from morembs.body.tolerances import TOL
@@ -21,7 +22,6 @@ from morembs.body.tolerances import TOL
 COLORS = mpl.colormaps["viridis"]
 LIGHT = np.array([-0.35, 0.55, 0.76])  # from above left, in the frame of the picture
 REST_COLOR = "#dcdfe3"
-FULL_COLOR = "#202020"
 
 
 def viewed_axes(points: Floats) -> Floats:

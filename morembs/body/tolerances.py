@@ -86,6 +86,12 @@ class BodyTolerances:
     view_tilt: float = 28.0
     # The same sideways.
     view_turn: float = -18.0
+    # Entries of a transfer matrix that are drawn by default: the motions of one interface.
+    drawn_receptances: int = 6
+    # Frequencies of such a chart beside the resonances: one for each of 800 points of a picture.
+    drawn_frequencies: int = 800
+    # Speeds of a Campbell diagram where none are given.
+    drawn_speeds: int = 41
     # Elastic modes of a picture: two rows of two.
     drawn_modes: int = 4
     # Elastic modes that the viewer shows of a body: each takes some 4 bytes a node of its page.

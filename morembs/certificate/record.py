@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from morembs.base.types import Floats
 from morembs.responses.measures import MEASURES, Limit
 from morembs.storage.lemma import Lemma, proof_json, read_lemmas
 from morembs.storage.table import dataset, derived, table_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 OLD_KINDS = {"proven": "bound", "estimate": "estimate", "sampled": "none"}
 _MAYBE = "may be absent"
@@ -245,6 +248,17 @@ class Certificate(ErrorLimits, FormerMapping):
         worst = int(np.argmax(self.error))
         at_samples = Limit(lower=float(self.error[worst]), upper=np.inf, at_hz=float(self.frequencies_hz[worst]))
         return self.limits.get(self.measure, at_samples)
+
+    def plot(self) -> Figure:
+        """Responses of the full model and of the body, and the error with its limit, drawn with Matplotlib.
+
+        >>> [certificate] = certify(problem, [reduced], [0.0, 3000.0])
+        >>> certificate.plot().savefig("certificate.png")
+        """
+        # Not at the top: charts are made of certificates.
+        from morembs.certificate.charts import certificate_chart
+
+        return certificate_chart({"body": self}).figure()
 
     @property
     def words(self) -> str:

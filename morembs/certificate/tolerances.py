@@ -29,6 +29,13 @@ class CertificateTolerances:
     # Response over its envelope that counts as a zero: a relative error of 1 there is 1 % of the envelope.
     zero_response: float = 1e-2
 
+    # --- Pictures
+    # Error that a picture draws at least: below eps.
+    least_drawn_error: float = 1e-16
+    # Cells of a limit that are drawn: two points of a picture 800 points wide.
+    drawn_cells: int = 400
+
+    # --- Modes
     # Relative distance of frequencies whose modes are compared as one subspace: below 0.1 % they mix freely.
     mode_cluster_gap: float = 1e-3
     # Share of a mode in the static energy of unit loads that is round-off: the square of 1e-6.

@@ -27,7 +27,8 @@ def joined(document: dict[str, Any], added: Mapping[str, Any]) -> None:
 def steps_in_turn(names: Collection[str]) -> list[str]:
     """Names of steps, which files keep by name, in the order in which they ran; unknown ones come last."""
     known = [step for stage in in_order(list(STAGES.values())) for step in (stage.step, *stage.steps) if step]
-    turns = {step: turn for turn, step in enumerate(dict.fromkeys(known))}
+    # Planar members are reduced and written by a stage before all others: of a step twice, the last place counts.
+    turns = {step: turn for turn, step in enumerate(known)}
 
     def turn(name: str) -> tuple[int, str]:
         kind = "reduce" if name.startswith("reduce ") else name

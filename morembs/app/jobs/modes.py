@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from morembs.app.jobs.picture import BODY_COLORS, save
+from morembs.app.jobs.picture import save
 from morembs.app.jobs.solver import SolverTable, budget_of, solver_of
 from morembs.app.jobs.stages.couple import damping_of, interfaces_of
 from morembs.app.jobs.stages.member_table import MemberTable
@@ -25,6 +25,7 @@ from morembs.app.jobs.stages.stage import MODEL, Work, asked, computes_modes, ru
 from morembs.app.jobs.style import STYLE
 from morembs.app.jobs.tables import Job, ModesTable
 from morembs.app.jobs.tolerances import TOL
+from morembs.base.charts import COLORS
 from morembs.base.errors import InputError
 from morembs.base.memory import PeakMemory, resident_bytes
 from morembs.base.progress import Progress, Stopwatch, listening
@@ -38,7 +39,7 @@ from morembs.linalg.sparse.threads import limit_threads
 from morembs.problem import Problem
 from morembs.storage.safefile import replacing
 
-COLORS = dict(zip(("forward", "backward", "mixed"), BODY_COLORS, strict=False))
+WHIRL_COLORS = dict(zip(("forward", "backward", "mixed"), COLORS, strict=False))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,7 +214,7 @@ def draw_campbell(path: Path, rows: Sequence[ModeRow], title: str) -> None:
     figure = Figure(figsize=(8.0, 5.0), dpi=STYLE.dots_per_inch, facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
-    for word, color in COLORS.items():
+    for word, color in WHIRL_COLORS.items():
         chosen = [(row.speed, row.damped_hz) for row in rows if row.whirl == word]
         if chosen:
             axes.plot(*np.array(chosen).T, ".", color=color, markersize=4, label=word)

@@ -12,6 +12,7 @@ from morembs.app.jobs.run import JobResult
 from morembs.app.jobs.style import STYLE
 from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
+from morembs.certificate.tolerances import TOL as CERTIFICATE
 
 if TYPE_CHECKING:
     from morembs.certificate.record import Certificate
@@ -125,7 +126,7 @@ def draw_contenders(path: Path, compared: tuple[Contender, ...], title: str) -> 
                 if value is not None:
                     panel.plot(
                         max(x[number], TOL.least_drawn_cost),
-                        max(value, TOL.least_drawn_error),
+                        max(value, CERTIFICATE.least_drawn_error),
                         marker=marker,
                         color=f"C{number % 10}",
                         linestyle="",

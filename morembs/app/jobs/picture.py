@@ -13,13 +13,12 @@ from matplotlib.figure import Figure, SubFigure
 
 from morembs.app.jobs.compare import FrequencyResponse
 from morembs.app.jobs.style import STYLE
-from morembs.app.jobs.tolerances import TOL
+from morembs.base.charts import COLORS, FULL_COLOR
 from morembs.body import Body
-from morembs.body.drawing import FULL_COLOR, draw_shapes
+from morembs.body.drawing import draw_shapes
 from morembs.body.shapes import Shapes
+from morembs.certificate.tolerances import TOL as CERTIFICATE
 from morembs.storage.safefile import replacing
-
-BODY_COLORS = ("#d1495b", "#2e86ab", "#3d9970", "#b5651d", "#7b4fa3", "#607d8b")
 
 
 def draw(path: Path, bodies: Sequence[Body], shapes: Shapes | None, response: FrequencyResponse | None) -> None:
@@ -78,20 +77,20 @@ def draw_response(figure: Figure | SubFigure, response: FrequencyResponse) -> No
     hz = response.frequencies_hz
     upper.loglog(hz, response.full, color=FULL_COLOR, linewidth=STYLE.full_line, label="full model")
     for number, name in enumerate(response.reduced):
-        color = BODY_COLORS[number % len(BODY_COLORS)]
+        color = COLORS[number % len(COLORS)]
         upper.loglog(
             hz, response.reduced[name], color=color, linewidth=STYLE.body_line, linestyle=(0, (5, 2)), label=name
         )
         lower.loglog(
             hz,
-            np.maximum(response.error[name], TOL.least_drawn_error),
+            np.maximum(response.error[name], CERTIFICATE.least_drawn_error),
             color=color,
             linewidth=STYLE.body_line,
             label=name,
         )
         if name in response.bound:
             ends, limit = response.bound[name]
-            limit = np.where(np.isfinite(limit), np.maximum(limit, TOL.least_drawn_error), np.nan)
+            limit = np.where(np.isfinite(limit), np.maximum(limit, CERTIFICATE.least_drawn_error), np.nan)
             lower.loglog(
                 ends,
                 limit,

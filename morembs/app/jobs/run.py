@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from morembs.app.jobs.document import joined
 from morembs.app.jobs.files import prepare_output, results_of
@@ -33,6 +33,9 @@ from morembs.linalg.sparse.solver import FactorStats
 from morembs.linalg.sparse.threads import limit_threads
 from morembs.storage.contents import Content, keeping_ledger
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,6 +61,13 @@ class JobResult:
             "seconds": sum(stage.seconds for stage in self.stages),
             "warnings": len(self.warnings) or None,
         }
+
+    def plot_cost(self) -> Figure:
+        """Time and peak memory of the process by stage, drawn with Matplotlib."""
+        from morembs.body.charts import cost_chart
+
+        seconds = {stage.name: stage.seconds for stage in self.stages}
+        return cost_chart(seconds, {stage.name: stage.peak_memory_bytes for stage in self.stages}).figure()
 
     @property
     def bodies(self) -> tuple[Body, ...]:

@@ -76,8 +76,6 @@ class JobTolerances:
     quasistatic_part: float = 0.5
     # Relative error beyond which a response is wrong, unless a peak without damping is what is off.
     large_error: float = 0.1
-    # Error that a picture draws at least: below eps.
-    least_drawn_error: float = 1e-16
     # Order, seconds or GB that a picture draws at least, on an axis of logarithms.
     least_drawn_cost: float = 1e-3
 

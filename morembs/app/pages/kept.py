@@ -24,7 +24,9 @@ from morembs.version import VERSION
 DOCUMENT = re.compile(r'<script type="application/json" id="report">([^<]*)</script>')
 _PICTURE = re.compile(r'data-key="([0-9a-f]{64}:[a-z-]+)" src="data:image/png;base64,(iVBORw0KGgo[A-Za-z0-9+/=]+)"')
 _NOTHING = re.compile(r'<template data-key="([0-9a-f]{64}:[a-z-]+)"></template>')
-_DATA = re.compile(r'<script type="application/json" data-key="([0-9a-f]{64}:[a-z-]+)">([^<]*)</script>')
+_DATA = re.compile(
+    r'<script type="application/json" data-key="([0-9a-f]{64}:[a-z-]+)" data-sum="([0-9a-f]{64})">([^<]*)</script>'
+)
 
 
 class ReportFormat:
@@ -38,6 +40,11 @@ def as_json(value: Any) -> Markup:
     """A value as JSON that can stand in a page: nothing in it begins or ends a tag."""
     text = json.dumps(value, allow_nan=False, separators=(",", ":"))
     return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
+
+
+def sum_of(data: str) -> str:
+    """The checksum that stands beside data in a page."""
+    return hashlib.sha256(data.encode()).hexdigest()
 
 
 def read_document(path: Path) -> dict[str, Any]:
@@ -99,7 +106,7 @@ class KeptParts:
                 whole = [part["body_file"] for part in document["parts"] if _is_whole(part.get("body_file"))]
                 self._contents |= {content["sha256"]: content for content in whole}
             self._pictures |= dict(_PICTURE.findall(text)) | dict.fromkeys(_NOTHING.findall(text), "")
-            self._data |= dict(_DATA.findall(text))
+            self._data |= {key: data for key, told, data in _DATA.findall(text) if sum_of(data) == told}
 
     def content(self, sha256: str) -> Mapping[str, Any] | None:
         """What a report of this version says of a body file, None where there is none."""
@@ -113,12 +120,7 @@ class KeptParts:
 
     def data(self, key: str, make: Callable[[], Any]) -> Any:
         """The plain values that were kept under ``key``, or new ones."""
-        if key in self._data:
-            try:
-                return json.loads(self._data[key])
-            except (ValueError, RecursionError):
-                pass  # damaged: made anew
-        return make()
+        return json.loads(self._data[key]) if key in self._data else make()
 
 
 def sealed(content: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,7 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from morembs.app.jobs.viewing import stored_scene
-from morembs.app.pages.kept import KeptParts, as_json, key_of
+from morembs.app.pages.kept import KeptParts, as_json, key_of, sum_of
 from morembs.app.report.style import STYLE
 from morembs.base.errors import InputError
 from morembs.body.file import read_body
@@ -32,6 +32,7 @@ from morembs.storage.safefile import replacing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from morembs.base.charts import Chart
     from morembs.body.shapes import Shapes
 
 
@@ -114,7 +115,10 @@ def png_of(size: tuple[float, float, int], draw: Callable[[Figure], bool]) -> by
             return b""
         pixels, file = io.BytesIO(), io.BytesIO()
         figure.savefig(pixels, format="png")
-    Image.open(pixels).convert("RGB").quantize(256).save(file, format="png", optimize=True)
+    drawn = Image.open(pixels).convert("RGB")
+    # The colors that lie farthest apart, and dots of them for those between.
+    colors = drawn.quantize(256, method=Image.Quantize.MAXCOVERAGE)
+    drawn.quantize(256, palette=colors, dither=Image.Dither.FLOYDSTEINBERG).save(file, format="png", optimize=True)
     return file.getvalue()
 
 
@@ -208,11 +212,52 @@ def _framed_viewer(part: PartPage) -> Markup:
     return _opened(Markup(text).format(link, part.name))
 
 
+def charts(part: PartPage) -> Markup:
+    """Responses with their limits, modal density, MAC, Campbell diagram and cost, drawn by a script; without one, the
+    picture of the responses."""
+    plain = part.kept.data(f"{part.key}:charts", lambda: [chart.plain() for chart in _charts(part)])
+    data = as_json(plain)
+    text = (
+        '<div class="charts"><script type="application/json" data-key="{}:charts" data-sum="{}">{}</script></div>'
+        "<noscript>{}</noscript>"
+    )
+    return Markup(text).format(part.key, sum_of(data), data, response_picture(part))
+
+
+def _charts(part: PartPage) -> Iterator[Chart]:
+    from morembs.body.charts import campbell_chart, cost_chart, density_chart, mac_chart
+    from morembs.certificate.charts import certificate_chart
+
+    bodies, shown = part.stored.bodies, part.stored.bodies[part.shown]
+    known = {name: body.certificate for name, body in bodies.items() if body.certificate is not None}
+    if known:
+        yield certificate_chart(known)
+    elastic = {name: body.frequencies_hz[body.rigid_count :] for name, body in bodies.items()}
+    if any((hz > 0).any() for hz in elastic.values()):
+        yield density_chart(elastic, shown.full_frequencies_hz)
+    for body in bodies.values():
+        if body is not shown and shown.modes(1).size and body.modes(1).size:
+            yield mac_chart(shown, body, STYLE.mac_modes)
+    if shown.spin is not None:
+        yield campbell_chart(shown, None, STYLE.campbell_modes)
+    stages = part.content["stages"]
+    if stages:
+        seconds, memory = (
+            {name: stage[key] for name, stage in stages.items()} for key in ("seconds", "peak_memory_bytes")
+        )
+        yield cost_chart(seconds, memory)
+
+
 # One line for each, in the order in which they stand in the section of a part.
-SECTIONS: tuple[Callable[[PartPage], Markup], ...] = (mode_pictures, viewer, response_picture)
+SECTIONS: tuple[Callable[[PartPage], Markup], ...] = (mode_pictures, viewer, charts)
 # Scripts and style sheets that a page holds once: package and file.
 SCRIPTS: tuple[tuple[str, str], ...] = (
     ("morembs.app.pages", "page.js"),
+    ("morembs.app.pages", "charts.js"),
     *(("morembs.fem.viewer", name) for name in PROGRAM),
 )
-STYLES: tuple[tuple[str, str], ...] = (("morembs.app.pages", "page.css"), ("morembs.fem.viewer", "viewer.css"))
+STYLES: tuple[tuple[str, str], ...] = (
+    ("morembs.app.pages", "page.css"),
+    ("morembs.app.pages", "charts.css"),
+    ("morembs.fem.viewer", "viewer.css"),
+)

@@ -18,6 +18,9 @@ class ReportStyle:
     # Significant digits of the lowest frequency of a page, and digits behind the point at most.
     frequency_digits: int = 4
     frequency_decimals: int = 4
+    # Modes of a matrix of MAC, and at each speed of a Campbell diagram, of a page.
+    mac_modes: int = 10
+    campbell_modes: int = 12
     # Columns of a table of frequencies, and terms of a ranking.
     bodies_per_table: int = 2
     ranked_terms: int = 8

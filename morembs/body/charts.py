@@ -1,0 +1,171 @@
+"""Charts of bodies: receptances, modal density, MAC, Campbell diagram, and what stages cost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from morembs.base.charts import FULL, Bars, Chart, Curve, Matrix, Panel
+from morembs.base.errors import InputError
+from morembs.base.types import Floats
+from morembs.body.tolerances import TOL
+
+if TYPE_CHECKING:
+    from morembs.body.body import Body
+
+
+def response_chart(body: Body, frequencies_hz: Any, entries: Sequence[tuple[int, int]] | None) -> Chart:
+    """Size and phase of entries (motion, load) of the transfer matrix, counted from 1; see ``Body.plot_response``.
+
+    Raises:
+        InputError: an entry that the body does not have.
+    """
+    motions, loads = body.output_matrix.shape[0], body.input_matrix.shape[1]
+    if entries is None:
+        entries = [(k, k) for k in range(1, 1 + min(motions, loads, TOL.drawn_receptances))]
+    for i, j in entries:
+        if not (1 <= i <= motions and 1 <= j <= loads):
+            raise InputError(
+                f"the entry {(i, j)} was given; body {body.name!r} has motions 1 to {motions} and loads 1 to {loads}"
+            )
+    hz = _frequencies(body) if frequencies_hz is None else np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
+    H = body.frequency_response(hz)
+    named = {f"motion {i} by load {j}": H[:, i - 1, j - 1] for i, j in entries}
+    sizes = [Curve(name=name, x=hz, y=np.abs(h), color=k) for k, (name, h) in enumerate(named.items())]
+    phases = [
+        Curve(name=name, x=hz, y=np.degrees(np.unwrap(np.angle(h))), color=k)
+        for k, (name, h) in enumerate(named.items())
+    ]
+    return Chart(
+        title=f"Frequency response of {body.name}",
+        panels=(
+            Panel(y_label="size in m/N, rad/N, rad/(Nm)", curves=sizes),
+            Panel(y_label="phase in degrees", curves=phases, y_log=False),
+        ),
+    )
+
+
+def _frequencies(body: Body) -> Floats:
+    """From a tenth of the first elastic frequency to twice the last, as close at each as resonances need."""
+    elastic = body.frequencies_hz[body.rigid_count :]
+    if not len(elastic):
+        raise InputError(f"body {body.name!r} has no elastic modes; give frequencies_hz")
+    return np.union1d(np.geomspace(elastic[0] / 10, 2 * elastic[-1], TOL.drawn_frequencies), elastic)
+
+
+def density_chart(bodies: Mapping[str, Floats], full: Floats | None = None) -> Chart:
+    """Modes below each frequency, and modes in each third of an octave over its width.
+
+    Args:
+        bodies: elastic frequencies (k,) in Hz by name, ascending.
+        full: those of the full model, as far as they are known.
+    """
+    known = ({} if full is None else {"full model": full}) | dict(bodies)
+    known = {name: hz[hz > 0] for name, hz in known.items() if (np.asarray(hz) > 0).any()}
+    if not known:
+        raise InputError("no elastic frequencies were given; keep at least one mode")
+    colors = {name: FULL if name == "full model" and full is not None else k for k, name in enumerate(known)}
+    if full is not None:
+        colors = {name: color - (color != FULL) for name, color in colors.items()}
+    low, high = (end(hz) for end, hz in ((min, [f[0] for f in known.values()]), (max, [f[-1] for f in known.values()])))
+    # Thirds of octaves as in acoustics (IEC 61260), from the first mode on.
+    edges = low * 2.0 ** ((np.arange(2 + np.ceil(3 * np.log2(high / low))) - 0.5) / 3)
+    counts, densities = [], []
+    for name, hz in known.items():
+        dash = "solid" if colors[name] == FULL else "dashed"
+        steps = np.repeat(np.arange(len(hz) + 1), 2)[1:-1]
+        counts.append(Curve(name=name, x=np.repeat(hz, 2), y=steps, color=colors[name], dash=dash))
+        share = np.histogram(hz, edges)[0] / np.diff(edges)
+        share = np.where(share > 0, share, np.nan)
+        densities.append(
+            Curve(name=name, x=np.repeat(edges, 2)[1:-1], y=np.repeat(share, 2), color=colors[name], dash=dash)
+        )
+    return Chart(
+        title="Modes over frequency",
+        panels=(
+            Panel(y_label="modes below", curves=counts, y_log=False),
+            Panel(y_label="modes per Hz, thirds of octaves", curves=densities),
+        ),
+    )
+
+
+def mac_chart(body: Body, other: Body | None, modes: int) -> Chart:
+    """Modal assurance criterion of the first elastic ``modes`` of a body with those of another at the same nodes.
+
+    Raises:
+        InputError: bodies at other nodes, or without modes there.
+    """
+    from morembs.body.scenes import mac
+
+    second = body if other is None else other
+    one, two = body.modes(modes), second.modes(modes)
+    if not one.size or not two.size or one.shape[1] != two.shape[1]:
+        raise InputError(
+            f"{body.name!r} keeps {len(one)} modes at {one.shape[1]} nodes, {second.name!r} {len(two)} at "
+            f"{two.shape[1]}; MAC needs modes of both at the same nodes"
+        )
+    names = [
+        [f"{hz:,.2f} Hz" for hz in each.frequencies_hz[each.rigid_count :][: len(shapes)]]
+        for each, shapes in ((body, one), (second, two))
+    ]
+    return Chart(
+        title="Modal assurance criterion",
+        panels=(
+            Matrix(
+                row_label=body.name, column_label=second.name, rows=names[0], columns=names[1], values=mac(one, two)
+            ),
+        ),
+    )
+
+
+def campbell_chart(body: Body, speeds: Sequence[float] | None, count: int) -> Chart:
+    """The ``count`` lowest damped frequencies over the speed, in the frame that turns, by the direction of the whirl.
+
+    Raises:
+        InputError: a body without spin matrices, or a speed out of range.
+    """
+    from morembs.body.floating.spin import campbell
+
+    if speeds is None and body.spin is not None:
+        speeds = np.linspace(body.spin.speeds.min(), body.spin.speeds.max(), TOL.drawn_speeds).tolist()
+    whirls = campbell(body, speeds or [0.0], count)
+    found: dict[str, list[tuple[float, float]]] = {}
+    for whirl in whirls:
+        for s, word in zip(whirl.eigenvalues, whirl.whirl, strict=True):
+            found.setdefault(word or "modes", []).append((whirl.speed, float(s.imag) / (2 * np.pi)))
+    curves = []
+    for number, (word, points) in enumerate(sorted(found.items())):
+        x, y = np.array(points).T
+        curves.append(Curve(name=word, x=x, y=y, color=number, dash="dots"))
+    reached = [whirl.speed for whirl in whirls]
+    ends = np.array([min(reached), max(reached)])
+    curves.append(Curve(name="speed", x=ends, y=ends / (2 * np.pi), dash="dashed"))
+    panel = Panel(
+        x_label="speed in rad/s",
+        y_label="frequency in the frame that turns, Hz",
+        curves=curves,
+        x_log=False,
+        y_log=False,
+    )
+    return Chart(title=f"Campbell diagram of {body.name}", panels=(panel,))
+
+
+def cost_chart(seconds: Mapping[str, float], peak_memory_bytes: Mapping[str, float]) -> Chart:
+    """Time and peak memory of the process by stage, in the order given."""
+    names = list(seconds)
+    time = np.array([seconds[name] for name in names], dtype=float)
+    memory = np.array([peak_memory_bytes.get(name, 0) for name in names], dtype=float) / 1e6
+    return Chart(
+        title="Time and memory by stage",
+        panels=(
+            Bars(label="seconds", names=names, values=time, texts=[f"{t:,.2f} s" for t in time]),
+            Bars(
+                label="peak memory of the process in MB",
+                names=names,
+                values=memory,
+                texts=[f"{m:,.0f} MB" for m in memory],
+            ),
+        ),
+    )
