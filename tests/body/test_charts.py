@@ -108,7 +108,7 @@ def test_cost_by_stage(done):
 
 
 def test_a_campbell_diagram_has_the_modes_at_each_speed(tmp_path):
-    spin = {"spin": "speed = [0, 2000]\naxis = [1, 0, 0]\nheld = [\"left\"]"}
+    spin = {"spin": 'speed = [0, 2000]\naxis = [1, 0, 0]\nheld = ["left"]'}
     run_job(load_job(decks.folder(tmp_path, spin, decks.deck(decks.BEAM))))
     body = read_body(tmp_path / "part.h5").bodies["cb"]
     [panel] = body.plot_campbell([0.0, 1000.0], 4).axes
