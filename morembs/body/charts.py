@@ -3,20 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from morembs.base.charts import FULL, Bars, Chart, Curve, Matrix, Panel
+from morembs.base.charts import FULL, Bars, Chart, Curve, Dash, Matrix, Panel
 from morembs.base.errors import InputError
-from morembs.base.types import Floats
+from morembs.base.types import Complexes, Floats
+from morembs.body.floating.spin import Spinning, campbell
 from morembs.body.tolerances import TOL
 
-if TYPE_CHECKING:
-    from morembs.body.body import Body
+
+class Charted(Spinning, Protocol):
+    """What charts take of a body; the fields are those of ``Body``."""
+
+    @property
+    def frequencies_hz(self) -> Floats: ...
+
+    @property
+    def rigid_count(self) -> int: ...
+
+    @property
+    def input_matrix(self) -> Floats: ...
+
+    @property
+    def output_matrix(self) -> Floats: ...
+
+    def frequency_response(self, frequencies_hz: Any) -> Complexes:
+        """Transfer matrices (nf, m, m)."""
+        ...
+
+    def modes(self, count: int) -> Floats:
+        """Shapes (k, n, 3)."""
+        ...
 
 
-def response_chart(body: Body, frequencies_hz: Any, entries: Sequence[tuple[int, int]] | None) -> Chart:
+def response_chart(body: Charted, frequencies_hz: Any, entries: Sequence[tuple[int, int]] | None) -> Chart:
     """Size and phase of entries (motion, load) of the transfer matrix, counted from 1; see ``Body.plot_response``.
 
     Raises:
@@ -47,7 +69,7 @@ def response_chart(body: Body, frequencies_hz: Any, entries: Sequence[tuple[int,
     )
 
 
-def _frequencies(body: Body) -> Floats:
+def _frequencies(body: Charted) -> Floats:
     """From a tenth of the first elastic frequency to twice the last, as close at each as resonances need."""
     elastic = body.frequencies_hz[body.rigid_count :]
     if not len(elastic):
@@ -74,8 +96,8 @@ def density_chart(bodies: Mapping[str, Floats], full: Floats | None = None) -> C
     edges = low * 2.0 ** ((np.arange(2 + np.ceil(3 * np.log2(high / low))) - 0.5) / 3)
     counts, densities = [], []
     for name, hz in known.items():
-        dash = "solid" if colors[name] == FULL else "dashed"
-        steps = np.repeat(np.arange(len(hz) + 1), 2)[1:-1]
+        dash: Dash = "solid" if colors[name] == FULL else "dashed"
+        steps = np.repeat(np.arange(len(hz) + 1.0), 2)[1:-1]
         counts.append(Curve(name=name, x=np.repeat(hz, 2), y=steps, color=colors[name], dash=dash))
         share = np.histogram(hz, edges)[0] / np.diff(edges)
         share = np.where(share > 0, share, np.nan)
@@ -91,14 +113,23 @@ def density_chart(bodies: Mapping[str, Floats], full: Floats | None = None) -> C
     )
 
 
-def mac_chart(body: Body, other: Body | None, modes: int) -> Chart:
+def mac(one: Floats, two: Floats) -> Floats:
+    """Modal assurance criterion (k1, k2) of shapes (k1, n, 3) and (k2, n, 3) (Allemang and Brown 1982).
+
+    >>> mac(np.eye(3)[:, None], np.ones((1, 1, 3))).round(3).tolist()
+    [[0.333], [0.333], [0.333]]
+    """
+    a, b = (shapes.reshape(len(shapes), -1) for shapes in (one, two))
+    both = (a**2).sum(axis=1)[:, None] * (b**2).sum(axis=1)
+    return np.asarray((a @ b.T) ** 2 / np.maximum(both, np.finfo(float).tiny))
+
+
+def mac_chart(body: Charted, other: Charted | None, modes: int) -> Chart:
     """Modal assurance criterion of the first elastic ``modes`` of a body with those of another at the same nodes.
 
     Raises:
         InputError: bodies at other nodes, or without modes there.
     """
-    from morembs.body.scenes import mac
-
     second = body if other is None else other
     one, two = body.modes(modes), second.modes(modes)
     if not one.size or not two.size or one.shape[1] != two.shape[1]:
@@ -120,14 +151,12 @@ def mac_chart(body: Body, other: Body | None, modes: int) -> Chart:
     )
 
 
-def campbell_chart(body: Body, speeds: Sequence[float] | None, count: int) -> Chart:
+def campbell_chart(body: Charted, speeds: Sequence[float] | None, count: int) -> Chart:
     """The ``count`` lowest damped frequencies over the speed, in the frame that turns, by the direction of the whirl.
 
     Raises:
         InputError: a body without spin matrices, or a speed out of range.
     """
-    from morembs.body.floating.spin import campbell
-
     if speeds is None and body.spin is not None:
         speeds = np.linspace(body.spin.speeds.min(), body.spin.speeds.max(), TOL.drawn_speeds).tolist()
     whirls = campbell(body, speeds or [0.0], count)

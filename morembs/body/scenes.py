@@ -10,6 +10,7 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
+from morembs.body.charts import mac
 from morembs.body.drawing import viewed_axes
 from morembs.body.tolerances import TOL
 from morembs.body.view_scene import surface_of
@@ -116,17 +117,6 @@ def _compared(
                 notes.append(f"MAC of {one.name} and {two.name}: by the nearest nodes, as they have other meshes")
             found[i, j] = mac(one.shapes[:, a], two.shapes[:, b])
     return found, tuple(notes)
-
-
-def mac(one: Floats, two: Floats) -> Floats:
-    """Modal assurance criterion (k1, k2) of shapes (k1, n, 3) and (k2, n, 3) (Allemang and Brown 1982).
-
-    >>> mac(np.eye(3)[:, None], np.ones((1, 1, 3))).round(3).tolist()
-    [[0.333], [0.333], [0.333]]
-    """
-    a, b = (shapes.reshape(len(shapes), -1) for shapes in (one, two))
-    both = (a**2).sum(axis=1)[:, None] * (b**2).sum(axis=1)
-    return np.asarray((a @ b.T) ** 2 / np.maximum(both, np.finfo(float).tiny))
 
 
 def _common(one: Surface, two: Surface, same: bool) -> tuple[Ints, Ints, bool]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -12,11 +12,33 @@ from morembs.base.types import Floats
 from morembs.certificate.tolerances import TOL
 from morembs.responses.measures import MEASURES
 
-if TYPE_CHECKING:
-    from morembs.certificate.record import Certificate
+
+class Curves(Protocol):
+    """What a chart takes of a ``Certificate``."""
+
+    @property
+    def frequencies_hz(self) -> Floats: ...
+
+    @property
+    def full(self) -> Floats: ...
+
+    @property
+    def reduced(self) -> Floats: ...
+
+    @property
+    def error(self) -> Floats: ...
+
+    @property
+    def limits(self) -> Mapping[str, Any]: ...
+
+    @property
+    def cells_hz(self) -> Floats: ...
+
+    @property
+    def cell_limit(self) -> Floats: ...
 
 
-def certificate_chart(known: Mapping[str, Certificate]) -> Chart:
+def certificate_chart(known: Mapping[str, Curves]) -> Chart:
     """Responses of the full model and of bodies by name, and below the errors of the bodies with their limits."""
     responses: list[Curve] = []
     errors: list[Curve] = []
@@ -36,7 +58,7 @@ def certificate_chart(known: Mapping[str, Certificate]) -> Chart:
     )
 
 
-def _limits(name: str, certificate: Certificate, color: int) -> Iterator[Curve]:
+def _limits(name: str, certificate: Curves, color: int) -> Iterator[Curve]:
     """The pointwise limit in steps over the band; none where the certificate holds at samples alone."""
     if not certificate.limits or not len(certificate.cells_hz):
         return
