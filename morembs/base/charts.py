@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 # Colors of bodies in turn; the full model has that of the text.
 COLORS = ("#d1495b", "#2e86ab", "#3d9970", "#b5651d", "#7b4fa3", "#607d8b")
-FULL, FULL_COLOR = -1, "#202020"
+FULL_COLOR = "#202020"
 Dash = Literal["solid", "dashed", "dotted", "dots"]
 _DASHES: dict[Dash, Any] = {"solid": "-", "dashed": (0, (5, 2)), "dotted": (0, (1, 1.5)), "dots": ""}
 
@@ -25,12 +25,12 @@ _DASHES: dict[Dash, Any] = {"solid": "-", "dashed": (0, (5, 2)), "dotted": (0, (
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Curve:
     """A line through ``x``, ``y`` (n,), or ``dots``; where y is not a number it has a gap. ``color`` counts from 0
-    through the colors of bodies, ``FULL`` is that of the text."""
+    through the colors of bodies, None is that of the full model."""
 
     name: str
     x: Floats
     y: Floats
-    color: int = FULL
+    color: int | None = None
     dash: Dash = "solid"
 
 
@@ -52,7 +52,8 @@ class Panel:
                 curve.y,
                 color=_color(curve.color),
                 linestyle=_DASHES[curve.dash],
-                linewidth=2.0 if curve.color == FULL else 1.2,
+                # In points.
+                linewidth=2.0 if curve.color is None else 1.2,
                 marker="." if curve.dash == "dots" else "",
                 label=curve.name,
             )
@@ -171,8 +172,8 @@ class Chart:
         return {"title": self.title, "note": self.note, "panels": [panel.plain() for panel in self.panels]}
 
 
-def _color(number: int) -> str:
-    return FULL_COLOR if number == FULL else COLORS[number % len(COLORS)]
+def _color(number: int | None) -> str:
+    return FULL_COLOR if number is None else COLORS[number % len(COLORS)]
 
 
 def _plain(values: Floats) -> list[float | None]:

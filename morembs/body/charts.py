@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from morembs.base.charts import FULL, Bars, Chart, Curve, Dash, Matrix, Panel
+from morembs.base.charts import Bars, Chart, Curve, Dash, Matrix, Panel
 from morembs.base.errors import InputError
 from morembs.base.types import Complexes, Floats
 from morembs.body.floating.spin import Spinning, campbell
@@ -88,15 +88,13 @@ def density_chart(bodies: Mapping[str, Floats], full: Floats | None = None) -> C
     known = {name: hz[hz > 0] for name, hz in known.items() if (np.asarray(hz) > 0).any()}
     if not known:
         raise InputError("no elastic frequencies were given; keep at least one mode")
-    colors = {name: FULL if name == "full model" and full is not None else k for k, name in enumerate(known)}
-    if full is not None:
-        colors = {name: color - (color != FULL) for name, color in colors.items()}
+    colors: dict[str, int | None] = {name: number for number, name in enumerate(bodies)} | {"full model": None}
     low, high = (end(hz) for end, hz in ((min, [f[0] for f in known.values()]), (max, [f[-1] for f in known.values()])))
     # Thirds of octaves as in acoustics (IEC 61260), from the first mode on.
     edges = low * 2.0 ** ((np.arange(2 + np.ceil(3 * np.log2(high / low))) - 0.5) / 3)
     counts, densities = [], []
     for name, hz in known.items():
-        dash: Dash = "solid" if colors[name] == FULL else "dashed"
+        dash: Dash = "solid" if colors[name] is None else "dashed"
         steps = np.repeat(np.arange(len(hz) + 1.0), 2)[1:-1]
         counts.append(Curve(name=name, x=np.repeat(hz, 2), y=steps, color=colors[name], dash=dash))
         share = np.histogram(hz, edges)[0] / np.diff(edges)

@@ -176,7 +176,7 @@
     state.panels.push({ draw: draw, read: read });
   }
 
-  function tone(curve) { return curve.color < 0 ? "-full" : curve.color % 6; }
+  function tone(curve) { return curve.color === null ? "-full" : curve.color % 6; }
 
   function drawBars(place, chart, panel, state) {
     var WIDTH = state.width, row = 22, longest = Math.max.apply(null, panel.names.map(function (name) { return name.length; }));

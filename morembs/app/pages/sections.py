@@ -225,7 +225,20 @@ def charts(part: PartPage) -> Markup:
 
 
 def _charts(part: PartPage) -> Iterator[Chart]:
-    from morembs.body.charts import campbell_chart, cost_chart, density_chart, mac_chart
+    from morembs.body.charts import cost_chart
+
+    if not part.holds_members:
+        yield from _body_charts(part)
+    stages = part.content["stages"]
+    if stages:
+        seconds, memory = (
+            {name: stage[key] for name, stage in stages.items()} for key in ("seconds", "peak_memory_bytes")
+        )
+        yield cost_chart(seconds, memory)
+
+
+def _body_charts(part: PartPage) -> Iterator[Chart]:
+    from morembs.body.charts import campbell_chart, density_chart, mac_chart
     from morembs.certificate.charts import certificate_chart
 
     bodies, shown = part.stored.bodies, part.stored.bodies[part.shown]
@@ -240,12 +253,6 @@ def _charts(part: PartPage) -> Iterator[Chart]:
             yield mac_chart(shown, body, STYLE.mac_modes)
     if shown.spin is not None:
         yield campbell_chart(shown, None, STYLE.campbell_modes)
-    stages = part.content["stages"]
-    if stages:
-        seconds, memory = (
-            {name: stage[key] for name, stage in stages.items()} for key in ("seconds", "peak_memory_bytes")
-        )
-        yield cost_chart(seconds, memory)
 
 
 # One line for each, in the order in which they stand in the section of a part.
