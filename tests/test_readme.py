@@ -264,6 +264,7 @@ RUN = {
         "python divided": 1,
         "python chain": 1,
         "python body": 1,
+        "python slider-crank": 1,
         "python evaluator": 1,
     },
     "job.md": {"toml": 5, "python": 2},

@@ -13,6 +13,7 @@ from morembs.base.errors import InputError
 from morembs.dynamics.gmp import ReducedMember
 from morembs.dynamics.gmp.stored import read_members, write_members
 from morembs.dynamics.nonlinear import PlanarBeam, Section
+from studies import flexible_slider_crank as slider_crank
 
 DOCS = Path(__file__).parents[2] / "docs" / "gmp.md"
 
@@ -80,6 +81,20 @@ def test_the_job_of_the_documentation_makes_the_member_of_its_mechanism(tmp_path
     tip = space["simulate"](space["mechanism"], end=0.1, step=1e-3).q[-1][:2]
     # The rod falls as a rigid one does at first, with 3 g / 2 at its tip.
     assert tip[1] == pytest.approx(-0.75 * 9.81 * 0.1**2, rel=0.5)
+
+
+def test_the_slider_crank_of_the_documentation_bends_as_the_full_model(tmp_path, monkeypatch, capsys):
+    text = DOCS.read_text()
+    (job,), (code,) = (re.findall(rf"```{kind}\n(.*?)```", text, re.DOTALL) for kind in ("toml", "python slider-crank"))
+    assert len(code.splitlines()) <= 30
+    (tmp_path / "rod.toml").write_text(job)
+    monkeypatch.chdir(tmp_path)
+    space = {}
+    exec(code, space)
+    assert "0.124 of its length" in capsys.readouterr().out
+    reference = slider_crank.full(elements=(6, 12), step=2e-3, end=0.7)
+    gap = space["deflection"][:701:2] - reference.deflection
+    assert np.sqrt(np.mean(gap**2)) < 0.01 * np.abs(reference.deflection).max()
 
 
 @pytest.mark.parametrize(

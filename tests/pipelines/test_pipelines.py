@@ -1,6 +1,7 @@
 """Every job, pipeline and study runs as a user runs it, and the numbers that matter hold."""
 
 import importlib
+import importlib.util
 import json
 import re
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 from data import make_connecting_rod
 from morembs.body.file import read_body
 from morembs.exporters.exudyn_system import exudyn_missing
+from morembs.exporters.fmu.compiler import compiler
 from tests.support.processes import morembs
 
 ROOT = Path(__file__).parents[2]
@@ -41,6 +43,13 @@ def touches_when_it_must(text):
 
 def follows_the_full_model(text):
     assert number(r"error / length (\S+) rms", text) < 0.003
+
+
+def swings_alike_as_fmu(text):
+    assert number(r"drift of the energy (\S+)", text) < 1e-5
+    if compiler() and importlib.util.find_spec("fmpy"):
+        # Of the implicit steps of the mechanism: those of the FMU are as small as its tolerance asks for.
+        assert number(r"FMU in FMPy: (\S+) of", text) < 5e-5
 
 
 def runs_in_exudyn(text):
@@ -202,6 +211,7 @@ PROMISES = {
     "moving_load": has_the_factors_of_fryba,
     "parallelogram": shares_the_load_as_springs_do,
     "slider_crank": runs_in_exudyn,
+    "tapered_pendulum": swings_alike_as_fmu,
     "two_link_manipulator": needs_two_modes_of_the_start,
     "wire_in_tube": presses_with_two_forces_at_each_end,
     "studies.flexible_rail": is_as_good_as_all_dofs,
@@ -238,6 +248,7 @@ def test_every_job_belongs_to_a_script():
         "slider_crank",
         # A system of bodies: test_pipelines_multibody runs it.
         "slider_crank_system",
+        "tapered_pendulum",
     }
 
 
