@@ -34,6 +34,7 @@ MESH = Kind("a mesh", "morembs init {}")
 DECK = Kind("a deck", "morembs init {}")
 MODEL = Kind("a model file", "morembs init {}")
 BODY = Kind("a body file", "morembs info {}")
+MEMBER = Kind("a file of planar members", "morembs info {}")
 MATRIX = Kind("a matrix", "morembs reduce K.mtx M.mtx --input B.mtx --method krylov --order 20")
 MATRIX_FILE = Kind("a file of matrices", "morembs init {}")
 CAD_PART = Kind("a CAD part", "morembs init {} --size 3mm")
@@ -77,10 +78,11 @@ def _holds_system(path: Path) -> bool:
 
 def _kind_of_hdf5(path: Path) -> Kind:
     from morembs.importers.model_file import is_model_file
-    from morembs.storage.hdf5 import holds_format
+    from morembs.storage.hdf5 import MEMBERS, holds_format
 
-    if holds_format(path, RESULT_FORMAT):
-        return RESULT
+    for name, kind in ((RESULT_FORMAT, RESULT), (MEMBERS, MEMBER)):
+        if holds_format(path, name):
+            return kind
     return MODEL if path.name.lower().endswith(".model.h5") or is_model_file(path) else BODY
 
 

@@ -260,7 +260,20 @@ def test_names_of_members(member, source, tmp_path):
         export_member(both, "fmu", path=both, member="a")
 
 
-def test_verbs_for_bodies_name_members(source):
+def test_verbs_that_take_no_members_say_what_does(source, tmp_path):
+    (tmp_path / "rod.h5").write_bytes(source.read_bytes())
+    for words, said in (
+        (("modes", "rod.h5"), "a file of planar members was given, expected a job: morembs info rod.h5"),
+        (("reduce", "rod.h5"), "a file of planar members was given, expected a job: morembs info rod.h5"),
+        (("doctor", "rod.h5"), "rod.h5 is a file of planar members, the result of a reduction and not a model"),
+        (("recover", "rod.h5", "a.csv", "-o", "b.vtkhdf"), "morembs info, evaluate and export take members"),
+    ):
+        refused = morembs(*words, folder=tmp_path)
+        assert refused.code == 2 and said in refused.errors, refused.errors
+    assert "planar members" in morembs("rod.h5", folder=tmp_path).output
+
+
+def test_readers_of_bodies_name_members(source):
     with pytest.raises(
         InputError, match="holds planar members, expected a body file; morembs info, evaluate and export take members"
     ):

@@ -14,7 +14,7 @@ from typer.core import TyperGroup
 
 from morembs.app.cli.messages import echo, failure, tell
 from morembs.app.cli.terminal import without_flag_types
-from morembs.app.kinds import BODY, JOB, MATRIX, PARTS, RESULT, SURFACE, SYSTEM, instead, kind_of
+from morembs.app.kinds import BODY, JOB, MATRIX, MEMBER, PARTS, RESULT, SURFACE, SYSTEM, instead, kind_of
 from morembs.base.errors import ExitCode, InputError, MorembsError, alike
 from morembs.storage.contents import keeping_ledger
 from morembs.version import VERSION
@@ -130,7 +130,7 @@ def _arguments_of_file(args: Sequence[str]) -> list[str]:
         raise InputError(f"{file} is a folder: morembs batch {shlex.quote(file)} runs all jobs in it")
     if kind in (JOB, SYSTEM):
         return ["check", *args]
-    if kind in (BODY, RESULT):
+    if kind in (BODY, MEMBER, RESULT):
         return ["info", *args]
     if kind in PARTS:
         return ["init", "--show", *args]

@@ -14,7 +14,7 @@ from morembs.base.types import Values
 from morembs.importers.imported import Imported
 from morembs.importers.matrices.named import Matrices, Wanted, matrices_by_name
 from morembs.importers.matrices.triplets import Place, refuse_twice, row_and_column
-from morembs.storage.hdf5 import read_dataset, reading
+from morembs.storage.hdf5 import MEMBERS, read_dataset, reading
 
 
 def import_hdf5(
@@ -51,13 +51,17 @@ def import_hdf5(
 
 def _refuse_body(source: str, file: Any) -> None:
     """A body is no model: its matrices are those of reduced coordinates."""
-    for key, kind in (("format", "morembs-body"), ("type", "ObjectFFRFreducedOrderInterface")):
+    for key, kind, what in (
+        ("format", "morembs-body", "a body file of morembs"),
+        ("format", MEMBERS, "a file of planar members"),
+        ("type", "ObjectFFRFreducedOrderInterface", "a reduced body for Exudyn"),
+    ):
         item = file.get(key)
         if isinstance(item, h5py.Dataset) and item.shape == () and item[()] in (kind, kind.encode()):
-            what = "a body file of morembs" if key == "format" else "a reduced body for Exudyn"
+            uses = "evaluate" if kind == MEMBERS else "recover"
             raise InputError(
                 f"{source} is {what}, the result of a reduction and not a model; give the model it was made from "
-                "(morembs export and morembs recover use body files)"
+                f"(morembs export and morembs {uses} use {'members' if kind == MEMBERS else 'body files'})"
             )
 
 
