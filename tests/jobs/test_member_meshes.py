@@ -11,10 +11,12 @@ import pytest
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
 from morembs.base.errors import InputError
-from morembs.dynamics.gmp import Parameterised, ReducedMember
+from morembs.dynamics.gmp import Parameterised, ParameterisedBody, ReducedMember
+from morembs.dynamics.gmp.export import export_member
 from morembs.dynamics.gmp.stored import read_members
 from morembs.dynamics.nonlinear import PlanarBeam, Section
 from morembs.importers.plane_mesh import read_plane_mesh
+from tests.support.fmus import InCasadi, needs_compiler
 from tests.support.processes import morembs
 
 LENGTH, SIDE, E, DENSITY = 0.152, 8.862e-3, 3e6, 2770.0
@@ -151,6 +153,26 @@ def test_edges_that_are_named_take_their_middles(tmp_path: Path) -> None:
     mesh = read_plane_mesh(tmp_path / "strip.msh", SIDE)
     ends = mesh.nodes.xyz[mesh.nodes.sets["LEFT"]]
     assert len(ends) == 8 and np.unique(np.round(ends[:, 1] - 2, 9)).tolist() == pytest.approx([-SIDE / 2, 0, SIDE / 2])
+
+
+@needs_compiler
+def test_the_fmu_of_a_mesh_accelerates_as_the_member(tmp_path: Path) -> None:
+    """Its fields have a full mass matrix and no rotations, other than those of beams."""
+    strip(tmp_path, count=4)
+    member = ReducedMember.of(made(tmp_path))
+    system = InCasadi(export_member(tmp_path / "strip.h5", "fmu", options={"held": []}).paths[0])
+    c, s = LENGTH * np.cos(0.1), LENGTH * np.sin(0.1)
+    q = np.array([0.1, 0.2, 0.3, 0.1 + c, 0.2 + s, -0.1, 1e-5])
+    v = np.concatenate((np.random.default_rng(1).standard_normal(6), [1e-2]))
+    M, force = ParameterisedBody(member).dynamics(0.0, q, v, np.array([0.0, -9.81, 0.0]))
+    expected = np.linalg.solve(M, -force)
+    frames = ("start", "end")
+    places = [f"{frame}.{part}" for frame in frames for part in ("position.x", "position.y", "angle.z")]
+    speeds = [f"{frame}.{part}" for frame in frames for part in ("velocity.x", "velocity.y", "angular_velocity.z")]
+    names = [*(f"state.{name}" for name in places), "q[1]"], [*(f"state.{name}" for name in speeds), "q_rate[1]"]
+    states = dict(zip([*names[0], *names[1]], [*q, *v], strict=True))
+    rates, _ = system(states, {"gravity.y": -9.81})
+    assert [rates[name] for name in names[1]] == pytest.approx(expected, abs=1e-10 * np.abs(expected).max())
 
 
 def test_the_command_line_checks_a_mesh(tmp_path: Path) -> None:
