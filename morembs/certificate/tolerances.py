@@ -41,5 +41,12 @@ class CertificateTolerances:
     # Share of a mode in the static energy of unit loads that is round-off: the square of 1e-6.
     unexcited_energy: float = 1e-12
 
+    # Block before a witness with the digest of the rest: the least that HDF5 allows.
+    user_block_bytes: int = 512
+    # Bytes that are summed at once: 4 MB.
+    digest_bytes: int = 1 << 22
+    # Shift of a count over the upper end of the band, at least: the bound of the residual grows by 1 / (1 - 1 / 1.1^2).
+    least_shift: float = 1.1
+
 
 TOL = CertificateTolerances()

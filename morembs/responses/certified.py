@@ -218,6 +218,8 @@ class _Build:
             start=start,
             counted=self.modes.counted,
             least=residual.least,
+            solutions=space.Z,
+            coefficients=-modes.Y[space.rows],
         )
 
     def _ritz_pairs(self, krylov: ReferenceSpace) -> tuple[ReferenceBasis, Floats, Floats]:

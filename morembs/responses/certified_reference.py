@@ -34,7 +34,8 @@ class CertifiedReference:
     (nc + 1,) in rad/s and ``error_bounds`` (nc,) limits of ``|H - H_ref|`` over the envelope. ``solve_errors`` (n,)
     limit the errors of solutions in the modes, in the energy of G s_p / theta_p, and ``start`` the norm of r_0 in that
     of K^-1 (``residual_bound``). ``error_bounds`` are estimates where there are ``doubts``, which say why. Modes below
-    ``cut`` are ``counted``, or LAPACK found all modes; beside their vectors K >= ``least`` M.
+    ``cut`` are ``counted``, or LAPACK found all modes; beside their vectors K >= ``least`` M. ``solutions`` (Nc, q)
+    times ``coefficients`` (q, n) are G s_p / theta_p; None with a damping matrix of the model's own.
 
     >>> reference = certified_reference(problem, [0.0, 3000.0])
     >>> reference.proven, bool(reference.error_bounds.max() < 1e-6)
@@ -56,6 +57,8 @@ class CertifiedReference:
     start: float
     counted: bool
     least: float = 0.0
+    solutions: Floats | None = None
+    coefficients: Floats | None = None
 
     def _facts(self) -> dict[str, object]:
         return {

@@ -16,6 +16,7 @@ import typer
 
 from morembs.app.cli.batch import app as batches
 from morembs.app.cli.bodies import app as bodies
+from morembs.app.cli.certify import app as proofs
 from morembs.app.cli.completion import JOBS, files_with, names_of
 from morembs.app.cli.evaluate import app as evaluation
 from morembs.app.cli.messages import console, echo, print_json, printing, warn
@@ -283,6 +284,7 @@ def _order(jobs: Sequence[Path], changes: Sequence[str], load: Load | None = Non
 app.add_typer(starting)
 app.add_typer(batches)
 app.add_typer(bodies)
+app.add_typer(proofs)
 app.add_typer(evaluation)
 app.add_typer(updating)
 app.add_typer(simulating)

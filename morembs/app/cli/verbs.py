@@ -36,7 +36,6 @@ SYNONYMS = {
 }
 # Verbs that are keys of a job.
 KEYS = {
-    "certify": "the table [certify] of a job, with band_hz = [0, 2000]; then: morembs reduce JOB.toml",
     "plot": 'picture = "NAME.png" under [output] of a job, or morembs reduce JOB.toml --report PAGE.html',
 }
 # What people ask help about that is no verb -> where it is said.

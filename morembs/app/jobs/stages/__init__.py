@@ -20,6 +20,7 @@ from morembs.app.jobs.stages.spin import SpinMatrices, SpinModes
 from morembs.app.jobs.stages.stage import STAGES
 from morembs.app.jobs.stages.state_space import StateSpace
 from morembs.app.jobs.stages.unreduced import UnreducedParts
+from morembs.app.jobs.stages.witness import Witness
 from morembs.app.jobs.stages.write import WriteBody
 
 STAGES |= {
@@ -44,6 +45,7 @@ STAGES |= {
     "full modes": FullModes(),
     "picture": Picture(),
     "state space": StateSpace(),
+    "witness": Witness(),
     "effective masses": EffectiveMass(),
     "steps": ParameterSteps(),
 }

@@ -16,6 +16,7 @@ from morembs.app.jobs.tables import CurvePoints, Job, OptionalTable
 from morembs.app.report.certificates import Certified, certificate_sections
 from morembs.app.report.sections import Section
 from morembs.base.errors import InputError
+from morembs.base.key_tables import described
 from morembs.base.limits import DampingFloor
 from morembs.reducers import ProblemSummary
 from morembs.reducers.cost import response_seconds
@@ -40,6 +41,30 @@ class CertifyTable(OptionalTable):
     measure: Literal["envelope", "peak", "pointwise"] = "envelope"
     damping_floor: DampingFloor | None = None
     sharpness: Sharpness = RESPONSES.sharpness
+    witness: bool | None = described("true: a file beside the body, with which its certificates can be verified", None)
+
+    def refuse_conflicts(self) -> None:
+        if self.witness and not self.bound:
+            raise InputError("[certify] witness = true was given with bound = false; there is nothing to prove without")
+
+
+def refuse_witness(facts: ProblemSummary) -> None:
+    """Refuse a witness of what is not proven, or is no model of one part.
+
+    Raises:
+        InputError: as said.
+    """
+    model = facts.model
+    if any(A is not None for A in (model.D, model.G, model.N)) or len(facts.damping.jumps):
+        raise InputError(
+            "[certify] witness = true was given for a model with a damping, gyroscopic or circulatory matrix, or a "
+            "modal damping table that jumps, whose limits are not proven; leave it out"
+        )
+
+
+def witness_bytes(size: int, inputs: int) -> float:
+    """Bytes of a witness, about: eight blocks of vectors and one of solutions."""
+    return 8.0 * size * (9 * inputs + 6)
 
 
 class Certify(JobStage):
@@ -81,7 +106,7 @@ class Certify(JobStage):
         from morembs.certificate.certify import certify
 
         problem, reduced = work[PROBLEM], work[REDUCED]
-        options = {} if given is None else given.values(but={"band_hz"})
+        options = {} if given is None else given.values(but={"band_hz", "witness"})
         against = problem if parts is None else parts.problem
         spanned = reduced if parts is None else [parts.expanded(body) for body in reduced]
         certificates = certify(against, spanned, band or (), **options)

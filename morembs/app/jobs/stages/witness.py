@@ -1,0 +1,58 @@
+"""``[certify] witness``: beside the body file what a stranger needs to prove its certificates again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from morembs.app.jobs.equations import FlowTable
+from morembs.app.jobs.stages.certificate import CertifyTable, refuse_witness, witness_bytes
+from morembs.app.jobs.stages.couple import PROBLEM
+from morembs.app.jobs.stages.stage import MODEL, JobStage, Work
+from morembs.app.jobs.stages.write import WRITTEN
+from morembs.app.jobs.tables import Job, ModelTable
+from morembs.importers.model_file import is_model_file, write_model
+from morembs.reducers import ProblemSummary
+
+
+class Witness(JobStage):
+    """The witness, and the model file that it is of where the job does not read one."""
+
+    tables = (CertifyTable,)
+    needs = (MODEL, PROBLEM, WRITTEN)
+    gives = (WRITTEN,)
+    step = "witness"
+
+    def is_asked(self, job: Job) -> bool:
+        given = CertifyTable.of(job)
+        return given is not None and bool(given.witness)
+
+    def writes(self, job: Job) -> Mapping[str, Path]:
+        written = {"the witness": job.output.with_suffix(".witness.h5")}
+        return written if _model_of(job) is not None else written | {"its model": job.output.with_suffix(".model.h5")}
+
+    def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
+        """Refuse what has no proof, and say how large the witness will be."""
+        refuse_witness(facts)
+        about = witness_bytes(facts.size, facts.inputs) / 1e6
+        return (f"the witness of [certify] will have about {about:,.0f} MB; it takes a second or so for 100 MB",)
+
+    def run(self, work: Work) -> None:
+        from morembs.certificate.witness import write_witness
+
+        job, problem, body = work.job, work[PROBLEM], work[WRITTEN]
+        given, files = CertifyTable.needed(job), self.writes(job)
+        model = _model_of(job) or write_model(files["its model"], work[MODEL])
+        write_witness(
+            files["the witness"], problem, given.band_hz, body=body, model=model, damping_floor=given.damping_floor
+        )
+        work.give(WRITTEN, body)
+
+
+def _model_of(job: Job) -> Path | None:
+    """The model file that the job reads and takes as it is, None where it makes its model."""
+    table = ModelTable.of(job)
+    if table.file is None or FlowTable.of(job):
+        return None
+    path = job.resolve(table.file)
+    return path if is_model_file(path) else None

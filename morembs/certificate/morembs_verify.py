@@ -1,0 +1,732 @@
+"""Prove again, from a model and a witness, that the errors of a reduced body lie below their stated limits.
+
+    python morembs_verify.py BODY.h5 MODEL.h5 WITNESS.h5
+
+Nothing of morembs is imported, and nothing that its files say is believed: modes and solutions of the witness are
+checked by their residuals, the modes below its shift are counted by an elimination of this program. The page
+docs/verification.md of morembs has the statements, their proofs and the treatment of round-off; its sections have the
+names of the lemmas. Exit codes: 0 verified, 1 not verified, 2 files that cannot be read.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+Array = np.ndarray[Any, Any]
+LONG = np.longdouble
+U, U_LONG = 2.0**-53, float(np.finfo(LONG).eps) / 2
+# Bounds are sums and products of numbers that are not negative: their own round-off is below this part.
+UP = 1 + 1e-9
+# Of Taylor polynomials: degree, steps of the grid on a cell, half of a cell over the distance of the nearest root.
+DEGREE, STEPS, NEAR = 16, 64, 0.25
+# Pivots that are eliminated at once, dofs that are not dissected, rows of one sum, cells that are evaluated at once.
+PIVOTS, LEAF, ROWS, AT_ONCE = 64, 150, 512, 32
+# The limit of the band is proven as it is, those of single cells to a percent.
+CELL = 1.01
+MEASURES = ("envelope", "peak", "pointwise")
+
+
+class NotVerifiedError(Exception):
+    """The first lemma that fails, and by how much."""
+
+
+def need(holds: Any, lemma: str, why: str) -> None:
+    """Fail in ``lemma`` unless it ``holds``."""
+    if not np.all(holds):
+        raise NotVerifiedError(f"lemma {lemma} fails: {why}")
+
+
+def gamma(n: float, u: float = U) -> float:
+    """Relative error of n rounded operations, at most (Higham 2002, section 3.1)."""
+    return n * u / (1 - n * u)
+
+
+def text(file: Any, name: str) -> str:
+    """A text of a file."""
+    return bytes(file[name][()]).decode()
+
+
+def norms(X: Array, weights: Array) -> Array:
+    """(k,) norms of the columns of ``X``."""
+    return np.asarray(UP * np.sqrt(weights @ (X * X)))
+
+
+def gram(X: Array, Y: Array, kind: Any = np.float64) -> Array:
+    """X'Y in sums of ``ROWS`` terms."""
+    parts = (slice(first, first + ROWS) for first in range(0, len(X), ROWS))
+    return np.asarray(sum(X[rows].astype(kind).T @ Y[rows].astype(kind) for rows in parts))
+
+
+def row_sums(A: sp.csr_array) -> Array:
+    """w (n,) with |x|'|A||y| at most the product of the norms of x and y weighted with w."""
+    d = np.sqrt(np.abs(A.diagonal()))
+    d[d == 0] = 1.0
+    return np.asarray(UP * d * (abs(A) @ (1 / d)))
+
+
+def root_of(N: Array, error: float) -> Array:
+    """R with R'R >= N, for a symmetric N of norm about one that is known but for ``error``."""
+    values, Q = np.linalg.eigh(0.5 * (N + N.T))
+    error += 2 * float(np.linalg.norm(0.5 * (N + N.T) - (Q * values) @ Q.T)) + len(N) ** 2 * gamma(40 * len(N))
+    return np.asarray(np.sqrt(np.maximum(values, 0) + 2 * error)[:, None] * Q.T)
+
+
+# The model and its interfaces -----------------------------------------------------------------------------------------
+
+
+def motion_of(arms: Array, component: Array) -> Array:
+    """(n, 6) displacements and rotations of dofs at ``arms`` (n, 3) from a frame that moves."""
+    R = np.zeros((len(component), 6))
+    for c in range(3):
+        at, a, b = component == c, (c + 1) % 3, (c + 2) % 3
+        R[at, c], R[component == 3 + c, 3 + c] = 1.0, 1.0
+        R[at, 3 + a], R[at, 3 + b] = np.broadcast_to(arms, (len(at), 3))[at][:, [b, a]].T * [[1.0], [-1.0]]
+    return R
+
+
+class Coupling(NamedTuple):
+    """T (N, n) dofs of the model from free ones and frames, loads B (n, m), columns that turn, motions R (n, 6)."""
+
+    T: sp.csr_array
+    B: Array
+    turns: Array
+    R: Array
+
+
+def interface_map(body: Any, model: Any) -> Coupling:
+    """Lemma interface-map: coupled dofs and loads by the interfaces of the body on the nodes of the model."""
+    lemma, node, component = "interface-map", model["dofs/node"][()], model["dofs/component"][()]
+    need("couplings" not in model and "equations" not in model, lemma, "equations of the model hold dofs")
+    xyz, ids, dof = model["nodes/coordinates"][()], model["nodes/ids"][()].tolist(), np.arange(len(node))
+    table, row_of = np.full((len(ids), 7), -1), {label: row for row, label in enumerate(ids)}
+    table[node, component] = dof
+    free, middle = np.ones(len(dof), dtype=bool), xyz.mean(axis=0)
+    loads, masters, turns = list[Any](), list[Any](), list[Array]()
+    for name in (name.decode() for name in body["interface_names"][()]):
+        group = body[f"interfaces/{name}"]
+        kind, wanted, point = text(group, "coupling"), group["components"][()], group["point"][()]
+        rows = np.array([row_of.get(label, -1) for label in group["node_ids"][()].tolist()])
+        need(rows >= 0, lemma, f"interface {name} has nodes that the model has not")
+        need(kind in ("rigid", "average", "direct"), lemma, f"coupling {kind} of {name} is not known here")
+        if kind == "direct":
+            dofs, wanted = table[rows][:, wanted].ravel(), np.tile(wanted, len(rows))
+            need(dofs >= 0, lemma, f"interface {name} has dofs that the model has not")
+            z = np.eye(len(dofs))
+        else:
+            dofs = np.flatnonzero(np.isin(node, rows) & (component < (3 if kind == "average" else 6)))
+            w = np.ones(len(dofs))
+            if kind == "average":
+                weight = np.zeros(len(ids))
+                weight[rows] = group["weights"][()]
+                w = weight[node[dofs]]
+            # z = (R'W R)^-1 R'W u about the centre, carried to the point.
+            center = w @ xyz[node[dofs]] / w.sum()
+            R = motion_of(xyz[node[dofs]] - center, component[dofs])
+            mean = np.linalg.solve(R.T @ (w[:, None] * R), (w[:, None] * R).T)
+            z = (motion_of(point - center, np.arange(6)) @ mean)[wanted]
+        if kind == "rigid" and len(rows) > 1:
+            need(free[dofs], lemma, f"interface {name} shares nodes with another one")
+            free[dofs] = False
+            masters.append((dofs, motion_of(xyz[node[dofs]] - point, component[dofs]), point, len(loads), wanted))
+        loads.append((dofs, z))
+        turns.append((wanted > 2) & (wanted < 6))
+    kept, f = np.flatnonzero(free), int(free.sum())
+    parts, motions = [(np.ones(f), kept, np.arange(f))], [motion_of(xyz[node[kept]] - middle, component[kept])]
+    for at, (dofs, motion, point, _, _) in enumerate(masters):
+        parts.append((motion.ravel(), np.repeat(dofs, 6), np.tile(f + 6 * at + np.arange(6), len(dofs))))
+        motions.append(motion_of(point - middle, np.arange(6)))
+    data, row, col = (np.concatenate(each) for each in zip(*parts, strict=True))
+    T = sp.csr_array((data, (row, col)), shape=(len(dof), f + 6 * len(masters)))
+    T.eliminate_zeros()
+    blocks = []
+    for dofs, z in loads:
+        blocks.append(np.zeros((len(dof), len(z))))
+        blocks[-1][dofs] = z.T
+    blocks = [T.T @ block for block in blocks]
+    for at, (_, _, _, place, wanted) in enumerate(masters):
+        blocks[place] = np.zeros_like(blocks[place])
+        blocks[place][f + 6 * at + wanted, np.arange(len(wanted))] = 1.0
+    return Coupling(T, np.hstack(blocks), np.concatenate(turns), np.vstack(motions))
+
+
+def coupled(group: Any, T: sp.csr_array) -> tuple[sp.csr_array, Array]:
+    """T'A T, in extended precision where there are frames, and row sums of what its entries are off by."""
+    A = sp.csr_array((group["data"][()], group["indices"][()], group["indptr"][()]), shape=tuple(group["shape"][()]))
+    A.sum_duplicates()
+    need(np.isrealobj(A.data) and np.isfinite(A.data).all(), "interface-map", "a matrix is not real")
+    square, even = T.shape[0] == T.shape[1], (A != A.T).nnz == 0
+    C, size = A, row_sums(A)
+    if not square:
+        C = sp.csr_array(T.T.astype(LONG) @ (A.astype(LONG) @ T.astype(LONG)))
+        size = row_sums(sp.csr_array(abs(T).T @ (abs(A) @ abs(T))))
+    if even and square:
+        return C, 0 * size
+    C = sp.csr_array(0.5 * (C + C.T), dtype=np.float64)
+    terms = int(np.diff(A.indptr).max()) + int(np.diff(sp.csc_array(T).indptr).max()) + 4
+    return C, U * row_sums(C) + gamma(terms, U_LONG) * size
+
+
+# How many modes lie below a shift -------------------------------------------------------------------------------------
+
+
+def dissect(graph: sp.csr_array, rows: Array) -> Iterator[Array]:
+    """Blocks of ``rows``, each behind those that it separates."""
+    part = graph[rows][:, rows]
+    count, group = connected_components(part, directed=False)
+    if count > 1:
+        for each in range(count):
+            yield from dissect(graph, rows[group == each])
+        return
+    start, level = 0, np.zeros(len(rows), dtype=int)
+    for _ in range(3 if len(rows) > LEAF else 0):
+        order, before = breadth_first_order(part, start, directed=False)
+        start = int(order[-1])
+        for row in order[1:]:
+            level[row] = level[before[row]] + 1
+        level[order[0]] = 0
+    middle = min(int(np.median(level)), int(level.max()) - 1)
+    separates = (level == middle) & (part @ (level == middle + 1) > 0)
+    if middle < 0 or not (level < middle).any():
+        yield rows
+        return
+    yield from dissect(graph, rows[(level <= middle) & ~separates])
+    yield from dissect(graph, rows[level > middle])
+    yield rows[separates]
+
+
+def eliminate(F: Array, own: int, rho: Array) -> int:
+    """Eliminate the first ``own`` rows of a symmetric ``F``, whose lower triangle counts; the number of negative
+    eigenvalues among them. ``rho`` grows by row sums of all that F would have to be changed by for that to be exact."""
+    negative = 0
+    for first in range(0, own, PIVOTS):
+        last = min(first + PIVOTS, own)
+        P, R, S = F[first:last, first:last], F[last:, first:last], F[last:, last:]
+        P = np.tril(P) + np.tril(P, -1).T
+        values, Q = np.linalg.eigh(P)
+        D, size = Q.T @ (P @ Q), np.abs(Q)
+        d = np.diag(D)
+        off = np.abs(D - np.diag(d)) + gamma(2 * len(P) + 4) * (size.T @ (np.abs(P) @ size))
+        need(np.abs(d) > UP * off.sum(axis=1), "sturm-count", "a pivot is too small; move the shift")
+        negative += int((d < 0).sum())
+        X = R @ ((Q / values) @ Q.T)
+        E, size, rest = R - X @ P, np.abs(X), np.abs(R)
+        E = np.abs(E) + gamma(len(P) + 2) * (rest + size @ np.abs(P))
+        S -= X @ R.T
+        moved = np.abs(S).sum(axis=1) + np.abs(S).sum(axis=0)
+        moved += 2 * (size @ rest.sum(axis=0) + rest @ size.sum(axis=0))
+        across = E.sum(axis=1) + size @ E.sum(axis=0) + E @ size.sum(axis=0)
+        rho[last:] += UP * (gamma(len(P) + 4) * moved + across)
+        rho[first:last] += UP * E.sum(axis=0)
+    return negative
+
+
+def count_negative(A: sp.csr_array) -> tuple[int, float]:
+    """Number of negative eigenvalues of a matrix that is no further than rho from the symmetric ``A`` in the 2-norm,
+    and rho: by elimination along a nested dissection, front by front (Duff and Reid 1983)."""
+    n, degree = A.shape[0], np.diff(A.indptr)
+    graph = sp.csr_array((np.ones(A.nnz, dtype=np.int32), A.indices, A.indptr), shape=A.shape)
+    # Frames are coupled with so many that they come last.
+    long = degree > 10 * np.median(degree)
+    blocks = [*dissect(graph, np.flatnonzero(~long)), np.flatnonzero(long)]
+    rho, negative, block_of, place = np.zeros(n), 0, np.empty(n, dtype=int), np.full(n, -1)
+    waiting: dict[int, list[tuple[Array, Array]]] = {}
+    for number, block in enumerate(blocks):
+        block_of[block] = number
+    for number, block in enumerate(blocks):
+        rows, children = A[block], waiting.pop(number, [])
+        behind = np.unique(np.concatenate([rows.indices, *(beside for beside, _ in children)]))
+        behind = behind[block_of[behind] > number]
+        front = np.concatenate([block, behind])
+        place[front] = np.arange(len(front))
+        F, later = np.zeros((len(front), len(front))), block_of[rows.indices] >= number
+        at, beside = np.repeat(np.arange(len(block)), np.diff(rows.indptr))[later], place[rows.indices[later]]
+        F[at, beside] = F[beside, at] = rows.data[later]
+        for beside, S in children:
+            F[np.ix_(place[beside], place[beside])] += S
+        own = len(children) * U * np.abs(F).sum(axis=1)
+        negative += eliminate(F, len(block), own)
+        rho[front] += own
+        if len(behind):
+            S = np.tril(F[len(block) :, len(block) :])
+            S += np.tril(S, -1).T
+            waiting.setdefault(int(block_of[behind].min()), []).append((behind, S))
+    return negative, float(UP * rho.max())
+
+
+# Responses as sums over their poles -----------------------------------------------------------------------------------
+
+
+class Response(NamedTuple):
+    """sum_p left_p right_p' / a_p (P, m), a_p = (w - z_p1) (w - z_p2), or with one root alone; the matrix whose inverse
+    1 / a_p stands for is off by ``off`` = [A, B, C], A + w B + w^2 C (P, P), entry by entry."""
+
+    z: Array
+    left: Array
+    right: Array
+    off: list[Array]
+
+
+def second_order(stiffness: Array, d: Array) -> tuple[Array, Array, Array]:
+    """Roots (P, 2) of w^2 - i w d_p - s_p, and by how much the product misses that: r1 w + r2."""
+    root = np.sqrt(stiffness - 0.25 * d * d + 0j)
+    sign = np.where(np.abs(0.5j * d + root) >= np.abs(0.5j * d - root), 1, -1)
+    first = 0.5j * d + sign * root
+    z = np.stack([first, -stiffness / first], axis=1)
+    return z, np.abs(z.sum(axis=1) - 1j * d) + 4 * U * np.abs(z).sum(axis=1), 8 * U * np.abs(stiffness)
+
+
+def body_response(group: Any, loss: float, scale: Array, rigid: int) -> Response:
+    """Lemma body-poles: the elastic response of the body by its poles."""
+    M, K, D, B = (group[f"{name}_matrix"][()] for name in ("mass", "stiffness", "damping", "input"))
+    need([np.isfinite(A).all() for A in (M, K, D, B)], "body-poles", "a matrix is not finite")
+    if "output_matrix" in group:
+        C = scale[:, None] * group["output_matrix"][()]
+        M, K, D = (A[rigid:, rigid:] for A in (M, K, D))
+        return first_order(M, K, D, (B * scale)[rigid:], C[:, rigid:], loss)
+    d = 1 / np.sqrt(np.diag(M))
+    values, X = np.linalg.eigh(d[:, None] * M * d)
+    half = d[:, None] * X / np.sqrt(values)
+    X = (half @ np.linalg.eigh(half.T @ K @ half)[1]).astype(LONG)
+    for _ in range(3):
+        # Newton's method for the couplings of eigenvectors; those that nearly coincide are made orthogonal only.
+        m, k = (X.T @ A.astype(LONG) @ X for A in (M, K))
+        theta = np.diag(k) / np.diag(m)
+        gap = theta - theta[:, None]
+        apart = np.abs(gap) > 1e-7 * np.maximum(np.abs(theta), abs(theta[rigid]))
+        turn = np.where(apart, (k - m * theta) / np.where(apart, gap, 1), -0.5 * m)
+        X = X + X @ np.where(np.eye(len(m), dtype=bool), 0.5 * (1 - m), turn)
+    X = X[:, rigid:] - X[:, :rigid] @ (X[:, :rigid].T @ M.astype(LONG) @ X[:, rigid:])
+    parts, off = [], []
+    for A in (K, D, M):
+        G = X.T @ A.astype(LONG) @ X
+        parts.append(np.diag(G).astype(float) if A is not M else np.ones(len(G)))
+        error = gamma(4 * len(M), U_LONG) * (np.abs(X).T @ np.abs(A) @ np.abs(X))
+        off.append((np.abs(G - np.diag(parts[-1])) + error).astype(float))
+    b = (X.T @ (B * scale).astype(LONG)).astype(float)
+    z, r1, r2 = second_order(parts[0] * (1 + 1j * loss), parts[1])
+    return Response(z, -b, b, [abs(1 + 1j * loss) * off[0] + np.diag(r2), off[1] + np.diag(r1), off[2]])
+
+
+def first_order(M: Array, K: Array, D: Array, B: Array, C: Array, loss: float) -> Response:
+    """The response of a body whose motions and loads have bases of their own: states (w0 q, i w q)."""
+    n, w0 = len(M), float(np.sqrt(np.linalg.norm(K) / np.linalg.norm(M)))
+    eye, zero = np.eye(n), np.zeros((n, n))
+    # (A - i w S) x = -[0; B] f.
+    S = np.block([[eye, zero], [zero, M]]).astype(complex)
+    A = np.block([[zero, w0 * eye], [-(1 + 1j * loss) * K / w0, -D]]).astype(complex)
+    mu, V = np.linalg.eig(np.linalg.solve(S, A))
+    L, V, off = np.linalg.inv(S @ V).astype(np.clongdouble), V.astype(np.clongdouble), []
+    for G, part in ((A, mu), (S, np.ones(2 * n))):
+        error = gamma(16 * n, U_LONG) * (np.abs(L) @ np.abs(G) @ np.abs(V))
+        off.append((np.abs(L @ G.astype(np.clongdouble) @ V - np.diag(part)) + error).astype(float))
+    left, right = -1j * (np.hstack([C / w0, 0 * C]) @ V).T, L[:, n:] @ B
+    return Response(-1j * mu[:, None], left.astype(complex), right.astype(complex), [*off, 0 * off[0]])
+
+
+def taylor(z: Array, m: Array, h: Array) -> tuple[Array, Array, Array]:
+    """Of 1 / ((w - z1) (w - z2)) at w = m + h t, or with one root: coefficients (c, DEGREE + 1, P) in t, the largest
+    value on the cell, and the largest sum of all further terms (c, P). Roots lie beyond |t| = 1 / NEAR."""
+    x = h[:, None, None] / (z - m[:, None, None])
+    order = np.argsort(-np.abs(x), axis=2)
+    x = np.take_along_axis(x, order, axis=2)
+    first, other = x[..., 0], x[..., -1]
+    near, far, two = np.abs(first), np.abs(other), z.shape[1] == 2
+    c, power, grown = np.empty((len(m), DEGREE + 1, len(z)), dtype=complex), first, np.zeros_like(first)
+    for j in range(DEGREE + 1):
+        grown = (grown + power) * other
+        c[:, j] = grown if two else -power
+        power = power * first
+    scale = h[:, None] ** -z.shape[1]
+    most = near / (1 - near) * (far / (1 - far) if two else 1) * scale
+    # sum_{j > d} (j + 1) x^j, or a geometric series where the second root is further away.
+    tail = near ** (DEGREE + 1) / (1 - near) * near * scale
+    if two:
+        more = np.maximum(1 - far / near, 1e-300)
+        tail = tail * far * np.minimum(DEGREE + 2 + near / (1 - near), 1 / more)
+    return c * scale[:, None], most, tail
+
+
+def grid_norm(P: Array, steps: int) -> tuple[Array, Array]:
+    """(c, steps + 1) norms of sum_j P_j t^j on a grid of -1 <= t <= 1, for coefficients ``P`` (c, j, e), and by how
+    much it leaves its chords at most (c,)."""
+    j = np.arange(P.shape[1])
+    bulge = np.linalg.norm(P, axis=2) @ (j * (j - 1.0)) * (2 / steps) ** 2 / 8
+    return np.linalg.norm(np.linspace(-1, 1, steps + 1)[:, None] ** j @ P, axis=2), bulge
+
+
+def refined(low: Array, high: Array, z: Array) -> Array:
+    """(c, 2) parts of cells that are far enough from all roots."""
+    done = []
+    while len(low):
+        m, h = 0.5 * (low + high), 0.5 * (high - low)
+        fine = UP * h <= NEAR * np.abs(m[:, None] - z.ravel()).min(axis=1, initial=np.inf)
+        need(fine | (h > 1e-13 * high), "cells-of-the-band", "an undamped resonance lies in the band")
+        done.append(np.stack([low[fine], high[fine]], axis=1))
+        low, high, m = low[~fine], high[~fine], m[~fine]
+        low, high = np.concatenate([low, m]), np.concatenate([m, high])
+    return np.concatenate(done)
+
+
+# The proof ------------------------------------------------------------------------------------------------------------
+
+
+class Proof:
+    """Lemma by lemma, of the ``bodies`` of a file, of a model, with what a witness gives."""
+
+    def __init__(self, bodies: Any, model: Any, witness: Any) -> None:
+        self.names, self.bodies, given = [], bodies, json.loads(text(witness, "damping"))
+        for name in (name.decode() for name in bodies["body_names"][()]):
+            place = f"bodies/{name}/certificate"
+            limits = [bodies[f"{place}/limits/{each}"][1] for each in MEASURES if f"{place}/limits" in bodies]
+            self.names += [name] if np.isfinite(limits).any() else []
+        need(self.names, "cells-of-the-band", "no limit is stated")
+        self.alpha, self.beta, self.ratio, self.structural = (
+            float(given[name]) for name in ("alpha", "beta", "modal", "structural")
+        )
+        numbers = np.array([self.alpha, self.beta, self.ratio, self.structural])
+        need((numbers >= 0) & (numbers < np.inf), "damping", "a number is negative")
+        cells = [bodies[f"bodies/{name}/certificate/cells_hz"][()].max() for name in self.names]
+        self.top, self.sigma = 2 * np.pi * float(max(cells)) * UP, float(witness["shift"][()])
+        self.k, names = int(witness["modes_below"][()]), ("rigid", "vectors", "solutions", "coefficients")
+        need(self.top**2 < self.sigma < np.inf, "complement-bound", "the shift lies in the band")
+        self.Z, self.V, self.X, self.E = (np.asarray(witness[name][()], dtype=float) for name in names)
+        need([np.isfinite(A).all() for A in (self.Z, self.V, self.X, self.E)], "ritz-values", "a number is not finite")
+        self.coupling = interface_map(bodies, model)
+        self.couple(model)
+        self.take_modes()
+        self.count_modes()
+        self.take_residuals()
+
+    def prove(self, name: str) -> str:
+        """The limits of the body ``name``, in words."""
+        group, lemma = self.bodies[f"bodies/{name}"], "cells-of-the-band"
+        stated = group["certificate"]
+        floor, band, cells = float(stated["damping_floor"][()]), stated["band_hz"][()], stated["cells_hz"][()]
+        need(0 <= floor < np.inf, "damping", "the floor is negative")
+        need(cells[:, 0] < cells[:, 1], lemma, "a cell is empty")
+        need(np.r_[band[0], cells[:, 1]] >= np.r_[cells[:, 0], band[1]], lemma, "cells leave frequencies out")
+        need(int(group["rigid_count"][()]) == len(self.Z.T), "rigid-motions", f"the model has {len(self.Z.T)}")
+        loss = float(json.loads(text(group, "recipe")).get("structural_damping", 0.0)) + 2 * floor
+        self.body = body_response(group, loss, self.scale, len(self.Z.T))
+        self.respond(self.structural + 2 * floor)
+        self.upper = np.array([stated[f"limits/{each}"][1] for each in MEASURES])
+        self.limits = np.fmin(CELL * stated["cell_limit"][()], self.upper)
+        self.cells = 2 * np.pi * cells * [1 / UP, UP]
+        self.found = self.prove_cells()
+        said = ", ".join(f"{each} {limit:.6g}" for each, limit in zip(MEASURES, self.upper, strict=True))
+        limit = self.upper[MEASURES.index(text(stated, "measure"))]
+        return f"error <= {limit:.6g} at every frequency from {band[0]:g} to {band[1]:g} Hz (body {name}: {said})"
+
+    def couple(self, model: Any) -> None:
+        """Matrices of the coupled dofs, weights W (n,), and what entries are off by as a part of W."""
+        R, turns = self.coupling.R, self.coupling.turns
+        self.K, self.lost_K = coupled(model["matrices/K"], self.coupling.T)
+        self.M, self.lost_M = coupled(model["matrices/M"], self.coupling.T)
+        self.wK, self.wM, G = row_sums(self.K), row_sums(self.M), R.T @ (self.M @ R)
+        # Powers of four, whose roots scale without round-off.
+        self.W = 4.0 ** np.round(0.5 * np.log2(self.wK + self.sigma * self.wM))
+        self.lost = float(((self.lost_K + self.sigma * self.lost_M) / self.W).max())
+        self.cK, self.cM = float((self.wK / self.W).max()), float((self.wM / self.W).max())
+        self.row = int(max(np.diff(A.indptr).max() for A in (self.K, self.M)))
+        # Sums of rows and of products over all dofs.
+        self.terms = 2 * (ROWS + len(self.W) / ROWS + self.row) + 20
+        # Rotations count times the radius of gyration.
+        mass = np.trace(G[:3, :3]) / 3
+        arm = np.array([G[1, 5], G[2, 3], G[0, 4]]) / mass
+        turning = np.trace(G[3:, 3:]) - 2 * mass * (arm @ arm)
+        self.scale = np.where(turns, np.sqrt(turning / (2 * mass)) if turns.any() else 1.0, 1.0)
+        self.B = self.coupling.B * self.scale
+
+    def take_modes(self) -> None:
+        """Lemmas rigid-motions and ritz-values: theta (p,), loads b (p, m) off by b_lost (p,), and dK, dM (p, p) by
+        which V'K V is off from theta and V'M V from the identity; vectors below the shift in extended precision."""
+        V, Z, k, p, r = self.V, self.Z, self.k, self.V.shape[1], self.Z.shape[1]
+        fine = p if (self.K.nnz + len(V) * p) * p < 3e8 else k
+        G, e, g = [], [], np.full((p, p), gamma(self.terms))
+        g[:fine], g[:, :fine] = gamma(self.terms, U_LONG), gamma(self.terms, U_LONG)
+        for A, w, lost in ((self.K, self.wK, self.lost_K), (self.M, self.wM, self.lost_M)):
+            long, size, own = A.astype(LONG), norms(V, w), norms(V, lost)
+            G.append(np.zeros((p, p), dtype=LONG))
+            for at in range(0, fine, 8):
+                some = slice(at, min(at + 8, fine))
+                G[-1][:, some] = gram(V, long @ V[:, some].astype(LONG), LONG)
+            G[-1][:, fine:] = gram(V, A @ V[:, fine:])
+            G[-1][:fine, fine:] = G[-1][fine:, :fine].T
+            e.append(g * np.outer(size, size) + np.outer(own, own))
+        self.size, self.theta, b = norms(V, self.W), np.diag(G[0]).astype(float), gram(V, self.B, LONG)
+        off = np.zeros((p, p))
+        self.rigid, self.KZ, size_M = np.zeros(p), np.zeros(r), norms(V, self.wM)
+        if r:
+            MZ, KZ, size_K = self.M.astype(LONG) @ Z.astype(LONG), self.K @ Z, norms(Z, self.wK)
+            GZ, S = gram(Z, MZ, LONG).astype(float), gram(Z, KZ)
+            need(np.abs(GZ - np.eye(r)).max() < 1e-6, "rigid-motions", "they are not orthonormal")
+            need(np.abs(S).max() < 1e-6 * min(self.theta.min(), self.sigma), "rigid-motions", "they have strain")
+            held = np.linalg.inv(GZ).astype(LONG) @ gram(MZ, V, LONG)
+            self.rigid = np.linalg.norm(held.astype(float), axis=0) + gamma(self.terms, U_LONG) * r * size_M
+            strain = np.linalg.norm(gram(KZ, V), axis=0) + gamma(self.terms) * norms(V, self.wK) * size_K.sum()
+            strained = float(np.linalg.norm(S)) + gamma(self.terms) * float(size_K.sum()) ** 2
+            off = (
+                off + 2 * np.maximum(*(x := np.outer(self.rigid, strain), x.T)) + own * np.outer(self.rigid, self.rigid)
+            )
+            self.KZ = norms(KZ, 1 / self.W) + (gamma(self.row) * self.cK + self.lost) * norms(Z, self.W)
+            b = b - held.T @ gram(Z, self.B, LONG)
+        self.b = b.astype(float)
+        lost = np.abs(V).T @ np.abs(self.B) + r * np.outer(size_M, np.abs(Z).sum(axis=1) @ np.abs(self.B))
+        self.b_lost = UP * np.linalg.norm(2 * U * np.abs(self.b) + gamma(self.terms, U_LONG) * lost, axis=1)
+        self.dK = UP * (np.abs(G[0] - np.diag(self.theta)).astype(float) + e[0] + off)
+        off = 2 * np.outer(self.rigid, self.rigid)
+        self.dM = UP * (np.abs(G[1] - np.eye(p)).astype(float) + e[1] + off)
+
+    def count_modes(self) -> None:
+        """Lemmas sturm-count and complement-bound: K >= sigma M + kappa W on the complement of k modes, and any norm in
+        W is at most ``soft`` times that in K."""
+        low, W, Z, theta, r = slice(self.k), self.W, self.Z, self.theta, self.Z.shape[1]
+        self.KV, self.MV = self.K @ self.V, self.M @ self.V
+        off = self.row + 8, self.lost, float(self.KZ.sum()) * self.rigid
+        self.off = self.size * (gamma(off[0]) * (self.cK / theta + self.cM) + off[1] * (1 / theta + 1 / self.sigma))
+        self.off += off[2] / theta
+        star = norms(self.KV[:, low] / theta[low] - self.MV[:, low], 1 / W) + self.off[low]
+        g = self.sigma - theta[low] - (self.sigma * self.dM + self.dK)[low, low].sum(axis=1)
+        need(g > 0, "ritz-values", f"of {self.k} modes {int((g <= 0).sum())} are not below the shift")
+        soft, z = self.size[low] ** 2, norms(Z, W)
+        room = [1e-3, 1 / max(8 * float((soft / g).sum()), 1e-300), self.sigma / max(8 * float(z @ z), 1e-300)]
+        room += [0.1 * (theta[self.k] - self.sigma) / self.size[self.k] ** 2] if len(theta) > self.k else []
+        shift, s = min(room), sp.diags_array(np.sqrt(1 / W))
+        need(shift > 0, "ritz-values", f"{int((theta < self.sigma).sum())} vectors lie below the shift, not {self.k}")
+        S = sp.csr_array(s @ (self.K - self.sigma * self.M) @ s - shift * sp.eye_array(len(W)))
+        negative, rho = count_negative(S)
+        need(negative <= self.k + r, "sturm-count", f"{negative - r} elastic modes lie below the shift, not {self.k}")
+        kappa = shift - rho - 8 * U - 2 * self.lost
+        need(kappa > 0, "sturm-count", f"round-off of the elimination is {rho:.1e}, of {shift:.1e} that is allowed")
+        chi = float(np.linalg.norm(self.KZ) + shift * np.linalg.norm(z)) ** 2 / (0.9 * self.sigma)
+        chi += float(((self.sigma * star + kappa * self.size[low]) ** 2 / g).sum())
+        need(chi < 0.9 * kappa, "complement-bound", f"residuals of the modes take {chi:.1e} of {kappa:.1e}")
+        self.least = theta[low] - self.dK[low, low].sum(axis=1)
+        need(self.least > 0, "ritz-values", "a mode has no stiffness")
+        self.soft = UP * float(np.sqrt(1 / (kappa - chi) + (soft / self.least).sum()))
+
+    def take_residuals(self) -> None:
+        """Lemma reference-residual: of s_p / theta_p coordinates T (q, p) in the dual energy but for lost_T (p,), norms
+        tau (p,), and ``start``, that of what no mode explains."""
+        W, Z, theta, k, p = self.W, self.Z, self.theta, self.k, len(self.theta)
+        MZ, R0, own = self.M @ Z, self.B.copy(), norms(self.B, 1 / W)
+        share = np.abs(self.b / theta[:, None])
+        if Z.shape[1]:
+            rigid = np.linalg.solve(Z.T @ MZ, Z.T @ self.B)
+            R0 -= MZ @ rigid
+            own = own + 2 * self.cM * (norms(Z, W) @ np.abs(rigid))
+        R0 -= self.KV @ (self.b / theta[:, None])
+        start = norms(R0, 1 / W) + gamma(p + self.row + 40) * (own + self.cK * (self.size @ share))
+        start += (self.lost * self.size + float(self.KZ.sum()) * self.rigid) @ share
+        self.start = UP * self.soft * float(np.linalg.norm(start))
+        size, KX = norms(self.X, W), self.K @ self.X
+        held = norms(self.X, self.wM) * norms(Z, self.wM).max(initial=0.0) * float(self.KZ.sum())
+        off = self.off + (size * (gamma(self.row + len(self.E) + 8) * self.cK + self.lost) + held) @ np.abs(self.E)
+        self.KV /= theta
+        self.KV -= self.MV
+        self.KV -= KX @ self.E
+        energy = np.einsum("ij,ij->j", self.X, KX)
+        length = np.maximum(np.sqrt(np.maximum(energy, 0.0)), 1e-8 * size + 1e-300)
+        size = size / length
+        error = (gamma(self.terms) * self.cK + self.lost) * float(size @ size) + 3 * float((held / length) @ size)
+        R, C = root_of(gram(self.X / length, KX / length), error), self.E * length[:, None]
+        self.T = R @ C
+        lost = self.soft * (norms(self.KV, 1 / W) + off)
+        self.lost_T = UP * (lost + gamma(4 * len(C)) * np.linalg.norm(np.abs(R) @ np.abs(C), axis=0))
+        self.tau = UP * (np.linalg.norm(self.T, axis=0) + self.lost_T)
+        most = max(1 / float(self.least.min(initial=np.inf)), 1 / self.sigma) * (1 + float(self.dM[:k, :k].sum()))
+        self.softest = 1 / (UP * (most + float(np.sqrt((self.tau[:k] ** 2 / self.least).sum()))))
+
+    def respond(self, loss: float) -> None:
+        """Lemmas damping and round-off: roots of the terms of H, ``away`` (p, p) from them V'A V is at most."""
+        theta = self.theta
+        self.loads, self.d = np.linalg.norm(self.b, axis=1), 2 * self.ratio * np.sqrt(theta)
+        self.z, r1, r2 = second_order(theta * (1 + 1j * loss), self.alpha + self.beta * theta + self.d)
+        self.away = abs(1 + 1j * (loss + self.top * self.beta)) * self.dK + np.diag(self.top * r1 + r2)
+        self.away += abs(self.top**2 + 1j * self.top * self.alpha) * self.dM
+        self.rows, self.above = self.outer(self.T, slice(None)), 0.0
+        self.own = np.sqrt(self.ratio * theta**1.5)
+        if self.ratio:
+            self.take_modal_damping()
+
+    def outer(self, T: Array, some: slice) -> Array:
+        """(p, e) entries of t_p b_p', for the columns t_p of T."""
+        return np.asarray((T.T[:, :, None] * self.b[some, None, :]).reshape(T.shape[1], -1))
+
+    def take_modal_damping(self) -> None:
+        """Lemma damping: ratios of exact modes, of which those of the vectors are off."""
+        root, up, low = np.sqrt(self.theta), slice(self.k, None), slice(self.k)
+        rate = 2 * self.ratio * np.outer(self.theta, self.theta) / (root[:, None] + root)
+        self.away[low, low] += self.top * (rate * np.outer(self.tau, self.tau))[low, low]
+        N = (rate * (self.T.T @ self.T))[up, up]
+        scale = np.sqrt(np.maximum(np.diag(N), 1e-300))
+        rows = self.outer(root_of(N / np.outer(scale, scale), 0.0) * scale, up)
+        cells = refined(np.zeros(1), np.array([self.top]), self.z[up])
+        c, most, tail = taylor(self.z[up], cells.mean(axis=1), 0.5 * UP * (cells[:, 1] - cells[:, 0]))
+        sup = np.linalg.norm(c @ rows, axis=2).sum(axis=1)
+        sup += (tail + gamma(300 + 2 * len(self.z)) * most) @ np.linalg.norm(rows, axis=1)
+        self.above = UP * float((sup + most @ (self.own * self.lost_T * self.loads)[up]).max())
+
+    def unsure(self, m: Array, h: Array, c: Array, most: Array, tail: Array) -> Array:
+        """(c,) limits of |H - H_ref| on cells: lemmas reference-residual and round-off."""
+        low, w, wd = slice(self.k), m + h, (m + h)[:, None] * self.d
+        numerator, beta = (w**2 + w * self.alpha)[:, None] + wd, most * self.loads
+        # g + i w d in powers of t, times the terms.
+        g = [-(m**2) + 1j * m * self.alpha, -2 * m * h + 1j * h * self.alpha, -(h**2)]
+        P = np.zeros((len(m), DEGREE + 3, len(self.z)), dtype=complex)
+        for j, (part, step) in enumerate(zip(g, (m, h, 0 * h), strict=True)):
+            P[:, j : j + DEGREE + 1] += (part[:, None] + 1j * step[:, None] * self.d)[:, None] * c
+        at, bulge = grid_norm(P @ self.rows, STEPS // 4)
+        t = at.max(axis=1) + bulge + self.start + (numerator * most) @ (self.lost_T * self.loads)
+        t += (numerator * (tail + gamma(300 + 2 * len(self.z)) * most)) @ np.linalg.norm(self.rows, axis=1)
+        t += 2 * beta @ (np.diag(self.away) * self.tau)
+        moved = beta @ self.away
+        first = (moved * beta).sum(axis=1) + 2 * beta @ self.b_lost
+        mu = np.sqrt(w) * ((beta * self.own * self.tau)[:, low].sum(axis=1) + self.above * bool(self.ratio))
+        t += mu * np.sqrt(self.ratio * w / np.sqrt(self.softest))
+        r1 = (self.b_lost + moved + (np.sqrt(w) * mu)[:, None] * self.own * self.tau)[:, low]
+        left = 1 - np.sqrt(np.einsum("cp,pq,cq->c", most[:, low], self.away[low, low] ** 2, most[:, low]))
+        kap = (((numerator + wd) * self.tau)[:, low] ** 2 * most[:, low]).sum(axis=1)
+        rho = np.sqrt((r1**2 * most[:, low]).sum(axis=1))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reach = 1 / (1 - w**2 / self.sigma)
+            room = 1 - reach * kap / left
+            total = first + mu**2 + rho**2 / left + reach * (t + np.sqrt(kap) * rho / left) ** 2 / room
+        return np.asarray(np.where((left > 0) & (room > 0), UP * total, np.inf))
+
+    def evaluate(self, low: Array, high: Array, peak: float = 0.0) -> tuple[Array, Array]:
+        """(c, 3) limits of the measures on cells that are fine enough, where |H| reaches ``peak`` somewhere, and what
+        |H| reaches on them at least (c,)."""
+        m, h, body = 0.5 * (low + high), 0.5 * (high - low) * UP, self.body
+        N = -(self.b[:, :, None] * self.b[:, None, :]).reshape(len(self.b), -1)
+        R = (body.left[:, :, None] * body.right[:, None, :]).reshape(len(body.z), -1)
+        c, most, tail = taylor(self.z, m, h)
+        of_body, most_body, tail_body = taylor(body.z, m, h)
+        H, size, rounding = c @ N, self.loads**2, gamma(8 * DEGREE + 2 * (len(N) + len(R)) + 60)
+        left, right = (most_body * np.linalg.norm(side, axis=1) for side in (body.left, body.right))
+        first, square = np.zeros(len(m)), np.zeros(len(m))
+        for j, off in enumerate(body.off):
+            first += (m + h) ** j * np.einsum("cp,pq,cq->c", left, off, right)
+            square += (m + h) ** j * np.sqrt(np.einsum("cp,pq,cq->c", most_body, off**2, most_body))
+        rest = (tail + rounding * most) @ size + self.unsure(m, h, c, most, tail)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            own = np.where(square < 1, first / (1 - square), np.inf)
+        total = rest + own + (tail_body + rounding * most_body) @ np.linalg.norm(R, axis=1)
+        (at, bulge), (size_H, bulge_H) = grid_norm(H - of_body @ R, STEPS), grid_norm(H, STEPS)
+        error = np.maximum(at[:, 1:], at[:, :-1]) + (total + bulge)[:, None]
+        t = np.linspace(-1, 1, STEPS + 1)
+        at_H = t[:, None] ** np.arange(DEGREE + 1) @ H
+        # Distance of zero from the chords.
+        start, way = at_H[:, :-1], np.diff(at_H, axis=1)
+        along = -(way.conj() * start).real.sum(axis=2) / np.maximum((np.abs(way) ** 2).sum(axis=2), 1e-300)
+        chord = np.linalg.norm(start + np.clip(along, 0, 1)[..., None] * way, axis=2) - (rest + bulge_H)[:, None]
+        away = [np.abs((m[:, None] + h[:, None] * t)[..., None] - z) for z in self.z.T]
+        e = (1 / np.prod([np.maximum(each[:, 1:], each[:, :-1]) for each in away], axis=0)) @ size
+        with np.errstate(divide="ignore"):
+            parts = error / e, error / max(peak, 0.0), np.where(chord > 0, error / np.maximum(chord, 1e-300), np.inf)
+        upper = UP * np.stack([part.max(axis=1) for part in parts], axis=1)
+        return upper, (size_H - rest[:, None]).max(axis=1) / UP
+
+    def prove_cells(self) -> Array:
+        """Lemma cells-of-the-band: the largest limits (3,) that were found, none above those of the cells."""
+        asked, found, work = np.isfinite(self.upper), np.zeros(3), []
+        z = np.concatenate([self.z.ravel(), self.body.z.ravel()])
+        for number, (low, high) in enumerate(self.cells):
+            # Peaks are ends of cells.
+            inner = np.sort(z.real[(z.real > low) & (z.real < high)])
+            ends = np.r_[low, inner[np.diff(inner, prepend=low) > 1e-9 * high], high]
+            parts = refined(ends[:-1], ends[1:], z)
+            work.append(np.column_stack([np.full(len(parts), number), parts]))
+        todo = np.concatenate(work)
+        peak, best = 0.0, todo[0, 1:]
+        for at in range(0, len(todo) if asked[1] else 0, AT_ONCE):
+            reached = self.evaluate(*todo[at : at + AT_ONCE, 1:].T)[1]
+            if reached.max() > peak:
+                peak, best = float(reached.max()), todo[at + int(reached.argmax()), 1:]
+        for _ in range(3 if peak else 0):
+            edges = np.linspace(best[0], best[1], 9)
+            reached = self.evaluate(edges[:-1], edges[1:])[1]
+            peak, best = max(peak, float(reached.max())), edges[int(reached.argmax()) + np.arange(2)]
+        while len(todo):
+            some, todo = todo[:AT_ONCE], todo[AT_ONCE:]
+            limits, m = self.limits[some[:, 0].astype(int)], 0.5 * (some[:, 1] + some[:, 2])
+            upper = self.evaluate(some[:, 1], some[:, 2], peak)[0]
+            over = np.where(asked, upper / limits, 0.0)
+            good = (over <= 1).all(axis=1) & (limits > 0).all(axis=1)
+            found = np.maximum(found, np.where(asked, upper[good], np.inf).max(axis=0, initial=0.0))
+            narrow = some[:, 2] - some[:, 1] < NEAR / 128 * np.abs(m[:, None] - z).min(axis=1)
+            for row in np.flatnonzero(narrow & ~good):
+                j = int(np.nan_to_num(over[row], nan=np.inf).argmax())
+                what = f"the {MEASURES[j]} error at {m[row] / 2 / np.pi:,.6g} Hz is known to {over[row, j]:.6g} times"
+                need(False, "cells-of-the-band", f"{what} its limit of {limits[row, j]:.6g} only")
+            halves = np.repeat(some[~good], 2, axis=0)
+            halves[::2, 2] = halves[1::2, 1] = m[~good]
+            todo = np.concatenate([halves, todo])
+        return found
+
+
+def digest_of(path: str, after: int = 0) -> str:
+    """SHA-256 of a file behind its first bytes."""
+    total = hashlib.sha256()
+    with open(path, "rb") as file:
+        file.seek(after)
+        while block := file.read(1 << 22):
+            total.update(block)
+    return total.hexdigest()
+
+
+def belong(body: str, model: str, witness: str) -> list[str]:
+    """Which of the files are not those that the witness was made with: it has its own digest in its user block."""
+    with open(witness, "rb") as file:
+        own = file.read(512)
+    with h5py.File(witness, "r") as file:
+        sums = {"body": digest_of(body), "model": digest_of(model)}
+        names = [name for name, own_sum in sums.items() if text(file, f"{name}_sha256") != own_sum]
+    return names + (["witness"] if own != digest_of(witness, 512).encode().ljust(512, b"\0") else [])
+
+
+def verify(body: str, model: str, witness: str, found: list[Array] | None = None) -> tuple[bool, bool, str]:
+    """Whether the files belong to each other, whether the limits are proven, and sentences that say so."""
+    others = belong(body, model, witness)
+    said = ["belongs: " + (f"no, the {' and the '.join(others)} was changed" if others else "yes, as they were made")]
+    with h5py.File(body, "r") as bodies, h5py.File(model, "r") as matrices, h5py.File(witness, "r") as given:
+        try:
+            proof = Proof(bodies, matrices, given)
+            modes = f"{proof.k} elastic and {len(proof.Z.T)} rigid modes below {proof.sigma**0.5 / 2 / np.pi:,.6g} Hz"
+            said.append(f"counted: {modes}; damping: {text(given, 'damping')}")
+            for name in proof.names:
+                said.append(f"verified: {proof.prove(name)}")
+                if found is not None:
+                    found.append(proof.found / proof.upper)
+        except NotVerifiedError as error:
+            return not others, False, "\n".join([*said, f"not verified: {error}"])
+    return not others, True, "\n".join(said)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Verify the files of a command line; the exit code."""
+    parser = argparse.ArgumentParser(prog="morembs_verify.py", description=(__doc__ or "").partition("\n")[0])
+    for name in ("body", "model", "witness"):
+        parser.add_argument(name, metavar=f"{name.upper()}.h5")
+    given = parser.parse_args(arguments)
+    try:
+        belongs, proven, said = verify(given.body, given.model, given.witness)
+    except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 2
+    sys.stdout.write(said + "\n")
+    return 0 if belongs and proven else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

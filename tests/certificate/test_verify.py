@@ -1,0 +1,266 @@
+"""Certificates proven again by a program that believes nothing: witness, verdicts, false certificates."""
+
+import ast
+import json
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from benchmarks.verification import TAMPERS, answer, cases, reseal, tamper
+from morembs.app.cli import commands as cli
+from morembs.base.errors import InputError
+from morembs.body import elastic_body, make_part
+from morembs.body.file import write_body
+from morembs.certificate import morembs_verify
+from morembs.certificate.certify import certify
+from morembs.certificate.witness import write_witness
+from morembs.fem.interface import make_interface
+from morembs.importers.model_file import write_model
+from morembs.problem import Damping, Problem
+from morembs.reducers import BalancedTruncation, CraigBampton, FreeInterface
+from tests.support.meshes import box, steel, where
+
+RUNNER = CliRunner()
+PROGRAM = Path(morembs_verify.__file__)
+ROOT = Path(__file__).parents[2]
+DOCS, MESHES = ROOT / "docs" / "verification.md", ROOT / "data" / "small_meshes"
+BAND = (0.0, 3000.0)
+VERIFIED = re.compile(r"verified: error <= (\S+) at every frequency from 0 to 3000 Hz")
+
+
+def beam(damping):
+    model = steel(box("hex20", (6, 1, 1), (0.5, 0.05, 0.03)))
+    ends = [
+        make_interface(model, name=name, nodes=where(model, 0, x), coupling=coupling)
+        for name, x, coupling in (("left", 0.0, "rigid"), ("right", 0.5, "average"))
+    ]
+    return Problem(model, ends, damping=damping)
+
+
+def written(folder, damping, reducers):
+    files = tuple(folder / f"{name}.h5" for name in ("body", "model", "witness"))
+    with beam(damping) as problem:
+        bodies = [reducer.reduce(problem) for reducer in reducers]
+        certificates = certify(problem, bodies, BAND, points=5)
+        part = make_part(problem)
+        parts = [elastic_body(problem, *each[:1], part, each[1]) for each in zip(bodies, certificates, strict=True)]
+        write_body(files[0], parts)
+        write_model(files[1], problem.model)
+        write_witness(files[2], problem, BAND, body=files[0], model=files[1])
+    return files, certificates
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    return written(tmp_path_factory.mktemp("sound"), Damping(alpha=2.0, beta=4e-7), [FreeInterface(modes=8)])
+
+
+@pytest.mark.parametrize(
+    ("damping", "reducers"),
+    [
+        (Damping(modal=0.01), [CraigBampton(modes=6), BalancedTruncation(order=30, band_hz=list(BAND))]),
+        (Damping(structural=0.02), [FreeInterface(modes=8)]),
+        (Damping(), [FreeInterface(modes=8)]),
+    ],
+)
+def test_stated_limits_are_proven_again(tmp_path, damping, reducers):
+    files, certificates = written(tmp_path, damping, reducers)
+    found = []
+    belongs, proven, said = morembs_verify.verify(*map(str, files), found)
+    assert belongs and proven, said
+    assert [float(x) for x in VERIFIED.findall(said)] == pytest.approx(
+        [each.limit.upper for each in certificates], rel=1e-5
+    )
+    # Its own limits are not empty either.
+    assert all((each > 0.9).all() and (each <= 1).all() for each in found)
+
+
+def test_the_program_runs_alone(sound):
+    files, _ = sound
+    imported = set()
+    for node in ast.walk(ast.parse(PROGRAM.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0
+            imported.add(str(node.module))
+    known = {"h5py", "numpy", "scipy", *sys.stdlib_module_names}
+    assert {name.partition(".")[0] for name in imported} <= known
+    run = subprocess.run([sys.executable, PROGRAM, *files], capture_output=True, text=True, check=False)
+    assert run.returncode == 0 and VERIFIED.search(run.stdout), run
+    shown = RUNNER.invoke(cli.app, ["verify", *map(str, files)])
+    assert shown.exit_code == 0
+
+
+def test_every_altered_byte_is_refused(sound, tmp_path):
+    files, _ = sound
+    rng = np.random.default_rng(4)
+    for changed in range(3):
+        copies = [shutil.copy(file, tmp_path) for file in files]
+        data = Path(copies[changed]).read_bytes()
+        for at in [0, 511, 512, len(data) - 1, *rng.integers(len(data), size=8)]:
+            other = bytearray(data)
+            other[at] ^= 1 << int(rng.integers(8))
+            Path(copies[changed]).write_bytes(other)
+            try:
+                # What HDF5 itself cannot read is refused too.
+                assert morembs_verify.belong(*map(str, copies)), (changed, at)
+            except (OSError, KeyError, ValueError):
+                continue
+
+
+def test_new_digests_do_not_prove_a_false_limit(sound, tmp_path):
+    files, (certificate,) = sound
+    copies = [Path(shutil.copy(file, tmp_path)) for file in files]
+    place = next(iter(h5py.File(copies[0])["bodies"]))
+    with h5py.File(copies[0], "r+") as file:
+        file[f"bodies/{place}/certificate/limits/envelope"][1] = 0.999 * certificate.limit.lower
+    changed = RUNNER.invoke(cli.app, ["verify", *map(str, copies)])
+    assert changed.exit_code == 1 and "belongs: no, the body was changed" in changed.stdout
+    reseal(*copies)
+    shown = RUNNER.invoke(cli.app, ["verify", *map(str, copies)])
+    assert shown.exit_code == 1 and "belongs: yes" in shown.stdout
+    assert "not verified: lemma cells-of-the-band fails: the envelope error at" in shown.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "lemma"),
+    [
+        ("rigid", np.nan, "ritz-values"),
+        ("vectors", np.inf, "ritz-values"),
+        ("solutions", 0.0, "cells-of-the-band"),
+        ("shift", 1.0, "complement-bound"),
+        ("modes_below", 2, "ritz-values"),
+    ],
+)
+def test_a_witness_is_not_believed(sound, tmp_path, name, value, lemma):
+    files, _ = sound
+    copies = [Path(shutil.copy(file, tmp_path)) for file in files]
+    with h5py.File(copies[2], "r+") as file:
+        file[name][...] = value
+    reseal(*copies)
+    belongs, proven, said = morembs_verify.verify(*map(str, copies))
+    assert belongs and not proven and f"not verified: lemma {lemma} fails" in said
+
+
+def test_limits_that_are_no_numbers_prove_nothing(sound, tmp_path):
+    files, (certificate,) = sound
+    copies = [Path(shutil.copy(file, tmp_path)) for file in files]
+    place = next(iter(h5py.File(copies[0])["bodies"]))
+    with h5py.File(copies[0], "r+") as file:
+        # The limit of the band holds for cells without one.
+        file[f"bodies/{place}/certificate/cell_limit"][...] = np.nan
+        file[f"bodies/{place}/certificate/limits/envelope"][1] = 0.99 * certificate.limit.lower
+    reseal(*copies)
+    assert not morembs_verify.verify(*map(str, copies))[1]
+
+
+@pytest.mark.parametrize("number", range(10))
+def test_random_certificates_are_proven_and_false_ones_are_not(tmp_path, number):
+    rng, kinds = np.random.default_rng(number), [TAMPERS[(3 * number + j) % len(TAMPERS)] for j in range(3)]
+    for case in cases(20, number, tmp_path):
+        assert case.certificate.kind == "proven"
+        holds, said = answer(case)
+        assert holds, (case.words, said)
+        kept = [file.read_bytes() for file in case.files]
+        for kind in kinds:
+            if tamper(case, kind, rng):
+                assert not answer(case)[0], (case.words, kind)
+            for file, data in zip(case.files, kept, strict=True):
+                file.write_bytes(data)
+
+
+def job(folder, more="", damping="rayleigh = { alpha = 5.0, beta = 4e-7 }"):
+    path = folder / "part.toml"
+    path.write_text(
+        f"""[model]
+mesh = "{MESHES / "beam.msh"}"
+units = "mm-t-s"
+[[material]]
+young = 210e3
+poisson = 0.3
+density = 7.85e-9
+[[interface]]
+name = "left"
+nodes = "set:TIP"
+[damping]
+{damping}
+[[reduce]]
+method = "craig-bampton"
+modes = 6
+[certify]
+band_hz = [0, 3000]
+points = 5
+witness = true
+{more}
+[output]
+path = "part.h5"
+""",
+        encoding="utf-8",
+    )
+    return path
+
+
+def test_a_job_writes_a_witness_and_the_command_writes_the_same(tmp_path):
+    path = job(tmp_path)
+    checked = RUNNER.invoke(cli.app, ["check", str(path)])
+    assert checked.exit_code == 0 and "the witness of [certify] will have about" in checked.stdout
+    shown = RUNNER.invoke(cli.app, ["reduce", str(path), "--json"])
+    assert shown.exit_code == 0, shown.output
+    files = [str(tmp_path / name) for name in ("part.h5", "part.model.h5", "part.witness.h5")]
+    shown = RUNNER.invoke(cli.app, ["verify", *files])
+    assert shown.exit_code == 0 and VERIFIED.search(shown.stdout), shown.output
+    again = tmp_path / "again.h5"
+    made = RUNNER.invoke(cli.app, ["certify", files[0], "--model", files[1], "--witness", str(again), "--json"])
+    assert made.exit_code == 0 and json.loads(made.stdout)[0]["written"] == [str(again)], made.output
+    assert again.read_bytes() == Path(files[2]).read_bytes()
+    # A job that reads its model file takes that one.
+    text = path.read_text(encoding="utf-8")
+    other = tmp_path / "other.toml"
+    text = re.sub(r'mesh = ".*"', f'file = "{files[1]}"', text).replace("part.h5", "other.h5")
+    other.write_text(re.sub(r"\[\[material\]\]\n(\w+ = .*\n)+", "", text), encoding="utf-8")
+    assert RUNNER.invoke(cli.app, ["reduce", str(other)]).exit_code == 0
+    assert not (tmp_path / "other.model.h5").exists()
+    files = [str(tmp_path / "other.h5"), files[1], str(tmp_path / "other.witness.h5")]
+    assert RUNNER.invoke(cli.app, ["verify", *files]).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("more", "damping", "words"),
+    [
+        ("bound = false", "modal = 0.01", "witness = true was given with bound = false"),
+        ("", "modal = [[0, 0.01], [1000, 0.02]]", "a modal damping table that jumps"),
+    ],
+)
+def test_what_is_not_proven_has_no_witness(tmp_path, more, damping, words):
+    shown = RUNNER.invoke(cli.app, ["check", str(job(tmp_path, more, damping))])
+    assert shown.exit_code == 2 and words in " ".join(shown.stderr.split())
+
+
+def test_files_that_cannot_be_read_are_told(sound, tmp_path):
+    files, _ = sound
+    shown = RUNNER.invoke(cli.app, ["verify", str(files[0]), str(files[1]), str(tmp_path / "none.h5")])
+    assert shown.exit_code == 2 and "error:" in shown.stderr and "Traceback" not in shown.output
+    made = RUNNER.invoke(cli.app, ["certify", str(files[0]), "--model", str(files[1]), "--witness", "w.h5"])
+    assert made.exit_code == 2 and "does not say the damping" in " ".join(made.stderr.split())
+
+
+def test_a_damping_matrix_has_no_witness(tmp_path):
+    with beam(Damping()) as problem:
+        own = replace(problem.model, D=1e-6 * problem.model.K)
+        with Problem(own, problem.interfaces) as damped, pytest.raises(InputError, match="damping matrix of its own"):
+            write_witness(tmp_path / "w.h5", damped, BAND, body=tmp_path, model=tmp_path)
+
+
+def test_lemmas_have_sections():
+    lemmas = set(re.findall(r'"([a-z]+(?:-[a-z]+)+)"', PROGRAM.read_text(encoding="utf-8"))) | {"damping"}
+    headings = set(re.findall(r"(?m)^### (\S+)$", DOCS.read_text(encoding="utf-8")))
+    assert {"sturm-count", "cells-of-the-band"} <= lemmas <= headings
