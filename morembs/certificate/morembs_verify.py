@@ -475,9 +475,8 @@ class Proof:
             self.rigid = np.linalg.norm(held.astype(float), axis=0) + gamma(self.terms, U_LONG) * r * size_M
             strain = np.linalg.norm(gram(KZ, V), axis=0) + gamma(self.terms) * norms(V, self.wK) * size_K.sum()
             strained = float(np.linalg.norm(S)) + gamma(self.terms) * float(size_K.sum()) ** 2
-            off = (
-                off + 2 * np.maximum(*(x := np.outer(self.rigid, strain), x.T)) + own * np.outer(self.rigid, self.rigid)
-            )
+            turned = np.outer(self.rigid, strain)
+            off = off + turned + turned.T + strained * np.outer(self.rigid, self.rigid)
             self.KZ = norms(KZ, 1 / self.W) + (gamma(self.row) * self.cK + self.lost) * norms(Z, self.W)
             b = b - held.T @ gram(Z, self.B, LONG)
         self.b = b.astype(float)

@@ -35,9 +35,7 @@ SYNONYMS = {
     "doctor": "import --check --dry-run",
 }
 # Verbs that are keys of a job.
-KEYS = {
-    "plot": 'picture = "NAME.png" under [output] of a job, or morembs reduce JOB.toml --report PAGE.html',
-}
+KEYS = {"plot": 'picture = "NAME.png" under [output] of a job, or morembs reduce JOB.toml --report PAGE.html'}
 # What people ask help about that is no verb -> where it is said.
 TOPICS = {
     "units": 'units = "mm-t-s" under [model] of a job, --units mm-t-s of init and import: length, mass and time of all '
