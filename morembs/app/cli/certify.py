@@ -32,7 +32,7 @@ def certify(
     with messages(), progress_line(quiet):
         if model is None or witness is None:
             raise InputError(
-                "certify writes a witness of the certificates in a body file, and needs --model MODEL.h5 --witness W.h5; "
+                "certify writes a witness of certificates in a body file, and needs --model MODEL.h5 --witness W.h5; "
                 "to certify bodies take the table [certify] of their job, with band_hz = [0, 2000]: morembs reduce "
                 "JOB.toml"
             )
