@@ -15,6 +15,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import h5py
@@ -24,15 +25,55 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 Array = np.ndarray[Any, Any]
 LONG = np.longdouble
-U, U_LONG = 2.0**-53, float(np.finfo(LONG).eps) / 2
-# Bounds are sums and products of numbers that are not negative: their own round-off is below this part.
-UP = 1 + 1e-9
-# Of Taylor polynomials: degree, steps of the grid on a cell, half of a cell over the distance of the nearest root.
-DEGREE, STEPS, NEAR = 16, 64, 0.25
-# Pivots that are eliminated at once, dofs that are not dissected, rows of one sum, cells that are evaluated at once.
-PIVOTS, LEAF, ROWS, AT_ONCE = 64, 150, 512, 32
-# The limit of the band is proven as it is, those of single cells to a percent.
-CELL = 1.01
+
+
+@dataclass(frozen=True)
+class VerifierTolerances:
+    """Quantities that decide, each with the line that derives it."""
+
+    # Half the distance of 1 and the next number, of double and of extended precision.
+    u: float = 2.0**-53
+    u_long: float = float(np.finfo(LONG).eps) / 2
+    # Bounds are sums and products of numbers that are not negative: their own round-off is below this part.
+    up: float = 1 + 1e-9
+    # Stands for zero in divisors.
+    tiny: float = 1e-300
+    # Degree of Taylor polynomials: what they leave is 4^-17 = 6e-11 of the sum of all terms.
+    degree: int = 16
+    # Steps of the grid on a cell: between them the envelope changes by 2 / 64 * near at most.
+    steps: int = 64
+    # Half of a cell over the distance of the nearest root.
+    near: float = 0.25
+    # The same, below which nothing is left to gain: chords are right to 1e-9 there.
+    narrow: float = near / 128
+    # Width of a cell over its frequency where a root lies on the axis: 450 eps.
+    least_width: float = 1e-13
+    # Distance of ends of cells, over their frequency, that are one.
+    same_end: float = 1e-9
+    # Limit of a single cell that is proven, over the stated one; that of the band is proven as it is.
+    cell: float = 1.01
+    # Pivots that are eliminated at once, dofs that are not dissected, rows of one sum, cells evaluated at once.
+    blocks: tuple[int, int, int, int] = (64, 150, 512, 32)
+    # Entries of a row over their median that are those of a frame.
+    frame_row: int = 10
+    # Distance of eigenvalues of a body that are not corrected against each other: they are orthogonal all the same.
+    close_values: float = 1e-7
+    # Products up to which all vectors are taken in extended precision: seconds.
+    extended_products: float = 3e8
+    # Deviation of rigid motions from orthonormal ones, and their strain over that of the softest mode.
+    rigid_motion: float = 1e-6
+    # Part of W by which the stiffness is lowered for the count, at most, and of the room to the next vector.
+    largest_drop: float = 1e-3
+    drop: float = 0.1
+    # What couplings may take of that, and of the shift.
+    couplings: float = 0.9
+    # Energy of a solution over its size, in roots, that is round-off: the root of eps.
+    no_energy: float = 1e-8
+
+
+TOL = VerifierTolerances()
+U, U_LONG, UP, TINY, DEGREE, STEPS = TOL.u, TOL.u_long, TOL.up, TOL.tiny, TOL.degree, TOL.steps
+PIVOTS, LEAF, ROWS, AT_ONCE = TOL.blocks
 MEASURES = ("envelope", "peak", "pointwise")
 
 
@@ -236,7 +277,7 @@ def count_negative(A: sp.csr_array) -> tuple[int, float]:
     n, degree = A.shape[0], np.diff(A.indptr)
     graph = sp.csr_array((np.ones(A.nnz, dtype=np.int32), A.indices, A.indptr), shape=A.shape)
     # Frames are coupled with so many that they come last.
-    long = degree > 10 * np.median(degree)
+    long = degree > TOL.frame_row * np.median(degree)
     blocks = [*dissect(graph, np.flatnonzero(~long)), np.flatnonzero(long)]
     rho, negative, block_of, place = np.zeros(n), 0, np.empty(n, dtype=int), np.full(n, -1)
     waiting: dict[int, list[tuple[Array, Array]]] = {}
@@ -302,7 +343,7 @@ def body_response(group: Any, loss: float, scale: Array, rigid: int) -> Response
         m, k = (X.T @ A.astype(LONG) @ X for A in (M, K))
         theta = np.diag(k) / np.diag(m)
         gap = theta - theta[:, None]
-        apart = np.abs(gap) > 1e-7 * np.maximum(np.abs(theta), abs(theta[rigid]))
+        apart = np.abs(gap) > TOL.close_values * np.maximum(np.abs(theta), abs(theta[rigid]))
         turn = np.where(apart, (k - m * theta) / np.where(apart, gap, 1), -0.5 * m)
         X = X + X @ np.where(np.eye(len(m), dtype=bool), 0.5 * (1 - m), turn)
     X = X[:, rigid:] - X[:, :rigid] @ (X[:, :rigid].T @ M.astype(LONG) @ X[:, rigid:])
@@ -335,7 +376,7 @@ def first_order(M: Array, K: Array, D: Array, B: Array, C: Array, loss: float) -
 
 def taylor(z: Array, m: Array, h: Array) -> tuple[Array, Array, Array]:
     """Of 1 / ((w - z1) (w - z2)) at w = m + h t, or with one root: coefficients (c, DEGREE + 1, P) in t, the largest
-    value on the cell, and the largest sum of all further terms (c, P). Roots lie beyond |t| = 1 / NEAR."""
+    value on the cell, and the largest sum of all further terms (c, P). Roots lie beyond |t| = 1 / TOL.near."""
     x = h[:, None, None] / (z - m[:, None, None])
     order = np.argsort(-np.abs(x), axis=2)
     x = np.take_along_axis(x, order, axis=2)
@@ -351,7 +392,7 @@ def taylor(z: Array, m: Array, h: Array) -> tuple[Array, Array, Array]:
     # sum_{j > d} (j + 1) x^j, or a geometric series where the second root is further away.
     tail = near ** (DEGREE + 1) / (1 - near) * near * scale
     if two:
-        more = np.maximum(1 - far / near, 1e-300)
+        more = np.maximum(1 - far / near, TINY)
         tail = tail * far * np.minimum(DEGREE + 2 + near / (1 - near), 1 / more)
     return c * scale[:, None], most, tail
 
@@ -369,8 +410,8 @@ def refined(low: Array, high: Array, z: Array) -> Array:
     done = []
     while len(low):
         m, h = 0.5 * (low + high), 0.5 * (high - low)
-        fine = UP * h <= NEAR * np.abs(m[:, None] - z.ravel()).min(axis=1, initial=np.inf)
-        need(fine | (h > 1e-13 * high), "cells-of-the-band", "an undamped resonance lies in the band")
+        fine = UP * h <= TOL.near * np.abs(m[:, None] - z.ravel()).min(axis=1, initial=np.inf)
+        need(fine | (h > TOL.least_width * high), "cells-of-the-band", "an undamped resonance lies in the band")
         done.append(np.stack([low[fine], high[fine]], axis=1))
         low, high, m = low[~fine], high[~fine], m[~fine]
         low, high = np.concatenate([low, m]), np.concatenate([m, high])
@@ -420,7 +461,7 @@ class Proof:
         self.body = body_response(group, loss, self.scale, len(self.Z.T))
         self.respond(self.structural + 2 * floor)
         self.upper = np.array([stated[f"limits/{each}"][1] for each in MEASURES])
-        self.limits = np.fmin(CELL * stated["cell_limit"][()], self.upper)
+        self.limits = np.fmin(TOL.cell * stated["cell_limit"][()], self.upper)
         self.cells = 2 * np.pi * cells * [1 / UP, UP]
         self.found = self.prove_cells()
         said = ", ".join(f"{each} {limit:.6g}" for each, limit in zip(MEASURES, self.upper, strict=True))
@@ -451,7 +492,7 @@ class Proof:
         """Lemmas rigid-motions and ritz-values: theta (p,), loads b (p, m) off by b_lost (p,), and dK, dM (p, p) by
         which V'K V is off from theta and V'M V from the identity; vectors below the shift in extended precision."""
         V, Z, k, p, r = self.V, self.Z, self.k, self.V.shape[1], self.Z.shape[1]
-        fine = p if (self.K.nnz + len(V) * p) * p < 3e8 else k
+        fine = p if (self.K.nnz + len(V) * p) * p < TOL.extended_products else k
         G, e, g = [], [], np.full((p, p), gamma(self.terms))
         g[:fine], g[:, :fine] = gamma(self.terms, U_LONG), gamma(self.terms, U_LONG)
         for A, w, lost in ((self.K, self.wK, self.lost_K), (self.M, self.wM, self.lost_M)):
@@ -469,8 +510,12 @@ class Proof:
         if r:
             MZ, KZ, size_K = self.M.astype(LONG) @ Z.astype(LONG), self.K @ Z, norms(Z, self.wK)
             GZ, S = gram(Z, MZ, LONG).astype(float), gram(Z, KZ)
-            need(np.abs(GZ - np.eye(r)).max() < 1e-6, "rigid-motions", "they are not orthonormal")
-            need(np.abs(S).max() < 1e-6 * min(self.theta.min(), self.sigma), "rigid-motions", "they have strain")
+            need(np.abs(GZ - np.eye(r)).max() < TOL.rigid_motion, "rigid-motions", "they are not orthonormal")
+            need(
+                np.abs(S).max() < TOL.rigid_motion * min(self.theta.min(), self.sigma),
+                "rigid-motions",
+                "they have strain",
+            )
             held = np.linalg.inv(GZ).astype(LONG) @ gram(MZ, V, LONG)
             self.rigid = np.linalg.norm(held.astype(float), axis=0) + gamma(self.terms, U_LONG) * r * size_M
             strain = np.linalg.norm(gram(KZ, V), axis=0) + gamma(self.terms) * norms(V, self.wK) * size_K.sum()
@@ -498,8 +543,8 @@ class Proof:
         g = self.sigma - theta[low] - (self.sigma * self.dM + self.dK)[low, low].sum(axis=1)
         need(g > 0, "ritz-values", f"of {self.k} modes {int((g <= 0).sum())} are not below the shift")
         soft, z = self.size[low] ** 2, norms(Z, W)
-        room = [1e-3, 1 / max(8 * float((soft / g).sum()), 1e-300), self.sigma / max(8 * float(z @ z), 1e-300)]
-        room += [0.1 * (theta[self.k] - self.sigma) / self.size[self.k] ** 2] if len(theta) > self.k else []
+        room = [TOL.largest_drop, 1 / max(8 * float((soft / g).sum()), TINY), self.sigma / max(8 * float(z @ z), TINY)]
+        room += [TOL.drop * (theta[self.k] - self.sigma) / self.size[self.k] ** 2] if len(theta) > self.k else []
         shift, s = min(room), sp.diags_array(np.sqrt(1 / W))
         need(shift > 0, "ritz-values", f"{int((theta < self.sigma).sum())} vectors lie below the shift, not {self.k}")
         S = sp.csr_array(s @ (self.K - self.sigma * self.M) @ s - shift * sp.eye_array(len(W)))
@@ -507,9 +552,9 @@ class Proof:
         need(negative <= self.k + r, "sturm-count", f"{negative - r} elastic modes lie below the shift, not {self.k}")
         kappa = shift - rho - 8 * U - 2 * self.lost
         need(kappa > 0, "sturm-count", f"round-off of the elimination is {rho:.1e}, of {shift:.1e} that is allowed")
-        chi = float(np.linalg.norm(self.KZ) + shift * np.linalg.norm(z)) ** 2 / (0.9 * self.sigma)
+        chi = float(np.linalg.norm(self.KZ) + shift * np.linalg.norm(z)) ** 2 / (TOL.couplings * self.sigma)
         chi += float(((self.sigma * star + kappa * self.size[low]) ** 2 / g).sum())
-        need(chi < 0.9 * kappa, "complement-bound", f"residuals of the modes take {chi:.1e} of {kappa:.1e}")
+        need(chi < TOL.couplings * kappa, "complement-bound", f"residuals of the modes take {chi:.1e} of {kappa:.1e}")
         self.least = theta[low] - self.dK[low, low].sum(axis=1)
         need(self.least > 0, "ritz-values", "a mode has no stiffness")
         self.soft = UP * float(np.sqrt(1 / (kappa - chi) + (soft / self.least).sum()))
@@ -535,7 +580,7 @@ class Proof:
         self.KV -= self.MV
         self.KV -= KX @ self.E
         energy = np.einsum("ij,ij->j", self.X, KX)
-        length = np.maximum(np.sqrt(np.maximum(energy, 0.0)), 1e-8 * size + 1e-300)
+        length = np.maximum(np.sqrt(np.maximum(energy, 0.0)), TOL.no_energy * size + TINY)
         size = size / length
         error = (gamma(self.terms) * self.cK + self.lost) * float(size @ size) + 3 * float((held / length) @ size)
         R, C = root_of(gram(self.X / length, KX / length), error), self.E * length[:, None]
@@ -554,7 +599,7 @@ class Proof:
         self.away = abs(1 + 1j * (loss + self.top * self.beta)) * self.dK + np.diag(self.top * r1 + r2)
         self.away += abs(self.top**2 + 1j * self.top * self.alpha) * self.dM
         self.rows, self.above = self.outer(self.T, slice(None)), 0.0
-        self.own = np.sqrt(self.ratio * theta**1.5)
+        self.own = np.sqrt(self.ratio * theta * np.sqrt(theta))
         if self.ratio:
             self.take_modal_damping()
 
@@ -568,12 +613,12 @@ class Proof:
         rate = 2 * self.ratio * np.outer(self.theta, self.theta) / (root[:, None] + root)
         self.away[low, low] += self.top * (rate * np.outer(self.tau, self.tau))[low, low]
         N = (rate * (self.T.T @ self.T))[up, up]
-        scale = np.sqrt(np.maximum(np.diag(N), 1e-300))
+        scale = np.sqrt(np.maximum(np.diag(N), TINY))
         rows = self.outer(root_of(N / np.outer(scale, scale), 0.0) * scale, up)
         cells = refined(np.zeros(1), np.array([self.top]), self.z[up])
         c, most, tail = taylor(self.z[up], cells.mean(axis=1), 0.5 * UP * (cells[:, 1] - cells[:, 0]))
         sup = np.linalg.norm(c @ rows, axis=2).sum(axis=1)
-        sup += (tail + gamma(300 + 2 * len(self.z)) * most) @ np.linalg.norm(rows, axis=1)
+        sup += (tail + gamma(256 + 2 * len(self.z)) * most) @ np.linalg.norm(rows, axis=1)
         self.above = UP * float((sup + most @ (self.own * self.lost_T * self.loads)[up]).max())
 
     def unsure(self, m: Array, h: Array, c: Array, most: Array, tail: Array) -> Array:
@@ -587,7 +632,7 @@ class Proof:
             P[:, j : j + DEGREE + 1] += (part[:, None] + 1j * step[:, None] * self.d)[:, None] * c
         at, bulge = grid_norm(P @ self.rows, STEPS // 4)
         t = at.max(axis=1) + bulge + self.start + (numerator * most) @ (self.lost_T * self.loads)
-        t += (numerator * (tail + gamma(300 + 2 * len(self.z)) * most)) @ np.linalg.norm(self.rows, axis=1)
+        t += (numerator * (tail + gamma(256 + 2 * len(self.z)) * most)) @ np.linalg.norm(self.rows, axis=1)
         t += 2 * beta @ (np.diag(self.away) * self.tau)
         moved = beta @ self.away
         first = (moved * beta).sum(axis=1) + 2 * beta @ self.b_lost
@@ -627,12 +672,12 @@ class Proof:
         at_H = t[:, None] ** np.arange(DEGREE + 1) @ H
         # Distance of zero from the chords.
         start, way = at_H[:, :-1], np.diff(at_H, axis=1)
-        along = -(way.conj() * start).real.sum(axis=2) / np.maximum((np.abs(way) ** 2).sum(axis=2), 1e-300)
+        along = -(way.conj() * start).real.sum(axis=2) / np.maximum((np.abs(way) ** 2).sum(axis=2), TINY)
         chord = np.linalg.norm(start + np.clip(along, 0, 1)[..., None] * way, axis=2) - (rest + bulge_H)[:, None]
         away = [np.abs((m[:, None] + h[:, None] * t)[..., None] - z) for z in self.z.T]
         e = (1 / np.prod([np.maximum(each[:, 1:], each[:, :-1]) for each in away], axis=0)) @ size
         with np.errstate(divide="ignore"):
-            parts = error / e, error / max(peak, 0.0), np.where(chord > 0, error / np.maximum(chord, 1e-300), np.inf)
+            parts = error / e, error / max(peak, 0.0), np.where(chord > 0, error / np.maximum(chord, TINY), np.inf)
         upper = UP * np.stack([part.max(axis=1) for part in parts], axis=1)
         return upper, (size_H - rest[:, None]).max(axis=1) / UP
 
@@ -643,7 +688,7 @@ class Proof:
         for number, (low, high) in enumerate(self.cells):
             # Peaks are ends of cells.
             inner = np.sort(z.real[(z.real > low) & (z.real < high)])
-            ends = np.r_[low, inner[np.diff(inner, prepend=low) > 1e-9 * high], high]
+            ends = np.r_[low, inner[np.diff(inner, prepend=low) > TOL.same_end * high], high]
             parts = refined(ends[:-1], ends[1:], z)
             work.append(np.column_stack([np.full(len(parts), number), parts]))
         todo = np.concatenate(work)
@@ -663,7 +708,7 @@ class Proof:
             over = np.where(asked, upper / limits, 0.0)
             good = (over <= 1).all(axis=1) & (limits > 0).all(axis=1)
             found = np.maximum(found, np.where(asked, upper[good], np.inf).max(axis=0, initial=0.0))
-            narrow = some[:, 2] - some[:, 1] < NEAR / 128 * np.abs(m[:, None] - z).min(axis=1)
+            narrow = some[:, 2] - some[:, 1] < TOL.narrow * np.abs(m[:, None] - z).min(axis=1)
             for row in np.flatnonzero(narrow & ~good):
                 j = int(np.nan_to_num(over[row], nan=np.inf).argmax())
                 what = f"the {MEASURES[j]} error at {m[row] / 2 / np.pi:,.6g} Hz is known to {over[row, j]:.6g} times"
