@@ -31,8 +31,9 @@ LONG = np.longdouble
 class VerifierTolerances:
     """Quantities that decide, each with the line that derives it."""
 
-    # Half the distance of 1 and the next number, of double and of extended precision.
+    # Half the distance of 1 and the next number.
     u: float = 2.0**-53
+    # The same of extended precision.
     u_long: float = float(np.finfo(LONG).eps) / 2
     # Bounds are sums and products of numbers that are not negative: their own round-off is below this part.
     up: float = 1 + 1e-9
@@ -62,8 +63,9 @@ class VerifierTolerances:
     extended_products: float = 3e8
     # Deviation of rigid motions from orthonormal ones, and their strain over that of the softest mode.
     rigid_motion: float = 1e-6
-    # Part of W by which the stiffness is lowered for the count, at most, and of the room to the next vector.
+    # Part of W by which the stiffness is lowered for the count, at most.
     largest_drop: float = 1e-3
+    # The same of the room to the next vector.
     drop: float = 0.1
     # What couplings may take of that, and of the shift.
     couplings: float = 0.9
@@ -319,7 +321,7 @@ class Response(NamedTuple):
 
 def second_order(stiffness: Array, d: Array) -> tuple[Array, Array, Array]:
     """Roots (P, 2) of w^2 - i w d_p - s_p, and by how much the product misses that: r1 w + r2."""
-    root = np.sqrt(stiffness - 0.25 * d * d + 0j)
+    root = np.sqrt(stiffness - d * d / 4 + 0j)
     sign = np.where(np.abs(0.5j * d + root) >= np.abs(0.5j * d - root), 1, -1)
     first = 0.5j * d + sign * root
     z = np.stack([first, -stiffness / first], axis=1)
