@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 from typer.testing import CliRunner
 
 from morembs.app.cli import commands as cli
@@ -27,6 +28,7 @@ from morembs.fem.viewer import Scene
 from morembs.fem.viewer.skin import drawn_surface
 from tests.support import decks
 from tests.support.browser import CHROMIUM, Page, browser
+from tests.support.node import NODE, fetched
 
 RUNNER = CliRunner()
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
@@ -245,6 +247,34 @@ def test_a_drawn_box_gives_the_seen_nodes_within(page: Page, folder: Path) -> No
     page.run("window.copied = '', navigator.clipboard.writeText = async (text) => { window.copied = text; }, 1")
     page.run("document.querySelector('.line button').click(), new Promise((done) => setTimeout(done, 50))")
     assert page.run("window.copied") == box
+
+
+@pytest.mark.skipif(NODE is None or CHROMIUM is None, reason="npm or Chromium is not installed")
+def test_axe_finds_nothing_in_light_and_dark(page: Page, folder: Path, tmp_path: Path) -> None:
+    axe = (fetched("axe-core@4.10.3", tmp_path) / "axe.min.js").read_text()
+    for file in ("part.h5", "part.toml"):
+        for dark in (False, True):
+            shown(page, str(folder / file), dark=dark)
+            page.run(f"{axe}; 1")
+            found = page.run("axe.run().then((done) => done.violations.map((each) => [each.id, each.nodes[0].html]))")
+            assert found == [] and page.faults == []
+
+
+@pytest.mark.parametrize("width", [390, 820, 1400])
+@needs_browser
+def test_a_page_fits_every_width(page: Page, folder: Path, width: int) -> None:
+    """Nothing is wider than the page, and the picture keeps most of the width that it can have."""
+    shown(page, str(folder / "part.h5"), width=width)
+    assert page.run("document.documentElement.scrollWidth") <= width
+    stage = page.run("document.querySelector('.stage').clientWidth")
+    assert stage > (0.85 if width < 500 else 0.5) * width
+    assert 0.03 < colored(drawn(page)) < 0.7
+
+
+def test_the_picture_of_the_readme_moves_and_is_small() -> None:
+    path = Path(__file__).parents[2] / "docs" / "viewer.webp"
+    with Image.open(path) as picture:
+        assert picture.n_frames >= 20 and path.stat().st_size < 600_000
 
 
 def scene(path: Path) -> Scene:

@@ -82,6 +82,7 @@ Object.assign(Viewer.prototype, {
     this.modes.value = one.mode;
     this.body.value = one.motion;
     if (!this.second) return;
+    this.second.value = two ? two.motion : -1;
     this.otherField.hidden = this.macBox.hidden = !two;
     if (!two) return;
     const mac = this.mac();
@@ -349,7 +350,8 @@ Object.assign(Viewer.prototype, {
           brush.beginPath(); brush.moveTo(x, y); brush.lineTo(...end); brush.stroke();
         });
         brush.lineWidth = 4;
-        write(name, x + 6, y - 7);
+        // Names stay within their pane.
+        write(name, Math.max(box[0] + 4, Math.min(x + 6, box[0] + box[1] - brush.measureText(name).width - 6)), y - 7);
       }
       if (pane.motion >= 0) {
         const { name, overTime } = data.motions[pane.motion];
