@@ -24,7 +24,10 @@ from morembs.app.pages.page import Entry, write_report
 from morembs.body.file import read_body
 from morembs.body.recovery.recover import recover
 from morembs.body.recovery.trajectory import Trajectory
+from morembs.fem import Nodes
 from morembs.fem.viewer import Scene
+from morembs.fem.viewer.models import scene_of_nodes
+from morembs.fem.viewer.page import document_of
 from morembs.fem.viewer.skin import drawn_surface
 from tests.support import decks
 from tests.support.browser import CHROMIUM, Page, browser
@@ -150,8 +153,7 @@ def test_a_browser_without_streams_that_inflate_shows_the_same(page: Page, folde
 
 @needs_browser
 def test_without_webgl_a_still_picture_is_left(page: Page, folder: Path) -> None:
-    page.faults.clear()
-    target = folder / "part.page.html"
+    target = shown(page, str(folder / "part.h5"))
     page.open(target, before="HTMLCanvasElement.prototype.getContext = () => null")
     page.wait("document.querySelector('.morembs-viewer p:last-child')?.textContent.includes('no WebGL 2')")
     assert page.run("document.querySelector('.still img').naturalWidth") > 300 and page.faults == []
@@ -446,3 +448,14 @@ def test_viewers_of_many_parts_lie_beside_the_report(page: Page, folder: Path, t
     page.run(OPENED)
     page.run("document.querySelector('.morembs-look').scrollIntoView(), new Promise((done) => setTimeout(done, 2500))")
     assert colored(page.picture()) > 0.03 and page.faults == []
+
+
+def test_frames_of_interfaces_have_their_axes_and_places_that_are_unknown_are_told() -> None:
+    """A node without coordinates leaves a page of numbers, and says so."""
+    xyz = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [np.nan, 0, 0]])
+    nodes = Nodes(ids=np.arange(4), xyz=xyz)
+    turned = np.vstack([[0.5, 0, 0], [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]])
+    made = scene_of_nodes("points", nodes, None, frames={"plain": xyz[1], "turned": turned})
+    plain, other = document_of(made)["frames"]
+    assert plain["axes"] == np.eye(3).tolist() and other["axes"] == turned[1:].tolist() and other["at"] == [0.5, 0, 0]
+    assert "1 nodes without coordinates" in made.notes[0] and made.page()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from morembs.app.kinds import BODY, DECK, JOB, MODEL, PARTS, instead, kind_of
 from morembs.app.report.style import STYLE
 from morembs.base import progress
 from morembs.base.errors import InputError
-from morembs.base.types import Ints
+from morembs.base.types import Floats, Ints
 from morembs.base.units import Units
 from morembs.body.body import Body
 from morembs.body.diagnostics.findings import Finding
@@ -74,7 +74,8 @@ def scene_of_files(files: Sequence[Path]) -> tuple[Scene, list[Body]]:
     order = [*chosen, *(body for body in bodies if body not in chosen)]
     of_file = {id(body): file.name for file, each in zip(files, stored, strict=True) for body in each.bodies.values()}
     names = [f"{of_file[id(body)]}: {body.name}" for body in order]
-    return scene_of_bodies(order, " and ".join(file.name for file in files), names=names), order
+    scene = scene_of_bodies(order, " and ".join(file.name for file in files), names=names)
+    return replace(scene, frames=_frames(stored[0].interfaces.values())), order
 
 
 def stored_scene(stored: StoredBodies, title: str, shown: str = "") -> Scene:
@@ -87,7 +88,13 @@ def stored_scene(stored: StoredBodies, title: str, shown: str = "") -> Scene:
         raise InputError(f"{title} keeps no nodes, so there is nothing to show; write it again with nodes = 'skin'")
     first = stored.bodies[shown] if shown else _shown(stored)
     bodies = list(stored.bodies.values())
-    return scene_of_bodies(bodies, title, shown=bodies.index(first))
+    scene = scene_of_bodies(bodies, title, shown=bodies.index(first))
+    return replace(scene, frames=_frames(stored.interfaces.values()))
+
+
+def _frames(interfaces: Iterable[Interface]) -> dict[str, Floats]:
+    """Origin and axes (4, 3) of interfaces by name."""
+    return {each.name: np.vstack([each.point, each.axes]) for each in interfaces}
 
 
 def _shown(stored: StoredBodies) -> Body:
@@ -196,7 +203,7 @@ def _scene(
         mesh,
         groups,
         features=features,
-        frames={each.name: each.point for each in interfaces},
+        frames=_frames(interfaces),
         unit="" if units is None else units.name.partition("-")[0],
         length=length,
         notes=tuple(warnings),

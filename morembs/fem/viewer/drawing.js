@@ -130,13 +130,16 @@ class Drawing {
 }
 
 // Pairs of points: edges where the skin bends or ends, and edges of elements.
-function edgesOf({ points, triangles, sides }) {
+function edgesOf({ points, triangles, sides, fewer }) {
   const normals = new Float32Array(triangles.length), seen = new Map(), bent = [], mesh = [];
   const P = (t, k, axis) => points[3 * triangles[t + k] + axis];
   for (let t = 0; t < triangles.length; t += 3) {
     const [a, b] = [1, 2].map((k) => [0, 1, 2].map((axis) => P(t, k, axis) - P(t, 0, axis)));
     const n = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]], size = Math.hypot(...n) || 1;
     normals.set(n.map((x) => x / size), t);
+    // Thin triangles of a coarser skin look anywhere: they bend nothing.
+    const thin = fewer && size < 0.3 * Math.max(Math.hypot(...a), Math.hypot(...b), Math.hypot(...a.map((x, k) => x - b[k]))) ** 2;
+    if (thin) normals[t] = NaN;
     for (let k = 0; k < 3; k++) {
       const i = triangles[t + k], j = triangles[t + ((k + 1) % 3)], key = Math.min(i, j) * 2 ** 26 + Math.max(i, j);
       const other = seen.get(key);
@@ -145,11 +148,22 @@ function edgesOf({ points, triangles, sides }) {
         if (sides[t / 3] & (1 << k)) mesh.push(i, j);
       } else {
         // Forty degrees: walls of holes are smoother.
-        if (other < 0 || [0, 1, 2].reduce((sum, axis) => sum + normals[t + axis] * normals[other + axis], 0) < 0.77) bent.push(i, j);
+        if ((other < 0 && !fewer) || [0, 1, 2].reduce((sum, axis) => sum + normals[t + axis] * normals[other + axis], 0) < 0.77) bent.push(i, j);
         seen.set(key, -1);
       }
     }
   }
   for (const [key, t] of seen) if (t >= 0) bent.push(Math.floor(key / 2 ** 26), key % 2 ** 26);
-  return { bent, mesh };
+  return { bent: fewer ? chained(bent) : bent, mesh };
+}
+
+// Edges without those that end alone, as thin triangles of a coarser skin have them: what is left bends along a line.
+function chained(pairs) {
+  for (let turn = 0; turn < 4; turn++) {
+    const ends = new Map(), kept = [];
+    for (const v of pairs) ends.set(v, (ends.get(v) || 0) + 1);
+    for (let k = 0; k < pairs.length; k += 2) if (ends.get(pairs[k]) > 1 && ends.get(pairs[k + 1]) > 1) kept.push(pairs[k], pairs[k + 1]);
+    pairs = kept;
+  }
+  return pairs;
 }

@@ -38,6 +38,10 @@ def scene_of_nodes(
         frames: points (3,) m of interfaces by name.
         unit, length: of the numbers of a job, and m in it.
     """
+    unknown = ~np.isfinite(nodes.xyz).all(axis=1)
+    if unknown.any():
+        notes = (*notes, f"{int(unknown.sum())} nodes without coordinates are drawn at the origin")
+        nodes = replace(nodes, xyz=np.where(unknown[:, None], 0.0, nodes.xyz))
     faces = outer_faces(mesh) if mesh is not None and mesh.blocks else {}
     left_out = len(groups) - TOL.drawn_groups
     chosen = groups[: TOL.drawn_groups]

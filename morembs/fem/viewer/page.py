@@ -25,9 +25,10 @@ PROGRAM = ("reading.js", "drawing.js", "picking.js", "viewer.js", "panel.js")
 class Scene:
     """All that one viewer shows.
 
-    ``frames`` are points (3,) m of interfaces by name; ``view`` (3, 3) rows to the right, upwards, and to the viewer;
-    ``mac`` (k1, k2) compares the modes of two motions, ``side_by_side`` shows the first two at once; ``picks`` is
-    whether a click gives a line of a job, whose numbers are in ``unit``: ``length`` m (of the points, 1) each.
+    ``frames`` are points (3,) m of interfaces by name, or (4, 3) with axes as rows behind them; ``view`` (3, 3) rows to
+    the right, upwards, and to the viewer; ``mac`` (k1, k2) compares the modes of two motions, ``side_by_side`` shows the
+    first two at once; ``picks`` is whether a click gives a line of a job, whose numbers are in ``unit``: ``length`` m
+    (of the points, 1) each.
     """
 
     title: str
@@ -130,7 +131,7 @@ def document_of(scene: Scene) -> dict[str, Any]:
         "surfaces": [_surface(surface, middle, half) for surface in scene.surfaces],
         "motions": [_motion(motion) for motion in scene.motions],
         "groups": [_group(group) for group in scene.groups],
-        "frames": [{"name": name, "at": np.asarray(point).tolist()} for name, point in scene.frames.items()],
+        "frames": [{"name": name, **_frame(np.atleast_2d(rows))} for name, rows in scene.frames.items()],
         "picks": scene.picks,
         "mac": [[one, two, np.round(values, 3).tolist()] for (one, two), values in scene.mac.items()],
         "sideBySide": scene.side_by_side,
@@ -145,6 +146,11 @@ def document_of(scene: Scene) -> dict[str, Any]:
     return said
 
 
+def _frame(rows: Floats) -> dict[str, Any]:
+    axes = rows[1:] if len(rows) > 1 else np.eye(3)
+    return {"at": rows[0].tolist(), "axes": axes.tolist()}
+
+
 def _surface(surface: Surface, middle: Any, half: float) -> dict[str, Any]:
     """Columns b and c of triangles are differences to a, which are small."""
     triangles = surface.triangles.copy()
@@ -152,6 +158,7 @@ def _surface(surface: Surface, middle: Any, half: float) -> dict[str, Any]:
     return {
         "points": pack_whole(np.round((surface.points - middle) / half * TOL.drawn_place_steps)),
         "scale": 1 / TOL.drawn_place_steps,
+        "fewer": bool(surface.note),
         "labels": pack_whole(surface.node_ids),
         "triangles": pack_whole(triangles),
         "sides": pack_whole(surface.sides),

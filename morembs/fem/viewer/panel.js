@@ -342,10 +342,10 @@ Object.assign(Viewer.prototype, {
       const half = Math.min(box[1], height) / 2, pane = this.panes[i];
       const spot = (p) => [0, 1].map((k) => [0, 1, 2].reduce((sum, axis) => sum + (camera.turn[3 * k + axis] * (p[axis] - data.middle[axis])) / data.half, 0) * camera.zoom + camera.pan[k])
         .map((value, k) => (k ? height / 2 - half * value : box[0] + box[1] / 2 + half * value));
-      for (const { name, at } of this.show.names ? data.frames : []) {
+      for (const { name, at, axes } of this.show.names ? data.frames : []) {
         const [x, y] = spot(at);
         ["#d33", "#2a2", "#36d"].forEach((stroke, axis) => {
-          const end = spot(at.map((value, k) => value + (k === axis ? (0.09 * data.half) / Math.max(0.6, camera.zoom) : 0)));
+          const end = spot(at.map((value, k) => value + (axes[axis][k] * 0.09 * data.half) / Math.max(0.6, camera.zoom)));
           Object.assign(brush, { strokeStyle: stroke, lineWidth: 2 });
           brush.beginPath(); brush.moveTo(x, y); brush.lineTo(...end); brush.stroke();
         });

@@ -89,5 +89,6 @@ async function readSurface(given) {
   const [points, labels, triangles, sides] = await Promise.all(
     ["points", "labels", "triangles", "sides"].map((name) => unpack(given[name])));
   for (let t = 0; t < triangles.length; t += 3) { triangles[t + 1] += triangles[t]; triangles[t + 2] += triangles[t]; }
-  return { points: Float32Array.from(points, (x) => x * given.scale), labels, triangles: Uint32Array.from(triangles), sides };
+  return { points: Float32Array.from(points, (x) => x * given.scale), labels, triangles: Uint32Array.from(triangles), sides,
+    fewer: given.fewer };
 }
