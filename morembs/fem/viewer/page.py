@@ -27,8 +27,8 @@ class Scene:
 
     ``frames`` are points (3,) m of interfaces by name, or (4, 3) with axes as rows behind them; ``view`` (3, 3) rows to
     the right, upwards, and to the viewer; ``mac`` (k1, k2) compares the modes of two motions, ``side_by_side`` shows
-    the first two at once; ``picks`` is whether a click gives a line of a job, whose numbers are in ``unit``: ``length`` m
-    (of the points, 1) each.
+    the first two at once; ``picks`` is whether a click gives a line of a job, whose numbers are in ``unit``: ``length``
+    m (of the points, 1) each.
     """
 
     title: str
