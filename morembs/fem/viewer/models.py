@@ -38,10 +38,12 @@ def scene_of_nodes(
         frames: points (3,) m of interfaces by name.
         unit, length: of the numbers of a job, and m in it.
     """
-    unknown = ~np.isfinite(nodes.xyz).all(axis=1)
-    if unknown.any():
-        notes = (*notes, f"{int(unknown.sum())} nodes without coordinates are drawn at the origin")
-        nodes = replace(nodes, xyz=np.where(unknown[:, None], 0.0, nodes.xyz))
+    unknown = np.flatnonzero(np.isnan(nodes.xyz).any(axis=1))
+    if len(unknown):
+        notes = (*notes, f"{len(unknown)} nodes without coordinates are drawn at the origin")
+        xyz = nodes.xyz.copy()
+        xyz[unknown] = 0.0
+        nodes = replace(nodes, xyz=xyz)
     faces = outer_faces(mesh) if mesh is not None and mesh.blocks else {}
     left_out = len(groups) - TOL.drawn_groups
     chosen = groups[: TOL.drawn_groups]
