@@ -22,6 +22,7 @@ from morembs.importers.tolerances import TOL
 FilePath = Annotated[str, text("the path of a file")]
 FolderPath = Annotated[str, text("the path of a folder")]
 ROLES = {"K": "stiffness", "M": "mass", "D": "damping", "G": "gyroscopic", "N": "circulatory"}
+OF_MATRICES = (*ROLES.values(), "nodes", "dofs")
 # Names of the options in the functions of importers and engines, where they differ.
 OF_DECKS = ("dialect", "density", "contact", "skip", "pretension", "allow_includes_outside")
 OF_ENGINES = {"boundary": "boundary", "preload": "preload", "engine_timeout": "timeout", "keep_files": "keep_files"}

@@ -712,3 +712,17 @@ def test_a_job_says_which_program_its_deck_is_for(tmp_path):
     job = folder(tmp_path, {"model": 'mesh = "a.msh"\ndialect = "abaqus"'})
     refusal = CliRunner().invoke(app, ["reduce", str(job)])
     assert refusal.exit_code == 2 and "without a deck .inp" in refusal.stderr
+
+
+def test_help_groups_options_by_what_the_file_is() -> None:
+    page = CliRunner().invoke(app, ["import", "--help"]).stdout
+    heads = ["Options", "Files of matrices", "Decks", "Decks that another program assembles"]
+    places = [page.index(f"─ {head} ─") for head in heads]
+    assert places == sorted(places)
+    of_matrices, of_decks, of_engines = (
+        page[begin:end] for begin, end in zip(places[1:], [*places[2:], len(page)], strict=True)
+    )
+    assert "--stiffness" in of_matrices
+    assert "--contact" in of_decks
+    assert "--material" in of_decks
+    assert "--keep-files" in of_engines

@@ -47,7 +47,17 @@ def import_model() -> None:
 
 
 # How options look whose text has parts.
-_METAVARS = {"density": "X[,set=NAME]", "skip": "WORD[,WORD]", "set": "KEY=VALUE", "keep_files": "DIR"}
+_METAVARS = {
+    "format": "NAME",
+    "units": "L-M-T",
+    "density": "X[,set=NAME]",
+    "skip": "WORD[,WORD]",
+    "engine": "NAME[:PATH]",
+    "preload": "STEPS",
+    "engine_timeout": "SECONDS",
+    "set": "KEY=VALUE",
+    "keep_files": "DIR",
+}
 
 # Names that options take from tables.
 _OFFERED = {
@@ -65,7 +75,12 @@ def _import(
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The model file to write, NAME.model.h5.")] = None,
     material: Annotated[
-        list[str] | None, typer.Option(help="For sets without: young=..,poisson=..,density=..[,set=NAME].")
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=X,...",
+            help="For sets without: young=..,poisson=..,density=..[,set=NAME].",
+            rich_help_panel="Decks",
+        ),
     ] = None,
     split: Annotated[
         bool, typer.Option("--split", help="A file for each part that nothing joins to others: NAME-1.model.h5, ...")
@@ -128,8 +143,10 @@ def _import_options() -> Iterator[Parameter]:
     """Parameters of the command line for the options that are not its argument."""
     from morembs.base.arguments import hints_of
     from morembs.base.limits import choices
-    from morembs.importers.options import PATHS, ImportOptions, default_of
+    from morembs.importers.options import OF_DECKS, OF_ENGINES, OF_MATRICES, PATHS, ImportOptions, default_of
 
+    panels = dict.fromkeys(OF_MATRICES, "Files of matrices") | dict.fromkeys((*OF_DECKS, "mass_integration"), "Decks")
+    panels |= dict.fromkeys(("engine", *OF_ENGINES), "Decks that another program assembles")
     hints = hints_of(ImportOptions)
     for entry in fields(ImportOptions):
         name, default, meaning = entry.name, default_of(entry), entry.metadata["meaning"].replace("`", "")
@@ -143,6 +160,7 @@ def _import_options() -> Iterator[Parameter]:
             metavar=_METAVARS.get(name, "FILE" if name in PATHS else "|".join(values) or None),
             help=f"{meaning[0].upper()}{meaning[1:]}.",
             autocompletion=_OFFERED.get(name) or (_one_of(values) if values else None),
+            rich_help_panel=panels.get(name),
         )
         yield Parameter(
             name,
