@@ -170,6 +170,28 @@ class Manifest(Closing):
             os.close(old)
 
 
+def is_manifest(path: Path) -> bool:
+    """Whether a file begins as a manifest does."""
+    try:
+        with own_files(), open(path, "rb") as file:
+            first = json.loads(file.readline(TOL.first_line_bytes))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(first, dict) and first.get("format") == ManifestFormat.NAME
+
+
+def read_ended(path: Path) -> dict[Path, dict[str, Any]]:
+    """How each job of a manifest ended last where it did well, by its body file; the file stays as it is.
+
+    Raises:
+        InputError: it is damaged, or of another version.
+    """
+    events = _parsed(path)[0]
+    ended = {event["output"]: event for event in events if event.get("event") == "ended"}
+    folder = Path(os.path.realpath(path)).parent
+    return {Path(os.path.realpath(folder / name)): event for name, event in ended.items()}
+
+
 def _locked(path: Path) -> int:
     """An open handle of the file, which this process has for itself."""
     try:
@@ -204,6 +226,16 @@ def _user(path: Path) -> str:
 
 def _events(path: Path, handle: int) -> list[dict[str, Any]]:
     """The events; the file loses a line that was cut off at its end."""
+    events, whole, rest = _parsed(path)
+    if rest and not events:
+        raise InputError(f"{path} is not a manifest of a batch; give another --manifest")
+    if rest:
+        os.ftruncate(handle, whole)
+    return events
+
+
+def _parsed(path: Path) -> tuple[list[dict[str, Any]], int, bytes]:
+    """The events, the bytes of their lines, and a line that was cut off at the end."""
     with own_files(), open(path, "rb") as file:
         *whole, rest = file.read().split(b"\n")
     events = []
@@ -223,8 +255,4 @@ def _events(path: Path, handle: int) -> list[dict[str, Any]]:
         raise InputError(
             f"{path} has the format version {events[0].get('version')}; this morembs reads {ManifestFormat.VERSION}"
         )
-    if rest and not events:
-        raise InputError(f"{path} is not a manifest of a batch; give another --manifest")
-    if rest:
-        os.ftruncate(handle, sum(len(line) + 1 for line in whole))
-    return events
+    return events, sum(len(line) + 1 for line in whole), rest

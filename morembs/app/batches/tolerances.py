@@ -17,6 +17,8 @@ class BatchTolerances:
     forecast_margin: float = 1.15
     # Memory that a killed process may have needed, over the most that was seen of it.
     killed_margin: float = 1.5
+    # Bytes of the first line of a manifest at most: a hundred are written.
+    first_line_bytes: int = 1000
     # Jobs that one process checks at most.
     jobs_per_check: int = 50
     # Lines of a manifest from which it is written anew, where more than twice the jobs are history too.

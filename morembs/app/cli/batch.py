@@ -16,7 +16,7 @@ import typer
 
 from morembs.app.cli.completion import JOBS, files_with
 from morembs.app.cli.messages import echo, print_json, printing, tell
-from morembs.app.cli.terminal import AsJson, Changes, Quiet, Report, Verb, example, messages
+from morembs.app.cli.terminal import Against, AsJson, Changes, Quiet, Report, Verb, Within, example, messages, requested
 from morembs.base.progress import duration_words
 
 if TYPE_CHECKING:
@@ -47,6 +47,8 @@ def batch(
     retries: Annotated[int, typer.Option(help="How often a job that was killed is begun again.")] = 2,
     changes: Changes = None,
     report: Report = None,
+    against: Against = None,
+    within: Within = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Run all, those that are up to date too.")] = False,
     check_only: Annotated[bool, typer.Option("--check-only", help="Check those that are due, run none.")] = False,
     manifest: Annotated[Path | None, typer.Option(help="What was done, batch.manifest beside the jobs.")] = None,
@@ -55,10 +57,10 @@ def batch(
 ) -> None:
     """Run many jobs beside each other; those whose results are up to date are left alone."""
     from morembs.app.batches.run import batch as run
-    from morembs.app.pages.page import Entry, check_report, write_report
+    from morembs.app.pages.page import Entry, write_report
 
+    wanted = requested(report, against, within)
     with messages():
-        check_report(report)
         with _shown(quiet) as listener:
             records = run(
                 jobs,
@@ -71,7 +73,7 @@ def batch(
                 check_only=check_only,
                 listener=listener,
             )
-        if report is not None:
+        if wanted is not None:
             entries = [
                 Entry(
                     name=record.name,
@@ -85,7 +87,10 @@ def batch(
                 )
                 for record in records
             ]
-            write_report(report, entries, ", ".join(Path(os.path.abspath(job)).name for job in jobs))
+            title = ", ".join(Path(os.path.abspath(job)).name for job in jobs)
+            words = write_report(wanted.path, entries, title, wanted.earlier)
+            if words and not quiet:
+                tell(words)
         with printing([record.output for record in records if record.state == "done"]):
             if as_json:
                 print_json([asdict(record) for record in records])

@@ -26,6 +26,7 @@ from morembs.app.cli.simulate import app as simulating
 from morembs.app.cli.start import app as starting
 from morembs.app.cli.terminal import (
     EXIT_CODES,
+    Against,
     AsJson,
     Attached,
     Changes,
@@ -34,10 +35,12 @@ from morembs.app.cli.terminal import (
     Quiet,
     Report,
     Verb,
+    Within,
     each_job,
     example,
     leave_with_input,
     messages,
+    requested,
 )
 from morembs.app.cli.update import app as updating
 from morembs.app.cli.verbs import Verbs
@@ -98,6 +101,8 @@ def reduce(
         typer.Option("--output", metavar="C.mtx", help="Outputs of matrices.", autocompletion=files_with(*MATRICES)),
     ] = None,
     report: Report = None,
+    against: Against = None,
+    within: Within = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
     attached: Attached = False,
@@ -110,6 +115,7 @@ def reduce(
 
     if attached:
         leave_with_input()
+    wanted = requested(report, against, within)
     with messages():
         jobs, load = _loader(jobs, loads, outputs)
     short = {"reduce.method": method, "reduce.order": order, "reduce.modes": modes, "output.path": out}
@@ -126,7 +132,7 @@ def reduce(
         document = run_job(job, progress, tell).document()
         return document, lambda: print_document(console(), document, sections_of(document), shown)
 
-    each_job(jobs, as_json, work, quiet, _order(jobs, every, load), report)
+    each_job(jobs, as_json, work, quiet, _order(jobs, every, load), wanted)
 
 
 def _loader(files: list[Path], loads: Path | None, outputs: Path | None) -> tuple[list[Path], Load]:
@@ -181,6 +187,8 @@ def compare(
     changes: Changes = None,
     picture: Annotated[Path | None, typer.Option(help="Draw it: a .png, .pdf or .svg file.")] = None,
     report: Report = None,
+    against: Against = None,
+    within: Within = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -193,6 +201,8 @@ def compare(
     from morembs.app.jobs.run import run_job
     from morembs.app.jobs.stages.certificate import certified_band
     from morembs.storage.safefile import check_writable, one_file
+
+    wanted = requested(report, against, within)
 
     def work(path: Path, progress: Progress) -> Done:
         if picture is not None:
@@ -220,7 +230,7 @@ def compare(
         written = [loaded.output, *(file for file in (loaded.picture, picture) if file is not None)]
         return document, lambda: print_contenders(console(), str(path), compared, written)
 
-    each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()), report)
+    each_job(jobs, as_json, work, quiet, _order(jobs, changes or ()), wanted)
 
 
 @app.command(cls=Verb, epilog=example("morembs check part.toml"))

@@ -26,6 +26,7 @@ from morembs.base.progress import SILENT, Progress, listening
 
 if TYPE_CHECKING:
     from morembs.app.jobs.order import Order
+    from morembs.app.pages.page import ReportRequest
 
 
 EXIT_CODES = (
@@ -45,6 +46,13 @@ Changes = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Another value, such as reduce.modes=40.")
 ]
 Report = Annotated[Path | None, typer.Option(help="Write a report of all: an .html file.")]
+Against = Annotated[
+    Path | None,
+    typer.Option(metavar="OLD.html|MANIFEST", help="Tell in the report what changed since an earlier one, or a batch."),
+]
+Within = Annotated[
+    str | None, typer.Option(metavar="NAME=PART,...", help="Changes that are not red: frequencies, mass, error, time.")
+]
 Attached = Annotated[bool, typer.Option(hidden=True, help="End when standard input does.")]
 
 # Plain values for JSON, and what prints them for people.
@@ -213,18 +221,14 @@ def each_job(
     work: Work,
     quiet: bool = False,
     order: Order | None = None,
-    report: Path | None = None,
+    report: ReportRequest | None = None,
 ) -> None:
     """Do ``work`` for each job, assemblies after their parts, but for those that ``order`` refuses."""
-    if report is not None:
-        from morembs.app.pages.page import check_report
-
-        with messages():
-            check_report(report)
+    sequence = range(len(jobs)) if order is None else order.sequence
     documents: list[dict[str, Any]] = []
     failed: list[Failure] = []
     lost: set[int] = set()
-    for count, number in enumerate(range(len(jobs)) if order is None else order.sequence):
+    for count, number in enumerate(sequence):
         stopping.check()
         path = jobs[number]
         with messages(failed, f"{path}: " if len(jobs) > 1 else ""):
@@ -237,9 +241,14 @@ def each_job(
         # The next job shall not hold, nor report, what this one needed.
         release()
     if report is not None:
+        words = ""
         with messages(failed), progress_line(quiet) as progress:
             progress.stage("write report")
-            _write_report(report, documents)
+            # In the order that was asked for, whichever came first.
+            asked = sorted(range(len(sequence)), key=lambda place: sequence[place])
+            words = _write_report(report, [documents[place] for place in asked])
+        if words and not quiet:
+            tell(words)
     if as_json:
         with messages(failed), printing([name for document in documents for name in _written(document)]):
             print_json([without_nan(document) for document in documents])
@@ -263,7 +272,17 @@ def _do(work: Work, path: Path, as_json: bool, quiet: bool, documents: list[dict
             show()
 
 
-def _write_report(report: Path, documents: Sequence[Mapping[str, Any]]) -> None:
+def requested(report: Path | None, against: Path | None, within: str | None) -> ReportRequest | None:
+    """The report that was asked for, checked before the work begins; a message and the end where it cannot be."""
+    if report is None and against is None and within is None:
+        return None
+    from morembs.app.pages.page import ReportRequest
+
+    with messages():
+        return ReportRequest.of(report, against, within)
+
+
+def _write_report(report: ReportRequest, documents: Sequence[Mapping[str, Any]]) -> str:
     from morembs.app.pages.page import Entry, write_report
 
     entries = [
@@ -279,7 +298,7 @@ def _write_report(report: Path, documents: Sequence[Mapping[str, Any]]) -> None:
         )
         for document in documents
     ]
-    write_report(report, entries, ", ".join(entry.name for entry in entries))
+    return write_report(report.path, entries, ", ".join(entry.name for entry in entries), report.earlier)
 
 
 def _written(document: Mapping[str, Any]) -> list[str]:

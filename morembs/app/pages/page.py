@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from markupsafe import Markup
@@ -23,6 +23,9 @@ from morembs.base.summary import upwards
 from morembs.storage.contents import Content
 from morembs.storage.safefile import check_writable, replacing
 from morembs.version import VERSION
+
+if TYPE_CHECKING:
+    from morembs.app.pages.against import Earlier
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +43,37 @@ class Entry:
     document: Mapping[str, Any] | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class ReportRequest:
+    """A report that is to be written to ``path``, compared with an ``earlier`` one."""
+
+    path: Path
+    earlier: Earlier | None = None
+
+    @classmethod
+    def of(cls, path: Path | None, against: Path | None = None, within: str | None = None) -> ReportRequest | None:
+        """Check, before the work begins, that a report can be written, and read what it is compared with, which the
+        work may replace; None where none was asked for.
+
+        Raises:
+            InputError: another ending than .html, or no earlier report.
+            OutputError: the folder cannot be written.
+        """
+        for option, wanted, needed in (("--against", against, path), ("--within", within, against)):
+            if wanted is not None and needed is None:
+                needs = "--report FILE.html" if path is None else "--against OLD.html"
+                raise InputError(f"{option} {wanted} was given; it needs {needs}")
+        if path is None:
+            return None
+        check_report(path)
+        if against is None:
+            return cls(path=path)
+        # Not at the top: it knows of manifests, which few reports need.
+        from morembs.app.pages.against import ChangeLimits, Earlier
+
+        return cls(path=path, earlier=Earlier.read(against, ChangeLimits.of(within or "")))
+
+
 def check_report(path: Path | None) -> None:
     """Check, before the work begins, that a report can be written.
 
@@ -55,15 +89,16 @@ def check_report(path: Path | None) -> None:
     check_writable(path.with_suffix(".json"))
 
 
-def write_report(path: Path, entries: Sequence[Entry], title: str) -> None:
+def write_report(path: Path, entries: Sequence[Entry], title: str, earlier: Earlier | None = None) -> str:
     """Write the report of some jobs, from the body files that they wrote: a page, and its data as JSON beside it.
 
-    What the report that is there says and draws of body files that are the same now is taken from it.
+    What the report that is there says and draws of body files that are the same now is taken from it. What changed
+    since an earlier one is said in a sentence, "" where there is none.
 
     Raises:
         OutputError: a file cannot be written.
     """
-    kept = KeptParts([path])
+    kept = KeptParts([path] if earlier is None else [path, earlier.path])
     pairs = [_part(number, entry, path, len(entries), kept) for number, entry in enumerate(entries, start=1)]
     document: dict[str, Any] = {
         "format": ReportFormat.NAME,
@@ -72,12 +107,18 @@ def write_report(path: Path, entries: Sequence[Entry], title: str) -> None:
         "title": title,
         "parts": [plain for plain, _ in pairs],
     }
+    words = ""
+    if earlier is not None:
+        document["against"] = earlier.compared(document["parts"], path.resolve().parent)
+        words = earlier.words(document["against"])
     data = as_json(document)
     text = rendered(
         "page.html",
         title=title,
         parts=[shown for _, shown in pairs],
         data=data,
+        since=document.get("against"),
+        words=words,
         decimals=_decimals(document["parts"]),
         measures=MEASURES,
         data_link=quote(path.with_suffix(".json").name),
@@ -86,6 +127,7 @@ def write_report(path: Path, entries: Sequence[Entry], title: str) -> None:
     for place, content in ((path, text), (path.with_suffix(".json"), f"{data}\n")):
         with replacing(place) as file:
             file.write(content.encode())
+    return words
 
 
 def rendered(template: str, **values: Any) -> str:

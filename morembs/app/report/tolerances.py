@@ -19,6 +19,18 @@ class ReportTolerances:
     zero_ratio: float = 1e-11
     # Entry over the largest one that is printed as 0: below the digits shown.
     zero_entry: float = 1e-7
+    # Change of a frequency and of the mass since an earlier report, over the old value, that is red unless another is
+    # asked for; chosen: a tenth of a per cent, which is beyond what another machine or solver changes.
+    changed_frequency: float = 1e-3
+    changed_mass: float = 1e-3
+    # Growth of an error and of the time since then, over the old value; chosen: limits are sharp to 5 %, and times of
+    # one job vary by tens of per cents.
+    grown_error: float = 0.1
+    grown_time: float = 0.5
+    # Seconds by which a job has to be slower, as short ones are timed by what else runs.
+    noticed_seconds: float = 1.0
+    # Change of a frequency or an error that is none: reports have all digits, solvers differ in the last ones.
+    same_frequency: float = 1e-9
     # Share from which no digit stands behind the point of a percentage.
     whole_percent_share: float = 0.1
 
