@@ -19,13 +19,14 @@ class ReportTolerances:
     zero_ratio: float = 1e-11
     # Entry over the largest one that is printed as 0: below the digits shown.
     zero_entry: float = 1e-7
-    # Change of a frequency and of the mass since an earlier report, over the old value, that is red unless another is
-    # asked for; chosen: a tenth of a per cent, which is beyond what another machine or solver changes.
+    # Change of a frequency since an earlier report, over the old value, that is red unless another is asked for;
+    # chosen: a tenth of a per cent, beyond what another machine or solver changes.
     changed_frequency: float = 1e-3
+    # The same of the mass.
     changed_mass: float = 1e-3
-    # Growth of an error and of the time since then, over the old value; chosen: limits are sharp to 5 %, and times of
-    # one job vary by tens of per cents.
+    # Growth of an error since then, over the old value; chosen: limits are sharp to 5 %.
     grown_error: float = 0.1
+    # The same of the time; chosen: times of one job vary by tens of per cents.
     grown_time: float = 0.5
     # Seconds by which a job has to be slower, as short ones are timed by what else runs.
     noticed_seconds: float = 1.0
