@@ -185,10 +185,10 @@ def _of_bodies(name: str, old: BodyState, new: BodyState, limits: ChangeLimits) 
             "-" if not each.certified else "unbounded" if each.limit is None else f"{each.limit:.2e}"
             for each in (old, new)
         ]
-        share = new.limit / old.limit - 1 if old.limit and new.limit is not None else None
+        grown = new.limit / old.limit - 1 if old.limit and new.limit is not None else None
         lost = old.limit is not None and new.limit is None
-        beyond = lost or (share is not None and share > limits.error)
-        if beyond or share is None or abs(share) > TOL.same_frequency:
+        beyond = lost or (grown is not None and grown > limits.error)
+        if beyond or grown is None or abs(grown) > TOL.same_frequency:
             yield Change(
                 what="error", body=name, share=share, words=" -> ".join(shown) + _percent(share), beyond=beyond
             )
