@@ -52,10 +52,8 @@ def check_system(file: SystemFile, progress: Progress | None = None) -> SystemFo
     file.prepare_output()
     with listening(progress):
         built = build(file)
-        assembly = Assembly(built.system)
-        x, v = assembly.start()
-        if file.tables.equilibrium is None:
-            assembly.check_start(file.tables.simulation.begin, x, v)
+        assembly = checked_start(built)
+        x = assembly.start()[0]
         steps, markers = file.tables.simulation.steps, sum(map(len, built.markers.values()))
         # Configuration, velocity, acceleration and multipliers, once as states and once joined.
         state = len(x) + 2 * assembly.size + assembly.rows
@@ -130,11 +128,31 @@ def warnings_of(built: Built) -> tuple[str, ...]:
                 f"{1 / (step * hz):.2g} in a period: it bends quasi-statically, for its vibration take step = "
                 f"{1 / (hz * TOL.steps_per_period):.1g}"
             )
+    return (*warnings, *_units_in_doubt(built))
+
+
+def _units_in_doubt(built: Built) -> list[str]:
+    """A sentence on elastic bodies whose sizes are as different as units are."""
     sizes = {name: body.length for name, body in built.bodies.items() if isinstance(body, FlexibleBody)}
-    if sizes and max(sizes.values()) > TOL.size_ratio * min(sizes.values()):
-        large, small = max(sizes, key=sizes.__getitem__), min(sizes, key=sizes.__getitem__)
-        warnings.append(
-            f"body {large!r} is {sizes[large]:.4g} m long and body {small!r} {sizes[small]:.4g} m: if that is wrong, "
-            "the job of one of them has other [model] units than its mesh"
-        )
-    return tuple(warnings)
+    if not sizes or max(sizes.values()) <= TOL.size_ratio * min(sizes.values()):
+        return []
+    large, small = max(sizes, key=sizes.__getitem__), min(sizes, key=sizes.__getitem__)
+    return [
+        f"body {large!r} is {sizes[large]:.4g} m long and body {small!r} {sizes[small]:.4g} m: if that is wrong, the "
+        "job of one of them has other [model] units than its mesh"
+    ]
+
+
+def checked_start(built: Built) -> Assembly:
+    """The system with its coordinates, whose joints are closed at the start.
+
+    Raises:
+        InputError: joints that are open or redundant, or velocities that violate them.
+    """
+    assembly = Assembly(built.system)
+    if built.tables.equilibrium is None:
+        try:
+            assembly.check_start(built.tables.simulation.begin, *assembly.start())
+        except InputError as error:
+            raise InputError("; ".join([str(error), *_units_in_doubt(built)])) from error
+    return assembly

@@ -9,7 +9,7 @@ from typing import Any
 
 from morembs.app.simulations.build import build
 from morembs.app.simulations.built import Built, told_of
-from morembs.app.simulations.check import warnings_of
+from morembs.app.simulations.check import checked_start, warnings_of
 from morembs.app.simulations.histories import histories, kept_rows, thinned
 from morembs.app.simulations.report import outline
 from morembs.app.simulations.result_file import Recording, write_recording
@@ -71,6 +71,7 @@ def run_system(
         watch = Stopwatch(memory)
         with keeping_ledger() as ledger, watch.stage("read"):
             built = build(file)
+            checked_start(built)
             for sentence in warnings_of(built):
                 warn(sentence)
         with watch.stage("simulate"):
