@@ -37,7 +37,7 @@ model = { mesh = "MESH" }
 material = [{ young = 2e9, poisson = 0.3, density = 1200.0 }]
 interface = [INTERFACES]
 reduce = [{ name = "strip", method = "craig-bampton", modes = 4 }]
-frame = { kind = "tangent", interfaces = ["ROOT"] }
+frame = { kind = "tangent", interfaces = ["ROOT"], origin = [0.1, 0.02, 0.01] }
 stress = {}
 stiffening = {}
 output = { path = "NAME.h5" }
@@ -48,7 +48,7 @@ simulation = {{ end = 0.05, step = 1e-3 }}
 gravity = {{ acceleration = [0, 0, -9.81] }}
 body = [{{ name = "strip", file = "strip.h5", {PLACE} }}]
 joint = [{{ name = "hinge", kind = "revolute", between = ["ground", "strip:ROOT"], axis = [0, 1, 0] }}]
-load = [{{ marker = "strip:TIP", force = [0, 1, -2], law = {{ kind = "sine", frequency_hz = 30, offset = 0.5 }} }}]
+load = [{{ marker = "strip:TIP", force = [0, 1, -2], law = {{ kind = "sine", frequency_hz = 30, phase_degrees = 30, offset = 0.5 }} }}]
 """
 
 
@@ -179,7 +179,7 @@ def test_it_is_what_calls_of_the_simulator_give(strip: Path) -> None:
     root, tip = body.marker("ROOT"), body.marker("TIP")
     hinge = system.add(RevoluteJoint(ground.marker_at(root.place(body.start()[0]).position), root, axis=(0, 1, 0)))
     push = np.array([0.0, 1.0, -2.0])
-    system.add(PointLoad(tip, force=lambda t: (0.5 + np.sin(2 * np.pi * 30 * t)) * push))
+    system.add(PointLoad(tip, force=lambda t: (0.5 + np.sin(2 * np.pi * 30 * t + np.pi / 6)) * push))
     want = simulate_in_python(system, end=0.05, step=1e-3)
     told = done.bodies["strip"]
     for got, expected in (
@@ -393,7 +393,10 @@ def test_what_a_body_has_is_taken(strip: Path) -> None:
         root = made.marker("ROOT")
         system.add(RevoluteJoint(ground.marker_at(root.place(made.start()[0]).position), root, axis=(0, 1, 0)))
         system.add(
-            PointLoad(made.marker("TIP"), force=lambda t: (0.5 + np.sin(2 * np.pi * 30 * t)) * np.array([0, 1, -2]))
+            PointLoad(
+                made.marker("TIP"),
+                force=lambda t: (0.5 + np.sin(2 * np.pi * 30 * t + np.pi / 6)) * np.array([0, 1, -2]),
+            )
         )
         want = simulate_in_python(system, end=0.01, step=1e-4).position(made.marker("TIP"))
         assert np.abs(moved - want).max() < 1e-10

@@ -36,6 +36,7 @@ reduce = [
     { name = "fine", method = "craig-bampton", modes = 4 },
     { name = "coarse", method = "craig-bampton", modes = 1 },
 ]
+frame = { origin = "center-of-mass" }
 output = { path = "NAME.h5", nodes = "all" }
 """
 
