@@ -159,6 +159,7 @@ class Stepper:
                 noise = self._limit(M, g, iterate.v, old.time)
             residual = np.concatenate((mass @ iterate.acceleration + g + iterate.multipliers @ B, Phi / iterate.c_q))
             if not np.isfinite(residual).all():
+                d = residual[: s.size]
                 break
             d = iterate.correct(self.reactions.solve(factor, residual, x, iterate))
             size = iterate.c_v * math.sqrt(max(float(d @ M @ d), 0.0))
