@@ -42,8 +42,9 @@ class Krylov(Reducer):
     """Moments of the transfer matrix at expansion points.
 
     ``two_sided`` matches J + J moments from inputs to outputs at half the order that both would take. It gives up
-    symmetry; for equal inputs and outputs it would be the one-sided method, and is refused. An unstable result (the
-    rule between far ends) is refused too.
+    symmetry; for equal inputs and outputs it would be the one-sided method, and is refused. An unstable result is
+    refused too: the rule between far ends, where residues of both signs have complex poles (Feldmann and Freund 1995).
+    One side with the columns of both has the same moments at twice the order, and is stable.
 
     Args:
         shifts_hz: expansion points i 2 pi f.
@@ -378,5 +379,6 @@ def _two_sided(problem: Problem, V: Floats, W: Floats, notes: dict[str, object])
         "krylov",
         notes,
         what="two_sided = true",
-        instead="leave two_sided out, or take other shifts, moments or damping",
+        instead="leave two_sided, inputs and outputs out (the moments of both sides at twice the order, stable always), "
+        "or take other shifts, moments or damping",
     )

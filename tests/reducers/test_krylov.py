@@ -233,8 +233,18 @@ def test_two_sided_refuses_what_is_one_sided_or_unstable():
     with Problem(model, ends(model)) as problem:
         with pytest.raises(InputError, match="same interfaces"):
             Krylov(two_sided=True, inputs=["left", "right"]).reduce(problem)
-        with pytest.raises(SolverError, match="unstable"):
-            Krylov(two_sided=True, moments=2, inputs=["left"], outputs=["right"]).reduce(problem)
+        asked = {"moments": 2, "shifts_hz": [0.0, 3000.0]}
+        with pytest.raises(SolverError, match="unstable.*leave two_sided, inputs and outputs out"):
+            Krylov(two_sided=True, inputs=["left"], outputs=["right"], **asked).reduce(problem)
+        # What the message names: stable, and at least as many moments from one end to the other.
+        both = Krylov(**asked).reduce(problem)
+        V, K, M = both.V[:, 6:], problem.K.toarray(), problem.M.toarray()
+        B, C = (elastic_loads(problem, problem.coupling.columns[name]) for name in ("left", "right"))
+        assert both.symmetric and both.order == 6 + 48 and np.linalg.eigvalsh(V.T @ K @ V)[0] > 0
+        for hz in asked["shifts_hz"][1:]:
+            s2 = -((2 * np.pi * hz) ** 2)
+            full, reduced = moments(K, M, B, C.T, s2, 4), moments(V.T @ K @ V, V.T @ M @ V, V.T @ B, C.T @ V, s2, 4)
+            assert differences(full, reduced).max() < 1e-6
 
 
 @pytest.mark.parametrize("beside", [0.0, 3e-8])
