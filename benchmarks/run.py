@@ -27,7 +27,7 @@ from measure import Settings, required
 # the cases that come first have small children.
 MODULES = {
     "startup": ("startup",),
-    "solvers": ("small", "medium", "large", "factor", "modes"),
+    "solvers": ("small", "medium", "large", "factor", "modes", "many-modes"),
     "krylov": ("krylov",),
     "frames": ("frames",),
     "published": ("published",),
@@ -50,6 +50,7 @@ LONG = {
     "budgets": "15 minutes",
     "workers": "10 minutes",
     "published": "5 minutes",
+    "many-modes": "three hours",
 }
 ROUNDS = 3
 

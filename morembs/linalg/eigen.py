@@ -213,6 +213,9 @@ def _sliced(
 ) -> Modes:
     """Modes slice by slice, the first at shift zero, whose factor is there."""
     theta, Y = largest(_space(body, M, per_slice), per_slice, what=what)
+    # The last ones have their tolerance and no more: the first slice finds these again, and better.
+    known = int(TOL.known_part * per_slice)
+    theta, Y = theta[:known], Y[:, :known]
     values, vectors, proven = sliced_modes(body, M, 1.0 / theta, Y, count=count, below=below, per_slice=per_slice)
     vectors = body.statics.space.fix_signs(vectors)
     return Modes(eigenvalues=values, vectors=vectors, verified_below=proven if below is None else below)
@@ -220,10 +223,17 @@ def _sliced(
 
 def _space(body: ConstrainedStatics, M: sp.csr_array, count: int) -> BlockLanczos:
     """A Krylov space at shift zero for ``count`` modes, of one block."""
-    block = _block(body, count)
-    start = body.flexibility(M @ np.random.default_rng(2).standard_normal((M.shape[0], block)))
-    capacity = min(3 * (count + 2) + 8 * block, M.shape[0] - body.count)
+    start = _start(body, M, count)
+    capacity = min(3 * (count + 2) + 8 * start.shape[1], M.shape[0] - body.count)
     return BlockLanczos(body.flexibility, Space(M, budget=body.statics.budget), start, capacity=capacity)
+
+
+def _start(body: ConstrainedStatics, M: sp.csr_array, count: int) -> Floats:
+    """Displacements (N, k) under random inertia loads, some of which have been solved for with the constraints."""
+    solved = body.take_ahead()
+    if solved is None:
+        return body.flexibility(start_loads(M, _block(body, count)))
+    return body.constrain(solved, start_loads(M, solved.shape[1]))[0]
 
 
 def _counted(
@@ -267,4 +277,9 @@ def _block(body: ConstrainedStatics, count: int) -> int:
     """Width of the Krylov blocks: a factor on disk is read as a whole for each of them, so they are wide there."""
     if not body.statics.factor.stats.out_of_core:
         return block_width(body.statics.factor.stats, count)
-    return int(np.clip(body.statics.columns(TOL.block_copies, TOL.widest_block), 8, max(TOL.wide_block, count + 2)))
+    return body.statics.block_columns(max(TOL.wide_block, count + 2))
+
+
+def start_loads(M: sp.csr_array, columns: int) -> Floats:
+    """Loads (N, k) that a Krylov space begins with: of random motions."""
+    return np.asarray(M @ np.random.default_rng(2).standard_normal((M.shape[0], columns)))

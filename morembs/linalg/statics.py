@@ -13,6 +13,8 @@ interface (C = B), for any kind of coupling.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
@@ -21,7 +23,7 @@ from morembs.base.budget import Budget
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats, Ints
-from morembs.linalg.columns import m_norms
+from morembs.linalg.columns import dense, m_norms
 from morembs.linalg.dense import symmetric
 from morembs.linalg.dynamic_stiffness import DynamicStiffness, spring_stiffness
 from morembs.linalg.space import Columns
@@ -69,6 +71,10 @@ class Statics(Closing):
         """Columns to solve for at once where ``copies`` of them exist: each block reads a factor on disk as a whole."""
         return self.budget.columns(len(self.Z), copies, widest, wide=self.factor.stats.out_of_core)
 
+    def block_columns(self, widest: int) -> int:
+        """Columns of a Krylov block with the factor on disk, which is read as a whole for each: wide ones."""
+        return int(np.clip(self.columns(TOL.block_copies, TOL.widest_block), TOL.least_wide_block, widest))
+
     def apply(self, F: Floats) -> Floats:
         """K_c^-1 F (N, k): displacements with the supports on springs."""
         return np.asarray(self.factor.solve(F))
@@ -88,17 +94,26 @@ class Statics(Closing):
 class ConstrainedStatics:
     """The body on the subspace C' u = 0, with C (N, c) dense or sparse.
 
-    ``mean_axes`` says that C = M Z with the rigid modes Z, which the modes are orthogonal to anyway.
+    ``mean_axes`` says that C = M Z with the rigid modes Z, which the modes are orthogonal to anyway. ``loads`` (k)
+    gives k columns of loads that are solved for in the pass of C over a factor on disk, until ``take_ahead``.
     Peak memory: one dense (N, c) array besides the factor.
 
     Raises:
         InputError: the constraints depend on each other or leave rigid motions free.
     """
 
-    def __init__(self, statics: Statics, C: Floats | sp.csc_array, what: str, *, mean_axes: bool = False) -> None:
+    def __init__(
+        self,
+        statics: Statics,
+        C: Floats | sp.csc_array,
+        what: str,
+        *,
+        mean_axes: bool = False,
+        loads: Callable[[int], Floats] | None = None,
+    ) -> None:
         self.statics, self.C, self.mean_axes = statics, C, mean_axes
         Z = statics.Z
-        self.X = statics.space.map_columns(statics.apply, C, width=statics.columns())
+        self.X, self._ahead = _solve_with(statics, C, loads)
         E = C.T @ self.X
         H = C.T @ Z
         # Motions that the constraints do not see at all, but for the round-off of others.
@@ -138,6 +153,11 @@ class ConstrainedStatics:
         U -= (lam.T @ self.X.T).T
         U += (both[self.count :].T @ self.statics.Z.T).T
         return U, lam
+
+    def take_ahead(self) -> Floats | None:
+        """K_c^-1 of the loads (N, k) that were solved for ahead, once; None without any."""
+        solved, self._ahead = self._ahead, None
+        return solved
 
     def flexibility(self, F: Floats) -> Floats:
         """Displacements (N, k) under the loads F with C' u = 0."""
@@ -249,6 +269,19 @@ def single_dof_rows(C: Floats | sp.csc_array) -> Ints | None:
         return None if C.shape[1] else np.empty(0, dtype=np.int64)
     C = sp.csc_array(C)
     return np.asarray(C.indices, dtype=np.int64) if (np.diff(C.indptr) == 1).all() else None
+
+
+def _solve_with(
+    statics: Statics, C: Floats | sp.csc_array, loads: Callable[[int], Floats] | None
+) -> tuple[Floats, Floats | None]:
+    """K_c^-1 of ``C`` (N, c) and, with a factor on disk, of as many ``loads`` as its pass has room for."""
+    spare = min(statics.columns(TOL.single_copies) - C.shape[1], statics.block_columns(TOL.wide_block))
+    if loads is None or not statics.factor.stats.out_of_core or spare < TOL.least_wide_block:
+        return statics.space.map_columns(statics.apply, C, width=statics.columns()), None
+    U = statics.apply(np.hstack([dense(C), loads(spare)]))
+    # Apart, as what was solved for ahead goes first.
+    c = C.shape[1]
+    return statics.budget.store(U[:, :c].copy(order="F")), statics.budget.store(U[:, c:].copy(order="F"))
 
 
 def _scales(flexibility: Floats, H: Floats) -> Floats:

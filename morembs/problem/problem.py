@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -24,7 +24,7 @@ from morembs.fem.mass import mass_properties
 from morembs.linalg.columns import dense
 from morembs.linalg.congruence import congruence
 from morembs.linalg.dynamic_stiffness import DynamicStiffness
-from morembs.linalg.eigen import Modes, lowest_modes
+from morembs.linalg.eigen import Modes, lowest_modes, start_loads
 from morembs.linalg.space import Space
 from morembs.linalg.sparse.select import select_solver
 from morembs.linalg.sparse.solver import LinearSolver
@@ -223,12 +223,18 @@ class Problem(Closing):
     @cached_property
     def free_free(self) -> ConstrainedStatics:
         """The free body without its rigid-body motion (mean axes): C = M rigid."""
-        return ConstrainedStatics(self.statics, self.M @ self.rigid, "the rigid-body modes", mean_axes=True)
+        return ConstrainedStatics(
+            self.statics,
+            self.M @ self.rigid,
+            "the rigid-body modes",
+            mean_axes=True,
+            loads=partial(start_loads, self.M),
+        )
 
     @cached_property
     def fixed_interface(self) -> ConstrainedStatics:
         """The body held at all interface degrees of freedom: C = B."""
-        return ConstrainedStatics(self.statics, self.B, "the interfaces")
+        return ConstrainedStatics(self.statics, self.B, "the interfaces", loads=partial(start_loads, self.M))
 
     def constraint_modes(self) -> tuple[Floats, Floats]:
         """Static displacements (Nc, m) under unit motions of the interfaces, and their stiffness (m, m): computed once.

@@ -379,6 +379,6 @@ def _two_sided(problem: Problem, V: Floats, W: Floats, notes: dict[str, object])
         "krylov",
         notes,
         what="two_sided = true",
-        instead="leave two_sided, inputs and outputs out (the moments of both sides at twice the order, stable always), "
-        "or take other shifts, moments or damping",
+        instead="leave two_sided, inputs and outputs out (the moments of both sides at twice the order, stable "
+        "always), or take other shifts, moments or damping",
     )

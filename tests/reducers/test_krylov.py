@@ -234,7 +234,7 @@ def test_two_sided_refuses_what_is_one_sided_or_unstable():
         with pytest.raises(InputError, match="same interfaces"):
             Krylov(two_sided=True, inputs=["left", "right"]).reduce(problem)
         asked = {"moments": 2, "shifts_hz": [0.0, 3000.0]}
-        with pytest.raises(SolverError, match="unstable.*leave two_sided, inputs and outputs out"):
+        with pytest.raises(SolverError, match=r"unstable.*leave two_sided, inputs and outputs out"):
             Krylov(two_sided=True, inputs=["left"], outputs=["right"], **asked).reduce(problem)
         # What the message names: stable, and at least as many moments from one end to the other.
         both = Krylov(**asked).reduce(problem)
