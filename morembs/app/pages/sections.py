@@ -178,10 +178,11 @@ def viewer(part: PartPage) -> Markup:
     try:
         if part.count > STYLE.viewers_in_page:
             return _framed_viewer(part)
-        data = as_json(document_of(_scene(part)))
+        data = as_json(part.kept.data(f"{part.key}:viewer", lambda: document_of(_scene(part))))
     except InputError:
         return Markup("")  # there is nothing to show
-    return _opened(Markup(section_of(f'<script type="application/json">{data}</script>')))
+    script = Markup('<script type="application/json" data-key="{}:viewer" data-sum="{}">{}</script>')
+    return _opened(Markup(section_of(script.format(part.key, sum_of(data), data))))
 
 
 def _opened(inner: Markup) -> Markup:
