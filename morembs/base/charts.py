@@ -158,10 +158,12 @@ class Chart:
         count = len(self.panels)
         # Inches: a panel of a chart of one is as high as two of a chart of several.
         figure = Figure(figsize=(8.0, 4.5 if count == 1 else 3.0 * count), layout="constrained", facecolor="white")
-        panels = figure.subplots(count, 1, squeeze=False, sharex=all(isinstance(p, Panel) for p in self.panels))
+        shared = all(isinstance(panel, Panel) for panel in self.panels)
+        panels = figure.subplots(count, 1, squeeze=False, sharex=shared)
         for panel, axes in zip(self.panels, panels[:, 0], strict=True):
             panel.draw(axes)
-            axes.label_outer()
+            if shared:
+                axes.label_outer()
         panels[0, 0].set_title(self.title, loc="left")
         if self.note:
             figure.supxlabel(self.note, fontsize="small")

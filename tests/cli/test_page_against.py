@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -56,6 +57,15 @@ def part(state: str = "done", mass: float = 2.0, seconds: float = 10.0, **bodies
 )
 def test_what_is_red(old: PartState, new: PartState, told: list[tuple[str, bool]]) -> None:
     assert [(change.what, change.beyond) for change in changes_of(old, new, ChangeLimits())] == told
+
+
+def test_a_change_tells_its_share() -> None:
+    """Also of a body without elastic modes, and where frequencies change too."""
+    still = BodyState(order=6, frequencies_hz=[], limit=0.01, certified=True)
+    [error] = changes_of(part(cb=still), part(cb=replace(still, limit=0.02)), ChangeLimits())
+    assert (error.share, error.words) == (pytest.approx(1.0), "1.00e-02 -> 2.00e-02 (+100 %)")
+    both = changes_of(part(cb=body()), part(cb=body(101.0, 0.03)), ChangeLimits())
+    assert [change.share for change in both] == [pytest.approx(0.01), pytest.approx(2.0)]
 
 
 def test_tolerances_are_given_by_name() -> None:

@@ -196,6 +196,14 @@ def differentiates_whole_runs(text):
     assert after < 0.95 * before
 
 
+def draws_six_plots(text):
+    drawn = Path(text.splitlines()[-1])
+    names = ("plots", *(f"plots_{kind}" for kind in ("response", "density", "mac", "campbell", "cost")))
+    # Small enough for a page of the site.
+    assert all(20_000 < drawn.with_name(f"{name}.png").stat().st_size < 100_000 for name in names)
+    assert number(r"error at most (\S+),", text) < 3
+
+
 PROMISES = {
     "rod_design": differentiates_whole_runs,
     "design_study": keeps_its_limit_in_the_full_model,
@@ -214,6 +222,7 @@ PROMISES = {
     "tapered_pendulum": swings_alike_as_fmu,
     "two_link_manipulator": needs_two_modes_of_the_start,
     "wire_in_tube": presses_with_two_forces_at_each_end,
+    "plots": draws_six_plots,
     "studies.flexible_rail": is_as_good_as_all_dofs,
     "studies.gear_dynamics": meshes_as_with_all_static_modes,
     "studies.gear_teeth": needs_few_candidates,

@@ -190,7 +190,7 @@ def _of_bodies(name: str, old: BodyState, new: BodyState, limits: ChangeLimits) 
         beyond = lost or (grown is not None and grown > limits.error)
         if beyond or grown is None or abs(grown) > TOL.same_frequency:
             yield Change(
-                what="error", body=name, share=share, words=" -> ".join(shown) + _percent(share), beyond=beyond
+                what="error", body=name, share=grown, words=" -> ".join(shown) + _percent(grown), beyond=beyond
             )
 
 
