@@ -190,6 +190,10 @@ def main() -> None:
                         if holds:
                             print(f"FALSE AND PROVEN: {case.words}, {case.body.name}, {kind}: {said}", flush=True)
             number += 1
+            if number % 25 == 0:
+                print(
+                    f"{proven} of {told} verified, {wrong} of {tampers} false ones proven", file=sys.stderr, flush=True
+                )
     print(
         f"{proven} of {told} stated limits verified; found at most {largest:.3f} of the stated limit; {seconds:.1f} s"
     )

@@ -12,6 +12,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from typer.testing import CliRunner
 
 from benchmarks.verification import TAMPERS, answer, cases, reseal, tamper
@@ -176,6 +177,22 @@ def test_random_certificates_are_proven_and_false_ones_are_not(tmp_path, number)
                 assert not answer(case)[0], (case.words, kind)
             for file, data in zip(case.files, kept, strict=True):
                 file.write_bytes(data)
+
+
+@pytest.mark.parametrize("shift", [0.3, 1.7123, 4.9371])
+def test_negative_eigenvalues_are_counted_front_by_front(shift):
+    line = sp.diags_array([2.0, -1.0, -1.0], offsets=[0, 1, -1], shape=(40, 40))
+    A = sp.csr_array(sp.kronsum(line, line) - shift * sp.eye_array(1600)).tolil()
+    # A frame is coupled with many.
+    A[-1, ::7] = A[::7, [-1]] = 0.05
+    A = sp.csr_array(A)
+    blocks = list(morembs_verify.dissect(abs(sp.csr_array(A != 0)).astype(np.int32), np.arange(1599)))
+    assert np.array_equal(np.sort(np.concatenate(blocks)), np.arange(1599)) and max(map(len, blocks)) < 200
+    negative, rho = morembs_verify.count_negative(A)
+    values = np.linalg.eigvalsh(A.toarray())
+    # Whatever the matrix is that was counted, it is no further away.
+    assert (values < -rho).sum() <= negative <= (values < rho).sum()
+    assert negative == (values < 0).sum() and 0 < rho < 1e-5
 
 
 def job(folder, more="", damping="rayleigh = { alpha = 5.0, beta = 4e-7 }"):
