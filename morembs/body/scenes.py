@@ -23,8 +23,10 @@ if TYPE_CHECKING:
     from morembs.body.body import Body
 
 
-def scene_of_bodies(bodies: Sequence[Body], title: str, *, names: Sequence[str] = (), shown: int = 0) -> Scene:
-    """Bodies of one part, or of several, with the MAC of their modes; the one at place ``shown`` comes first.
+def scene_of_bodies(
+    bodies: Sequence[Body], title: str, *, names: Sequence[str] = (), shown: int = 0, modes: int = TOL.viewed_modes
+) -> Scene:
+    """Bodies of one part, or of several, with the MAC of their ``modes``; the one at place ``shown`` comes first.
 
     Bodies of one file share a surface; of other bodies than the first fewer modes are kept, so that a page stays small.
     Those of two parts are shown side by side.
@@ -38,12 +40,12 @@ def scene_of_bodies(bodies: Sequence[Body], title: str, *, names: Sequence[str] 
     motions: list[Motion] = []
     frames: dict[str, Floats] = {}
     known: dict[int, int] = {}
-    counts = iter(_counts(len(bodies)))
+    counts = iter(_counts(len(bodies), modes))
     for place in order:
         body = bodies[place]
         part = id(body.file if body.part is None else body.part)
         if part not in known:
-            view = body.view(TOL.viewed_modes)
+            view = body.view(modes)
             surface, chosen = surface_of(body.name, view.grid, view.node_ids)
             known[part] = len(surfaces)
             surfaces.append(surface)
@@ -77,10 +79,10 @@ def scene_of_bodies(bodies: Sequence[Body], title: str, *, names: Sequence[str] 
     )
 
 
-def _counts(bodies: int) -> list[int]:
+def _counts(bodies: int, modes: int) -> list[int]:
     """How many modes of each body a page has."""
-    rest = max(1, min(TOL.viewed_modes // 3, TOL.viewed_modes_of_all // max(1, bodies)))
-    return [TOL.viewed_modes, *([rest] * (bodies - 1))]
+    rest = max(1, min(modes // 3, TOL.viewed_modes_of_all // max(1, bodies)))
+    return [modes, *([rest] * (bodies - 1))]
 
 
 def _stress(body: Body, count: int, labels: Ints) -> Floats | None:

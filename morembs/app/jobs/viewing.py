@@ -31,6 +31,7 @@ from morembs.body.file import read_body
 from morembs.body.recovery.recover import SERIES
 from morembs.body.scenes import scene_of_bodies, scene_of_series
 from morembs.body.stored import StoredBodies
+from morembs.body.tolerances import TOL
 from morembs.fem import FEModel, Mesh, Nodes
 from morembs.fem.constraints import AverageElement, RigidElement
 from morembs.fem.interface import Interface
@@ -78,8 +79,8 @@ def scene_of_files(files: Sequence[Path]) -> tuple[Scene, list[Body]]:
     return replace(scene, frames=_frames(stored[0].interfaces.values())), order
 
 
-def stored_scene(stored: StoredBodies, title: str, shown: str = "") -> Scene:
-    """All bodies of a file, the body named ``shown`` first.
+def stored_scene(stored: StoredBodies, title: str, shown: str = "", modes: int = TOL.viewed_modes) -> Scene:
+    """All bodies of a file, the body named ``shown`` first with so many ``modes``.
 
     Raises:
         InputError: a file without nodes or faces, or one that is damaged.
@@ -88,7 +89,7 @@ def stored_scene(stored: StoredBodies, title: str, shown: str = "") -> Scene:
         raise InputError(f"{title} keeps no nodes, so there is nothing to show; write it again with nodes = 'skin'")
     first = stored.bodies[shown] if shown else _shown(stored)
     bodies = list(stored.bodies.values())
-    scene = scene_of_bodies(bodies, title, shown=bodies.index(first))
+    scene = scene_of_bodies(bodies, title, shown=bodies.index(first), modes=modes)
     return replace(scene, frames=_frames(stored.interfaces.values()))
 
 

@@ -191,7 +191,7 @@ def _opened(inner: Markup) -> Markup:
 
 
 def _scene(part: PartPage) -> Scene:
-    return stored_scene(part.stored, part.name, part.shown)
+    return stored_scene(part.stored, part.name, part.shown, STYLE.viewer_modes)
 
 
 def _framed_viewer(part: PartPage) -> Markup:

@@ -31,6 +31,8 @@ class ReportStyle:
     # Pictures of a page: width and height in inches, dots per inch.
     row_picture: tuple[float, float, int] = (1.6, 1.0, 80)
     shapes_picture: tuple[float, float, int] = (9.0, 4.0, 90)
+    # Elastic modes that a viewer in a report shows: twelve parts of 6,000 triangles have 4 MB.
+    viewer_modes: int = 10
     # Viewers that a page of several parts holds itself: those of more parts lie in the folder beside it.
     viewers_in_page: int = 20
     # Dots per inch and number of colors of the picture where no script runs: a fifth of the bytes of a full one.
