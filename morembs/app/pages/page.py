@@ -26,6 +26,7 @@ from morembs.version import VERSION
 
 if TYPE_CHECKING:
     from morembs.app.pages.against import Earlier
+    from morembs.body.stored import StoredBodies
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,9 +201,10 @@ def _content(
         sha256 = Content.of(entry.output).sha256
     except OSError:
         sha256 = ""
-    content = kept.content(sha256)
+    content, fresh = kept.content(sha256), None
     if content is None:
-        content = sealed({"sha256": sha256, **_read_content(Path(entry.output))})
+        said, fresh = _read_content(Path(entry.output))
+        content = sealed({"sha256": sha256, **said})
     part = PartPage(
         name=entry.name,
         number=number,
@@ -212,6 +214,7 @@ def _content(
         sha256=sha256,
         content=content,
         kept=kept,
+        fresh=fresh,
     )
     return content, {
         "row": _row(content, entry),
@@ -223,8 +226,8 @@ def _content(
     }
 
 
-def _read_content(path: Path) -> dict[str, Any]:
-    """What a file of bodies or of planar members holds.
+def _read_content(path: Path) -> tuple[dict[str, Any], StoredBodies | None]:
+    """What a file of bodies or of planar members holds, and all of the former.
 
     Raises:
         InputError: it cannot be read.
@@ -237,8 +240,9 @@ def _read_content(path: Path) -> dict[str, Any]:
     if holds_format(path, MEMBERS):
         from morembs.app.pages.members import content_of_members
 
-        return content_of_members(path)
-    return content_of(read_body(path))
+        return content_of_members(path), None
+    stored = read_body(path)
+    return content_of(stored), stored
 
 
 def _row(content: Mapping[str, Any], entry: Entry) -> dict[str, Any]:

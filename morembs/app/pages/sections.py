@@ -40,8 +40,9 @@ if TYPE_CHECKING:
 class PartPage:
     """A part on its way into a page: the body ``file``, its ``sha256``, what the page says of it (``content``).
 
-    ``stored`` is read when it is asked for: a part that has not changed goes without. ``report`` is the page, ``count``
-    the number of its parts; ``folder`` beside it is for what is too large for a page with many of them.
+    ``stored`` is read when it is asked for, unless it is ``fresh``: a part that has not changed goes without.
+    ``report`` is the page, ``count`` the number of its parts; ``folder`` beside it is for what is too large for a page
+    with many of them.
     """
 
     name: str
@@ -51,6 +52,7 @@ class PartPage:
     file: Path
     sha256: str
     content: Mapping[str, Any]
+    fresh: StoredBodies | None = None
     kept: KeptParts = field(default_factory=lambda: KeptParts(()))
 
     @cached_property
@@ -60,7 +62,7 @@ class PartPage:
         Raises:
             InputError: it cannot be read.
         """
-        return read_body(self.file)
+        return read_body(self.file) if self.fresh is None else self.fresh
 
     @property
     def shown(self) -> str:
