@@ -162,7 +162,7 @@ def large_file_notes(size: float) -> list[str]:
 
 def normal_coordinates(frame: FloatingFrame) -> tuple[FloatingFrame, bool]:
     """The frame with coordinates in which Me is one and Ke diagonal, and whether they had to be changed."""
-    Me, Ke, integrals = frame.integrals.Me, frame.Ke, frame.integrals
+    Me, Ke = frame.integrals.Me, frame.Ke
     diagonal = np.diag(np.diag(Ke))
     if (
         np.abs(Me - np.eye(len(Me))).max() <= TOL.normal_coordinates * len(Me)
@@ -170,14 +170,18 @@ def normal_coordinates(frame: FloatingFrame) -> tuple[FloatingFrame, bool]:
     ):
         return frame, False
     _, T = sl.eigh(Ke, Me)
-    T = T * np.where(T[np.argmax(np.abs(T), axis=0), np.arange(len(T))] < 0, -1.0, 1.0)
+    return in_shapes(frame, T * np.where(T[np.argmax(np.abs(T), axis=0), np.arange(len(T))] < 0, -1.0, 1.0)), True
+
+
+def in_shapes(frame: FloatingFrame, T: Floats) -> FloatingFrame:
+    """The frame with elastic coordinates (k,) of which those of before are T (n, k) times them."""
     integrals = replace(
-        integrals,
-        Ct=T.T @ integrals.Ct,
-        Cr=T.T @ integrals.Cr,
-        Me=_both(T, Me),
-        x_phi=integrals.x_phi @ T,
-        phi_phi=_both(T, integrals.phi_phi),
+        frame.integrals,
+        Ct=T.T @ frame.integrals.Ct,
+        Cr=T.T @ frame.integrals.Cr,
+        Me=_both(T, frame.integrals.Me),
+        x_phi=frame.integrals.x_phi @ T,
+        phi_phi=_both(T, frame.integrals.phi_phi),
     )
     stiff = frame.stiffening
     if stiff is not None:
@@ -193,11 +197,11 @@ def normal_coordinates(frame: FloatingFrame) -> tuple[FloatingFrame, bool]:
         frame,
         elastic=frame.elastic @ T,
         integrals=integrals,
-        Ke=_both(T, Ke),
+        Ke=_both(T, frame.Ke),
         De=_both(T, frame.De),
         markers=markers,
         stiffening=stiff,
-    ), True
+    )
 
 
 def _both(T: Floats, A: Floats) -> Floats:

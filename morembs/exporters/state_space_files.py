@@ -16,6 +16,16 @@ from morembs.base.limits import Positive
 from morembs.base.units import in_hz
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.read_back import FirstOrder, ReadBack
+from morembs.exporters.real_time import (
+    RealTime,
+    Truncation,
+    certificate_note,
+    gyration,
+    refuse_nothing_left,
+    slow_modes,
+    without_fast,
+)
+from morembs.exporters.reduced import refuse_two_sided
 from morembs.exporters.simscape import write_mat
 from morembs.exporters.state_space import StateSpace, state_space
 from morembs.exporters.tolerances import TOL
@@ -24,10 +34,11 @@ from morembs.storage.safefile import replacing
 KINDS = ("states", "inputs", "outputs")
 
 
-def write_state_space(path: str | Path, system: StateSpace) -> None:
+def write_state_space(path: str | Path, system: StateSpace, real_time: RealTime | None = None) -> None:
     """Write A, B, C, D, dt, and for states, inputs and outputs their names and units, such as inputs, input_units.
 
-    The end of ``path`` is .npz or .mat (version 5, texts in cells); every bit is kept.
+    Of a system for ``real_time`` also time_step, and real_time: what the step left and the error. The end of ``path``
+    is .npz or .mat (version 5, texts in cells); every bit is kept.
 
     Raises:
         InputError: another end.
@@ -36,6 +47,9 @@ def write_state_space(path: str | Path, system: StateSpace) -> None:
     place = Path(path)
     words = {kind: system.names[kind] for kind in KINDS} | {f"{kind[:-1]}_units": system.units[kind] for kind in KINDS}
     matrices = {"A": system.A, "B": system.B, "C": system.C, "D": system.D, "dt": np.float64(system.dt)}
+    if real_time is not None:
+        matrices["time_step"] = np.float64(real_time.step)
+        words["real_time"] = real_time.notes
     if place.suffix == ".mat":
         write_mat(place, matrices | {key: np.array(texts, dtype=object)[:, None] for key, texts in words.items()})
     elif place.suffix == ".npz":
@@ -102,7 +116,7 @@ class StateSpaceExporter(Exporter):
     "base:reaction", "tip:displacement", interfaces ``held`` at rest; with a ``step`` in s its zero-order hold.
 
     By default forces on all interfaces go in and their displacements come out. A name that ends in .mat gives a MATLAB
-    file.
+    file. Modes that a ``time_step`` in s does not resolve become a feedthrough.
     """
 
     name: ClassVar[str] = "statespace"
@@ -115,12 +129,15 @@ class StateSpaceExporter(Exporter):
     outputs: list[str] = field(default_factory=list)
     held: list[str] = field(default_factory=list)
     step: Positive | None = None
+    time_step: Positive | None = None
 
     def _write(self, context: ExportContext) -> Exported:
         refuse_displacement(context.path, self.inputs)
-        system = self._system(context)
-        write_state_space(context.path, system if self.step is None else system.discrete(self.step))
-        return Exported(paths=(context.path,), notes=tuple(_notes(system, self.step)))
+        whole = self._system(context)
+        system, found = (whole, None) if self.time_step is None else truncate(whole, context, self.time_step)
+        write_state_space(context.path, system if self.step is None else system.discrete(self.step), found)
+        told = () if found is None else (*found.notes, *certificate_note(context.body))
+        return Exported(paths=(context.path,), notes=(*told, *_notes(system, self.step)))
 
     def _system(self, context: ExportContext) -> StateSpace:
         """In continuous time."""
@@ -137,11 +154,60 @@ class StateSpaceExporter(Exporter):
 
     def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:
         system = self._system(context)
+        if self.time_step is not None:
+            system, _ = truncate(system, context, self.time_step)
         found, expected = (
             FirstOrder(A=each.A, B=each.B, C=each.C, D=each.D, dt=each.dt)
             for each in (read_state_space(files[context.path]), system.discrete(self.step) if self.step else system)
         )
         return ReadBack(found=found, expected=expected, digits=TOL.double_digits)
+
+
+def truncate(system: StateSpace, context: ExportContext, time_step: float) -> tuple[StateSpace, RealTime]:
+    """The ``system`` of a body without the modes that ``time_step`` in s does not resolve: a feedthrough.
+
+    Raises:
+        InputError: the body is not symmetric, so that its coordinates are no modes, or nothing is left.
+    """
+    refuse_two_sided(context.body)
+    names = system.names["states"]
+    q = np.array([names.index(name) for name in names if name[0] == "q" and name[1:].isdigit()], dtype=np.int64)
+    p = np.array([names.index(f"d{names[at]}") for at in q], dtype=np.int64)
+    omega = np.sqrt(np.maximum(-system.A[p, q], 0.0))
+    slow = slow_modes(omega, -system.A[p, p], time_step)
+    refuse_nothing_left(context.body.name, time_step, len(names) - 2 * int((~slow).sum()))
+    fast = np.concatenate([q[~slow], p[~slow]])
+    still = np.concatenate([q[omega > 0], p[omega > 0]])
+    whole = FirstOrder(A=system.A, B=system.B, C=system.C, D=system.D)
+    parts = Truncation(
+        system=whole,
+        fast=fast,
+        moving=np.setdiff1d(np.arange(len(names)), still),
+        units=(system.units["outputs"], system.units["inputs"]),
+        derivatives=_derivatives(system.names["inputs"]),
+        length=gyration(context.source),
+        step=time_step,
+    )
+    short, kept = without_fast(whole, fast), np.setdiff1d(np.arange(len(names)), fast)
+    states = {
+        name: {**words, "states": tuple(words["states"][at] for at in kept)}
+        for name, words in (("names", system.names), ("units", system.units))
+    }
+    return StateSpace(A=short.A, B=short.B, C=short.C, D=short.D, **states), parts.measure(len(q))
+
+
+def _derivatives(inputs: Sequence[str]) -> list[tuple[int, int]]:
+    """Of each input the displacement that it is a derivative of, or itself, and the order."""
+    result = []
+    for at, name in enumerate(inputs):
+        for order, word in enumerate((":displacement:", ":velocity:", ":acceleration:")):
+            base = name.replace(word, ":displacement:")
+            if word in name and base in inputs:
+                result.append((inputs.index(base), order))
+                break
+        else:
+            result.append((at, 0))
+    return result
 
 
 def _notes(system: StateSpace, step: float | None) -> list[str]:

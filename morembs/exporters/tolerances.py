@@ -93,6 +93,18 @@ class ExporterTolerances:
     # Numbers in a line of a C table: chosen, lines of at most 200 characters.
     table_numbers_per_line: int = 8
 
+    # --- Real time
+    # Angle in rad by which the fastest mode that is kept goes on in a time step: half of where explicit steps get
+    # unstable, 6 steps a period.
+    resolved_angle: float = 1.0
+    # Ends of the bands in which errors are told, over the highest frequency that a step resolves: at the first one 63
+    # steps a period, at the last one the series of the error still halves with each term.
+    band_shares: tuple[float, ...] = (0.1, 0.25, 0.5)
+    # Terms of that series: 2^-60 is below eps.
+    series_terms: int = 60
+    # Frequencies at which an error is looked at that has no upper limit: chosen.
+    error_samples: int = 200
+
     # --- Simulators
     # MuJoCo: steps in a radian of the fastest mode; explicit steps are stable from half a step on.
     steps_per_radian: float = 10.0

@@ -239,6 +239,7 @@ def test_the_command_line_exports_members(source, tmp_path):
         ("fmu", {"held": ["start.z"]}, r"no frame or coordinate 'start.z'; did you mean"),
         ("fmu", {"structure": "linear"}, "structure or stress was given for the planar member 'rod'"),
         ("fmu", {"stress": [1]}, "structure or stress was given"),
+        ("c", {"time_step": 1e-4}, "a time step was given for the planar member 'rod', whose modes all stay"),
         ("c", {"precision": "single"}, 'expected "double"'),
         ("c", {"method": "exponential"}, 'member bodies take "midpoint"'),
     ],

@@ -98,6 +98,9 @@ def export(
         str | None, typer.Option(help="Another floating frame: mean-axes, tangent:NAME, chord:NAME,NAME ...")
     ] = None,
     option: Annotated[list[str] | None, typer.Option("--set", help="An option of the target, KEY=VALUE.")] = None,
+    time_step: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Step of a simulation in real time: faster modes go.")
+    ] = None,
     at: Annotated[
         str | None, typer.Option("--at", metavar="NAME=VALUE,...", help="Values of parameters, in SI units.")
     ] = None,
@@ -117,6 +120,7 @@ def export(
     from morembs.exporters import EXPORTERS
     from morembs.storage.contents import note_input
 
+    options = [*(option or []), *([] if time_step is None else [f"time_step={time_step!r}"])]
     with messages():
         if listed:
             print_names({name: f"{kind.about} ({kind.suffix})" for name, kind in EXPORTERS.items()}, as_json)
@@ -133,14 +137,14 @@ def export(
 
             if at is not None or len(files) > 1:
                 raise InputError("--table was given with --at or several files; expected one file and a table")
-            export_family(files[0], table, to, out, body, pairs(option or []), frame, as_json)
+            export_family(files[0], table, to, out, body, pairs(options), frame, as_json)
             return
 
     taken: list[Path] = []
 
     def write(file: Path, documents: Documents) -> None:
         values = None if at is None else values_of(at)
-        done = _exported(file, to, out, body, pairs(option or []), frame, values, taken)
+        done = _exported(file, to, out, body, pairs(options), frame, values, taken)
         taken.extend(done.paths)
         paths = [str(path) for path in done.paths]
         if documents is not None:

@@ -77,6 +77,8 @@ def export_member(
         raise InputError(
             f"structure or stress was given for the planar member {name!r}, which has neither; leave it out"
         )
+    if exporter.time_step is not None:
+        raise InputError(f"a time step was given for the planar member {name!r}, whose modes all stay; leave it out")
     if getattr(exporter, "precision", "double") != "double":
         raise InputError('precision = "single" was given for a planar member; expected "double"')
     held = [*FRAMES] if exporter.held is None else exporter.held

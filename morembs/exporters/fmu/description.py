@@ -65,10 +65,12 @@ def _entries(system: System) -> list[_Entry]:
 def _lines(system: System, name: str, identifier: str, token: str, version: Version) -> Iterator[str]:
     second = version == "2.0"
     entries = _entries(system)
+    found = system.real_time
+    about = "; ".join((f"Elastic body, {system.structure}", *(() if found is None else found.notes)))
     kind, indicators = ("guid", ' numberOfEventIndicators="0"') if second else ("instantiationToken", "")
     yield (
         f'<fmiModelDescription fmiVersion="{version}" modelName={quoteattr(name)} {kind}="{token}" '
-        f'description="Elastic body, {system.structure}" generationTool="morembs {VERSION}" '
+        f'description={quoteattr(about)} generationTool="morembs {VERSION}" '
         f'variableNamingConvention="structured"{indicators}>'
     )
     states = (
@@ -89,7 +91,7 @@ def _lines(system: System, name: str, identifier: str, token: str, version: Vers
         powers = "".join(f' {key}="{power}"' for key, power in base.items())
         yield f'<Unit name="{unit}"><BaseUnit{powers}/></Unit>'
     yield "</UnitDefinitions>"
-    yield f'<DefaultExperiment startTime="0" stopTime="1" stepSize="{TOL.proposed_step_s}"/>'
+    yield f'<DefaultExperiment startTime="0" stopTime="1" stepSize="{found.step if found else TOL.proposed_step_s}"/>'
     yield "<ModelVariables>"
     for reference, entry in enumerate(entries):
         yield _variable(reference, entry, second=second)

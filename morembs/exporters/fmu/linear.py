@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from morembs.exporters.fmu.system import (
     stress_rows,
     variables,
 )
+from morembs.exporters.read_back import FirstOrder
+from morembs.exporters.real_time import Truncation, gyration, refuse_nothing_left, slow_modes, static_response
 from morembs.exporters.reduced import refuse_two_sided, to_interfaces
 from morembs.exporters.tolerances import TOL
 from morembs.linalg.dense import symmetric
@@ -202,3 +204,55 @@ def state_space(system: System) -> tuple[Floats, Floats]:
     damping = 2 * ratio * np.diag(omega) - system.tables["MINUS_D"]
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(omega**2), -damping]])
     return A, np.vstack([np.zeros_like(system.tables["B"]), system.tables["B"]])
+
+
+def truncate(system: System, context: ExportContext, time_step: float) -> System:
+    """The linear ``system`` of a body without the modes that ``time_step`` in s does not resolve: their
+    compliance is in the outputs.
+
+    Raises:
+        InputError: nothing is left.
+    """
+    tables, (A, B) = system.tables, state_space(system)
+    omega, n = tables["OMEGA"], len(tables["OMEGA"])
+    slow = slow_modes(omega, -np.diag(A[n:, n:]), time_step)
+    kept, fast = np.flatnonzero(np.tile(slow, 2)), np.flatnonzero(np.tile(~slow, 2))
+    refuse_nothing_left(context.body.name, time_step, len(kept))
+    linear = system.outputs[: len(tables["YU"])]
+    held = int(system.constants["REACTIONS"])
+    inputs = len(system.inputs) - 3 * held
+    found = Truncation(
+        # Accelerations are the lower rows of the rates.
+        system=FirstOrder(A=A, B=B, C=tables["YX"] + tables["YA"] @ A[n:], D=tables["YU"] + tables["YA"] @ B[n:]),
+        fast=fast,
+        moving=np.flatnonzero(np.tile(omega == 0, 2)),
+        units=([variable.unit for variable in linear], [variable.unit for variable in system.inputs]),
+        derivatives=[(at, 0) for at in range(inputs)] + [(inputs + at, k) for k in range(3) for at in range(held)],
+        length=gyration(context.source),
+        step=time_step,
+    ).measure(n)
+    if slow.all():
+        return replace(system, real_time=found)
+    by_states, by_inputs = static_response(A, B, fast)
+    YU = tables["YU"] + tables["YX"][:, fast] @ by_inputs
+    direct = YU.any(axis=1).tolist()
+    stresses = any(direct[len(linear) - 6 * int(system.constants["STRESSES"]) :]) and bool(system.constants["STRESSES"])
+    direct += [stresses] * (len(system.outputs) - len(linear))
+    return replace(
+        system,
+        tables={
+            "OMEGA": omega[slow],
+            "MINUS_D": tables["MINUS_D"][np.ix_(slow, slow)],
+            "B": tables["B"][slow],
+            "YX": tables["YX"][:, kept] + tables["YX"][:, fast] @ by_states,
+            "YU": YU,
+            "YA": tables["YA"][:, slow],
+        },
+        states=tuple(system.states[at] for at in kept),
+        outputs=tuple(
+            replace(variable, direct=variable.direct or at_once)
+            for variable, at_once in zip(system.outputs, direct, strict=True)
+        ),
+        constants={**system.constants, "MODES": int(slow.sum())},
+        real_time=found,
+    )

@@ -59,7 +59,9 @@ class Code:
         sizes = ", ".join(f"{upper}_{key} = {size}" for key, size in self.sizes.items())
         places = "\n".join(_places(f"{upper}_{kind}", variables) for kind, variables in kinds.items() if variables)
         fields = "".join(f"    {kind} {key}[{size}];\n" for key, (kind, size) in self.fields().items())
-        return _HEADER.format(
+        real_time = () if system.real_time is None else system.real_time.notes
+        told = "".join(f"/* {note}. */\n" for note in real_time)
+        return told + _HEADER.format(
             name=self.name,
             upper=upper,
             real="double" if self.precision == "double" else "float",

@@ -15,6 +15,7 @@ from morembs.base.types import Floats
 from morembs.body.recovery_shapes import Recovery
 from morembs.body.vtkhdf_series import stored_recovery
 from morembs.exporters.base import ExportContext
+from morembs.exporters.real_time import RealTime
 from morembs.exporters.tolerances import TOL
 from morembs.fem.fe_model import Component
 
@@ -94,7 +95,7 @@ class System:
     """A body of one ``structure`` with n normal or elastic coordinates, ready to be written as C.
 
     ``tables`` and ``constants`` by the names that the C code has; ``buffers``: length of each array that its equations
-    work with. A "member" is a planar one of large deflections.
+    work with. A "member" is a planar one of large deflections. ``real_time``: what a time step left of it.
     """
 
     structure: Literal["linear", "floating", "member"]
@@ -106,6 +107,7 @@ class System:
     constants: Mapping[str, int | float]
     buffers: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    real_time: RealTime | None = None
 
 
 GRAVITY = tuple(

@@ -21,9 +21,10 @@ from morembs.exporters.base import LOSSES, Destination, ExportContext, Exported,
 from morembs.exporters.fmu.compiler import compiled, single_error
 from morembs.exporters.fmu.description import Version, build_description, model_description
 from morembs.exporters.fmu.floating import floating_system
-from morembs.exporters.fmu.linear import linear_system, state_space
+from morembs.exporters.fmu.linear import linear_system, state_space, truncate
 from morembs.exporters.fmu.sources import Code, Precision, glue, token_of
 from morembs.exporters.fmu.system import System, identifier, renamed_note
+from morembs.exporters.real_time import certificate_note, slow_frame
 from morembs.exporters.tolerances import TOL
 from morembs.storage.safefile import replacing, replacing_all
 
@@ -46,7 +47,8 @@ class Equations(Exporter):
 
     ``structure`` "linear" (small motion, ``held`` at some interfaces or at none) or "floating" (large rotations;
     "auto": that where the body has a floating frame, no generalised forces, and nothing is held), labels of nodes
-    whose ``stress`` comes out, and a ``damping_ratio`` of all modes beside the damping matrix.
+    whose ``stress`` comes out, and a ``damping_ratio`` of all modes beside the damping matrix. Modes that a
+    ``time_step`` in s does not resolve are static compliance (linear) or left out (floating).
     """
 
     needs_frame: ClassVar[bool] = False
@@ -57,6 +59,7 @@ class Equations(Exporter):
     held: list[str] | None = None
     stress: list[int] = field(default_factory=list)
     damping_ratio: NotNegative = 0.0
+    time_step: Positive | None = None
 
     def _system(self, context: ExportContext) -> System:
         body = context.body
@@ -65,10 +68,16 @@ class Equations(Exporter):
         small = bool(held) or body.floating is None or forces
         linear = self.structure == "linear" or (self.structure == "auto" and small)
         if linear:
-            return linear_system(context, held=held, stress=self.stress, damping_ratio=self.damping_ratio)
+            system = linear_system(context, held=held, stress=self.stress, damping_ratio=self.damping_ratio)
+            return system if self.time_step is None else truncate(system, context, self.time_step)
         if held:
             raise InputError('structure = "floating" was given with held interfaces; take structure = "linear"')
-        return floating_system(context, stress=self.stress, damping_ratio=self.damping_ratio)
+        if self.time_step is None:
+            return floating_system(context, stress=self.stress, damping_ratio=self.damping_ratio)
+        slow, found = slow_frame(context.frame, context.source, body.name, self.time_step)
+        slim = replace(context, body=replace(body, floating=slow))
+        system = floating_system(slim, stress=self.stress, damping_ratio=self.damping_ratio)
+        return replace(system, real_time=found)
 
     def _write(self, context: ExportContext) -> Exported:
         system = self._system(context)
@@ -86,8 +95,10 @@ class Equations(Exporter):
     def _notes(self, context: ExportContext, system: System) -> tuple[str, ...]:
         left = ({"forces"} if system.structure == "floating" else set()) | (set() if self.stress else {"stress"})
         motion = {"linear": "small motion about its place", "floating": "large rotations, in its floating frame"}
+        real_time = () if system.real_time is None else (*system.real_time.notes, *certificate_note(context.body))
         return (
             f"{system.structure} body: {motion[system.structure]}",
+            *real_time,
             *context.lost(LOSSES.keys() - left),
             *system.notes,
         )
@@ -141,7 +152,7 @@ class CSource(Equations):
     """C99 source and header with a function that makes one ``step`` (s) and allocates nothing.
 
     ``method`` "exponential" (linear bodies: exact for held inputs) or "midpoint" (implicit midpoint rule, the one for
-    floating bodies); ``precision`` "double" or "single".
+    floating bodies); ``precision`` "double" or "single". A ``time_step`` is the ``step`` too.
     """
 
     name: ClassVar[str] = "c"
@@ -157,10 +168,11 @@ class CSource(Equations):
         if to.path.suffix != self.suffix:
             raise InputError(f"{to.path} was given; expected a name that ends in .c, beside which the header goes")
         name = identifier(to.path.name.removesuffix(self.suffix))
-        code = self._code(name, system)
+        step = self._step()
+        code = self._code(name, system, step)
         header = to.beside(".h")
         told = [
-            f"one call is one step of {self.step:g} s; take another by --set step=SECONDS",
+            f"one call is one step of {step:g} s; take another by --set step=SECONDS",
             *notes,
             *renamed_note({to.path.name.partition(".")[0]: name}),
         ]
@@ -171,15 +183,29 @@ class CSource(Equations):
                 file.write(content.encode("ascii"))
         return Exported(paths=tuple(text), notes=tuple(told))
 
-    def _code(self, name: str, system: System) -> Code:
+    def _step(self) -> float:
+        """The step of the code in s.
+
+        Raises:
+            InputError: two different ones were given.
+        """
+        if self.time_step is None:
+            return self.step
+        if self.step not in (CSource.step, self.time_step):
+            raise InputError(
+                f"step = {self.step:g} and a time step of {self.time_step:g} s were given; expected one, leave step out"
+            )
+        return self.time_step
+
+    def _code(self, name: str, system: System, step: float) -> Code:
         if system.structure != "linear":
             if self.method == "exponential":
                 raise InputError(f'method = "exponential" was given; {system.structure} bodies take "midpoint"')
             constants = {key: value for key, value in system.constants.items() if key != "TOLERANCE"}
             slim = replace(system, parameters=system.parameters[:1], constants=constants)
-            return Code(name=name, system=slim, precision=self.precision, fixed={"STEP": self.step}, stages=1)
+            return Code(name=name, system=slim, precision=self.precision, fixed={"STEP": step}, stages=1)
         A, B = state_space(system)
-        X, U = (midpoint if self.method == "midpoint" else exponential)(A, B, self.step)
+        X, U = (midpoint if self.method == "midpoint" else exponential)(A, B, step)
         n = len(A) // 2
         slim = replace(system, parameters=(), tables={**system.tables, "MINUS_D": A[n:, n:]})
         return Code(name=name, system=slim, precision=self.precision, fixed={"STEP_X": X, "STEP_U": U})

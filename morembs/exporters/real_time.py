@@ -1,0 +1,268 @@
+"""Bodies for real time: modes that a time step does not resolve answer at once, by their static compliance.
+
+Singular perturbation (Kokotovic, Khalil and O'Reilly 1986): with x = [slow; fast], fast states are where their rates
+vanish, so that they are a feedthrough of the others and of the inputs, exact at 0 Hz. Where fast and slow states are
+not coupled, the error E(s) is that of the fast part alone: its series in s converges within the slowest fast pole, and
+the sum of its terms bounds |E| at every frequency of a band.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg as sl
+
+from morembs.base.errors import InputError
+from morembs.base.summary import upwards
+from morembs.base.types import Floats, Ints
+from morembs.base.units import in_hz
+from morembs.body.body import Body
+from morembs.body.floating.frame import FloatingFrame
+from morembs.body.stored import StoredBodies
+from morembs.exporters.read_back import TINY, FirstOrder
+from morembs.exporters.sid import in_shapes
+from morembs.exporters.tolerances import TOL
+
+# Units of outputs -> what they are.
+KINDS = {
+    **dict.fromkeys(("m", "rad", "1"), "displacements"),
+    **dict.fromkeys(("m/s", "rad/s"), "velocities"),
+    **dict.fromkeys(("m/s2", "rad/s2"), "accelerations"),
+    **dict.fromkeys(("N", "N m", "N.m"), "reactions"),
+    "Pa": "stresses",
+}
+# Powers of a length that turn rotations into displacements, and moments into forces; and their units then.
+_LENGTHS = {"rad": 1, "rad/s": 1, "rad/s2": 1, "N m": -1, "N.m": -1}
+_FORCES = {"rad": "m", "rad/s": "m/s", "rad/s2": "m/s2", "N m": "N", "N.m": "N"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealTime:
+    """What a time ``step`` in s left of a body: ``kept`` of ``count`` modes; the others are static compliance, or gone
+    where not ``compliant``.
+
+    ``errors`` has for each kind of output the largest error of a response up to each of ``bands_hz``, over the largest
+    elastic response of its units: an upper limit where ``proven``, else the largest at some frequencies.
+    """
+
+    step: float
+    kept: int
+    count: int
+    bands_hz: tuple[float, ...]
+    errors: Mapping[str, tuple[float, ...]]
+    proven: bool
+    compliant: bool = True
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user of the export is told."""
+        if self.kept == self.count:
+            return (f"time step {self.step:g} s: resolves all {self.count} modes, nothing was changed",)
+        kind = "at most" if self.proven else f"at {TOL.error_samples} frequencies at most"
+        bands = ", ".join(f"{hz:.4g}" for hz in self.bands_hz)
+        shown = "; ".join(f"{name} {', '.join(map(upwards, errors))}" for name, errors in self.errors.items())
+        return (
+            f"time step {self.step:g} s: {self.kept} of {self.count} modes, up to {resolved_hz(self.step):.4g} Hz; the "
+            f"others are {'static compliance' if self.compliant else 'left out with their compliance'}",
+            f"error against the body up to {bands} Hz, over the largest elastic response, {kind}: {shown}",
+        )
+
+
+def resolved_hz(step: float) -> float:
+    """Highest frequency in Hz that a time ``step`` in s resolves."""
+    return in_hz(TOL.resolved_angle / step)
+
+
+def slow_modes(omega: Floats, damping: Floats, step: float) -> np.ndarray:
+    """Which modes of ``omega`` (n,) in rad/s and ``damping`` (n,) in 1/s a ``step`` resolves: the slowest pole of an
+    overdamped mode counts."""
+    half = 0.5 * np.maximum(damping, 0.0)
+    root = np.sqrt(np.maximum(half**2 - omega**2, 0.0))
+    slowest = omega * np.where(half > omega, omega / np.maximum(half + root, np.maximum(omega, TINY)), 1.0)
+    return np.asarray(slowest * step <= TOL.resolved_angle)
+
+
+def static_response(A: Floats, B: Floats, fast: Ints) -> tuple[Floats, Floats]:
+    """The ``fast`` states (f,) at rest: (f, n - f) by the other states, (f, m) by the inputs."""
+    slow = np.setdiff1d(np.arange(len(A)), fast)
+    both = -np.linalg.solve(A[np.ix_(fast, fast)], np.hstack([A[np.ix_(fast, slow)], B[fast]]))
+    return both[:, : len(slow)], both[:, len(slow) :]
+
+
+def without_fast(system: FirstOrder, fast: Ints) -> FirstOrder:
+    """The system in continuous time whose ``fast`` states answer at once."""
+    A, B, C, D = system.A, system.B, system.C, system.D
+    slow = np.setdiff1d(np.arange(len(A)), fast)
+    by_states, by_inputs = static_response(A, B, fast)
+    return FirstOrder(
+        A=A[np.ix_(slow, slow)] + A[np.ix_(slow, fast)] @ by_states,
+        B=B[slow] + A[np.ix_(slow, fast)] @ by_inputs,
+        C=C[:, slow] + C[:, fast] @ by_states,
+        D=D + C[:, fast] @ by_inputs,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Truncation:
+    """The ``fast`` states (f,) of a ``system`` in continuous time, which go for a time ``step`` in s.
+
+    ``moving`` states belong to modes without stiffness and to supports: their motion is no elastic response.
+    ``units`` are those of outputs and inputs, ``derivatives`` of each input the input that it is a derivative of, and
+    the order. Rotations and moments count at the ``length`` in m. Where not ``compliant`` the fast states leave no
+    compliance behind.
+    """
+
+    system: FirstOrder
+    fast: Ints
+    moving: Ints
+    units: tuple[Sequence[str], Sequence[str]]
+    derivatives: Sequence[tuple[int, int]]
+    length: float
+    step: float
+    compliant: bool = True
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether fast and slow states act on each other by no more than round-off."""
+        A, slow = self.system.A, np.setdiff1d(np.arange(len(self.system.A)), self.fast)
+        across = np.abs(np.hstack([A[np.ix_(slow, self.fast)].ravel(), A[np.ix_(self.fast, slow)].ravel()]))
+        return bool(across.max(initial=0.0) <= TOL.rigid_damping * np.abs(np.diag(A)).max(initial=0.0))
+
+    def measure(self, count: int) -> RealTime:
+        """How far the system without its fast states is from the whole one, of ``count`` modes."""
+        bands = [share * TOL.resolved_angle / self.step for share in TOL.band_shares if len(self.fast)]
+        kinds = [KINDS[unit] for unit in self.units[0]]
+        errors = {kind: tuple(self._share(kinds, kind, band) for band in bands) for kind in dict.fromkeys(kinds)}
+        return RealTime(
+            step=self.step,
+            kept=count - len(self.fast) // 2,
+            count=count,
+            bands_hz=tuple(in_hz(band) for band in bands),
+            errors=errors,
+            proven=self.is_proven,
+            compliant=self.compliant,
+        )
+
+    def _share(self, kinds: Sequence[str], kind: str, band: float) -> float:
+        """The largest error up to ``band`` in rad/s of outputs of one kind, over the largest size with its units."""
+        inputs, worst = [_FORCES.get(unit, unit) for unit in self.units[1]], 0.0
+        rows = np.array(kinds) == kind
+        error = self.error(band)
+        size = np.max([self.size(band, share * band) for share in (0.0, 0.5, 1.0)], axis=0)
+        for own in dict.fromkeys(inputs):
+            block = np.ix_(rows, [unit == own for unit in inputs])
+            whole = float(size[block].max())
+            worst = max(worst, float(error[block].max()) / whole if whole else 0.0)
+        return worst
+
+    def _merged(self, matrix: np.ndarray, band: float) -> np.ndarray:
+        """The columns of each input and its derivatives in one, all under the same motion at ``band`` in rad/s, and
+        rotations and moments as displacements and forces at ``length``."""
+        outputs, inputs = ([_LENGTHS.get(unit, 0) for unit in units] for units in self.units)
+        result = np.zeros_like(matrix)
+        for at, (base, order) in enumerate(self.derivatives):
+            result[:, base] += band**order * matrix[:, at] * self.length ** -float(inputs[at])
+        return np.asarray(result * self.length ** np.array(outputs, dtype=float)[:, None])
+
+    def _dropped(self) -> FirstOrder:
+        system, slow = self.system, np.setdiff1d(np.arange(len(self.system.A)), self.fast)
+        return replace(system, A=system.A[np.ix_(slow, slow)], B=system.B[slow], C=system.C[:, slow])
+
+    def size(self, band: float, s: float) -> Floats:
+        """(p, m): elastic responses at ``s`` >= 0 of the real axis, where there is no resonance, to motions of supports
+        at ``band`` in rad/s."""
+        every, system = np.arange(len(self.system.A)), self.system
+        elastic = np.setdiff1d(every, self.moving)
+        A, B, C = system.A[np.ix_(elastic, elastic)], system.B[elastic], system.C[:, elastic]
+        return np.abs(self._merged(_transfer(replace(system, A=A, B=B, C=C), s), band))
+
+    def error(self, band: float) -> Floats:
+        """(p, m): largest |E(i w)| for w up to ``band`` in rad/s, an upper limit where ``is_proven``."""
+        if self.is_proven:
+            return self._merged(_bound(self.system, self.fast, band, first=int(self.compliant)), band)
+        short = without_fast(self.system, self.fast) if self.compliant else self._dropped()
+        samples = 1j * band * np.arange(1, TOL.error_samples + 1) / TOL.error_samples
+        differences = [np.abs(_transfer(self.system, s) - _transfer(short, s)) for s in samples]
+        return self._merged(np.asarray(np.max(differences, axis=0)), band)
+
+
+def _bound(system: FirstOrder, fast: Ints, band: float, first: int) -> Floats:
+    """(p, m): upper limits of |E(i w)| for all w up to ``band`` in rad/s; E is the sum of s^k C A^-(k+1) B from the
+    ``first`` term on."""
+    A, B, C = system.A[np.ix_(fast, fast)], system.B[fast], system.C[:, fast]
+    values, V = np.linalg.eig(A)
+    size, ratio = np.abs(values), band / np.abs(values)
+    # What the terms beyond the last add to at most, mode by mode.
+    tail = ratio**TOL.series_terms / (size * (1 - ratio))
+    result = np.abs(C @ V) * tail @ np.abs(np.linalg.solve(V, B))
+    moment = B
+    for k in range(TOL.series_terms):
+        moment = np.linalg.solve(A, moment) * (band if k else 1.0)
+        if k >= first:
+            result = result + np.abs(C @ moment)
+    return np.asarray(result)
+
+
+def _transfer(system: FirstOrder, s: complex) -> np.ndarray:
+    return np.asarray(system.C @ np.linalg.solve(s * np.eye(len(system.A)) - system.A, system.B) + system.D)
+
+
+def refuse_nothing_left(name: str, step: float, left: int) -> None:
+    """Refuse a step that resolves no motion.
+
+    Raises:
+        InputError: as said.
+    """
+    if not left:
+        raise InputError(
+            f"a time step of {step:g} s was given, which resolves motion up to {resolved_hz(step):.4g} Hz, and body "
+            f"{name!r} has no slower mode; take a shorter step"
+        )
+
+
+def certificate_note(body: Body) -> tuple[str, ...]:
+    """What the body itself is off from the full model, which adds to the error of the export."""
+    if body.certificate is None:
+        return ("the error of the body itself is not known: it has no certificate",)
+    return (f"the error of the body itself adds to that: {body.certificate.words}",)
+
+
+def gyration(source: StoredBodies) -> float:
+    """Radius of gyration in m, at which rotations and moments count; 1 m for what has no mass or no extent."""
+    square = float(np.trace(source.inertia)) / (2 * source.mass) if source.mass > 0 else 0.0
+    return float(np.sqrt(square)) if square > 0 else 1.0
+
+
+def slow_frame(frame: FloatingFrame, source: StoredBodies, name: str, step: float) -> tuple[FloatingFrame, RealTime]:
+    """The floating ``frame`` of the body ``name`` with the free modes alone that a ``step`` in s resolves.
+
+    Raises:
+        InputError: nothing is left.
+    """
+    mean = frame.in_frame("mean-axes")
+    values, T = sl.eigh(frame.Ke, mean.integrals.Me)
+    T = T * np.where(T[np.argmax(np.abs(T), axis=0), np.arange(len(T))] < 0, -1.0, 1.0)
+    omega, damping = np.sqrt(np.maximum(values, 0.0)), T.T @ frame.De @ T
+    slow = slow_modes(omega, np.diag(damping), step)
+    refuse_nothing_left(name, step, int(slow.sum()))
+    motion = np.vstack([marker.motion for marker in mean.markers.values()]) @ T
+    still = np.zeros_like(motion)
+    n = len(omega)
+    found = Truncation(
+        system=FirstOrder(
+            A=np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(omega**2), -damping]]),
+            B=np.vstack([still.T, motion.T]),
+            C=np.hstack([motion, still]),
+            D=np.zeros((len(motion), len(motion))),
+        ),
+        fast=np.flatnonzero(np.tile(~slow, 2)),
+        moving=np.zeros(0, dtype=np.int64),
+        units=(["m", "m", "m", "rad", "rad", "rad"] * len(mean.markers), (["N"] * 3 + ["N m"] * 3) * len(mean.markers)),
+        derivatives=[(at, 0) for at in range(len(motion))],
+        length=gyration(source),
+        step=step,
+        compliant=False,
+    ).measure(n)
+    return in_shapes(frame, T[:, slow]), found
