@@ -87,7 +87,9 @@ def slow_modes(omega: Floats, damping: Floats, step: float) -> np.ndarray:
 def static_response(A: Floats, B: Floats, fast: Ints) -> tuple[Floats, Floats]:
     """The ``fast`` states (f,) at rest: (f, n - f) by the other states, (f, m) by the inputs."""
     slow = np.setdiff1d(np.arange(len(A)), fast)
-    both = -np.linalg.solve(A[np.ix_(fast, fast)], np.hstack([A[np.ix_(fast, slow)], B[fast]]))
+    both: Floats = -np.asarray(
+        np.linalg.solve(A[np.ix_(fast, fast)], np.hstack([A[np.ix_(fast, slow)], B[fast]])), float
+    )
     return both[:, : len(slow)], both[:, len(slow) :]
 
 
@@ -176,7 +178,7 @@ class Truncation:
         every, system = np.arange(len(self.system.A)), self.system
         elastic = np.setdiff1d(every, self.moving)
         A, B, C = system.A[np.ix_(elastic, elastic)], system.B[elastic], system.C[:, elastic]
-        return np.abs(self._merged(_transfer(replace(system, A=A, B=B, C=C), s), band))
+        return np.asarray(np.abs(self._merged(_transfer(replace(system, A=A, B=B, C=C), s), band)), dtype=float)
 
     def error(self, band: float) -> Floats:
         """(p, m): largest |E(i w)| for w up to ``band`` in rad/s, an upper limit where ``is_proven``."""
@@ -199,7 +201,7 @@ def _bound(system: FirstOrder, fast: Ints, band: float, first: int) -> Floats:
     result = np.abs(C @ V) * tail @ np.abs(np.linalg.solve(V, B))
     moment = B
     for k in range(TOL.series_terms):
-        moment = np.linalg.solve(A, moment) * (band if k else 1.0)
+        moment = np.asarray(np.linalg.solve(A, moment) * (band if k else 1.0), dtype=float)
         if k >= first:
             result = result + np.abs(C @ moment)
     return np.asarray(result)

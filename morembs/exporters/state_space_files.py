@@ -170,30 +170,29 @@ def truncate(system: StateSpace, context: ExportContext, time_step: float) -> tu
         InputError: the body is not symmetric, so that its coordinates are no modes, or nothing is left.
     """
     refuse_two_sided(context.body)
-    names = system.names["states"]
-    q = np.array([names.index(name) for name in names if name[0] == "q" and name[1:].isdigit()], dtype=np.int64)
-    p = np.array([names.index(f"d{names[at]}") for at in q], dtype=np.int64)
+    states = system.names["states"]
+    q = np.array([states.index(name) for name in states if name[0] == "q" and name[1:].isdigit()], dtype=np.int64)
+    p = np.array([states.index(f"d{states[at]}") for at in q], dtype=np.int64)
     omega = np.sqrt(np.maximum(-system.A[p, q], 0.0))
     slow = slow_modes(omega, -system.A[p, p], time_step)
-    refuse_nothing_left(context.body.name, time_step, len(names) - 2 * int((~slow).sum()))
+    refuse_nothing_left(context.body.name, time_step, len(states) - 2 * int((~slow).sum()))
     fast = np.concatenate([q[~slow], p[~slow]])
     still = np.concatenate([q[omega > 0], p[omega > 0]])
     whole = FirstOrder(A=system.A, B=system.B, C=system.C, D=system.D)
     parts = Truncation(
         system=whole,
         fast=fast,
-        moving=np.setdiff1d(np.arange(len(names)), still),
+        moving=np.setdiff1d(np.arange(len(states)), still),
         units=(system.units["outputs"], system.units["inputs"]),
         derivatives=_derivatives(system.names["inputs"]),
         length=gyration(context.source),
         step=time_step,
     )
-    short, kept = without_fast(whole, fast), np.setdiff1d(np.arange(len(names)), fast)
-    states = {
-        name: {**words, "states": tuple(words["states"][at] for at in kept)}
-        for name, words in (("names", system.names), ("units", system.units))
-    }
-    return StateSpace(A=short.A, B=short.B, C=short.C, D=short.D, **states), parts.measure(len(q))
+    short, kept = without_fast(whole, fast), np.setdiff1d(np.arange(len(states)), fast)
+    names, units = (
+        {**words, "states": tuple(words["states"][at] for at in kept)} for words in (system.names, system.units)
+    )
+    return StateSpace(A=short.A, B=short.B, C=short.C, D=short.D, names=names, units=units), parts.measure(len(q))
 
 
 def _derivatives(inputs: Sequence[str]) -> list[tuple[int, int]]:

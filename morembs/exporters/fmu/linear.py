@@ -235,7 +235,7 @@ def truncate(system: System, context: ExportContext, time_step: float) -> System
         return replace(system, real_time=found)
     by_states, by_inputs = static_response(A, B, fast)
     YU = tables["YU"] + tables["YX"][:, fast] @ by_inputs
-    direct = YU.any(axis=1).tolist()
+    direct: list[bool] = np.any(YU != 0, axis=1).tolist()
     stresses = any(direct[len(linear) - 6 * int(system.constants["STRESSES"]) :]) and bool(system.constants["STRESSES"])
     direct += [stresses] * (len(system.outputs) - len(linear))
     return replace(
