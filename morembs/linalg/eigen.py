@@ -21,6 +21,7 @@ from morembs.linalg.lanczos import BlockLanczos, largest
 from morembs.linalg.second_shift import first_look, keeps_two_factors, modes_below
 from morembs.linalg.slicing import gap_after, sliced_modes
 from morembs.linalg.space import Space
+from morembs.linalg.sparse.threads import limit_threads
 from morembs.linalg.statics import ConstrainedStatics
 from morembs.linalg.sturm import ShiftedInverse, count_below, off_eigenvalues
 from morembs.linalg.tolerances import TOL
@@ -97,11 +98,13 @@ def lowest_modes(
     if not count:
         return Modes(eigenvalues=np.zeros(0), vectors=np.zeros((M.shape[0], 0)), verified_below=below or 0.0)
     per_slice = slice_width(body.statics.factor.stats) if per_slice is None else per_slice
-    if count > TOL.least_slices * per_slice:
-        if shifted is not None:
-            shifted.close()
-        return _sliced(body, M, count, below, what, per_slice)
-    return _sparse(body, M, count, below, what, shifted)
+    # Threads that wait for each other in small products take the processor from whoever works beside.
+    with limit_threads(1 if M.shape[0] <= TOL.one_thread_rows else None):
+        if count > TOL.least_slices * per_slice:
+            if shifted is not None:
+                shifted.close()
+            return _sliced(body, M, count, below, what, per_slice)
+        return _sparse(body, M, count, below, what, shifted)
 
 
 def _up_to(body: ConstrainedStatics, M: sp.csr_array, below: float) -> tuple[int, ShiftedInverse | None]:

@@ -95,6 +95,9 @@ class LinalgTolerances:
     block_widths: tuple[int, ...] = (4, 8, 12, 16, 24, 32)
     # Modes up to which shift zero is enough: a factor that is kept and checked for a second shift would not pay.
     one_factor_modes: int = 20
+    # Rows up to which one thread of the BLAS finds modes. 6,591 rows and 400 modes take 3.9 processor seconds on one
+    # thread, 12.5 to 17 on two beside other work, and five times as long; above, two threads save a quarter.
+    one_thread_rows: int = 20_000
     # Columns of a Krylov block with a factor on disk, where a pass takes as long as their arithmetic.
     wide_block: int = 32
     # Columns of such a block where there are as many modes: no wider.

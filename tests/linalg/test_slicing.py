@@ -17,6 +17,7 @@ from morembs.fem.material import isotropic
 from morembs.linalg.eigen import Modes, lowest_modes
 from morembs.linalg.eigen_cost import is_dense_cheaper
 from morembs.linalg.slicing import sliced_modes
+from morembs.linalg.sparse.threads import blas_threads, limit_threads
 from morembs.linalg.sturm import ShiftedInverse
 from morembs.linalg.tolerances import TOL
 from morembs.problem import Problem
@@ -157,43 +158,70 @@ def test_no_more_modes_than_masses(memory: int | None) -> None:
             lowest_modes(problem.free_free, problem.M, count=19, by_lapack=False)
 
 
-def _wanted(count: int, model: FEModel, heard: Heard, monkeypatch: pytest.MonkeyPatch) -> tuple[Modes, list[int]]:
-    """Free modes by the default, and the columns of each solve at a shift of the walk."""
+def _wanted(count: int, model: FEModel, monkeypatch: pytest.MonkeyPatch) -> tuple[Modes, list[int], list[int]]:
+    """Free modes by the default, the columns of each solve, and the rows of each dense eigenproblem."""
     solved: list[int] = []
-    apply = ShiftedInverse.apply
+    dense: list[int] = []
+    apply, eigh = ShiftedInverse.apply, sl.eigh
+
+    def small(A: np.ndarray, *given: object, **options: object) -> object:
+        dense.append(len(A))
+        return eigh(A, *given, **options)
+
+    monkeypatch.setattr(sl, "eigh", small)
 
     def counted(self: ShiftedInverse, F: np.ndarray) -> np.ndarray:
         solved.append(F.shape[1])
         return apply(self, F)
 
     monkeypatch.setattr(ShiftedInverse, "apply", counted)
-    with Problem(model) as problem, listening(heard):
+    with Problem(model) as problem:
         modes = lowest_modes(problem.free_free, problem.M, count=count)
+        monkeypatch.undo()
         stats = problem.statics.factor.stats
         assert np.abs(modes.vectors.T @ (problem.M @ modes.vectors) - np.eye(count)).max() < 1e-10
-        return modes, [*solved, *[stats.columns // stats.passes] * stats.passes]
+        return modes, [*solved, *[stats.columns // stats.passes] * stats.passes], dense
 
 
 def test_many_modes_by_count_take_few_solves_and_small_eigenproblems(monkeypatch: pytest.MonkeyPatch) -> None:
     """A sixth of all modes of a block: those of LAPACK, with a hundredth of its operations.
 
-    ARPACK takes a pass over the factor for each column; in one space these modes took 43 looks at spaces of up to 800
-    columns.
+    ARPACK takes a pass over the factor for each column, more than two a mode. In one space there were small
+    eigenproblems as dear as that of all modes, with a look after each block.
     """
     model = assemble(box("hex8", (8, 8, 8), (0.1, 0.11, 0.123)), [isotropic(set="all", **STEEL)])
-    size, count, heard = model.K.shape[0], 360, Heard()
-    modes, solved = _wanted(count, model, heard, monkeypatch)
+    size, count = model.K.shape[0], 360
+    modes, solved, dense = _wanted(count, model, monkeypatch)
     exact = sl.eigh(model.K.toarray(), model.M.toarray(), eigvals_only=True, subset_by_index=(6, 6 + count))
     np.testing.assert_allclose(modes.eigenvalues, exact[:count], rtol=1e-10)
     X, MX = modes.vectors, model.M @ modes.vectors
     residual = np.linalg.norm(model.K @ X - MX * modes.eigenvalues, axis=0)
     assert (residual < 2e-9 * np.linalg.norm(model.K @ X, axis=0)).all()
     assert exact[count - 1] < modes.verified_below < exact[count] * (1 + 1e-9)
-    looks = [text for text in heard.news if "converged" in text or "known roughly" in text]
-    # Spaces of slices have up to twice as many columns as these have modes, and four blocks.
-    assert len(looks) * (3 * TOL.least_slice_modes) ** 3 < 0.2 * size**3
-    assert sum(solved) < 5 * count
-    assert len(solved) < count
+    assert sum(rows**3 for rows in dense) < 0.06 * size**3 and max(dense) < size / 5
+    assert sum(solved) < 4 * count and len(solved) < 0.6 * count
+    # In one space: so few looks while it grows by four times its first one, five percent each.
+    modes, solved, dense = _wanted(180, model, monkeypatch)
+    np.testing.assert_allclose(modes.eigenvalues, exact[:180], rtol=1e-10)
+    large = [rows for rows in dense if rows > 180]
+    assert len(large) <= 20 and sum(solved) < 4 * 180
+
+
+def test_modes_of_small_models_take_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Threads of small products spin: beside other work two of them took three times the processor time of one."""
+    threads: list[int] = []
+    apply = ShiftedInverse.apply
+
+    def counted(self: ShiftedInverse, F: np.ndarray) -> np.ndarray:
+        threads.append(blas_threads())
+        return apply(self, F)
+
+    monkeypatch.setattr(ShiftedInverse, "apply", counted)
+    model = assemble(box("hex8", (8, 8, 8), (0.1, 0.11, 0.123)), [isotropic(set="all", **STEEL)])
+    with Problem(model) as problem, limit_threads(2):
+        before = blas_threads()
+        lowest_modes(problem.free_free, problem.M, count=30)
+        assert set(threads) == {1} and blas_threads() == before == 2
 
 
 @pytest.mark.parametrize("share", [0.05, 0.5, 1.0])
