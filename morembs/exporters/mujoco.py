@@ -17,11 +17,12 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.base.limits import Part, RelativeError
+from morembs.base.limits import Part, Positive, RelativeError
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
 from morembs.body.floating.frame import FloatingFrame
 from morembs.exporters.base import ExportContext, Exported, Exporter
+from morembs.exporters.mujoco_slides import taken_inertia, with_slides
 from morembs.exporters.sid import normal_coordinates
 from morembs.exporters.simscape import quaternion
 from morembs.exporters.tolerances import TOL
@@ -35,7 +36,8 @@ DIRECTIONS = ("1 0 0", "0 1 0", "0 0 1")
 @dataclass(frozen=True, kw_only=True)
 class MuJoCo(Exporter):
     """``highest_hz`` leaves out faster modes, which need short steps, as far as the static compliance of the interfaces
-    stays within ``tolerance``; ``share`` is the part of the mass that each interface takes.
+    stays within ``tolerance``; ``share`` is the part of the mass that each interface takes. A ``time_step`` in s leaves
+    out modes that it does not resolve; slides at the limit of the step have their compliance.
     """
 
     name: ClassVar[str] = "mujoco"
@@ -46,27 +48,46 @@ class MuJoCo(Exporter):
     highest_hz: float | None = None
     tolerance: RelativeError = 0.05
     share: Part = 0.01
+    time_step: Positive | None = None
 
     def _write(self, context: ExportContext) -> Exported:
         context.markers("MuJoCo")
         frame = _lightened(context.frame, self.share)
-        kept = self._kept(frame)
-        omega = np.sqrt(np.diag(frame.Ke))
-        step = float(1 / (TOL.steps_per_radian * omega[kept[-1]]))
+        run, real_time = frame, tuple[str, ...]()
+        if self.time_step is None:
+            kept = self._kept(frame)
+            highest = float(np.sqrt(frame.Ke[kept[-1], kept[-1]]))
+            step = 1 / (TOL.steps_per_radian * highest)
+            told: tuple[str, ...] = (
+                f"{len(kept)} of {frame.count} modes, up to {in_hz(highest):.5g} Hz: the time step is {step:.3g} s; "
+                "highest_hz takes fewer, within the tolerance",
+            )
+        else:
+            self._refuse_both()
+            step = self.time_step
+            run, real_time = with_slides(context, frame, step, self.share)
+            kept, told = list(range(run.count)), real_time
         with replacing(context.path) as file:
-            for line in _lines(context, frame, kept, step, self.share):
+            for note in real_time:
+                file.write(f"<!-- {note} -->\n".encode())
+            for line in _lines(context, run, kept, step, self.share):
                 file.write(f"{line}\n".encode())
             file.check()
         crossed = np.abs(frame.De - np.diag(np.diag(frame.De))).max(initial=0.0)
         notes = [
-            f"{len(kept)} of {frame.count} modes, up to {in_hz(omega[kept[-1]]):.5g} Hz: the time step is "
-            f"{step:.3g} s; highest_hz takes fewer, within the tolerance",
+            *told,
             "Coriolis and centrifugal forces on the modes are left out; deflections must be small and spin slow",
             "mean axes: the body of the file is at the origin of the frame, whatever the frame of the body file is",
         ]
         if crossed > TOL.left_out_damping * np.abs(frame.De).max(initial=0.0):
             notes.append(f"damping between different modes, of up to {crossed:.3g} 1/s, is left out")
         return Exported(paths=(context.path,), notes=tuple(notes))
+
+    def _refuse_both(self) -> None:
+        if self.highest_hz is not None:
+            raise InputError(
+                f"highest_hz = {self.highest_hz:g} and a time step of {self.time_step:g} s were given; take one of them"
+            )
 
     def _kept(self, frame: FloatingFrame) -> list[int]:
         """Modes up to the limit.
@@ -98,7 +119,7 @@ def _lightened(frame: FloatingFrame, share: float) -> FloatingFrame:
         InputError: the interfaces take more than moves with them.
     """
     integrals = frame.integrals
-    mass, turning = _taken(frame, share)
+    mass, turning = taken_inertia(frame, share)
     first, inertia = integrals.first.copy(), integrals.inertia.copy()
     Ct, Cr, Me = integrals.Ct.copy(), integrals.Cr.copy(), integrals.Me.copy()
     for marker in frame.markers.values():
@@ -121,16 +142,9 @@ def _lightened(frame: FloatingFrame, share: float) -> FloatingFrame:
     return normal_coordinates(light)[0]
 
 
-def _taken(frame: FloatingFrame, share: float) -> tuple[float, float]:
-    """Mass in kg and rotary inertia in kg m2 that each interface takes."""
-    integrals = frame.integrals
-    central = np.linalg.eigvalsh(integrals.about(integrals.center).inertia)
-    return share * integrals.mass, share * float(central[0])
-
-
 def _lines(context: ExportContext, frame: FloatingFrame, kept: list[int], step: float, share: float) -> Iterator[str]:
     name, integrals = context.body.name, frame.integrals
-    mass, turning = _taken(context.frame, share)
+    mass, turning = taken_inertia(context.frame, share)
     center = integrals.center
     J = integrals.about(center).inertia
     full = _numbers([J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[0, 2], J[1, 2]])

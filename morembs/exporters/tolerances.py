@@ -104,6 +104,8 @@ class ExporterTolerances:
     series_terms: int = 60
     # Frequencies at which an error is looked at that has no upper limit: chosen.
     error_samples: int = 200
+    # Decay that these have in parts of their frequency, so that resonances count as ones of 1 % of damping: chosen.
+    sampled_damping: float = 0.01
 
     # --- Simulators
     # MuJoCo: steps in a radian of the fastest mode; explicit steps are stable from half a step on.

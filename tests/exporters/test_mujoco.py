@@ -4,6 +4,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import scipy.linalg as sl
 
 from morembs import elastic_body, make_part, read_body, write_body
 from morembs.base.errors import InputError
@@ -28,6 +29,16 @@ def rod(tmp_path_factory):
         frame = floating_frame(problem, reduced, kind="tangent", interfaces=("left",), origin=(0.1, 0.0, 0.01))
         body = elastic_body(problem, reduced, make_part(problem), floating=frame)
     return write_body(tmp_path_factory.mktemp("rod") / "rod.h5", [body])
+
+
+@pytest.fixture(scope="module")
+def stiff(tmp_path_factory):
+    """A rod with modes from 377 to 7,300 Hz."""
+    model = steel(box("hex8", (6, 1, 1), (0.5, 0.02, 0.02)), young=2e10)
+    faces = [make_interface(model, name=name, nodes=where(model, 0, x)) for name, x in (("left", 0.0), ("right", 0.5))]
+    with Problem(model, faces, damping=Damping(beta=1e-6)) as problem:
+        body = elastic_body(problem, CraigBampton(modes=6).reduce(problem, "cb"), make_part(problem))
+    return write_body(tmp_path_factory.mktemp("stiff") / "rod.h5", [body])
 
 
 def test_a_pushed_rod_moves_and_bends_as_it_should(rod, tmp_path):
@@ -92,4 +103,90 @@ def test_fast_modes_may_be_left_out_as_far_as_the_compliance_stays(rod, tmp_path
             export_body(rod, "mujoco", path=tmp_path / "x.xml", options={key: 1.5})
     with pytest.raises(InputError, match="takes more mass for the interfaces than moves with some mode"):
         export_body(rod, "mujoco", path=tmp_path / "x.xml", options={"share": 0.4})
+    assert not (tmp_path / "x.xml").exists()
+
+
+def swung(path, axis, hz, refined=1):
+    """Times and motions of the right end under a burst of a force along ``axis``, and that force."""
+    mujoco = pytest.importorskip("mujoco", reason=INSTALL)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    model.opt.gravity[:] = 0
+    model.opt.timestep /= refined
+    tip = model.body("cb:right").id
+    mujoco.mj_forward(model, data)
+    start, end, step, places = float(data.xpos[tip, axis]), 4 / hz, model.opt.timestep, []
+
+    def force(time):
+        return np.sin(np.pi * time / end) ** 2 * np.cos(2 * np.pi * hz * time)
+
+    for k in range(round(1.5 * end / step)):
+        data.xfrc_applied[tip, axis] = force(k * step) if k * step < end else 0.0
+        mujoco.mj_step(model, data)
+        mujoco.mj_kinematics(model, data)
+        places.append(data.xpos[tip, axis] - start)
+    return step, np.array(places), lambda time: force(time) if time < end else 0.0
+
+
+def exact(body, axis, step, count, force, fine=20):
+    """The same motion by the matrices of the body file, at ``count`` steps."""
+    n, row = len(body.mass_matrix), 6 + axis
+    load = np.linalg.solve(body.mass_matrix, body.input_matrix[:, row])
+    whole = np.zeros((2 * n + 1, 2 * n + 1))
+    whole[:n, n : 2 * n] = np.eye(n)
+    parts = np.hstack([body.stiffness_matrix, body.damping_matrix])
+    whole[n : 2 * n] = np.hstack([-np.linalg.solve(body.mass_matrix, parts), load[:, None]])
+    once = sl.expm(step / fine * whole)[: 2 * n]
+    x, result = np.zeros(2 * n), []
+    for k in range(count * fine):
+        x = once @ np.append(x, force((k + 0.5) * step / fine))
+        if (k + 1) % fine == 0:
+            result.append(body.output_matrix[row] @ x[:n])
+    return np.array(result)
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_in_real_time_a_rod_moves_as_it_should(stiff, tmp_path, axis):
+    """Up to 100 Hz, by 10,000 steps a second. Along the axis all stretch is that of slides: 1 % of the motion."""
+    done = export_body(stiff, "mujoco", path=tmp_path / "rod.xml", options={"time_step": 1e-4})
+    assert done.notes[0].startswith(
+        "time step 0.0001 s: 5 of 12 modes, up to 1592 Hz; the others are static compliance"
+    )
+    assert float(done.notes[1].partition("displacements ")[2].partition(",")[0]) < 5e-3
+    text = done.paths[0].read_text()
+    assert "<!-- time step 0.0001 s: 5 of 12 modes" in text and 'timestep="0.0001"' in text
+    step, places, force = swung(done.paths[0], axis, 100.0)
+    wanted = exact(read_body(stiff).bodies["cb"], axis, step, len(places), force)
+    assert len(places) == 600
+    assert np.abs(places - wanted).max() < 1e-3 * np.abs(wanted).max()
+
+
+def test_the_error_of_the_steps_is_told_apart_from_that_of_the_modes(stiff, tmp_path):
+    """At 795.8 Hz, between resonances: steps put frequencies off by 1.1 %; a tenth leaves that of the modes."""
+    done = export_body(stiff, "mujoco", path=tmp_path / "rod.xml", options={"time_step": 1e-4})
+    assert "beside that, the steps of MuJoCo put frequencies too high by 4.2e-04 at 159.2 Hz" in done.notes[3]
+    assert "1.1e-02 at 795.8 Hz" in done.notes[3]
+    errors = []
+    for refined in (1, 10):
+        step, places, force = swung(done.paths[0], 2, 795.8, refined)
+        wanted = exact(read_body(stiff).bodies["cb"], 2, step, len(places), force, fine=4)
+        errors.append(np.abs(places - wanted).max() / np.abs(wanted).max())
+    assert errors[0] > 0.02 and errors[1] < 0.2 * errors[0]
+
+
+def test_slides_are_as_stiff_as_the_modes_that_are_gone(stiff, tmp_path):
+    """The fastest joint vibrates as fast as the step resolves; a shorter step keeps all modes."""
+    path = export_body(stiff, "mujoco", path=tmp_path / "rod.xml", options={"time_step": 1e-4}).paths[0]
+    stiffness = [
+        float(joint.get("stiffness")) for joint in ElementTree.parse(path).iter("joint") if joint.get("stiffness")
+    ]
+    assert len(stiffness) > 5 and np.sqrt(max(stiffness)) * 1e-4 <= 1 + 1e-9
+    done = export_body(stiff, "mujoco", path=tmp_path / "rod.xml", options={"time_step": 1e-6})
+    assert "resolves all 12 modes" in done.notes[0]
+    for options, words in (
+        ({"time_step": 1e-4, "highest_hz": 900.0}, "highest_hz = 900 and a time step of 0.0001 s were given"),
+        ({"time_step": 0.1}, "which resolves motion up to 1.592 Hz, and body 'cb' has no slower mode"),
+    ):
+        with pytest.raises(InputError, match=words):
+            export_body(stiff, "mujoco", path=tmp_path / "x.xml", options=options)
     assert not (tmp_path / "x.xml").exists()
