@@ -117,8 +117,15 @@ def _value(entry: Field[Any], hint: Any, value: Any, head: str, faults: list[str
     elif fits(value, hint):
         return _converted(value, hint)
     at = f"{head}: " if head else ""
-    faults.append(f"{at}{name} = {in_toml(value)} was given; expected {expected(entry, hint)}")
+    faults.append(f"{at}{name} = {in_toml(value)} was given; expected {_limits(entry, hint)}{expected(entry, hint)}")
     return None
+
+
+def _limits(entry: Field[Any], hint: Any) -> str:
+    """The limits of a number that is called by words of its own, which say what it is."""
+    parts = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    numeric = any(_domain(part) is not None and get_args(part)[0] in (int, float) for part in parts)
+    return f"{words(hint)}: " if numeric and "expected" in entry.metadata else ""
 
 
 def _converted(value: Any, hint: Any) -> Any:

@@ -187,12 +187,29 @@ def test_a_run_that_was_ended_goes_on_from_its_equilibria(tmp_path: Path, monkey
     assert not list(tmp_path.glob("*.equilibria"))
 
 
+def test_reductions_whose_names_differ_by_a_sign_keep_equilibria_of_their_own(tmp_path: Path) -> None:
+    head, table = ROD.replace('"rod"\n', '"a+b"\n').split("[output]")[0], ROD[ROD.index("[[reduce]]") :]
+    second = table.replace('"rod"\n', '"a.b"\n').replace("reach = 0.7", "reach = 0.5")
+    result = run_job(load_job(write(tmp_path, head + second)))
+    members = result.document()["members"]
+    assert {name: member["restored"] for name, member in members.items()} == {"a+b": 0, "a.b": 0}
+    assert [member["reach"] for member in members.values()] == [0.7, 0.5]
+
+
+def test_a_text_may_begin_with_the_mark_of_its_encoding(tmp_path: Path) -> None:
+    path = tmp_path / "rod.toml"
+    path.write_text(ROD, encoding="utf-8-sig")
+    assert load_job(path).text == ROD
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
         ("elements = 6", "", "length was given; expected length and elements, or points"),
         ("elements = 6", "points = [[0, 0, 0], [1, 0, 0]]", "length, points was given; expected"),
-        ("length = 0.304", "length = -1.0", r"length = -1.0 was given; expected the length of a straight beam"),
+        ("length = 0.304", "length = -1.0", r"length = -1.0 was given; expected a positive number: the length of a straight beam"),
+        ("reach = 0.7", "reach = 4", "reach = 4 was given; expected an angle in rad above zero and below pi, or one of"),
+        ("reach = 0.7", "reach = true", "reach = true was given; expected an angle in rad above zero and below pi"),
         ("density = 2770.0", "", "young, area, second_moment was given; expected young and density with"),
         ("area = 7.854e-5", "width = 1.0", "young, density, width, second_moment was given"),
         ("young = 2e6", "section = { EA = 1, GA = 1, EI = 1, mass = 1 }", "section and density, area"),
@@ -216,8 +233,16 @@ def test_what_no_member_can_be_made_of_is_named(tmp_path: Path, old: str, new: s
         load_job(write(tmp_path, ROD.replace(old, new)))
 
 
-def test_what_the_tables_cannot_reach_names_the_reduction(tmp_path: Path) -> None:
-    job = load_job(write(tmp_path), ["reduce.points_per_angle=2"])
-    with pytest.raises(InputError, match=r"\[\[reduce\]\] 'rod': .*points"):
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("reduce.points_per_angle=2", "points"),
+        ("reduce.reach={ moment = 1e9 }", "N m are not borne, only 0 .*; expected smaller loads"),
+        ("member.length=1e300", "stiffness or mass of the component overflow"),
+    ],
+)
+def test_what_the_tables_cannot_reach_names_the_reduction(tmp_path: Path, change: str, words: str) -> None:
+    job = load_job(write(tmp_path), [change])
+    with pytest.raises(InputError, match=rf"\[\[reduce\]\] 'rod': .*{words}"):
         run_job(job)
     assert not (tmp_path / "rod.h5").exists()

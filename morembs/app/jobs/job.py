@@ -79,7 +79,8 @@ def read_text(path: Path, words: str = "job file", kind: str = "a job") -> str:
         InputError: it cannot be read, or is no text.
     """
     try:
-        return path.read_text(encoding="utf-8")
+        # Editors of some systems begin a text with a mark of its encoding.
+        return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise InputError(f"{words} {str(path)!r} cannot be read ({reason}); {_near(path)}") from error

@@ -17,9 +17,10 @@ from morembs.app.jobs.stages.stage import JobForecast, JobStage, Result, Results
 from morembs.app.jobs.tables import HasTables, Job, JobTables, ModelTable, OutputTable
 from morembs.app.jobs.tolerances import TOL
 from morembs.app.report.sections import Place, Section
+from morembs.base.arguments import fits, words
 from morembs.base.errors import InputError
 from morembs.base.memory import resident_bytes
-from morembs.base.options import read_options
+from morembs.base.options import in_toml, read_options
 from morembs.base.units import Units
 from morembs.linalg.sparse.threads import blas_threads
 from morembs.storage.checksums import whole_sum
@@ -208,9 +209,9 @@ def _checkpoint(job: Job, name: str, sums: Sequence[str]) -> Path:
     output = job.resolve(OutputTable.of(job).path)
     asked = job.tables.values(without_none=True, but={"output", "solver"})
     digest = hashlib.sha256(json.dumps([asked, sums], sort_keys=True, default=str).encode()).hexdigest()
-    label = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in name)
-    path = output.with_name(f"{output.name}.{label}.{digest[:12]}.equilibria")
-    for left in output.parent.glob(f"{glob.escape(output.name)}.{label}.{12 * '?'}.equilibria"):
+    begin = f"{output.name}.{name}"
+    path = output.with_name(f"{begin}.{digest[:12]}.equilibria")
+    for left in output.parent.glob(f"{glob.escape(begin)}.{12 * '?'}.equilibria"):
         if left != path:
             left.unlink(missing_ok=True)
     return path
@@ -239,11 +240,17 @@ def _all_options(job: HasTables) -> dict[str, dict[str, Any]]:
 
 def _options(name: str, table: ReduceTable, units: Units) -> dict[str, Any]:
     from morembs.dynamics.gmp import Plan, ReducedMember
+    from morembs.dynamics.gmp.plan import EndAngle
 
     where, given = f"[[reduce]] {name!r}: ", table.options()
     reach = given.get("reach")
     if isinstance(reach, Mapping):
         given["reach"] = _envelope(reach, units, where)
+    elif reach is not None and not fits(reach, EndAngle):
+        raise InputError(
+            f"{where}reach = {in_toml(reach)} was given; expected {words(EndAngle)}, or one of {{ angle = ... }}, "
+            "{ moment = ... }, { load = ... }"
+        )
     options = read_options(
         ReducedMember,
         given,
@@ -256,7 +263,7 @@ def _options(name: str, table: ReduceTable, units: Units) -> dict[str, Any]:
     try:
         Plan(**{key: value for key, value in options.items() if key not in ("modes", "formulation")})
     except InputError as error:
-        raise InputError(f"{where}{error}") from error
+        raise InputError(f"{where}{str(error).removeprefix('Plan: ')}") from error
     return options
 
 
