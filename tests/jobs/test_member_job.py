@@ -207,8 +207,8 @@ def test_a_text_may_begin_with_the_mark_of_its_encoding(tmp_path: Path) -> None:
     [
         ("elements = 6", "", "length was given; expected length and elements, or points"),
         ("elements = 6", "points = [[0, 0, 0], [1, 0, 0]]", "length, points was given; expected"),
-        ("length = 0.304", "length = -1.0", r"length = -1.0 was given; expected a positive number: the length of a straight beam"),
-        ("reach = 0.7", "reach = 4", "reach = 4 was given; expected an angle in rad above zero and below pi, or one of"),
+        ("length = 0.304", "length = -1.0", r"length = -1.0 was given; expected a positive number: the length"),
+        ("reach = 0.7", "reach = 4", "reach = 4 was given; .* above zero and below pi, or one of"),
         ("reach = 0.7", "reach = true", "reach = true was given; expected an angle in rad above zero and below pi"),
         ("density = 2770.0", "", "young, area, second_moment was given; expected young and density with"),
         ("area = 7.854e-5", "width = 1.0", "young, density, width, second_moment was given"),
