@@ -6,6 +6,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from morembs.base.errors import InputError
 from morembs.base.former_names import renamed
 from morembs.base.options import read_options
@@ -25,6 +27,7 @@ from morembs.exporters.mbdyn import MBDynExporter
 from morembs.exporters.modelica import Modelica
 from morembs.exporters.mujoco import MuJoCo
 from morembs.exporters.op4 import OP4Exporter
+from morembs.exporters.real_time import RealTime, find_step
 from morembs.exporters.sid import SidFem
 from morembs.exporters.simscape import Simscape
 from morembs.exporters.state_space_files import StateSpaceExporter
@@ -139,6 +142,33 @@ def export_body(
     return replace(done, notes=(*notes, *done.notes))
 
 
+def step_for_band(
+    source: str | Path, to: str, band_hz: float, *, body: str | None = None, options: Mapping[str, object] | None = None
+) -> tuple[RealTime, dict[str, float]]:
+    """The time step for motion up to ``band_hz`` in real time, and what it costs; nothing is written.
+
+    Returns:
+        what the step leaves of the body, and the errors up to ``band_hz`` by kind of output; "steps" is that of the
+        simulator.
+
+    Raises:
+        InputError: as ``export_body``, or a target that knows no time step.
+
+    >>> found, errors = step_for_band("bar.h5", "statespace", 100.0)
+    >>> errors["displacements"] <= 1e-3
+    True
+    """
+    if not 0 < band_hz < np.inf:
+        raise InputError(f"a band up to {band_hz} Hz was given; expected a positive frequency")
+    exporter, place = make_exporter(to, options), Path(source)
+    bodies = read_body(place)
+    context = ExportContext(source=bodies, body=choose_body(bodies, body, place), path=place, file=place)
+    found = find_step(lambda step: exporter.truncated(context, step), exporter.step_error, band_hz)
+    if found is None:
+        raise InputError(f"export to {to!r} knows no time step that fits; take 'mujoco', 'fmu', 'c' or 'statespace'")
+    return found
+
+
 def _in_frame(body: Body, text: str) -> tuple[Body, tuple[str, ...]]:
     """``body`` in the floating frame that ``text`` names, and what it lost on the way."""
     if body.floating is None:
@@ -174,6 +204,7 @@ __all__ = [
     "default_path",
     "export_body",
     "make_exporter",
+    "step_for_band",
 ]
 
 __getattr__ = renamed(__name__, {"Task": "ExportContext"})

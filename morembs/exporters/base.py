@@ -24,6 +24,7 @@ from morembs.storage.safefile import looked_at
 
 if TYPE_CHECKING:
     from morembs.body.floating.frame import FloatingFrame, InterfaceMarker
+    from morembs.exporters.real_time import RealTime
 
 # What a body may have that a target cannot hold -> words for it.
 LOSSES = {
@@ -185,6 +186,18 @@ class Exporter(ABC):
             InputError: it cannot be read.
         """
         return None
+
+    def truncated(self, context: ExportContext, step: float) -> RealTime | None:
+        """What a time ``step`` in s leaves of a body; None for a target that knows no time step.
+
+        Raises:
+            StepTooLongError: nothing.
+        """
+        return None
+
+    def step_error(self, angle: float) -> float:
+        """Part by which the simulator puts a frequency off that goes on by ``angle`` in rad in a step."""
+        return 0.0
 
     @final
     def export(self, source: StoredBodies, body: Body, path: str | Path, file: Path | None = None) -> Exported:

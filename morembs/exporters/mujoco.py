@@ -22,7 +22,8 @@ from morembs.base.types import Floats
 from morembs.base.units import in_hz
 from morembs.body.floating.frame import FloatingFrame
 from morembs.exporters.base import ExportContext, Exported, Exporter
-from morembs.exporters.mujoco_slides import taken_inertia, with_slides
+from morembs.exporters.mujoco_slides import step_notes, taken_inertia, too_fast, with_slides
+from morembs.exporters.real_time import RealTime
 from morembs.exporters.sid import normal_coordinates
 from morembs.exporters.simscape import quaternion
 from morembs.exporters.tolerances import TOL
@@ -65,8 +66,9 @@ class MuJoCo(Exporter):
         else:
             self._refuse_both()
             step = self.time_step
-            run, real_time = with_slides(context, frame, step, self.share)
-            kept, told = list(range(run.count)), real_time
+            run, found = with_slides(context, frame, step, self.share)
+            kept, real_time = list(range(run.count)), step_notes(context, found, run.count)
+            told = real_time
         with replacing(context.path) as file:
             for note in real_time:
                 file.write(f"<!-- {note} -->\n".encode())
@@ -82,6 +84,13 @@ class MuJoCo(Exporter):
         if crossed > TOL.left_out_damping * np.abs(frame.De).max(initial=0.0):
             notes.append(f"damping between different modes, of up to {crossed:.3g} 1/s, is left out")
         return Exported(paths=(context.path,), notes=tuple(notes))
+
+    def truncated(self, context: ExportContext, step: float) -> RealTime:
+        context.markers("MuJoCo")
+        return with_slides(context, _lightened(context.frame, self.share), step, self.share)[1]
+
+    def step_error(self, angle: float) -> float:
+        return too_fast(angle)
 
     def _refuse_both(self) -> None:
         if self.highest_hz is not None:

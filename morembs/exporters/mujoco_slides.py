@@ -27,8 +27,8 @@ def taken_inertia(frame: FloatingFrame, share: float) -> tuple[float, float]:
 
 def with_slides(
     context: ExportContext, frame: FloatingFrame, step: float, share: float
-) -> tuple[FloatingFrame, tuple[str, ...]]:
-    """Normal modes of ``frame`` that ``step`` in s resolves, then slides that stand for all others, and notes.
+) -> tuple[FloatingFrame, RealTime]:
+    """Normal modes of ``frame`` that ``step`` in s resolves, then slides that stand for all others.
 
     The slides vibrate as fast as the step resolves; their motions are the eigenvectors of the compliance of the modes
     that are gone, less what the tendons yield, so that the file is exact at rest; so is its damping to first order.
@@ -61,9 +61,14 @@ def with_slides(
         De=np.diag(np.concatenate([damping[slow], fastest**2 * np.maximum(losses, 0.0)])),
         markers=markers,
     )
-    found = _measure(context, run, step, share, kept=int(slow.sum()), count=frame.count)
-    slides = (f"modes from {int(slow.sum()) + 1} on stand for the compliance of the others",) if U.shape[1] else ()
-    return run, (*found.notes, *slides, _integrator_note(step), *certificate_note(context.body))
+    return run, _measure(context, run, step, share, kept=int(slow.sum()), count=frame.count)
+
+
+def step_notes(context: ExportContext, found: RealTime, count: int) -> tuple[str, ...]:
+    """What the user is told of a model with ``count`` slides."""
+    first = f"modes from {found.kept + 1} on stand for the compliance of the others"
+    slides = (first,) if count > found.kept else ()
+    return (*found.notes, *slides, _integrator_note(found.step), *certificate_note(context.body))
 
 
 def _yielding(context: ExportContext, frame: FloatingFrame, motion: Floats, step: float, share: float) -> Floats:
@@ -137,10 +142,13 @@ def _rigid_rows(frame: FloatingFrame) -> Floats:
     return np.vstack([rigid_motion(np.tile(marker.point, (6, 1)), np.arange(6)) for marker in frame.markers.values()])
 
 
+def too_fast(angle: float) -> float:
+    """Part by which semi-implicit Euler puts the frequency of a mode too high that goes on by ``angle`` in rad in a
+    step: it vibrates at 2 / step asin(angle / 2)."""
+    return float(2 * np.arcsin(min(angle, 2.0) / 2) / angle - 1)
+
+
 def _integrator_note(step: float) -> str:
-    """What semi-implicit Euler steps do: a mode of w vibrates at 2 / step asin(w step / 2)."""
     angles = [share * TOL.resolved_angle for share in TOL.band_shares]
-    shown = ", ".join(
-        f"{upwards(2 * np.arcsin(angle / 2) / angle - 1)} at {in_hz(angle / step):.4g} Hz" for angle in angles
-    )
+    shown = ", ".join(f"{upwards(too_fast(angle))} at {in_hz(angle / step):.4g} Hz" for angle in angles)
     return f"beside that, the steps of MuJoCo put frequencies too high by {shown}"

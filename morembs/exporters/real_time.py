@@ -8,7 +8,7 @@ the sum of its terms bounds |E| at every frequency of a band.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +38,10 @@ _LENGTHS = {"rad": 1, "rad/s": 1, "rad/s2": 1, "N m": -1, "N.m": -1}
 _FORCES = {"rad": "m", "rad/s": "m/s", "rad/s2": "m/s2", "N m": "N", "N.m": "N"}
 
 
+class StepTooLongError(InputError):
+    """A time step that resolves no motion of a body."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RealTime:
     """What a time ``step`` in s left of a body: ``kept`` of ``count`` modes; the others are static compliance, or gone
@@ -54,6 +58,11 @@ class RealTime:
     errors: Mapping[str, tuple[float, ...]]
     proven: bool
     compliant: bool = True
+
+    def errors_to(self, hz: float) -> dict[str, float]:
+        """Errors by kind of output in the narrowest band that reaches ``hz``, none where nothing was left out."""
+        at = int(np.searchsorted(np.array(self.bands_hz) * (1 + TOL.step_roundoff), hz))
+        return {kind: errors[at] for kind, errors in self.errors.items() if at < len(errors)}
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -215,10 +224,10 @@ def refuse_nothing_left(name: str, step: float, left: int) -> None:
     """Refuse a step that resolves no motion.
 
     Raises:
-        InputError: as said.
+        StepTooLongError: as said.
     """
     if not left:
-        raise InputError(
+        raise StepTooLongError(
             f"a time step of {step:g} s was given, which resolves motion up to {resolved_hz(step):.4g} Hz, and body "
             f"{name!r} has no slower mode; take a shorter step"
         )
@@ -268,3 +277,30 @@ def slow_frame(frame: FloatingFrame, source: StoredBodies, name: str, step: floa
         compliant=False,
     ).measure(n)
     return in_shapes(frame, T[:, slow]), found
+
+
+def find_step(
+    truncated: Callable[[float], RealTime | None], step_error: Callable[[float], float], band_hz: float
+) -> tuple[RealTime, dict[str, float]] | None:
+    """The longest step of a few, and its errors, with which motion up to ``band_hz`` stays within
+    ``TOL.real_time_error`` as far as steps can help: velocities miss the share of static compliance at any. None for a
+    target that knows no step."""
+    shares = [*sorted(TOL.band_shares, reverse=True), *(TOL.band_shares[0] / 2**k for k in range(1, TOL.step_halvings))]
+    best: tuple[RealTime, dict[str, float]] | None = None
+    for share in shares:
+        angle = share * TOL.resolved_angle
+        step = angle / (2 * np.pi * band_hz)
+        unit = 10.0 ** (np.floor(np.log10(step)) - 1)
+        try:
+            # Two digits, rounded down, as people type it.
+            found = truncated(float(f"{np.floor(step / unit) * unit:.1e}"))
+        except StepTooLongError:
+            continue
+        if found is None:
+            return None
+        own = step_error(2 * np.pi * band_hz * found.step)
+        errors = found.errors_to(band_hz) | ({"steps": own} if own else {})
+        best = found, errors
+        if all(error <= TOL.real_time_error for kind, error in errors.items() if kind != "velocities"):
+            break
+    return best

@@ -139,6 +139,9 @@ class StateSpaceExporter(Exporter):
         told = () if found is None else (*found.notes, *certificate_note(context.body))
         return Exported(paths=(context.path,), notes=(*told, *_notes(system, self.step)))
 
+    def truncated(self, context: ExportContext, step: float) -> RealTime:
+        return truncate(self._system(context), context, step)[1]
+
     def _system(self, context: ExportContext) -> StateSpace:
         """In continuous time."""
         names = [name for at, name in enumerate(context.source.interfaces) if at in context.source.input_interface]

@@ -107,6 +107,11 @@ class ExporterTolerances:
     # Decay that these have in parts of their frequency, so that resonances count as ones of 1 % of damping: chosen.
     sampled_damping: float = 0.01
 
+    # Error of an export for which a time step is looked for: chosen, below that of most bodies.
+    real_time_error: float = 1e-3
+    # Halvings of a time step that is looked for: below a hundredth of what the first band needs.
+    step_halvings: int = 8
+
     # --- Simulators
     # MuJoCo: steps in a radian of the fastest mode; explicit steps are stable from half a step on.
     steps_per_radian: float = 10.0

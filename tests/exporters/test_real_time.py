@@ -9,7 +9,7 @@ import pytest
 
 from morembs import read_body
 from morembs.base.errors import InputError
-from morembs.exporters import export_body
+from morembs.exporters import export_body, step_for_band
 from morembs.exporters.read_back import FirstOrder
 from morembs.exporters.real_time import Truncation, resolved_hz, slow_modes, without_fast
 from morembs.exporters.state_space_files import read_state_space
@@ -182,3 +182,22 @@ def test_the_command_line_takes_a_time_step(source, tmp_path):
     assert done.code == 0 and "note: time step 0.0001 s: 12 of 20 modes" in done.output
     refused = command("export", source, "--to", "sid", "--time-step", "1e-4", "-o", tmp_path / "x.sid", folder=tmp_path)
     assert refused.code == 2 and "time_step" in refused.errors
+
+
+def test_a_check_names_the_longest_step_that_is_good_enough(source, tmp_path):
+    found, errors = step_for_band(source, "statespace", 100.0)
+    assert 0 < found.kept < found.count and errors["displacements"] <= 1e-3
+    # What the export of that step tells itself; twice the step is too long.
+    done = export_body(source, "statespace", path=tmp_path / "x.npz", options={"time_step": found.step})
+    assert done.notes[:2] == found.notes
+    twice = export_body(source, "statespace", path=tmp_path / "x.npz", options={"time_step": 2 * found.step})
+    assert float(twice.notes[1].partition("displacements ")[2].partition(",")[0]) > 1e-3
+    # The steps of MuJoCo count too: (w h)^2 / 24.
+    steps = step_for_band(source, "mujoco", 100.0)
+    assert steps[1]["steps"] == pytest.approx((2 * np.pi * 100 * steps[0].step) ** 2 / 24, rel=0.01)
+    said = command("export", source, "--to", "statespace", "--check", 100, folder=tmp_path)
+    assert said.code == 0 and f"time step for motion up to 100 Hz: {found.step:g} s" in said.output
+    for to, band, words in (("sid", 100.0, "knows no time step"), ("c", -1.0, "expected a positive frequency")):
+        with pytest.raises(InputError, match=words):
+            step_for_band(source, to, band)
+    assert [path.name for path in tmp_path.iterdir()] == ["x.npz"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -101,6 +102,10 @@ def export(
     time_step: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Step of a simulation in real time: faster modes go.")
     ] = None,
+    check: Annotated[
+        float | None,
+        typer.Option("--check", metavar="HZ", help="Name the time step for motion up to HZ; write nothing."),
+    ] = None,
     at: Annotated[
         str | None, typer.Option("--at", metavar="NAME=VALUE,...", help="Values of parameters, in SI units.")
     ] = None,
@@ -140,6 +145,9 @@ def export(
             export_family(files[0], table, to, out, body, pairs(options), frame, as_json)
             return
 
+    if check is not None:
+        each_file(files, as_json, partial(_show_step, to=to, band_hz=check, body=body, options=pairs(options)))
+        return
     taken: list[Path] = []
 
     def write(file: Path, documents: Documents) -> None:
@@ -154,6 +162,36 @@ def export(
             typer.echo("\n".join([f"written: {', '.join(paths)}", *(f"note: {note}" for note in done.notes)]))
 
     each_file(files, as_json, write)
+
+
+def _show_step(
+    file: Path, documents: Documents, *, to: str, band_hz: float, body: str | None, options: Mapping[str, object]
+) -> None:
+    """Print the time step for a band, or add it to the documents."""
+    # Not at the top: help needs no exporter.
+    from morembs.base.summary import upwards
+    from morembs.exporters import step_for_band
+    from morembs.exporters.tolerances import TOL
+
+    found, errors = step_for_band(file, to, band_hz, body=body, options=options)
+    if documents is not None:
+        documents.append(
+            {
+                "file": str(file),
+                "to": to,
+                "band_hz": band_hz,
+                "time_step_s": found.step,
+                "modes": found.kept,
+                "errors": errors,
+            }
+        )
+        return
+    shown = ", ".join(f"{kind} {upwards(error)}" for kind, error in errors.items()) or "none, all modes are there"
+    typer.echo(f"time step for motion up to {band_hz:g} Hz: {found.step:g} s, {found.kept} of {found.count} modes")
+    typer.echo(f"errors: {shown}")
+    worst = max((error for kind, error in errors.items() if kind != "velocities"), default=0.0)
+    if worst > TOL.real_time_error:
+        typer.echo(f"note: no step that was looked at is within {TOL.real_time_error:g}; this is the shortest")
 
 
 def _exported(

@@ -24,7 +24,7 @@ from morembs.exporters.fmu.floating import floating_system
 from morembs.exporters.fmu.linear import linear_system, state_space, truncate
 from morembs.exporters.fmu.sources import Code, Precision, glue, token_of
 from morembs.exporters.fmu.system import System, identifier, renamed_note
-from morembs.exporters.real_time import certificate_note, slow_frame
+from morembs.exporters.real_time import RealTime, certificate_note, slow_frame
 from morembs.exporters.tolerances import TOL
 from morembs.storage.safefile import replacing, replacing_all
 
@@ -78,6 +78,9 @@ class Equations(Exporter):
         slim = replace(context, body=replace(body, floating=slow))
         system = floating_system(slim, stress=self.stress, damping_ratio=self.damping_ratio)
         return replace(system, real_time=found)
+
+    def truncated(self, context: ExportContext, step: float) -> RealTime | None:
+        return replace(self, time_step=step)._system(context).real_time
 
     def _write(self, context: ExportContext) -> Exported:
         system = self._system(context)
