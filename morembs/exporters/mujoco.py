@@ -9,8 +9,10 @@ rigid and elastic inertia of the whole stay as they were. Coriolis and centrifug
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar
 from xml.sax.saxutils import quoteattr
 
@@ -18,12 +20,13 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.limits import Part, Positive, RelativeError
+from morembs.base.optional import optional
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
 from morembs.body.floating.frame import FloatingFrame
 from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.mujoco_slides import step_notes, taken_inertia, too_fast, with_slides
-from morembs.exporters.real_time import RealTime
+from morembs.exporters.real_time import RealTime, price_note
 from morembs.exporters.sid import normal_coordinates
 from morembs.exporters.simscape import quaternion
 from morembs.exporters.tolerances import TOL
@@ -67,7 +70,7 @@ class MuJoCo(Exporter):
             self._refuse_both()
             step = self.time_step
             run, found = with_slides(context, frame, step, self.share)
-            kept, real_time = list(range(run.count)), step_notes(context, found, run.count)
+            kept, real_time = (list(range(run.count)), step_notes(context, found, run.count))
             told = real_time
         with replacing(context.path) as file:
             for note in real_time:
@@ -75,6 +78,7 @@ class MuJoCo(Exporter):
             for line in _lines(context, run, kept, step, self.share):
                 file.write(f"{line}\n".encode())
             file.check()
+        told += () if self.time_step is None else price_note(_seconds_of_step(context.path), step)
         crossed = np.abs(frame.De - np.diag(np.diag(frame.De))).max(initial=0.0)
         notes = [
             *told,
@@ -119,6 +123,19 @@ class MuJoCo(Exporter):
                 "more modes, or raise the tolerance"
             )
         return kept
+
+
+def _seconds_of_step(path: Path) -> float | None:
+    """Processor time in s of one step of the model, the mean of ``timed_steps``; None where MuJoCo is not installed."""
+    try:
+        mujoco = optional("mujoco", "the price of a step")
+    except InputError:
+        return None
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    start = time.process_time()
+    mujoco.mj_step(model, data, nstep=TOL.timed_steps)
+    return (time.process_time() - start) / TOL.timed_steps
 
 
 def _lightened(frame: FloatingFrame, share: float) -> FloatingFrame:

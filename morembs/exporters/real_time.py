@@ -12,17 +12,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg as sl
 
 from morembs.base.errors import InputError
 from morembs.base.summary import upwards
 from morembs.base.types import Floats, Ints
 from morembs.base.units import in_hz
 from morembs.body.body import Body
-from morembs.body.floating.frame import FloatingFrame
 from morembs.body.stored import StoredBodies
 from morembs.exporters.read_back import TINY, FirstOrder
-from morembs.exporters.sid import in_shapes
 from morembs.exporters.tolerances import TOL
 
 # Units of outputs -> what they are.
@@ -178,7 +175,7 @@ class Truncation:
         return np.asarray(result * self.length ** np.array(outputs, dtype=float)[:, None])
 
     def _dropped(self) -> FirstOrder:
-        system, slow = self.system, np.setdiff1d(np.arange(len(self.system.A)), self.fast)
+        system, slow = (self.system, np.setdiff1d(np.arange(len(self.system.A)), self.fast))
         return replace(system, A=system.A[np.ix_(slow, slow)], B=system.B[slow], C=system.C[:, slow])
 
     def size(self, band: float, s: float) -> Floats:
@@ -186,7 +183,7 @@ class Truncation:
         at ``band`` in rad/s."""
         every, system = np.arange(len(self.system.A)), self.system
         elastic = np.setdiff1d(every, self.moving)
-        A, B, C = system.A[np.ix_(elastic, elastic)], system.B[elastic], system.C[:, elastic]
+        A, B, C = (system.A[np.ix_(elastic, elastic)], system.B[elastic], system.C[:, elastic])
         return np.asarray(np.abs(self._merged(_transfer(replace(system, A=A, B=B, C=C), s), band)), dtype=float)
 
     def error(self, band: float) -> Floats:
@@ -246,37 +243,9 @@ def gyration(source: StoredBodies) -> float:
     return float(np.sqrt(square)) if square > 0 else 1.0
 
 
-def slow_frame(frame: FloatingFrame, source: StoredBodies, name: str, step: float) -> tuple[FloatingFrame, RealTime]:
-    """The floating ``frame`` of the body ``name`` with the free modes alone that a ``step`` in s resolves.
-
-    Raises:
-        InputError: nothing is left.
-    """
-    mean = frame.in_frame("mean-axes")
-    values, T = sl.eigh(frame.Ke, mean.integrals.Me)
-    T = T * np.where(T[np.argmax(np.abs(T), axis=0), np.arange(len(T))] < 0, -1.0, 1.0)
-    omega, damping = np.sqrt(np.maximum(values, 0.0)), T.T @ frame.De @ T
-    slow = slow_modes(omega, np.diag(damping), step)
-    refuse_nothing_left(name, step, int(slow.sum()))
-    motion = np.vstack([marker.motion for marker in mean.markers.values()]) @ T
-    still = np.zeros_like(motion)
-    n = len(omega)
-    found = Truncation(
-        system=FirstOrder(
-            A=np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(omega**2), -damping]]),
-            B=np.vstack([still.T, motion.T]),
-            C=np.hstack([motion, still]),
-            D=np.zeros((len(motion), len(motion))),
-        ),
-        fast=np.flatnonzero(np.tile(~slow, 2)),
-        moving=np.zeros(0, dtype=np.int64),
-        units=(["m", "m", "m", "rad", "rad", "rad"] * len(mean.markers), (["N"] * 3 + ["N m"] * 3) * len(mean.markers)),
-        derivatives=[(at, 0) for at in range(len(motion))],
-        length=gyration(source),
-        step=step,
-        compliant=False,
-    ).measure(n)
-    return in_shapes(frame, T[:, slow]), found
+def price_note(seconds: float | None, step: float) -> tuple[str, ...]:
+    """What a simulated second costs where a ``step`` in s takes some ``seconds`` of the processor."""
+    return () if seconds is None else (f"1 s costs {seconds / step:.2g} s on this machine, step {step:g} s",)
 
 
 def find_step(

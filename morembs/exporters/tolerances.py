@@ -109,6 +109,8 @@ class ExporterTolerances:
 
     # Error of an export for which a time step is looked for: chosen, below that of most bodies.
     real_time_error: float = 1e-3
+    # Steps whose time is measured: some milliseconds.
+    timed_steps: int = 1000
     # Halvings of a time step that is looked for: below a hundredth of what the first band needs.
     step_halvings: int = 8
 

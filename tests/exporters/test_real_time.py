@@ -156,6 +156,21 @@ def test_an_fmu_follows_loads_at_once_and_says_what_it_is(source, fmi):
 
 
 @needs_compiler
+def test_the_price_of_a_second_is_told_where_it_can_be_measured(source, tmp_path, monkeypatch):
+    def prices(step):
+        notes = export_body(source, "c", path=tmp_path / "x.c", options={"time_step": step}).notes
+        told = [note.split() for note in notes if note.startswith("1 s costs")]
+        assert all(words[4:] == f"s on this machine, step {step:g} s".split() for words in told)
+        return [float(words[3]) for words in told]
+
+    # Ten times the steps, of more modes.
+    [slow], [fast] = prices(1e-4), prices(1e-5)
+    assert 0 < 3 * slow < fast
+    monkeypatch.setenv("CC", "/no/compiler")
+    assert prices(1e-4) == []
+
+
+@needs_compiler
 def test_a_floating_body_loses_its_fast_modes_and_says_so(source):
     done = export_body(source, "c", path=source.with_name("large.c"), options={"time_step": STEP})
     assert "6 of 14 modes, up to 1592 Hz; the others are left out with their compliance" in done.notes[2]

@@ -1,4 +1,4 @@
-"""The C compiler of the system, and what single precision costs."""
+"""The C compiler of the system, and what single precision and steps cost."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ import os
 import shlex
 import shutil
 import subprocess
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -93,22 +96,41 @@ def single_error(code: Code) -> float | str:
     return worst
 
 
-def _outputs(code: Code, library: bytes) -> Floats:
-    """Outputs (steps, m) under random inputs of about one."""
+def seconds_of_step(code: Code) -> float | None:
+    """Processor time in s of one step of ``code``, the mean of ``timed_steps``; None where there is no compiler, or a
+    step fails."""
+    library = compiled({f"{code.name}.h": code.header(), f"{code.name}.c": code.source()}, "-fvisibility=default")
+    if isinstance(library, str):
+        return None
+    with _loaded(code, library) as (step, _):
+        start = time.process_time()
+        failed = any(step() for _ in range(TOL.timed_steps))
+        return None if failed else (time.process_time() - start) / TOL.timed_steps
+
+
+@contextmanager
+def _loaded(code: Code, library: bytes) -> Iterator[tuple[Callable[[], int], Any]]:
+    """A body that has started: its function that makes a step, and its fields."""
     real: Any = ctypes.c_double if code.precision == "double" else ctypes.c_float
     fields = [(key, (ctypes.c_int if kind == "int" else real) * size) for key, (kind, size) in code.fields().items()]
-    kind = type("Body", (ctypes.Structure,), {"_fields_": fields})
-    steps = TOL.single_precision_steps
-    inputs = np.random.default_rng(1).standard_normal((steps, len(code.system.inputs)))
-    outputs = np.full((steps, len(code.system.outputs)), np.inf)
+    body = type("Body", (ctypes.Structure,), {"_fields_": fields})()
     with TemporaryDirectory(prefix="morembs-") as folder:
         path = Path(folder) / "body.so"
         path.write_bytes(library)
-        loaded, body = ctypes.CDLL(str(path)), kind()
+        loaded = ctypes.CDLL(str(path))
         getattr(loaded, f"{code.name}_start")(ctypes.byref(body))
+        yield partial(getattr(loaded, f"{code.name}_step"), ctypes.byref(body)), body
+
+
+def _outputs(code: Code, library: bytes) -> Floats:
+    """Outputs (steps, m) under random inputs of about one."""
+    steps = TOL.single_precision_steps
+    inputs = np.random.default_rng(1).standard_normal((steps, len(code.system.inputs)))
+    outputs = np.full((steps, len(code.system.outputs)), np.inf)
+    with _loaded(code, library) as (step, body):
         for k in range(steps):
             body.u[: inputs.shape[1]] = inputs[k].tolist()
-            if getattr(loaded, f"{code.name}_step")(ctypes.byref(body)):
+            if step():
                 break
             outputs[k] = body.y[: outputs.shape[1]]
     return outputs

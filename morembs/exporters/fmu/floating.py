@@ -9,6 +9,7 @@ import scipy.linalg as sl
 
 from morembs.base.types import Floats
 from morembs.body.floating.frame import FloatingFrame
+from morembs.body.stored import StoredBodies
 from morembs.exporters.base import ExportContext, refuse_rigid
 from morembs.exporters.fmu.linear import damping_parameter
 from morembs.exporters.fmu.system import (
@@ -24,6 +25,9 @@ from morembs.exporters.fmu.system import (
     stress_rows,
     variables,
 )
+from morembs.exporters.read_back import FirstOrder
+from morembs.exporters.real_time import RealTime, Truncation, gyration, refuse_nothing_left, slow_modes
+from morembs.exporters.sid import in_shapes
 from morembs.exporters.tolerances import TOL
 
 _QUATERNION = "wxyz"
@@ -73,6 +77,39 @@ def floating_system(context: ExportContext, *, stress: Sequence[int], damping_ra
         buffers={"at_q": 9 * frame.count, "at_rate": 3 * frame.count, "J": 9, "Cr": 3 * frame.count, "moment": 3},
         notes=(*_left_out(context), *frame.notes, *renamed_note(known)),
     )
+
+
+def slow_frame(frame: FloatingFrame, source: StoredBodies, name: str, step: float) -> tuple[FloatingFrame, RealTime]:
+    """The floating ``frame`` of the body ``name`` with the free modes alone that a ``step`` in s resolves.
+
+    Raises:
+        InputError: nothing is left.
+    """
+    mean = frame.in_frame("mean-axes")
+    values, T = sl.eigh(frame.Ke, mean.integrals.Me)
+    T = T * np.where(T[np.argmax(np.abs(T), axis=0), np.arange(len(T))] < 0, -1.0, 1.0)
+    omega, damping = np.sqrt(np.maximum(values, 0.0)), T.T @ frame.De @ T
+    slow = slow_modes(omega, np.diag(damping), step)
+    refuse_nothing_left(name, step, int(slow.sum()))
+    motion = np.vstack([marker.motion for marker in mean.markers.values()]) @ T
+    still = np.zeros_like(motion)
+    n = len(omega)
+    found = Truncation(
+        system=FirstOrder(
+            A=np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(omega**2), -damping]]),
+            B=np.vstack([still.T, motion.T]),
+            C=np.hstack([motion, still]),
+            D=np.zeros((len(motion), len(motion))),
+        ),
+        fast=np.flatnonzero(np.tile(~slow, 2)),
+        moving=np.zeros(0, dtype=np.int64),
+        units=(["m", "m", "m", "rad", "rad", "rad"] * len(mean.markers), (["N"] * 3 + ["N m"] * 3) * len(mean.markers)),
+        derivatives=[(at, 0) for at in range(len(motion))],
+        length=gyration(source),
+        step=step,
+        compliant=False,
+    ).measure(n)
+    return in_shapes(frame, T[:, slow]), found
 
 
 def _motion(name: str) -> tuple[Variable, ...]:

@@ -18,13 +18,13 @@ from morembs.base.errors import InputError
 from morembs.base.limits import NotNegative, Positive
 from morembs.base.types import Floats
 from morembs.exporters.base import LOSSES, Destination, ExportContext, Exported, Exporter
-from morembs.exporters.fmu.compiler import compiled, single_error
+from morembs.exporters.fmu.compiler import compiled, seconds_of_step, single_error
 from morembs.exporters.fmu.description import Version, build_description, model_description
-from morembs.exporters.fmu.floating import floating_system
+from morembs.exporters.fmu.floating import floating_system, slow_frame
 from morembs.exporters.fmu.linear import linear_system, state_space, truncate
 from morembs.exporters.fmu.sources import Code, Precision, glue, token_of
 from morembs.exporters.fmu.system import System, identifier, renamed_note
-from morembs.exporters.real_time import RealTime, certificate_note, slow_frame
+from morembs.exporters.real_time import RealTime, certificate_note, price_note
 from morembs.exporters.tolerances import TOL
 from morembs.storage.safefile import replacing, replacing_all
 
@@ -133,6 +133,9 @@ class Fmu(Equations):
         if self.fmi == "3.0":
             members["sources/buildDescription.xml"] = build_description(name)
         notes = (*notes, *renamed_note({stem: name}))
+        if self.time_step is not None and system.structure == "linear":
+            code = CSource(time_step=self.time_step).code(name, system, self.time_step)
+            notes = (*notes, *price_note(seconds_of_step(code), self.time_step))
         with replacing(to.path) as file:
             file.doing = "the compiled library"
             library: bytes | str = ""
@@ -172,13 +175,14 @@ class CSource(Equations):
             raise InputError(f"{to.path} was given; expected a name that ends in .c, beside which the header goes")
         name = identifier(to.path.name.removesuffix(self.suffix))
         step = self._step()
-        code = self._code(name, system, step)
+        code = self.code(name, system, step)
         header = to.beside(".h")
         told = [
             f"one call is one step of {step:g} s; take another by --set step=SECONDS",
             *notes,
             *renamed_note({to.path.name.partition(".")[0]: name}),
         ]
+        told += price_note(seconds_of_step(code), step) if self.time_step is not None else []
         told += [_single_words(code)] if self.precision == "single" else []
         text = {to.path: code.source().replace(f'"{name}.h"', f'"{header.name}"'), header: code.header()}
         with replacing_all(list(text)) as opened:
@@ -200,7 +204,8 @@ class CSource(Equations):
             )
         return self.time_step
 
-    def _code(self, name: str, system: System, step: float) -> Code:
+    def code(self, name: str, system: System, step: float) -> Code:
+        """The code of one ``step`` in s."""
         if system.structure != "linear":
             if self.method == "exponential":
                 raise InputError(f'method = "exponential" was given; {system.structure} bodies take "midpoint"')
@@ -240,7 +245,7 @@ def _single_words(code: Code) -> str:
     Raises:
         InputError: it costs too much.
     """
-    error, steps, allowed = single_error(code), TOL.single_precision_steps, TOL.single_precision_error
+    error, steps, allowed = (single_error(code), TOL.single_precision_steps, TOL.single_precision_error)
     if isinstance(error, str):
         return f"what single precision costs was not measured: {error}"
     if not error < allowed:
