@@ -15,7 +15,9 @@ from morembs.exporters.exudyn_system import exudyn_missing
 
 ROOT = Path(__file__).parents[1]
 PIPELINES = [path for path in (ROOT / "pipelines").iterdir() if path.suffix in (".py", ".toml")]
-PROGRAMS = {path.stem for path in PIPELINES} - {"common"}
+PROGRAMS = {path.stem.removesuffix("_system") for path in PIPELINES} - {"common"}
+# A test of the pipelines looks at the files of this one.
+PICTURES = PROGRAMS | {f"plots_{kind}" for kind in ("response", "density", "mac", "campbell", "cost")}
 pytest.importorskip("sphinx_gallery")
 if exudyn_missing():
     pytest.skip(exudyn_missing(), allow_module_level=True)
@@ -38,8 +40,8 @@ def site(tmp_path_factory):
             (root / here).write_bytes(path.read_bytes())
     pictures = root / "docs" / "built" / "pipelines"
     pictures.mkdir(parents=True)
-    for job in PROGRAMS:
-        plt.imsave(pictures / f"{job}.png", [[[1.0, 1.0, 1.0]]])
+    for name in PICTURES:
+        plt.imsave(pictures / f"{name}.png", [[[1.0, 1.0, 1.0]]])
     # Names of the interface in the list of contents of every page take a fifth of the time, and link within pages only.
     options = ["--fail-on-warning", "--keep-going", "--quiet", "-D", "toc_object_entries=0"]
     command = [sys.executable, "-m", "sphinx", *options, "docs", "html"]
@@ -66,7 +68,7 @@ def test_pages_link_to_each_other(site):
 
 def test_the_gallery_shows_every_pipeline(site):
     page = (site / "html" / "gallery.html").read_text()
-    assert set(re.findall(r"_images/(\w+)\.png", page)) == PROGRAMS
+    assert set(re.findall(r"_images/(\w+)\.png", page)) == PICTURES
 
 
 def test_bodies_of_the_mesh_tutorial_are_those_of_the_model(site):
