@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.linalg as sl
 
 from morembs.base.errors import InputError
 from morembs.base.summary import upwards
@@ -142,7 +143,8 @@ class Truncation:
         """How far the system without its fast states is from the whole one, of ``count`` modes."""
         bands = [share * TOL.resolved_angle / self.step for share in TOL.band_shares if len(self.fast)]
         kinds = [KINDS[unit] for unit in self.units[0]]
-        errors = {kind: tuple(self._share(kinds, kind, band) for band in bands) for kind in dict.fromkeys(kinds)}
+        shares = [self._shares(kinds, band) for band in bands]
+        errors = {kind: tuple(each[kind] for each in shares) for kind in dict.fromkeys(kinds)}
         return RealTime(
             step=self.step,
             kept=count - len(self.fast) // 2,
@@ -153,17 +155,17 @@ class Truncation:
             compliant=self.compliant,
         )
 
-    def _share(self, kinds: Sequence[str], kind: str, band: float) -> float:
-        """The largest error up to ``band`` in rad/s of outputs of one kind, over the largest size with its units."""
-        inputs, worst = [_FORCES.get(unit, unit) for unit in self.units[1]], 0.0
-        rows = np.array(kinds) == kind
-        error = self.error(band)
+    def _shares(self, kinds: Sequence[str], band: float) -> dict[str, float]:
+        """The largest error up to ``band`` in rad/s of each kind of output, over the largest size with its units."""
+        inputs = [_FORCES.get(unit, unit) for unit in self.units[1]]
+        error, result = self.error(band), dict.fromkeys(kinds, 0.0)
         size = np.max([self.size(band, share * band) for share in (0.0, 0.5, 1.0)], axis=0)
-        for own in dict.fromkeys(inputs):
-            block = np.ix_(rows, [unit == own for unit in inputs])
-            whole = float(size[block].max())
-            worst = max(worst, float(error[block].max()) / whole if whole else 0.0)
-        return worst
+        for kind in result:
+            for own in dict.fromkeys(inputs):
+                block = np.ix_([each == kind for each in kinds], [unit == own for unit in inputs])
+                whole = float(size[block].max())
+                result[kind] = max(result[kind], float(error[block].max()) / whole if whole else 0.0)
+        return result
 
     def _merged(self, matrix: np.ndarray, band: float) -> np.ndarray:
         """The columns of each input and its derivatives in one, all under the same motion at ``band`` in rad/s, and
@@ -205,9 +207,9 @@ def _bound(system: FirstOrder, fast: Ints, band: float, first: int) -> Floats:
     # What the terms beyond the last add to at most, mode by mode.
     tail = ratio**TOL.series_terms / (size * (1 - ratio))
     result = np.abs(C @ V) * tail @ np.abs(np.linalg.solve(V, B))
-    moment = B
+    moment, factors = B, sl.lu_factor(A)
     for k in range(TOL.series_terms):
-        moment = np.asarray(np.linalg.solve(A, moment) * (band if k else 1.0), dtype=float)
+        moment = np.asarray(sl.lu_solve(factors, moment) * (band if k else 1.0), dtype=float)
         if k >= first:
             result = result + np.abs(C @ moment)
     return np.asarray(result)

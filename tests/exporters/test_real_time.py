@@ -7,15 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from morembs import read_body
+from morembs import elastic_body, make_part, read_body, write_body
 from morembs.base.errors import InputError
 from morembs.exporters import export_body, step_for_band
 from morembs.exporters.read_back import FirstOrder
 from morembs.exporters.real_time import Truncation, resolved_hz, slow_modes, without_fast
 from morembs.exporters.state_space_files import read_state_space
+from morembs.fem.interface import make_interface
+from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from tests.exporters.test_c_source import run
 from tests.support.fmus import exported, needs_compiler, strip
+from tests.support.meshes import box, steel, where
 from tests.support.processes import morembs as command
 
 STEP = 1e-4
@@ -216,3 +219,13 @@ def test_a_check_names_the_longest_step_that_is_good_enough(source, tmp_path):
         with pytest.raises(InputError, match=words):
             step_for_band(source, to, band)
     assert [path.name for path in tmp_path.iterdir()] == ["x.npz"]
+
+
+def test_a_floating_body_without_interface_frames_is_refused(tmp_path):
+    model = steel(box("hex8", (4, 1, 1), (0.4, 0.04, 0.02)))
+    ends = [make_interface(model, name="tip", coupling="direct", nodes=where(model, 0, 0.4))]
+    with Problem(model, ends) as problem:
+        body = elastic_body(problem, CraigBampton(modes=4).reduce(problem, "bar"), make_part(problem))
+    path = write_body(tmp_path / "bar.h5", [body])
+    with pytest.raises(InputError, match="needs interface frames with rotations"):
+        export_body(path, "c", path=tmp_path / "bar.c", options={"structure": "floating", "time_step": 1e-4})

@@ -74,6 +74,7 @@ class Equations(Exporter):
             raise InputError('structure = "floating" was given with held interfaces; take structure = "linear"')
         if self.time_step is None:
             return floating_system(context, stress=self.stress, damping_ratio=self.damping_ratio)
+        context.markers("a floating body")
         slow, found = slow_frame(context.frame, context.source, body.name, self.time_step)
         slim = replace(context, body=replace(body, floating=slow))
         system = floating_system(slim, stress=self.stress, damping_ratio=self.damping_ratio)
