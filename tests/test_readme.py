@@ -272,7 +272,7 @@ RUN = {
     "parametric.md": {"toml": 2, "python": 2},
     "scale.md": {"toml": 1, "sh": 1},
     "schema.md": {"python": 4, "octave": 1, "matlab": 1, "sh": 1},
-    "simulate.md": {"toml": 3},
+    "simulate.md": {"toml": 4},
     "simulators.md": {"python": 3},
     "solvers.md": {"python": 1},
     "switching.md": {"toml": 1, "python": 2},

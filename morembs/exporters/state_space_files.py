@@ -212,6 +212,11 @@ def _derivatives(inputs: Sequence[str]) -> list[tuple[int, int]]:
     return result
 
 
+def _damping(pole: complex) -> float:
+    """In per cent of critical; adding zero takes the sign of a zero away."""
+    return 100 * -pole.real / (abs(pole) or 1.0) + 0.0
+
+
 def _notes(system: StateSpace, step: float | None) -> list[str]:
     """Size, poles and static gain, for the log."""
     poles = system.poles()
@@ -221,7 +226,7 @@ def _notes(system: StateSpace, step: float | None) -> list[str]:
         notes.append(f"{rigid} poles at zero: what moves freely, or with a support")
     upper = poles[rigid:][poles[rigid:].imag >= 0]
     if len(upper):
-        shown = [f"{in_hz(abs(pole)):.5g} Hz ({100 * -pole.real / (abs(pole) or 1.0):.3g} %)" for pole in upper]
+        shown = [f"{in_hz(abs(pole)):.5g} Hz ({_damping(pole):.3g} %)" for pole in upper]
         more = " ..." if len(shown) > TOL.shown_values else ""
         notes.append(f"poles and their damping: {', '.join(shown[: TOL.shown_values])}{more}")
     fastest = float(np.abs(poles).max(initial=0.0))

@@ -34,6 +34,12 @@ reduce = [{ method = "craig-bampton", modes = 4 }]
 output = { path = "bar.h5" }
 """
 
+MEMBER = """
+member = { length = 0.3, elements = 6, young = 3e6, density = 2770.0, area = 7.854e-5, second_moment = 4.909e-10 }
+reduce = [{ name = "arm", method = "global-modal-parameterisation", modes = 2, reach = 0.5 }]
+output = { path = "arm.h5" }
+"""
+
 
 def run(typed: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
     """Exit code of a command line in this process, and all that it says."""
@@ -106,6 +112,14 @@ def test_the_answer_to_a_body_runs(folder: Path, capsys: pytest.CaptureFixture[s
     assert (folder / "bar.motion.h5").exists()
     # Not over what is there.
     assert run("morembs init bar.h5", capsys)[0] == 2
+
+
+def test_the_answer_to_a_member_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "arm.toml").write_text(MEMBER)
+    simulate = "simulate arm.system.toml --set simulation.end=0.01"
+    for typed in ("reduce arm.toml", "init arm.h5", "check arm.system.toml", simulate):
+        assert run(f"morembs {typed}", capsys)[0] == 0, typed
+    assert (folder / "arm.motion.h5").exists()
 
 
 @pytest.mark.usefixtures("folder")

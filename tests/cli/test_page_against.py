@@ -154,6 +154,23 @@ def test_other_files_are_refused_before_anything_runs(nights: Path, tmp_path: Pa
     assert not (tmp_path / "part.h5").exists()
 
 
+def test_a_report_that_is_not_there_is_told_as_such(tmp_path: Path) -> None:
+    job = str(decks.folder(tmp_path))
+    done = RUNNER.invoke(cli.app, ["reduce", job, "--report", str(tmp_path / "r.html"), "--against", "none.html"])
+    said = done.stderr.replace("\n", " ")
+    assert done.exit_code == 2 and "none.html cannot be read as a report (No such file or directory)" in said
+    assert "damaged" not in said
+
+
+def test_reports_are_among_the_files_that_were_written(tmp_path: Path) -> None:
+    job, page = str(decks.folder(tmp_path)), str(tmp_path / "r.html")
+    for arguments in (["reduce", job, "--report", page], ["batch", job, "--report", page]):
+        done = RUNNER.invoke(cli.app, arguments)
+        assert done.stdout.splitlines()[-1] == f"written: {page}", done.stderr
+    done = RUNNER.invoke(cli.app, ["reduce", job, "--report", page, "--json"])
+    assert json.loads(done.stdout)[0]["written"] and f"written: {page}" not in done.stdout
+
+
 def test_options_that_need_others_say_so(tmp_path: Path) -> None:
     job = str(decks.folder(tmp_path))
     for arguments, said in (

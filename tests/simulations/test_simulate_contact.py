@@ -12,9 +12,11 @@ import pytest
 from scipy.special import ellipk
 
 import morembs
+from morembs.app.simulations.check import check_system
 from morembs.app.simulations.result_file import Recording, read_recording
 from morembs.app.simulations.run import run_system
 from morembs.app.simulations.system_file import load_system
+from morembs.app.simulations.template import system_text
 from morembs.base.errors import InputError, MorembsError
 from morembs.dynamics.gmp import ParameterisedBody, PlaneJoint, ReducedMember
 from morembs.dynamics.gmp.stored import write_members
@@ -249,6 +251,54 @@ def test_a_member_is_what_calls_of_the_simulator_give(rod: Path) -> None:
     assert np.abs(done.bodies["rod"].markers["end"].position - tip).max() < 1e-10
     assert done.bodies["rod"].coordinates == pytest.approx(want.configuration(body), abs=1e-10)
     assert done.joints["hinge"].reaction == pytest.approx(want.reaction(hinge), abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("axis = [0, -1, 0]", "axis = [0, 0, 1]", "the axis [0.0, 0.0, 1.0] was given, but the plane of body 'rod' is"),
+        ('kind = "plane"', 'kind = "revolute"', "expected \"plane\" at member 'rod'"),
+        ('kind = "plane"', 'kind = "spherical"', "expected \"plane\" at member 'rod'"),
+        ('kind = "plane"', 'kind = "fixed"', "expected \"plane-fixed\" at member 'rod'"),
+    ],
+)
+def test_a_joint_that_does_not_fit_the_plane_of_a_member_is_told(rod: Path, old: str, new: str, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        simulated(rod, swinging(0.01, 1e-3, "soft").replace(old, new))
+    assert said in str(caught.value)
+
+
+def test_members_of_two_planes_share_a_point_by_a_joint_of_space(rod: Path) -> None:
+    text = swinging(0.01, 1e-3, "stiff") + """
+    [[member]]
+    name = "flat"
+    file = "rod.h5"
+    member = "stiff"
+    position = [0.304, 0, 0]
+    """
+    ball = '}, { name = "ball", kind = "spherical", between = ["rod:end", "flat:start"] }]'
+    done = simulated(rod, text.replace("}]", ball))
+    one, other = (done.bodies[name].markers[at].position for name, at in (("rod", "end"), ("flat", "start")))
+    assert np.abs(one - other).max() < 1e-9
+
+
+def test_gravity_across_the_plane_of_a_member_is_told(rod: Path) -> None:
+    text = swinging(0.01, 1e-3, "soft")
+    flat = text.replace("degrees = 90", "degrees = 0").replace("[0, -1, 0]", "[0, 0, 1]")
+    for told, system in (([], text), (["gravity is across its plane"], flat)):
+        (rod / "weight.toml").write_text(f'{system}\n[output]\npath = "weight.h5"\n')
+        said = check_system(load_system(rod / "weight.toml")).warnings
+        assert len(said) == len(told) and all(words in each for words, each in zip(told, said, strict=True))
+
+
+def test_a_first_system_of_a_member_swings(rod: Path) -> None:
+    """The tip falls towards -z as that of a rigid rod; of two members the text names one and tells both."""
+    (rod / "first.toml").write_text(system_text(rod / "rod.h5", rod))
+    file = run_system(load_system(rod / "first.toml", ["simulation.end=0.02", 'member.rod.member="stiff"'])).built.file
+    end = read_recording(file.output).bodies["rod"].markers["end"].position[-1]
+    # The tip of a rod falls with 1.5 g from the horizontal; bending adds 5 F L^3 / (384 E I) of 1e-5 m at most.
+    assert end[2] == pytest.approx(-0.75 * G * 0.02**2, rel=0.01)
+    assert 'member = "soft"             # of soft, stiff' in (rod / "first.toml").read_text()
 
 
 WRONG = {

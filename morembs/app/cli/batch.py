@@ -96,6 +96,8 @@ def batch(
                 print_json([asdict(record) for record in records])
             else:
                 echo(_closing(records))
+                if wanted is not None:
+                    echo(f"written: {wanted.path}")
     codes = [record.code for record in records if record.state == "failed"]
     if codes:
         raise typer.Exit(min(codes))

@@ -62,7 +62,7 @@ def init(
 ) -> None:
     """Write a first job for a mesh, a deck, a model file or a CAD part, or a first system for a body, with comments."""
     from morembs.app.jobs.template import job_text, refuse_existing
-    from morembs.app.kinds import BODY, CAD_PART, PART, instead, kind_of
+    from morembs.app.kinds import BODY, CAD_PART, MEMBER, PART, instead, kind_of
     from morembs.base.units import parse_units
     from morembs.storage.safefile import replacing
 
@@ -75,7 +75,7 @@ def init(
             raise InputError(f"init needs {PART}: morembs init part.msh; or, to try it: morembs init --example")
         if file.is_dir():
             raise InputError(f"{file} is a folder; expected {PART}")
-        if kind_of(file) is BODY and file.exists():
+        if kind_of(file) in (BODY, MEMBER) and file.exists():
             given = {"--units": units, "--size": size}
             _write_system(file, out, show, next((option for option, value in given.items() if value), ""))
             return
@@ -104,7 +104,7 @@ def init(
 
 
 def _write_system(file: Path, out: Path | None, show: bool, refused: str) -> None:
-    """Write, or only print, a first system for a body file, and say the next command."""
+    """Write, or only print, a first system for a file of bodies or members, and say the next command."""
     # Not at the top: a job is what is wanted most.
     from morembs.app.jobs.template import refuse_existing
     from morembs.app.simulations.template import system_text

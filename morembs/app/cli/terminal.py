@@ -17,7 +17,7 @@ import typer
 from typer.core import TyperCommand
 
 from morembs.app.cli.completion import JOBS, files_with
-from morembs.app.cli.messages import Failure, failure, print_json, printing, tell, without_nan
+from morembs.app.cli.messages import Failure, echo, failure, print_json, printing, tell, without_nan
 from morembs.app.cli.tolerances import TOL
 from morembs.base import stopping
 from morembs.base.errors import InputError
@@ -241,7 +241,7 @@ def each_job(
         # The next job shall not hold, nor report, what this one needed.
         release()
     if report is not None:
-        words = ""
+        words = None
         with messages(failed), progress_line(quiet) as progress:
             progress.stage("write report")
             # In the order that was asked for, whichever came first.
@@ -249,6 +249,9 @@ def each_job(
             words = _write_report(report, [documents[place] for place in asked])
         if words and not quiet:
             tell(words)
+        if words is not None and not as_json:
+            with messages(failed), printing([str(report.path)]):
+                echo(f"written: {report.path}")
     if as_json:
         with messages(failed), printing([name for document in documents for name in _written(document)]):
             print_json([without_nan(document) for document in documents])

@@ -99,6 +99,8 @@ class Earlier:
         """
         try:
             states = [*_of_manifest(path)] if is_manifest(path) else [*_of_report(read_document(path), path.parent)]
+        except InputError:
+            raise
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(
                 f"{path} is damaged, as a report or a manifest ({error!r}); give another --against"

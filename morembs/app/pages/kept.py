@@ -55,7 +55,9 @@ def read_document(path: Path) -> dict[str, Any]:
     """
     try:
         return _document(_text(path), path)
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise InputError(f"{path} cannot be read as a report ({error.strerror}); check the path") from error
+    except UnicodeDecodeError as error:
         raise InputError(f"{path} cannot be read as a report ({error})") from error
 
 

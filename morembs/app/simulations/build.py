@@ -265,6 +265,7 @@ def _add_marker(built: Built, name: str, body: str, point: list[float], axes: Fl
 
 def _joint(built: Built, table: JointTable, name: str) -> Constraint:
     first, second = built.pair(table.between)
+    _refuse_space_joint(table, first, second)
     if table.kind == "spherical":
         return SphericalJoint(first, second, name=name)
     if table.kind in ("plane", "plane-fixed"):
@@ -275,6 +276,22 @@ def _joint(built: Built, table: JointTable, name: str) -> Constraint:
         more["motion"] = table.motion.motion(built.file.resolve, times.begin, times.end)
     made: Constraint = KINDS[table.kind](first, second, axis=table.axis, name=name, **more)
     return made
+
+
+def _refuse_space_joint(table: JointTable, first: Marker, second: Marker) -> None:
+    """A plane that a member keeps itself is not kept once more."""
+    held = (first.component, second.component)
+    members = [each for each in held if isinstance(each, ParameterisedBody)]
+    if not members or not all(isinstance(each, (ParameterisedBody, type(ground))) for each in held):
+        return
+    # Members of two planes meet in a joint of space.
+    if not np.allclose(np.cross(members[0].axes[:, 2], members[-1].axes[:, 2]), 0.0):
+        return
+    plane = {"fixed": "plane-fixed", "revolute": "plane", "spherical": "plane"}.get(table.kind)
+    if plane is not None:
+        raise InputError(
+            f'kind = "{table.kind}" was given; expected "{plane}" at member {members[0].name!r}, which keeps its plane'
+        )
 
 
 def _load(built: Built, table: LoadTable, name: str) -> PointLoad:

@@ -16,6 +16,7 @@ from morembs.app.simulations.tolerances import TOL
 from morembs.base.errors import InputError
 from morembs.base.progress import Progress, listening
 from morembs.base.units import in_hz
+from morembs.dynamics.gmp import ParameterisedBody
 from morembs.dynamics.multibody import FlexibleBody, System
 from morembs.dynamics.multibody.system import Assembly
 from morembs.storage.contents import keeping_ledger
@@ -128,7 +129,21 @@ def warnings_of(built: Built) -> tuple[str, ...]:
                 f"{1 / (step * hz):.2g} in a period: it bends quasi-statically, for its vibration take step = "
                 f"{1 / (hz * TOL.steps_per_period):.1g}"
             )
-    return (*warnings, *_units_in_doubt(built))
+    return (*warnings, *_without_weight(built), *_units_in_doubt(built))
+
+
+def _without_weight(built: Built) -> list[str]:
+    """A sentence for each member that gravity pulls out of its plane alone."""
+    gravity = np.array(built.tables.gravity.acceleration)
+    size = float(np.linalg.norm(gravity))
+    return [
+        f"member {name!r}: gravity is across its plane and does not move it; turn the member by its rotation, such as "
+        "{ axis = [1, 0, 0], degrees = 90 }"
+        for name, body in built.bodies.items()
+        if isinstance(body, ParameterisedBody)
+        and size > 0
+        and np.linalg.norm(gravity @ body.axes[:, :2]) <= TOL.gravity_in_plane * size
+    ]
 
 
 def _units_in_doubt(built: Built) -> list[str]:

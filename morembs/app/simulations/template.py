@@ -1,11 +1,13 @@
-"""A first system for a body file: the body hangs by one of its interfaces."""
+"""A first system for a body file: the body hangs by one of its interfaces, a planar member by its start."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from morembs.app.kinds import MEMBER, kind_of
 from morembs.base.errors import InputError
 from morembs.body.file import read_body
+from morembs.dynamics.gmp.stored import read_members
 
 TEXT = """[simulation]
 end = 0.5                   # s; all numbers are in SI units
@@ -38,13 +40,57 @@ axis = [0, 1, 0]
 path = "{stem}.motion.h5"
 """
 
+MEMBER_TEXT = """[simulation]
+end = 0.5                   # s; all numbers are in SI units
+step = 1e-3
+
+[gravity]
+acceleration = [0, 0, -9.81]
+
+[[member]]                  # {modes} bending modes, {length:.4g} m long, end angles to {reach:.3g} rad
+name = "{name}"
+file = "{file}"{member}
+rotation = {{ axis = [1, 0, 0], degrees = 90 }}   # its plane, x and y before, is upright: across it is -y
+
+# Where it hangs: plane joints hold a member within its plane.
+[[joint]]
+kind = "plane"              # or "plane-fixed", a clamp
+between = ["ground", "{name}:start"]
+axis = [0, -1, 0]           # across the plane
+
+# [[load]]
+# marker = "{name}:end"
+# force = [0, 0, -0.01]
+# law = {{ kind = "sine", frequency_hz = 2 }}
+
+[output]
+path = "{stem}.motion.h5"
+"""
+
 
 def system_text(file: Path, folder: Path) -> str:
-    """The system of a body ``file``, to be written into ``folder``.
+    """The system of a ``file`` of bodies or of planar members, to be written into ``folder``.
 
     Raises:
         InputError: the file cannot be read, or none of its bodies floats and has an interface to hang by.
     """
+    stem = file.name.partition(".")[0]
+    words = {
+        "stem": stem,
+        "name": "".join(letter if letter.isalnum() else "_" for letter in stem),
+        "file": file.name if file.resolve().parent == folder.resolve() else str(file.resolve()),
+    }
+    return _of_member(file, words) if kind_of(file) is MEMBER else _of_body(file, words)
+
+
+def _of_member(file: Path, words: dict[str, str]) -> str:
+    members = read_members(file)
+    name, member = next(iter(members.items()))
+    told = f'\nmember = "{name}"             # of {", ".join(members)}' if len(members) > 1 else ""
+    return MEMBER_TEXT.format(**words, modes=member.count, length=member.length, reach=member.reach, member=told)
+
+
+def _of_body(file: Path, words: dict[str, str]) -> str:
     bodies = read_body(file).bodies
     floating = [(body.name, body.floating) for body in bodies.values() if body.floating is not None]
     named = next(((name, frame) for name, frame in floating if frame.markers), None)
@@ -55,17 +101,13 @@ def system_text(file: Path, folder: Path) -> str:
         )
     reduction, frame = named
     markers = list(frame.markers)
-    stem = file.name.partition(".")[0]
-    place = file.name if file.resolve().parent == folder.resolve() else str(file.resolve())
     return TEXT.format(
+        **words,
         kind=frame.kind,
         count=frame.count,
         mass=frame.integrals.mass,
-        name="".join(letter if letter.isalnum() else "_" for letter in stem),
-        file=place,
         reduction=f'\nreduction = "{reduction}"' if len(bodies) > 1 else "",
         others=", ".join(markers[1:]) or "none",
         first=markers[0],
         last=markers[-1],
-        stem=stem,
     )

@@ -15,6 +15,8 @@ class SimulationTolerances:
     sampled_steps_per_period: int = 2
     # Largest over smallest elastic body from which units are in doubt: below the 1000 of mm that are read as m.
     size_ratio: float = 300.0
+    # Gravity in the plane of a member, over all of it, that is none: six digits, as axes are typed.
+    gravity_in_plane: float = 1e-6
 
 
 TOL = SimulationTolerances()

@@ -149,6 +149,9 @@ class PlaneJoint(Constraint):
 
     Between a plane body and the ground, or another plane body of the same plane, a joint of space would hold again what
     the plane holds already. ``normal`` (3,) of the plane, along the axes of the first marker at the start.
+
+    Raises:
+        InputError: a normal that is not that of the plane of a body.
     """
 
     first: Marker
@@ -165,10 +168,23 @@ class PlaneJoint(Constraint):
     def __post_init__(self) -> None:
         a, b = (m.place(m.component.start()[0]) for m in (self.first, self.second))
         frame = a.axes @ frame_about(direction(f"normal of {self.label}", self.normal))
+        for marker in (self.first, self.second):
+            if isinstance(marker, EndMarker):
+                self._refuse_other_plane(marker.component, a.axes, frame[:, 2])
         object.__setattr__(self, "_plane", frame.T)
         object.__setattr__(self, "_on_a", a.axes.T @ frame[:, 0])
         object.__setattr__(self, "_on_b", b.axes.T @ frame[:, 1])
         object.__setattr__(self, "count", 3 if self.fixed else 2)
+
+    def _refuse_other_plane(self, body: ParameterisedBody, axes: Floats, normal: Floats) -> None:
+        if np.linalg.norm(np.cross(normal, body.axes[:, 2])) <= TOL.normal_mismatch:
+            return
+        # Adding zero takes the sign of zeros away.
+        given, expected = ((np.round(axes.T @ each, 6) + 0.0).tolist() for each in (normal, body.axes[:, 2]))
+        raise InputError(
+            f"{self.label}: the axis {given} was given, but the plane of body {body.name!r} is across {expected}; give "
+            "that axis, or turn the body by its rotation"
+        )
 
     def rows(self, a: MarkerState, b: MarkerState) -> Rows:
         plane, normal = self._plane[:2], self._plane[2]

@@ -18,6 +18,8 @@ class MemberTolerances:
 
     # Velocity out of the plane, over the largest, that is none: nine digits.
     velocity_out_of_plane: float = 1e-9
+    # Sine of the angle between two normals of one plane that is none: six digits, as axes are typed.
+    normal_mismatch: float = 1e-6
     # Distance of two points from the length of their member, as a part of it, that is none: six digits.
     length_mismatch: float = 1e-6
     # Angle in rad from the direction of a member that is none: six digits.
