@@ -269,13 +269,16 @@ def test_a_joint_that_does_not_fit_the_plane_of_a_member_is_told(rod: Path, old:
 
 
 def test_members_of_two_planes_share_a_point_by_a_joint_of_space(rod: Path) -> None:
-    text = swinging(0.01, 1e-3, "stiff") + """
+    text = (
+        swinging(0.01, 1e-3, "stiff")
+        + """
     [[member]]
     name = "flat"
     file = "rod.h5"
     member = "stiff"
     position = [0.304, 0, 0]
     """
+    )
     ball = '}, { name = "ball", kind = "spherical", between = ["rod:end", "flat:start"] }]'
     done = simulated(rod, text.replace("}]", ball))
     one, other = (done.bodies[name].markers[at].position for name, at in (("rod", "end"), ("flat", "start")))
