@@ -46,6 +46,17 @@ def import_model() -> None:
     """Convert a model of another program into a model file that jobs read."""
 
 
+def _refuse_job(file: Path) -> None:
+    """A file that the importers need not be asked about."""
+    from morembs.app.kinds import JOB, SYSTEM, kind_of
+
+    kind = kind_of(file)
+    if kind in (JOB, SYSTEM) and kind is not None and file.is_file():
+        raise InputError(
+            f"{file}: {kind.name} was given, expected a model, a deck or a mesh: morembs check {shlex.quote(str(file))}"
+        )
+
+
 # How options look whose text has parts.
 _METAVARS = {
     "format": "NAME",
@@ -103,7 +114,10 @@ def _import(
             print_names({**_list_formats(), **engines}, as_json, dict.fromkeys(engines, "--engine "))
             return
         target = _model_file(Path("dry.model.h5") if dry_run and out is None else out)
-        options = _options_given(_only_file(files or []), given)
+        file = _only_file(files or [])
+        if file is not None and given["format"] is None:
+            _refuse_job(file)
+        options = _options_given(file, given)
         run = partial(
             run_import, target, options, materials=_materials(material), split=split, check=check, strict=strict
         )

@@ -313,6 +313,7 @@ def _rest(name: str, picture: bool) -> list[str]:
         "",
         "# [certify]                 # how wrong each body is, at every frequency of a band",
         "# band_hz = [0, 2000]",
+        "# witness = true            # files by which morembs verify proves it again",
         "",
         "# [solver]",
         '# memory = "8 GB"           # for the whole process',
