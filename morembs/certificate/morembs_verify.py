@@ -37,6 +37,14 @@ class VerifierTolerances:
     u_long: float = float(np.finfo(LONG).eps) / 2
     # Bounds are sums and products of numbers that are not negative: their own round-off is below this part.
     up: float = 1 + 1e-9
+    # Size of a dataset over what it takes in its file: that of compressed zeros (deflate).
+    inflation: int = 1032
+    # Asymmetry of a matrix over its largest entry: that of printed numbers.
+    asymmetry: float = 1e-8
+    # Part of W that the mass may lack of being semidefinite, over that by which the stiffness is lowered.
+    no_mass: float = 0.01
+    # Sizes of weights, between which products do not underflow.
+    sizes: tuple[float, float] = (1e-120, 1e120)
     # Stands for zero in divisors.
     tiny: float = 1e-300
     # Degree of Taylor polynomials: what they leave is 4^-17 = 6e-11 of the sum of all terms.
@@ -94,9 +102,34 @@ def gamma(n: float, u: float = U) -> float:
     return n * u / (1 - n * u)
 
 
+def part_of(file: Any, name: str) -> Any:
+    """A group or dataset that lies in the file itself: what a link or a virtual dataset shows has no digest."""
+    ends = [at for at, letter in enumerate(name + "/") if letter == "/"]
+    if not all(isinstance(file.get(name[:end], getlink=True), h5py.HardLink) for end in ends):
+        raise ValueError(f"{name!r} is not in {file.file.filename}, or a link to somewhere else")
+    found = file[name]
+    if isinstance(found, h5py.Dataset) and (
+        found.is_virtual or found.external or found.nbytes > TOL.inflation * found.id.get_storage_size()
+    ):
+        raise ValueError(f"dataset {name!r} of {file.file.filename} does not lie in that file")
+    return found
+
+
+def read(file: Any, name: str, kinds: str = "f") -> Array:
+    """A dataset of real numbers as doubles, of whole ones (``kinds`` "iu") as integers, or of texts ("SO")."""
+    data = part_of(file, name)
+    if (
+        not isinstance(data, h5py.Dataset)
+        or data.dtype.kind not in kinds
+        or (data.dtype.itemsize > 8 and "S" not in kinds)
+    ):
+        raise ValueError(f"{name!r} of {file.file.filename} is not a dataset of the type that is expected")
+    return np.asarray(data[()], dtype={"f": float, "iu": np.int64}.get(kinds))
+
+
 def text(file: Any, name: str) -> str:
     """A text of a file."""
-    return bytes(file[name][()]).decode()
+    return bytes(read(file, name, "SO")[()]).decode()
 
 
 def norms(X: Array, weights: Array) -> Array:
@@ -148,29 +181,38 @@ class Coupling(NamedTuple):
 
 def interface_map(body: Any, model: Any) -> Coupling:
     """Lemma interface-map: coupled dofs and loads by the interfaces of the body on the nodes of the model."""
-    lemma, node, component = "interface-map", model["dofs/node"][()], model["dofs/component"][()]
+    lemma, node, component = "interface-map", read(model, "dofs/node", "iu"), read(model, "dofs/component", "iu")
     need("couplings" not in model and "equations" not in model, lemma, "equations of the model hold dofs")
-    xyz, ids, dof = model["nodes/coordinates"][()], model["nodes/ids"][()].tolist(), np.arange(len(node))
+    need(set(model["matrices"]) <= {"K", "M"}, lemma, "the model has matrices beside K and M")
+    xyz, ids, dof = read(model, "nodes/coordinates"), read(model, "nodes/ids", "iu").tolist(), np.arange(len(node))
+    need((node >= 0) & (node < len(ids)) & (component >= 0) & (component < 7), lemma, "a dof has no node")
+    need(
+        len(set(ids)) == len(ids) and len(np.unique(7 * node + component)) == len(node), lemma, "a label is there twice"
+    )
     table, row_of = np.full((len(ids), 7), -1), {label: row for row, label in enumerate(ids)}
     table[node, component] = dof
     free, middle = np.ones(len(dof), dtype=bool), xyz.mean(axis=0)
     loads, masters, turns = list[Any](), list[Any](), list[Array]()
-    for name in (name.decode() for name in body["interface_names"][()]):
-        group = body[f"interfaces/{name}"]
-        kind, wanted, point = text(group, "coupling"), group["components"][()], group["point"][()]
-        rows = np.array([row_of.get(label, -1) for label in group["node_ids"][()].tolist()])
-        need(rows >= 0, lemma, f"interface {name} has nodes that the model has not")
-        need(kind in ("rigid", "average", "direct"), lemma, f"coupling {kind} of {name} is not known here")
+    for name in (name.decode() for name in read(body, "interface_names", "SO")):
+        group = part_of(body, f"interfaces/{name}")
+        kind, wanted, point = text(group, "coupling"), read(group, "components", "iu"), read(group, "point")
+        need(np.array_equal(read(group, "axes"), np.eye(3)), lemma, f"interface {name!r} has axes of its own")
+        rows = np.array([row_of.get(label, -1) for label in read(group, "node_ids", "iu").tolist()])
+        need((rows >= 0) & (len(set(rows)) == len(rows)), lemma, f"nodes of interface {name!r} are not in the model")
+        need(kind in ("rigid", "average", "direct"), lemma, f"coupling {kind!r} of {name!r} is not known here")
+        need(
+            (wanted >= 0) & (wanted < (7 if kind == "direct" else 6)), lemma, f"{name!r} has a component beside 0 to 5"
+        )
         if kind == "direct":
             dofs, wanted = table[rows][:, wanted].ravel(), np.tile(wanted, len(rows))
-            need(dofs >= 0, lemma, f"interface {name} has dofs that the model has not")
+            need(dofs >= 0, lemma, f"interface {name!r} has dofs that the model has not")
             z = np.eye(len(dofs))
         else:
             dofs = np.flatnonzero(np.isin(node, rows) & (component < (3 if kind == "average" else 6)))
             w = np.ones(len(dofs))
             if kind == "average":
                 weight = np.zeros(len(ids))
-                weight[rows] = group["weights"][()]
+                weight[rows] = read(group, "weights")
                 w = weight[node[dofs]]
             # z = (R'W R)^-1 R'W u about the centre, carried to the point.
             center = w @ xyz[node[dofs]] / w.sum()
@@ -178,7 +220,7 @@ def interface_map(body: Any, model: Any) -> Coupling:
             mean = np.linalg.solve(R.T @ (w[:, None] * R), (w[:, None] * R).T)
             z = (motion_of(point - center, np.arange(6)) @ mean)[wanted]
         if kind == "rigid" and len(rows) > 1:
-            need(free[dofs], lemma, f"interface {name} shares nodes with another one")
+            need(free[dofs], lemma, f"interface {name!r} shares nodes with another one")
             free[dofs] = False
             masters.append((dofs, motion_of(xyz[node[dofs]] - point, component[dofs]), point, len(loads), wanted))
         loads.append((dofs, z))
@@ -204,10 +246,17 @@ def interface_map(body: Any, model: Any) -> Coupling:
 
 def coupled(group: Any, T: sp.csr_array) -> tuple[sp.csr_array, Array]:
     """T'A T, in extended precision where there are frames, and row sums of what its entries are off by."""
-    A = sp.csr_array((group["data"][()], group["indices"][()], group["indptr"][()]), shape=tuple(group["shape"][()]))
-    A.sum_duplicates()
-    need(np.isrealobj(A.data) and np.isfinite(A.data).all(), "interface-map", "a matrix is not real")
-    square, even = T.shape[0] == T.shape[1], (A != A.T).nnz == 0
+    lemma, data, N = "interface-map", read(group, "data"), T.shape[0]
+    need(np.isfinite(data), lemma, "a matrix is not finite")
+    need(read(group, "shape", "iu").tolist() == [N, N], lemma, f"a matrix is not one of {N} dofs")
+    A = sp.csr_array((data, read(group, "indices", "iu"), read(group, "indptr", "iu")), shape=(N, N))
+    A.check_format(full_check=True)
+    A.sort_indices()
+    # Sums of entries that are there twice would be rounded.
+    need(A.has_canonical_format, lemma, "a matrix has an entry twice")
+    uneven = abs(A - A.T).max()
+    need(uneven <= TOL.asymmetry * abs(A).max(), lemma, f"a matrix is not symmetric, by {uneven:.1e}")
+    square, even = T.shape[1] == N, uneven == 0
     if even and square:
         return A, np.zeros(len(T.indptr) - 1)
     C, size, slaves = A, abs(A), np.diff(sp.csc_array(T).indptr)
@@ -300,9 +349,11 @@ def count_negative(A: sp.csr_array) -> tuple[int, float]:
         F, later = np.zeros((len(front), len(front))), block_of[rows.indices] >= number
         at, beside = np.repeat(np.arange(len(block)), np.diff(rows.indptr))[later], place[rows.indices[later]]
         F[at, beside] = F[beside, at] = rows.data[later]
+        own = np.zeros(len(front))
         for beside, S in children:
-            F[np.ix_(place[beside], place[beside])] += S
-        own = len(children) * U * np.abs(F).sum(axis=1)
+            at = place[beside]
+            F[np.ix_(at, at)] += S
+            own[at] += U * np.abs(F[np.ix_(at, at)]).sum(axis=1)
         negative += eliminate(F, len(block), own)
         rho[front] += own
         if len(behind):
@@ -334,14 +385,27 @@ def second_order(stiffness: Array, d: Array) -> tuple[Array, Array, Array]:
     return z, np.abs(z.sum(axis=1) - 1j * d) + 4 * U * np.abs(z).sum(axis=1), 8 * U * np.abs(stiffness)
 
 
-def body_response(group: Any, loss: float, scale: Array, rigid: int) -> Response:
-    """Lemma body-poles: the elastic response of the body by its poles."""
-    M, K, D, B = (group[f"{name}_matrix"][()] for name in ("mass", "stiffness", "damping", "input"))
-    need([np.isfinite(A).all() for A in (M, K, D, B)], "body-poles", "a matrix is not finite")
+def body_response(group: Any, loss: float, scale: Array, loads: Array) -> Response:
+    """Lemma body-poles: the elastic response of the body by its poles, whose rigid motions take the ``loads``
+    (r, m) as those of the model do."""
+    lemma, rigid, inertia = "body-poles", len(loads), loads.T @ loads
+    M, K, D, B = (read(group, f"{name}_matrix") for name in ("mass", "stiffness", "damping", "input"))
+    n, m = len(M), len(scale)
+    need([np.isfinite(A).all() for A in (M, K, D, B)], lemma, "a matrix is not finite")
+    need([A.shape == (n, n) for A in (M, K, D)] + [B.shape == (n, m)], lemma, "a matrix has another shape")
+    need(n > rigid, lemma, "it has no elastic mode")
     if "output_matrix" in group:
-        C = scale[:, None] * group["output_matrix"][()]
+        C = scale[:, None] * read(group, "output_matrix")
+        need(C.shape == (m, n), lemma, "a matrix has another shape")
+        for A in (M, K, D):
+            held = max(np.abs(A[:rigid, rigid:]).max(initial=0.0), np.abs(A[rigid:, :rigid]).max(initial=0.0))
+            need(held <= TOL.rigid_motion * np.abs(A).max(), "rigid-motions", "those of the body are coupled to modes")
+        moved = C[:, :rigid] @ np.linalg.solve(M[:rigid, :rigid], (B * scale)[:rigid])
+        same = np.abs(moved - inertia).max() <= TOL.rigid_motion * np.abs(inertia).max()
+        need(same, "rigid-motions", "the body has another inertia")
         M, K, D = (A[rigid:, rigid:] for A in (M, K, D))
         return first_order(M, K, D, (B * scale)[rigid:], C[:, rigid:], loss)
+    need(np.diag(M) > 0, lemma, "its mass is not positive")
     d = 1 / np.sqrt(np.diag(M))
     values, X = np.linalg.eigh(d[:, None] * M * d)
     half = d[:, None] * X / np.sqrt(values)
@@ -354,7 +418,14 @@ def body_response(group: Any, loss: float, scale: Array, rigid: int) -> Response
         apart = np.abs(gap) > TOL.close_values * np.maximum(np.abs(theta), abs(theta[rigid]))
         turn = np.where(apart, (k - m * theta) / np.where(apart, gap, 1), -0.5 * m)
         X = X + X @ np.where(np.eye(len(m), dtype=bool), 0.5 * (1 - m), turn)
-    X = X[:, rigid:] - X[:, :rigid] @ (X[:, :rigid].T @ M.astype(LONG) @ X[:, rigid:])
+    R, X = X[:, :rigid], X[:, rigid:] - X[:, :rigid] @ (X[:, :rigid].T @ M.astype(LONG) @ X[:, rigid:])
+    for A, size in ((K, theta[rigid]), (D, np.sqrt(theta[rigid]))):
+        held = np.abs([R.T @ A @ X, R.T @ A.T @ X]).max(initial=0.0)
+        need(held <= TOL.rigid_motion * size, "rigid-motions", "those of the body are coupled to modes")
+    moved = R.T @ (B * scale)
+    same = np.abs(moved.T @ moved - inertia).max() <= TOL.rigid_motion * np.abs(inertia).max()
+    need(same, "rigid-motions", "the body has another inertia")
+    need(np.abs(theta[:rigid]) <= TOL.rigid_motion * theta[rigid], "rigid-motions", "those of the body have strain")
     parts, off = [], []
     for A in (K, D, M):
         G = X.T @ A.astype(LONG) @ X
@@ -434,9 +505,9 @@ class Proof:
 
     def __init__(self, bodies: Any, model: Any, witness: Any) -> None:
         self.names, self.bodies, given = [], bodies, json.loads(text(witness, "damping"))
-        for name in (name.decode() for name in bodies["body_names"][()]):
-            place = f"bodies/{name}/certificate"
-            limits = [bodies[f"{place}/limits/{each}"][1] for each in MEASURES if f"{place}/limits" in bodies]
+        for name in (name.decode() for name in read(bodies, "body_names", "SO")):
+            place = f"bodies/{name}/certificate/limits"
+            limits = [read(bodies, f"{place}/{each}")[1] for each in MEASURES if place in bodies]
             self.names += [name] if np.isfinite(limits).any() else []
         need(self.names, "cells-of-the-band", "no limit is stated")
         self.alpha, self.beta, self.ratio, self.structural = (
@@ -444,13 +515,21 @@ class Proof:
         )
         numbers = np.array([self.alpha, self.beta, self.ratio, self.structural])
         need((numbers >= 0) & (numbers < np.inf), "damping", "a number is negative")
-        cells = [bodies[f"bodies/{name}/certificate/cells_hz"][()].max() for name in self.names]
-        self.top, self.sigma = 2 * np.pi * float(max(cells)) * UP, float(witness["shift"][()])
-        self.k, names = int(witness["modes_below"][()]), ("rigid", "vectors", "solutions", "coefficients")
+        names = "alpha", "beta", "modal", "structural"
+        self.words = ", ".join(f"{name} {number:g}" for name, number in zip(names, numbers, strict=True) if number)
+        cells = [read(bodies, f"bodies/{name}/certificate/cells_hz").max(initial=0.0) for name in self.names]
+        self.top, self.sigma = 2 * np.pi * float(np.max(cells)) * UP, float(read(witness, "shift"))
+        self.k, names = int(read(witness, "modes_below", "iu")), ("rigid", "vectors", "solutions", "coefficients")
         need(self.top**2 < self.sigma < np.inf, "complement-bound", "the shift lies in the band")
-        self.Z, self.V, self.X, self.E = (np.asarray(witness[name][()], dtype=float) for name in names)
+        self.Z, self.V, self.X, self.E = (read(witness, name) for name in names)
         need([np.isfinite(A).all() for A in (self.Z, self.V, self.X, self.E)], "ritz-values", "a number is not finite")
         self.coupling = interface_map(bodies, model)
+        n, p, q = len(self.coupling.B), self.V.shape[-1], self.X.shape[-1]
+        wanted = [(n, self.Z.shape[-1]), (n, p), (n, q), (q, p)]
+        need(
+            [self.Z.shape, self.V.shape, self.X.shape, self.E.shape] == wanted, "ritz-values", "a shape is another one"
+        )
+        need(0 <= self.k <= p, "sturm-count", f"of {self.k} modes below the shift {p} are there")
         self.couple(model)
         self.take_modes()
         self.count_modes()
@@ -458,32 +537,42 @@ class Proof:
 
     def prove(self, name: str) -> str:
         """The limits of the body ``name``, in words."""
-        group, lemma = self.bodies[f"bodies/{name}"], "cells-of-the-band"
-        stated = group["certificate"]
-        floor, band, cells = float(stated["damping_floor"][()]), stated["band_hz"][()], stated["cells_hz"][()]
+        group, lemma = part_of(self.bodies, f"bodies/{name}"), "cells-of-the-band"
+        stated = part_of(group, "certificate")
+        floor, band, cells = float(read(stated, "damping_floor")), read(stated, "band_hz"), read(stated, "cells_hz")
         need(0 <= floor < np.inf, "damping", "the floor is negative")
+        need(band.shape == (2,) and cells.ndim == 2 and cells.shape[1] == 2, lemma, "a shape is another one")
+        need(0 <= band[0] < band[1] and (cells >= 0).all(), lemma, "a band or cell is empty or negative")
         need(cells[:, 0] < cells[:, 1], lemma, "a cell is empty")
         need(np.r_[band[0], cells[:, 1]] >= np.r_[cells[:, 0], band[1]], lemma, "cells leave frequencies out")
-        need(int(group["rigid_count"][()]) == len(self.Z.T), "rigid-motions", f"the model has {len(self.Z.T)}")
+        need(int(read(group, "rigid_count", "iu")) == len(self.Z.T), "rigid-motions", f"the model has {len(self.Z.T)}")
         loss = float(json.loads(text(group, "recipe")).get("structural_damping", 0.0)) + 2 * floor
-        self.body = body_response(group, loss, self.scale, len(self.Z.T))
+        self.body = body_response(group, loss, self.scale, self.Z.T @ self.B)
         self.respond(self.structural + 2 * floor)
-        self.upper = np.array([stated[f"limits/{each}"][1] for each in MEASURES])
-        self.limits = np.fmin(stated["cell_limit"][()] + TOL.cell * self.upper, self.upper)
+        self.upper = np.array([read(stated, f"limits/{each}")[1] for each in MEASURES])
+        own = read(stated, "cell_limit")
+        need(own.shape == (len(cells), 3), lemma, "a shape is another one")
+        limit = self.upper[MEASURES.index(text(stated, "measure"))]
+        need(np.isfinite(limit), lemma, "the limit of its measure is no number")
+        need(np.isnan(self.upper) | (self.upper > 0), lemma, "a limit is negative")
+        self.limits = np.fmin(np.fmin(own + TOL.cell * self.upper, self.upper), np.inf)
+        self.band = 2 * np.pi * band * [UP, 1 / UP]
         self.cells = 2 * np.pi * cells * [1 / UP, UP]
         self.found = self.prove_cells()
         said = ", ".join(f"{each} {limit:.6g}" for each, limit in zip(MEASURES, self.upper, strict=True))
-        limit = self.upper[MEASURES.index(text(stated, "measure"))]
-        return f"error <= {limit:.6g} at every frequency from {band[0]:g} to {band[1]:g} Hz (body {name}: {said})"
+        said += f"; damping floor {floor:g}" if floor else ""
+        return f"error <= {limit:.6g} at every frequency from {band[0]:g} to {band[1]:g} Hz (body {name!r}: {said})"
 
     def couple(self, model: Any) -> None:
         """Matrices of the coupled dofs, weights W (n,), and what entries are off by as a part of W."""
         R, turns = self.coupling.R, self.coupling.turns
-        self.K, self.lost_K = coupled(model["matrices/K"], self.coupling.T)
-        self.M, self.lost_M = coupled(model["matrices/M"], self.coupling.T)
+        self.K, self.lost_K = coupled(part_of(model, "matrices/K"), self.coupling.T)
+        self.M, self.lost_M = coupled(part_of(model, "matrices/M"), self.coupling.T)
         self.wK, self.wM, G = row_sums(self.K), row_sums(self.M), R.T @ (self.M @ R)
+        size = self.wK + self.sigma * self.wM
+        need((size > TOL.sizes[0]) & (size < TOL.sizes[1]), "sturm-count", "a dof has neither stiffness nor mass")
         # Powers of four, whose roots scale without round-off.
-        self.W = 4.0 ** np.round(0.5 * np.log2(self.wK + self.sigma * self.wM))
+        self.W = 4.0 ** np.round(0.5 * np.log2(size))
         self.lost = float(((self.lost_K + self.sigma * self.lost_M) / self.W).max())
         self.cK, self.cM = float((self.wK / self.W).max()), float((self.wM / self.W).max())
         self.row = int(max(np.diff(A.indptr).max() for A in (self.K, self.M)))
@@ -567,9 +656,17 @@ class Proof:
         chi = float(np.linalg.norm(self.KZ) + shift * np.linalg.norm(z)) ** 2 / (TOL.couplings * self.sigma)
         chi += float(((self.sigma * star + kappa * self.size[low]) ** 2 / g).sum())
         need(chi < TOL.couplings * kappa, "complement-bound", f"residuals of the modes take {chi:.1e} of {kappa:.1e}")
+        # Mass that is negative would hide modes from the count.
+        less = TOL.no_mass * shift
+        mass = sp.csr_array(self.sigma * (s @ self.M @ s) + less * sp.eye_array(len(W)))
+        mass.eliminate_zeros()
+        negative, rho = count_negative(mass)
+        less += rho + 8 * U + self.lost
+        left = kappa - chi - less
+        need(not negative and left > 0, "complement-bound", "the mass is not known to be semidefinite")
         self.least = theta[low] - self.dK[low, low].sum(axis=1)
         need(self.least > 0, "ritz-values", "a mode has no stiffness")
-        self.soft = UP * float(np.sqrt(1 / (kappa - chi) + (soft / self.least).sum()))
+        self.soft = UP * float(np.sqrt(1 / left + (soft / self.least).sum()))
 
     def take_residuals(self) -> None:
         """Lemma reference-residual: of s_p / theta_p coordinates T (q, p) in the dual energy but for lost_T (p,), norms
@@ -693,12 +790,16 @@ class Proof:
         with np.errstate(divide="ignore"):
             parts = error / e, error / max(peak, 0.0), np.where(chord > 0, error / np.maximum(chord, TINY), np.inf)
         upper = UP * np.stack([part.max(axis=1) for part in parts], axis=1)
+        at = m[:, None] + h[:, None] * t
+        # What lies outside of the band is no peak of it.
+        size_H = np.where((at > self.band[0]) & (at < self.band[1]), size_H, 0.0)
         return upper, (size_H - rest[:, None]).max(axis=1) / UP
 
     def prove_cells(self) -> Array:
         """Lemma cells-of-the-band: the largest limits (3,) that were found, none above those of the cells."""
         asked, found, work = np.isfinite(self.upper), np.zeros(3), []
         z = np.concatenate([self.z.ravel(), self.body.z.ravel()])
+        need(np.isfinite(z), "body-poles", "a pole is no number")
         for number, (low, high) in enumerate(self.cells):
             # Peaks are ends of cells.
             inner = np.sort(z.real[(z.real > low) & (z.real < high)])
@@ -761,7 +862,7 @@ def verify(body: str, model: str, witness: str, found: list[Array] | None = None
         try:
             proof = Proof(bodies, matrices, given)
             modes = f"{proof.k} elastic and {len(proof.Z.T)} rigid modes below {proof.sigma**0.5 / 2 / np.pi:,.6g} Hz"
-            said.append(f"counted: {modes}; damping: {text(given, 'damping')}")
+            said.append(f"counted: {modes}; damping: {proof.words or None}")
             for name in proof.names:
                 said.append(f"verified: {proof.prove(name)}")
                 if found is not None:
@@ -779,8 +880,18 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     try:
         belongs, proven, said = verify(given.body, given.model, given.witness)
-    except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
-        sys.stderr.write(f"error: {error}\n")
+    except (
+        OSError,
+        LookupError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        ArithmeticError,
+        MemoryError,
+        RuntimeError,
+    ) as error:
+        said = " ".join(str(error).split()) or type(error).__name__
+        sys.stderr.write(f"error: the files cannot be verified: {said}\n")
         return 2
     sys.stdout.write(said + "\n")
     return 0 if belongs and proven else 1

@@ -152,6 +152,191 @@ def test_a_witness_is_not_believed(sound, tmp_path, name, value, lemma):
     assert belongs and not proven and f"not verified: lemma {lemma} fails" in said
 
 
+def put(name, change):
+    """Another dataset in the place of one."""
+
+    def altered(file, place):
+        at = name.format(place)
+        value = change(file[at][()])
+        del file[at]
+        file[at] = value
+
+    return altered
+
+
+def scaled(factor, *at):
+    def change(value):
+        value[at] *= factor
+        return value
+
+    return change
+
+
+def sheared(value):
+    value[0, -1] += 0.5 * np.abs(value).max()
+    return value
+
+
+def without_a_mode(file, _):
+    # As many modes are said to lie below the shift, one of which is not there.
+    for name in ("vectors", "coefficients"):
+        put(name, lambda value: np.delete(value[:, :6], 2, axis=1))(file, "")
+
+
+LIMITS, CERTIFICATE = "bodies/{}/certificate/limits/", "bodies/{}/certificate/"
+CELLS = "cells-of-the-band"
+
+
+@pytest.mark.parametrize(
+    ("which", "change", "lemma"),
+    [
+        (0, put(LIMITS + "envelope", lambda value: np.r_[value[0], -np.inf, value[2]]), CELLS),
+        (0, put(LIMITS + "envelope", lambda value: np.r_[value[0], np.nan, value[2]]), CELLS),
+        (0, put(LIMITS + "peak", lambda value: -value), CELLS),
+        (0, put(LIMITS + "peak", lambda value: 0.0 * value), CELLS),
+        (0, put(CERTIFICATE + "band_hz", lambda value: value[::-1].copy()), CELLS),
+        (0, put(CERTIFICATE + "band_hz", lambda value: value - 1.0), CELLS),
+        (0, put(CERTIFICATE + "band_hz", lambda value: np.array([0.0, np.nextafter(3000.0, 4000.0)])), CELLS),
+        (0, put(CERTIFICATE + "cells_hz", scaled(np.nan, 3)), "complement-bound"),
+        (0, put(CERTIFICATE + "cells_hz", scaled(1 - 2**-53, 3, 1)), CELLS),
+        (0, put(CERTIFICATE + "cells_hz", lambda value: value[:, ::-1].copy()), CELLS),
+        (0, put(CERTIFICATE + "cells_hz", scaled(10.0, -1, 1)), "complement-bound"),
+        (0, put(CERTIFICATE + "damping_floor", lambda _: np.nan), "damping"),
+        (0, put("bodies/{}/mass_matrix", scaled(1.001, slice(6), slice(6))), "rigid-motions"),
+        (0, put("bodies/{}/damping_matrix", sheared), "rigid-motions"),
+        (0, put("bodies/{}/mass_matrix", lambda value: -value), "body-poles"),
+        (0, put("bodies/{}/input_matrix", lambda value: value[:, :1]), "body-poles"),
+        (0, put("interfaces/right/axes", lambda value: value[[1, 2, 0]]), "interface-map"),
+        (0, put("interfaces/right/components", lambda value: value - 1), "interface-map"),
+        (1, put("matrices/K/data", scaled(1.01, 5)), "interface-map"),
+        (1, put("matrices/K/data", scaled(np.nan, 5)), "interface-map"),
+        (1, put("dofs/node", scaled(-1, slice(None))), "interface-map"),
+        (1, lambda file, _: file.copy("matrices/M", "matrices/D"), "interface-map"),
+        (2, without_a_mode, "sturm-count"),
+        (2, put("modes_below", lambda value: value + 1000), "sturm-count"),
+        (2, put("modes_below", lambda _: -1), "sturm-count"),
+        (2, put("vectors", lambda value: value[:, [0, 0, *range(2, value.shape[1])]]), "ritz-values"),
+        (2, put("vectors", lambda value: value[:, ::-1].copy()), "ritz-values"),
+        (2, put("vectors", lambda value: value[1:]), "ritz-values"),
+        (2, put("shift", lambda value: 4.0 * value), "ritz-values"),
+        (2, put("damping", lambda value: np.bytes_(value.replace(b"2.0", b"900.0"))), CELLS),
+    ],
+)
+def test_what_is_false_by_hand_is_refused_by_its_lemma(sound, tmp_path, which, change, lemma):
+    files, _ = sound
+    copies = [Path(shutil.copy(file, tmp_path)) for file in files]
+    with h5py.File(copies[0]) as file:
+        place = next(iter(file["bodies"]))
+    with h5py.File(copies[which], "r+") as file:
+        change(file, place)
+    reseal(*copies)
+    belongs, proven, said = morembs_verify.verify(*map(str, copies))
+    assert belongs and not proven and f"not verified: lemma {lemma} fails" in said, said
+
+
+def test_negative_mass_hides_no_mode(sound, tmp_path):
+    files, _ = sound
+    copies = [Path(shutil.copy(file, tmp_path)) for file in files]
+    with h5py.File(copies[1], "r+") as file:
+        # One more dof, with a stiffness and a mass below zero: a mode in the band, but never below the shift.
+        size = 1e-9 * file["matrices/M/data"][()].max()
+        n = len(file["dofs/node"])
+        for name, value in (("K", -size * (2 * np.pi * 300) ** 2), ("M", -size)):
+            put(f"matrices/{name}/data", lambda data, value=value: np.r_[data, value])(file, "")
+            put(f"matrices/{name}/indices", lambda each: np.r_[each, n])(file, "")
+            put(f"matrices/{name}/indptr", lambda each: np.r_[each, each[-1] + 1])(file, "")
+            put(f"matrices/{name}/shape", lambda each: each + 1)(file, "")
+        put("dofs/node", lambda each: np.r_[each, each.max() + 1])(file, "")
+        put("dofs/component", lambda each: np.r_[each, 0])(file, "")
+        put("nodes/ids", lambda each: np.r_[each, each.max() + 1])(file, "")
+        put("nodes/coordinates", lambda each: np.r_[each, each[-1:]])(file, "")
+    with h5py.File(copies[2], "r+") as file:
+        for name in ("rigid", "vectors", "solutions"):
+            # Six dofs of the frame come last.
+            put(name, lambda each: np.insert(each, len(each) - 6, 0.0, axis=0))(file, "")
+    reseal(*copies)
+    said = morembs_verify.verify(*map(str, copies))[2]
+    assert "lemma complement-bound fails: the mass is not known to be semidefinite" in said, said
+
+
+def test_peaks_outside_of_the_band_count_for_nothing(sound, tmp_path):
+    files, (certificate,) = sound
+    copies = [Path(shutil.copy(file, tmp_path)) for file in files]
+    with h5py.File(copies[0], "r+") as file:
+        place = next(iter(file["bodies"]))
+        cells = file[f"bodies/{place}/certificate/cells_hz"][()]
+        # The softest resonance lies in cells that are kept, but no longer in the band.
+        put(CERTIFICATE + "band_hz", lambda _: np.array([cells[-6, 0], 3000.0]))(file, place)
+    reseal(*copies)
+    assert certificate.limits["peak"].upper < 1
+    assert "lemma cells-of-the-band fails: the peak error" in morembs_verify.verify(*map(str, copies))[2]
+
+
+def linked(file, name, made):
+    del file[name]
+    file[name] = made
+
+
+def duplicated(file):
+    # 1e20 + x - 1e20 is no sum that may be rounded.
+    data, indices, indptr = (file[f"matrices/K/{part}"][()] for part in ("data", "indices", "indptr"))
+    indptr[1:] += 2
+    put("matrices/K/data", lambda _: np.r_[1e20, -1e20, data])(file, "")
+    put("matrices/K/indices", lambda _: np.r_[indices[0], indices[0], indices])(file, "")
+    put("matrices/K/indptr", lambda _: indptr)(file, "")
+
+
+@pytest.mark.parametrize(
+    ("which", "change"),
+    [
+        (1, lambda file: linked(file, "matrices/K", h5py.ExternalLink("other.h5", "matrices/K"))),
+        (1, lambda file: linked(file, "matrices/K/data", h5py.SoftLink("/matrices/M/data"))),
+        (1, lambda file: put("matrices/K/indices", scaled(10**6, slice(None)))(file, "")),
+        (1, lambda file: put("matrices/K/indptr", lambda value: value[::-1].copy())(file, "")),
+        (1, lambda file: put("matrices/K/data", lambda value: value * (1 + 1j))(file, "")),
+        (
+            2,
+            lambda file: (
+                file.pop("vectors"),
+                file.create_dataset("vectors", (10**9, 10**6), dtype=float, chunks=(9, 9)),
+            ),
+        ),
+        (2, lambda file: put("damping", lambda _: 10**15)(file, "")),
+        (2, lambda file: put("damping", lambda _: np.bytes_("[" * 10**5))(file, "")),
+        (2, lambda file: put("damping", lambda _: np.bytes_("[1]"))(file, "")),
+        (2, lambda file: file.pop("shift")),
+    ],
+)
+def test_files_of_attackers_are_one_message(sound, tmp_path, which, change):
+    files, _ = sound
+    copies = [Path(shutil.copy(file, tmp_path)) for file in files]
+    shutil.copy(files[1], tmp_path / "other.h5")
+    with h5py.File(copies[which], "r+") as file:
+        change(file)
+    reseal(*copies)
+    shown = RUNNER.invoke(cli.app, ["verify", *map(str, copies)])
+    assert shown.exit_code == 2 and shown.stderr.startswith("error: ") and shown.stderr.count("\n") == 1, shown.output
+
+
+def test_entries_that_are_there_twice_are_refused(sound, tmp_path):
+    files, _ = sound
+    copies = [Path(shutil.copy(file, tmp_path)) for file in files]
+    with h5py.File(copies[1], "r+") as file:
+        duplicated(file)
+    reseal(*copies)
+    assert "lemma interface-map fails: a matrix has an entry twice" in morembs_verify.verify(*map(str, copies))[2]
+
+
+def test_names_cannot_say_what_is_not_proven(sound, tmp_path):
+    files, _ = sound
+    copies = [Path(shutil.copy(file, tmp_path)) for file in files]
+    with h5py.File(copies[2], "r+") as file:
+        given = json.loads(file["damping"][()]) | {"x": 1}
+        put("damping", lambda _: np.bytes_(json.dumps(given).replace('"x"', '\n"verified: error <= 0"')))(file, "")
+    reseal(*copies)
+    assert 'error <= 0"' not in morembs_verify.verify(*map(str, copies))[2]
+
+
 def test_limits_that_are_no_numbers_prove_nothing(sound, tmp_path):
     files, (certificate,) = sound
     copies = [Path(shutil.copy(file, tmp_path)) for file in files]
