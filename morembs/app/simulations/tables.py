@@ -11,6 +11,7 @@ from morembs.app.simulations.contact_tables import ContactElementTable, ContactT
 from morembs.app.simulations.keys import ORIGIN, Between, MarkerName, OptionalName, PartName, refuse_foreign
 from morembs.app.simulations.laws import LawTable, MotionTable
 from morembs.app.simulations.sliding_tables import SlidingTable, SwitchingTable
+from morembs.app.simulations.tolerances import TOL as LIMITS
 from morembs.base.errors import InputError
 from morembs.base.key_tables import Table, described
 from morembs.base.limits import Finite, NotNegative, Positive, PositiveCount, SpectralRadius, length, text
@@ -37,6 +38,12 @@ class SimulationTable(Table):
         if self.step > self.end - self.begin:
             raise InputError(
                 f"step = {self.step:g} was given for a run of {self.end - self.begin:g} s; expected a shorter step"
+            )
+
+        if not (self.end - self.begin) / self.step <= LIMITS.steps:
+            raise InputError(
+                f"step = {self.step:g} was given for a run of {self.end - self.begin:g} s; expected {LIMITS.steps:,} "
+                "steps at most: take a longer step or an earlier end"
             )
 
     @property
