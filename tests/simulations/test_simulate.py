@@ -267,6 +267,10 @@ WRONG = {
     "a missing body": ('joint.hinge.between=["ground", "stirp:TIP"]', "did you mean 'strip'?"),
     "an end before the begin": ("simulation.end=-1", "expected an end after it"),
     "a step beyond the end": ("simulation.step=1", "expected a shorter step"),
+    "a marker that no file can name": (
+        'body.strip.nodes={ "." = 1 }',
+        "nodes: the name '.' was given; expected a name",
+    ),
     "steps without end": ("simulation.end=1e300", "expected 1,000,000,000 steps at most"),
     "steps of nothing": ("simulation.step=1e-320", "expected 1,000,000,000 steps at most"),
     "no file": ("body.strip.file=other.h5", "other.h5 was given as a body file; there is no such file"),

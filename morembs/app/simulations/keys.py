@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated
 
+from morembs.base.arguments import fits, words
 from morembs.base.errors import InputError
 from morembs.base.key_tables import Table
 from morembs.base.limits import length, text
@@ -14,6 +16,19 @@ OptionalName = Annotated[str, text("a name without colons and slashes", rf"{NAME
 MarkerName = Annotated[str, text('a marker "BODY:NAME" such as "rod:big_end", "ground" or "ground:NAME"')]
 Between = Annotated[list[MarkerName], length('two markers such as ["ground", "rod:big_end"]', 2)]
 ORIGIN = [0.0, 0.0, 0.0]
+
+
+def refuse_names(key: str, names: Iterable[str]) -> None:
+    """Refuse names of markers that the file of the result cannot have.
+
+    Raises:
+        InputError: as said.
+    """
+    for name in names:
+        if not fits(name, PartName):
+            raise InputError(
+                f"{key}: the name {name!r} was given; expected {words(PartName)}, which begins with no dot"
+            )
 
 
 def refuse_foreign(table: Table, kind: str, keys: dict[str, set[str]]) -> None:

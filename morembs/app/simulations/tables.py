@@ -8,7 +8,15 @@ from typing import Annotated, Literal
 from morembs.app.jobs.stages.unreduced import RotationTable
 from morembs.app.jobs.tables import Three
 from morembs.app.simulations.contact_tables import ContactElementTable, ContactTable
-from morembs.app.simulations.keys import ORIGIN, Between, MarkerName, OptionalName, PartName, refuse_foreign
+from morembs.app.simulations.keys import (
+    ORIGIN,
+    Between,
+    MarkerName,
+    OptionalName,
+    PartName,
+    refuse_foreign,
+    refuse_names,
+)
 from morembs.app.simulations.laws import LawTable, MotionTable
 from morembs.app.simulations.sliding_tables import SlidingTable, SwitchingTable
 from morembs.app.simulations.tolerances import TOL as LIMITS
@@ -92,6 +100,9 @@ class BodyTable(Table):
     switching: SwitchingTable = field(default_factory=SwitchingTable)
     nodes: dict[str, int] = described("further markers at nodes of the file, such as { middle = 1234 }", {})
 
+    def refuse_conflicts(self) -> None:
+        refuse_names("nodes", self.nodes)
+
 
 @dataclass(frozen=True, kw_only=True)
 class RigidBodyTable(Table):
@@ -108,6 +119,9 @@ class RigidBodyTable(Table):
     velocity: Three = described("[x, y, z] of its origin along the inertial axes, m/s", ORIGIN)
     angular_velocity: Three = described("[x, y, z] along the axes of the body, rad/s", ORIGIN)
     markers: dict[str, Three] = described("points of the body such as { pin = [0.1, 0, 0] }, m", {})
+
+    def refuse_conflicts(self) -> None:
+        refuse_names("markers", self.markers)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,7 +17,6 @@ class SimulationTolerances:
     size_ratio: float = 300.0
     # Gravity in the plane of a member, over all of it, that is none: six digits, as axes are typed.
     gravity_in_plane: float = 1e-6
-
     # Most steps of a run: the states of one rigid body, 25 numbers a step, fill 200 GB then.
     steps: int = 1_000_000_000
 
