@@ -20,6 +20,7 @@ from morembs.base.limits import Positive, PositiveCount
 from morembs.body.shapes import Shapes, shapes_on
 from morembs.body.tolerances import TOL as BODY
 from morembs.exporters.base import ExportContext, Exported, Exporter
+from morembs.exporters.reduced import refuse_two_sided
 from morembs.exporters.simscape import quaternion
 from morembs.exporters.tolerances import TOL
 from morembs.storage.safefile import replacing
@@ -57,6 +58,7 @@ class Gltf(Exporter):
     seconds: Positive = 2.0
 
     def _write(self, context: ExportContext) -> Exported:
+        refuse_two_sided(context.body)  # modes of matrices without symmetry are complex: no picture of one phase shows them
         shapes = shapes_on(context.body.view(self.modes))
         if shapes is None:
             raise InputError(
