@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -165,9 +166,25 @@ def test_nothing_but_pictures_and_numbers_gets_out_of_an_old_report(report: Path
     path, body = report.with_name("evil.html"), report.parent / "long" / "part.h5"
     write_report(path, [entry_of(body)], "x")
     first = path.read_text()
-    path.write_text(re.sub(r"base64,[A-Za-z0-9+/=]+", 'base64,AAAA" onerror="alert(1)', first))
-    write_report(path, [entry_of(body)], "x")
-    assert path.read_text() == first
+    for old in (
+        re.sub(r"base64,[A-Za-z0-9+/=]+", 'base64,AAAA" onerror="alert(1)', first),
+        # A picture that is another one, or is damaged, and numbers that JSON does not have.
+        re.sub(r"base64,iVBORw0KGgo[A-Za-z0-9+/=]+", "base64,iVBORw0KGgoAAAA", first),
+        re.sub(r'"mass_kg":[^,]+', '"mass_kg":NaN', first),
+    ):
+        assert old != first
+        path.write_text(old)
+        write_report(path, [entry_of(body)], "x")
+        assert path.read_text() == first
+
+
+def test_names_that_are_no_utf_8_get_into_a_report(report: Path) -> None:
+    """As linked files they are found by their bytes."""
+    body = report.parent / os.fsdecode(b"p\xff# b.h5")
+    body.write_bytes((report.parent / "long" / "part.h5").read_bytes())
+    path = report.with_name("names.html")
+    write_report(path, [replace(entry_of(body), name=body.stem)], body.stem)
+    assert "p%FF%23%20b.h5" in Page(path.read_text(encoding="utf-8")).links
 
 
 def browser(folder: Path) -> list[str]:

@@ -142,6 +142,12 @@ def test_last_nights_report_may_be_the_one_that_is_replaced(nights: Path) -> Non
             '{"format": "morembs-report", "version": 1, "parts": [{"name": "x", "state": "done", "seconds": "z"}]}',
             "is damaged",
         ),
+        (
+            '{"format": "morembs-report", "version": 1, "parts": [{"name": "x", "state": "done", "seconds": 1e999, '
+            '"body_file": {"bodies": {"cb": {"order": 1e999, "frequencies_hz": [], "limits": {}, "measure": ""}}}}]}',
+            "is damaged",
+        ),
+        ('{"format": "morembs-report", "version": 1, "parts": [{"name": "x", "seconds": NaN}]}', "has no data of a"),
         ('{"event": "begun", "format": "morembs-batch", "version": 1}\n{"event": 3\n', "cannot be read in line 2"),
     ],
 )

@@ -416,6 +416,15 @@ def report_of(bodies: Sequence[Path], path: Path) -> str:
     return path.read_text()
 
 
+def test_two_parts_of_one_name_have_pages_of_their_own(folder: Path, tmp_path: Path) -> None:
+    bodies = [folder / "part.h5", *[folder / "other.h5"] * 20]
+    entries = [Entry(name="part", job="j.toml", output=str(body), state="done") for body in bodies]
+    write_report(tmp_path / "night.html", entries, "night")
+    frames = re.findall(r'iframe src="([^"]+)"', (tmp_path / "night.html").read_text())
+    one, two, *_ = [(tmp_path / frame).read_text() for frame in frames]
+    assert len(set(frames)) == 2 and one != two
+
+
 OPENED = "document.querySelector('.morembs-look').open = true, 1"
 
 
@@ -451,6 +460,11 @@ def test_viewers_of_many_parts_lie_beside_the_report(page: Page, folder: Path, t
     body.write_bytes((folder / "other.h5").read_bytes())
     report_of(bodies, tmp_path / "night.html")
     assert sum(each.stat().st_mtime_ns != times[each] for each in pages) == 1
+    # A page that was edited by hand is written anew.
+    text = pages[3].read_bytes()
+    pages[3].write_bytes(text.replace(b"</main>", b"<p>no</p></main>"))
+    report_of(bodies, tmp_path / "night.html")
+    assert pages[3].read_bytes() == text
     page.faults.clear()
     page.open(tmp_path / "night.html")
     page.run(OPENED)

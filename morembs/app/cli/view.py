@@ -40,7 +40,7 @@ def view(
             scene, bodies = scene_of_files(files)
             text = viewer_page(scene, still_picture(bodies))
         with replacing(page) as target:
-            target.write(text.encode())
+            target.write(text.encode("utf-8", "replace"))
         with printing([str(page)]):
             typer.echo("\n".join([f"written: {page}, {_size(scene)}", *(f"note: {note}" for note in scene.notes)]))
         if not no_open:

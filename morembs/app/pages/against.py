@@ -101,7 +101,7 @@ class Earlier:
             states = [*_of_manifest(path)] if is_manifest(path) else [*_of_report(read_document(path), path.parent)]
         except InputError:
             raise
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise InputError(
                 f"{path} is damaged, as a report or a manifest ({error!r}); give another --against"
             ) from error

@@ -22,7 +22,10 @@ from morembs.storage.contents import own_files
 from morembs.version import VERSION
 
 DOCUMENT = re.compile(r'<script type="application/json" id="report">([^<]*)</script>')
-_PICTURE = re.compile(r'data-key="([0-9a-f]{64}:[a-z-]+)" src="data:image/png;base64,(iVBORw0KGgo[A-Za-z0-9+/=]+)"')
+_PICTURE = re.compile(
+    r'data-key="([0-9a-f]{64}:[a-z-]+)" data-sum="([0-9a-f]{64})" '
+    r'src="data:image/png;base64,(iVBORw0KGgo[A-Za-z0-9+/=]+)"'
+)
 _NOTHING = re.compile(r'<template data-key="([0-9a-f]{64}:[a-z-]+)"></template>')
 _DATA = re.compile(
     r'<script type="application/json" data-key="([0-9a-f]{64}:[a-z-]+)" data-sum="([0-9a-f]{64})">([^<]*)</script>'
@@ -70,7 +73,7 @@ def _text(path: Path) -> str:
 def _document(text: str, path: Path) -> dict[str, Any]:
     found = DOCUMENT.search(text)
     try:
-        document = json.loads(found[1] if found else text)
+        document = json.loads(found[1] if found else text, parse_constant=_no_number)
         known = isinstance(document, dict) and document.get("format") == ReportFormat.NAME
         known = known and all(isinstance(part, dict) and "name" in part for part in document["parts"])
     except (ValueError, KeyError, TypeError, RecursionError):
@@ -85,6 +88,15 @@ def _document(text: str, path: Path) -> dict[str, Any]:
             f"{path} has the format version {document.get('version')}; this morembs reads {ReportFormat.VERSION}"
         )
     return dict(document)
+
+
+def _no_number(name: str) -> None:
+    """NaN and infinity, which no report has.
+
+    Raises:
+        ValueError: always.
+    """
+    raise ValueError(f"{name} is no number of JSON")
 
 
 class KeptParts:
@@ -107,8 +119,8 @@ class KeptParts:
             if document.get("morembs_version") == VERSION:
                 whole = [part["body_file"] for part in document["parts"] if _is_whole(part.get("body_file"))]
                 self._contents |= {content["sha256"]: content for content in whole}
-            self._pictures |= dict(_PICTURE.findall(text)) | dict.fromkeys(_NOTHING.findall(text), "")
-            self._data |= {key: data for key, told, data in _DATA.findall(text) if sum_of(data) == told}
+            self._pictures |= _whole(_PICTURE, text) | dict.fromkeys(_NOTHING.findall(text), "")
+            self._data |= _whole(_DATA, text)
 
     def content(self, sha256: str) -> Mapping[str, Any] | None:
         """What a report of this version says of a body file, None where there is none."""
@@ -123,6 +135,11 @@ class KeptParts:
     def data(self, key: str, make: Callable[[], Any]) -> Any:
         """The plain values that were kept under ``key``, or new ones."""
         return json.loads(self._data[key]) if key in self._data else make()
+
+
+def _whole(pattern: re.Pattern[str], text: str) -> dict[str, str]:
+    """What a page holds under a key with a checksum, where it is as it was written."""
+    return {key: data for key, told, data in pattern.findall(text) if sum_of(data) == told}
 
 
 def sealed(content: Mapping[str, Any]) -> dict[str, Any]:

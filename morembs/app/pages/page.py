@@ -122,12 +122,13 @@ def write_report(path: Path, entries: Sequence[Entry], title: str, earlier: Earl
         words=words,
         decimals=_decimals(document["parts"]),
         measures=MEASURES,
-        data_link=quote(path.with_suffix(".json").name),
+        data_link=quote(os.fsencode(path.with_suffix(".json").name)),
         data_name=path.with_suffix(".json").name,
     )
     for place, content in ((path, text), (path.with_suffix(".json"), f"{data}\n")):
         with replacing(place) as file:
-            file.write(content.encode())
+            # Names of files that are no UTF-8 have letters that no page can hold.
+            file.write(content.encode("utf-8", "replace"))
     return words
 
 
@@ -302,4 +303,4 @@ def link_to(path: str | Path, report: Path) -> str:
         target = Path(os.path.relpath(path, report.resolve().parent)).as_posix()
     except ValueError:  # on another drive
         return Path(path).resolve().as_uri()
-    return quote(target)
+    return quote(os.fsencode(target))

@@ -98,8 +98,10 @@ class PartPage:
         if not source:
             return Markup('<template data-key="{}"></template>').format(key)
         width, height, dots = size
-        image = '<img data-key="{}" src="data:image/png;base64,{}" alt="{}" width="{:.0f}" height="{:.0f}">'
-        return Markup(image).format(key, source, alt, width * dots, height * dots)
+        image = (
+            '<img data-key="{}" data-sum="{}" src="data:image/png;base64,{}" alt="{}" width="{:.0f}" height="{:.0f}">'
+        )
+        return Markup(image).format(key, sum_of(source), source, alt, width * dots, height * dots)
 
 
 def png_of(size: tuple[float, float, int], draw: Callable[[Figure], bool]) -> bytes:
@@ -197,22 +199,28 @@ def _scene(part: PartPage) -> Scene:
 
 
 def _framed_viewer(part: PartPage) -> Markup:
-    """A page in the folder, written anew where the body file or the version is another one."""
-    page = part.folder / f"view-{hashlib.sha256(part.name.encode()).hexdigest()[:16]}.html"
-    mark = f"<!-- {part.key} -->\n"
+    """A page in the folder, written anew where the body file or the version is another one, or the page was edited."""
+    # Two parts may have one name, and two jobs one body file: a page belongs to both together.
+    owner = f"{part.name}\n{part.file.absolute()}"
+    page = part.folder / f"view-{hashlib.sha256(owner.encode('utf-8', 'surrogatepass')).hexdigest()[:16]}.html"
     with own_files():
-        old = page.read_text(encoding="utf-8") if page.is_file() else ""
-    if not old.endswith(mark):
-        text = viewer_page(_scene(part)) + mark
+        old, _, mark = (page.read_bytes() if page.is_file() else b"").rpartition(b"<!-- ")
+    if mark != _mark(part, old):
+        text = viewer_page(_scene(part)).encode("utf-8", "replace")
         part.folder.mkdir(exist_ok=True)
         with replacing(page) as file:
-            file.write(text.encode())
+            file.write(text + b"<!-- " + _mark(part, text))
     link = quote(f"{part.folder.name}/{page.name}")
     text = (
         '<iframe src="{0}" title="modes of {1}" loading="lazy"></iframe>'
         '<p><a href="{0}">{1} on a page of its own</a></p>'
     )
     return _opened(Markup(text).format(link, part.name))
+
+
+def _mark(part: PartPage, text: bytes) -> bytes:
+    """The end of a page in the folder: of which body file it is, and that it is as it was written."""
+    return f"{part.key} {hashlib.sha256(text).hexdigest()} -->\n".encode()
 
 
 def charts(part: PartPage) -> Markup:

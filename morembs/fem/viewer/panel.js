@@ -167,7 +167,8 @@ Object.assign(Viewer.prototype, {
 
   // Lines of a job, each with a button that copies it.
   offer(lines) {
-    const quoted = (text) => `nodes = "${text.replace(/[\\"]/g, "\\$&")}"`;
+    // Texts of JSON are texts of TOML too.
+    const quoted = (text) => `nodes = ${JSON.stringify(text)}`;
     this.found.replaceChildren(...lines.map(({ line, about }) => make("div", { className: "line" }, make("code", {}, quoted(line)),
       make("button", { type: "button", onclick: (e) => this.copy(e.target, quoted(line)) }, "Copy"), make("span", { className: "soft" }, about))));
     if (!lines.length) this.found.replaceChildren(make("p", { className: "soft" }, "No node of the part is seen there."));
