@@ -58,7 +58,7 @@ class Gltf(Exporter):
     seconds: Positive = 2.0
 
     def _write(self, context: ExportContext) -> Exported:
-        refuse_two_sided(context.body)  # modes of matrices without symmetry are complex: no picture of one phase shows them
+        refuse_two_sided(context.body)  # their modes are complex: no picture of one phase shows them
         shapes = shapes_on(context.body.view(self.modes))
         if shapes is None:
             raise InputError(
