@@ -206,10 +206,10 @@ def _framed_viewer(part: PartPage) -> Markup:
     with own_files():
         old, _, mark = (page.read_bytes() if page.is_file() else b"").rpartition(b"<!-- ")
     if mark != _mark(part, old):
-        text = viewer_page(_scene(part)).encode("utf-8", "replace")
+        new = viewer_page(_scene(part)).encode("utf-8", "replace")
         part.folder.mkdir(exist_ok=True)
         with replacing(page) as file:
-            file.write(text + b"<!-- " + _mark(part, text))
+            file.write(new + b"<!-- " + _mark(part, new))
     link = quote(f"{part.folder.name}/{page.name}")
     text = (
         '<iframe src="{0}" title="modes of {1}" loading="lazy"></iframe>'
