@@ -40,32 +40,15 @@ def expect_bodies(files: Any) -> Any:
     return files
 
 
-BodyFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="FILE.h5",
-        help="A body file.",
-        show_default=False,
-        callback=expect_bodies,
-        autocompletion=files_with(*BODIES),
-    ),
-]
+body_argument = partial(typer.Argument, show_default=False, callback=expect_bodies, autocompletion=files_with(*BODIES))
+BodyFile = Annotated[Path, body_argument(metavar="FILE.h5", help="A body file.")]
 Documents = list[dict[str, Any]] | None
 BodyName = Annotated[str | None, typer.Option("--body", help="Which body, where the file holds several.")]
 
 
 @app.command(cls=Verb, epilog=example("morembs info part.h5"))
 def info(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILE.h5...",
-            help="Body files.",
-            show_default=False,
-            callback=expect_bodies,
-            autocompletion=files_with(*BODIES),
-        ),
-    ],
+    files: Annotated[list[Path], body_argument(metavar="FILE.h5...", help="Body files.")],
     proof: Annotated[bool, typer.Option("--proof", help="Print the lemmas that limits of errors rest on.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -77,16 +60,7 @@ def info(
 
 @app.command(cls=Verb, epilog=example("morembs export part.h5 --to exudyn"))
 def export(
-    files: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="[FILE.h5...]",
-            help="Body files.",
-            show_default=False,
-            callback=expect_bodies,
-            autocompletion=files_with(*BODIES),
-        ),
-    ] = None,
+    files: Annotated[list[Path] | None, body_argument(metavar="[FILE.h5...]", help="Body files.")] = None,
     to: Annotated[
         str | None,
         typer.Option(

@@ -7,15 +7,13 @@ from typing import Annotated
 
 import typer
 
-from morembs.app.cli.bodies import expect_bodies
+from morembs.app.cli.bodies import body_argument
 from morembs.app.cli.messages import echo, print_json, printing
 from morembs.app.cli.terminal import AsJson, Quiet, Verb, example, messages, progress_line
 from morembs.base.errors import InputError
 
 app = typer.Typer()
-Body = Annotated[
-    Path, typer.Argument(metavar="BODY.h5", help="A body file.", show_default=False, callback=expect_bodies)
-]
+Body = Annotated[Path, body_argument(metavar="BODY.h5", help="A body file.")]
 
 
 @app.command(cls=Verb, epilog=example("morembs certify part.h5 --model part.model.h5 --witness part.witness.h5"))

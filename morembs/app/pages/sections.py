@@ -133,18 +133,24 @@ def _member_picture(part: PartPage, name: str, alt: str, size: tuple[float, floa
     return part.picture(name, alt, size, lambda figure: draw_member(figure, part.file, part.shown, bare=bare))
 
 
+def _shapes_picture(
+    part: PartPage, name: str, alt: str, size: tuple[float, float, int], draw: Callable[[Figure, Shapes], object]
+) -> Markup:
+    def draw_if_any(figure: Figure) -> bool:
+        if part.shapes is not None:
+            draw(figure, part.shapes)
+        return part.shapes is not None
+
+    return part.picture(name, alt, size, draw_if_any)
+
+
 def thumbnail(part: PartPage) -> Markup:
     """The first mode, or shapes of a planar member, for the row of the part."""
     if part.holds_members:
         return _member_picture(part, "row", f"shapes of {part.name}", STYLE.row_picture)
     from morembs.body.drawing import draw_first
 
-    def draw(figure: Figure) -> bool:
-        if part.shapes is not None:
-            draw_first(figure, part.shapes)
-        return part.shapes is not None
-
-    return part.picture("row", f"first mode of {part.name}", STYLE.row_picture, draw)
+    return _shapes_picture(part, "row", f"first mode of {part.name}", STYLE.row_picture, draw_first)
 
 
 def mode_pictures(part: PartPage) -> Markup:
@@ -153,12 +159,8 @@ def mode_pictures(part: PartPage) -> Markup:
         return _member_picture(part, "modes", f"shapes of {part.shown} of {part.name}", STYLE.shapes_picture)
     from morembs.body.drawing import draw_shapes
 
-    def draw(figure: Figure) -> bool:
-        if part.shapes is not None:
-            draw_shapes(figure, part.shapes)
-        return part.shapes is not None
-
-    return part.picture("modes", f"modes of {part.shown} of {part.name}", STYLE.shapes_picture, draw)
+    alt = f"modes of {part.shown} of {part.name}"
+    return _shapes_picture(part, "modes", alt, STYLE.shapes_picture, draw_shapes)
 
 
 def response_picture(part: PartPage) -> Markup:
