@@ -67,7 +67,7 @@ class RealTime:
         """What the user of the export is told."""
         if self.kept == self.count:
             return (f"time step {self.step:g} s: resolves all {self.count} modes, nothing was changed",)
-        kind = "at most" if self.proven else f"at {TOL.error_samples} frequencies at most"
+        kind = "at most" if self.proven else f"sampled at {TOL.error_samples} frequencies"
         bands = ", ".join(f"{hz:.4g}" for hz in self.bands_hz)
         shown = "; ".join(f"{name} {', '.join(map(upwards, errors))}" for name, errors in self.errors.items())
         return (

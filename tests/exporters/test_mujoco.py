@@ -153,6 +153,7 @@ def test_in_real_time_a_rod_moves_as_it_should(stiff, tmp_path, axis):
         "time step 0.0001 s: 5 of 12 modes, up to 1592 Hz; the others are static compliance"
     )
     assert float(done.notes[1].partition("displacements ")[2].partition(",")[0]) < 5e-3
+    assert "sampled at 200 frequencies" in done.notes[1]
     assert any(note.startswith("1 s costs ") and note.endswith("step 0.0001 s") for note in done.notes)
     text = done.paths[0].read_text()
     assert "costs" not in text

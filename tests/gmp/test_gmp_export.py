@@ -14,6 +14,7 @@ from morembs.dynamics.gmp.export import export_member
 from morembs.dynamics.gmp.stored import write_members
 from morembs.dynamics.multibody import System, ground, simulate
 from morembs.dynamics.nonlinear import PlanarBeam, Section
+from tests.exporters.test_linear_inputs import Slave, follow, orders
 from tests.support.fmus import InCasadi, needs_compiler, run
 from tests.support.processes import morembs
 
@@ -202,6 +203,23 @@ def test_c_code_of_a_pendulum_converges_to_the_simulator(source, expected):
         found.append(np.array(ran.stdout.split(), dtype=float))
     a, b, c = found
     assert np.abs((16 * (4 * c - b) / 3 - (4 * b - a) / 3) / 15 - expected[-1]).max() < 1e-8 * LENGTH
+
+
+def test_gravity_that_changes_goes_in_a_line(fmpy, source):
+    """Of a pendulum whose frame of reference rises and falls; held gravity is off by the step."""
+    fmu = exported(source, "lifted", held=PIN, interpolate_inputs=True)
+    place, end = ["end.position.x", "end.position.y"], 0.05
+
+    def moved(count, linear):
+        times, slave = np.linspace(0, end, count + 1), Slave(fmpy, fmu)
+        slave.set({"tolerance": 1e-11})
+        given = {"gravity.y": -9.81 + 30 * np.sin(2 * np.pi * 30 * times)}
+        return follow(slave, times, given, place, linear=linear)[-1]
+
+    wanted = moved(640, True)
+    held, linear = ([np.abs(moved(count, line) - wanted).max() for count in (20, 40, 80)] for line in (False, True))
+    assert orders(linear)[-1] == pytest.approx(2.0, abs=0.2)
+    assert linear[-1] < 0.25 * held[-1]
 
 
 def test_beyond_the_tables_nothing_comes_out(fmpy, source):

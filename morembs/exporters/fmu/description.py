@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 from xml.sax.saxutils import quoteattr
 
+from morembs.exporters.fmu.sources import Code
 from morembs.exporters.fmu.system import System, Variable
 from morembs.exporters.tolerances import TOL
 from morembs.version import VERSION
@@ -26,45 +27,69 @@ UNITS: dict[str, dict[str, int]] = {
     "Pa": {"kg": 1, "m": -1, "s": -2},
     "s": {"s": 1},
 }
+# Units -> those of their rates; and those of them that are new.
+_RATES = {
+    "1": "1/s",
+    "m": "m/s",
+    "rad": "rad/s",
+    "m/s": "m/s2",
+    "rad/s": "rad/s2",
+    "m/s2": "m/s3",
+    "rad/s2": "rad/s3",
+    "N": "N/s",
+    "N.m": "N.m/s",
+}
+RATE_UNITS = {
+    rate: UNITS[unit] | {"s": UNITS[unit].get("s", 0) - 1} for unit, rate in _RATES.items() if rate not in UNITS
+}
 _XML = '<?xml version="1.0" encoding="UTF-8"?>'
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Entry:
-    """A variable of the description: ``state`` is the reference of the state whose rate this is."""
+    """A variable of the description: ``rate_of`` is the reference of the state or the input whose rate this is."""
 
     variable: Variable
     causality: str
     variability: str = "continuous"
     initial: str = ""
-    state: int | None = None
+    rate_of: int | None = None
 
 
-def model_description(system: System, name: str, identifier: str, token: str, version: Version) -> bytes:
+def model_description(code: Code, name: str, token: str, version: Version) -> bytes:
     """The description of an FMU for model exchange and co-simulation; value references count as the C code does."""
-    return "\n".join((_XML, *_lines(system, name, identifier, token, version), "")).encode()
+    return "\n".join((_XML, *_lines(code, name, token, version), "")).encode()
 
 
-def _entries(system: System) -> list[_Entry]:
+def _entries(system: System, *, input_rates: bool) -> list[_Entry]:
     """All variables in the order of their value references, which are their places."""
-    first = 1 + len(system.parameters) + len(system.inputs)
+    own = 1 + len(system.parameters)
+    first = own + (1 + input_rates) * len(system.inputs)
     time = _Entry(variable=Variable(name="time", unit="s", about="time"), causality="independent")
     parameters = [
         _Entry(variable=v, causality="parameter", variability="tunable", initial="exact") for v in system.parameters
     ]
     states = [_Entry(variable=v, causality="local", initial="exact") for v in system.states]
     rates = [
-        _Entry(variable=Variable(name=f"der({v.name})", unit="1"), causality="local", state=first + k)
+        _Entry(variable=Variable(name=f"der({v.name})", unit="1"), causality="local", rate_of=first + k)
         for k, v in enumerate(system.states)
     ]
     inputs = [_Entry(variable=v, causality="input") for v in system.inputs]
+    if input_rates:
+        inputs += [_Entry(variable=_rate(v), causality="input", rate_of=own + k) for k, v in enumerate(system.inputs)]
     outputs = [_Entry(variable=v, causality="output") for v in system.outputs]
     return [time, *parameters, *inputs, *states, *rates, *outputs]
 
 
-def _lines(system: System, name: str, identifier: str, token: str, version: Version) -> Iterator[str]:
+def _rate(variable: Variable) -> Variable:
+    about = "over the next steps of co-simulation"
+    return Variable(name=f"der({variable.name})", unit=_RATES[variable.unit], about=about, start=0.0)
+
+
+def _lines(code: Code, name: str, token: str, version: Version) -> Iterator[str]:
     second = version == "2.0"
-    entries = _entries(system)
+    system, identifier, input_rates = code.system, code.name, code.linear_inputs and not second
+    entries = _entries(system, input_rates=input_rates)
     found = system.real_time
     about = "; ".join((f"Elastic body, {system.structure}", *(() if found is None else found.notes)))
     kind, indicators = ("guid", ' numberOfEventIndicators="0"') if second else ("instantiationToken", "")
@@ -79,7 +104,9 @@ def _lines(system: System, name: str, identifier: str, token: str, version: Vers
         else 'canGetAndSetFMUState="true" canSerializeFMUState="true"'
     )
     memory = ' canNotUseMemoryManagementFunctions="true"' if second else ""
-    for element, more in (("ModelExchange", ""), ("CoSimulation", ' canHandleVariableCommunicationStepSize="true"')):
+    steps = ' canHandleVariableCommunicationStepSize="true"'
+    steps += ' canInterpolateInputs="true"' if second and code.linear_inputs else ""
+    for element, more in (("ModelExchange", ""), ("CoSimulation", steps)):
         head = f'<{element} modelIdentifier="{identifier}" {states}{memory}{more}'
         if second:
             files = f'<File name="{identifier}.c"/><File name="fmi2.c"/>'
@@ -87,7 +114,7 @@ def _lines(system: System, name: str, identifier: str, token: str, version: Vers
         else:
             yield f"{head}/>"
     yield "<UnitDefinitions>"
-    for unit, base in UNITS.items():
+    for unit, base in (UNITS | RATE_UNITS if input_rates else UNITS).items():
         powers = "".join(f' {key}="{power}"' for key, power in base.items())
         yield f'<Unit name="{unit}"><BaseUnit{powers}/></Unit>'
     yield "</UnitDefinitions>"
@@ -117,9 +144,9 @@ def _variable(reference: int, entry: _Entry, *, second: bool) -> str:
         real += f' nominal="{variable.nominal!r}"'
     if entry.causality == "parameter":
         real += ' min="0"'
-    if entry.state is not None:
+    if entry.rate_of is not None:
         # Version 2 counts variables from one.
-        real += f' derivative="{entry.state + second}"'
+        real += f' derivative="{entry.rate_of + second}"'
     return f"<ScalarVariable {general}><Real {real}/></ScalarVariable>" if second else f"<Float64 {general} {real}/>"
 
 
@@ -127,10 +154,10 @@ def _structure(entries: list[_Entry], *, second: bool) -> Iterator[str]:
     """Outputs, rates, and what is calculated at the start, each with what it depends on, as some importers need."""
     # Version 2 counts variables from one.
     of = {
-        kind: [k + second for k, entry in enumerate(entries) if entry.causality == kind and entry.state is None]
+        kind: [k + second for k, entry in enumerate(entries) if entry.causality == kind and entry.rate_of is None]
         for kind in ("input", "local", "parameter", "output")
     }
-    rates = [k + second for k, entry in enumerate(entries) if entry.state is not None]
+    rates = [k + second for k, entry in enumerate(entries) if entry.rate_of is not None and entry.causality == "local"]
     slow, fast = of["local"], of["input"] + of["local"]
     outputs = [(k, fast if entries[k - second].variable.direct else slow) for k in of["output"]]
     groups = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -28,18 +29,24 @@ _FREE = {
     "member": ("member_rates", "gauss_free"),
 }
 _FIXED = {"linear": ("linear_fixed",), "floating": ("gauss_fixed",), "member": ("gauss_fixed",)}
+# Parts of the files in ``c`` that are of this body, or are not: resolved here, so that others stay as they are.
+_SECTION = re.compile(r"#if LINEAR_INPUTS\n(.*?)(?:#else\n(.*?))?#endif\n", re.DOTALL)
 _SINGLE = "".join(f"#define {name} {name}f\n" for name in ("sqrt", "sin", "cos", "fabs"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Code:
-    """A body as C: functions and types begin with ``name``; ``fixed`` holds tables of steps of one size, if any."""
+    """A body as C: functions and types begin with ``name``; ``fixed`` holds tables of steps of one size, if any.
+
+    Inputs are held over a step, or go in a line where there are ``linear_inputs``.
+    """
 
     name: str
     system: System
     precision: Precision = "double"
     fixed: Mapping[str, Floats | float] | None = None
     stages: int = 2
+    linear_inputs: bool = False
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -84,6 +91,8 @@ class Code:
         for key, value in (self.fixed or {}).items():
             (constants if isinstance(value, float) else tables).update({key: value})  # type: ignore[dict-item]
         names = [*_COMMON[system.structure], *(_FREE if free else _FIXED)[system.structure]]
+        if self.linear_inputs:
+            names.insert(1, "linear_inputs")
         if system.structure == "linear" and not free and not system.constants["REACTIONS"]:
             names.remove("linear_accelerations")
             for key in ("OMEGA", "MINUS_D", "B"):
@@ -95,7 +104,7 @@ class Code:
         parts.append(f"typedef {self.name}_real real;\ntypedef {self.name}_body Body;\n")
         parts += [f"#define {key} {self._constant(value)}\n" for key, value in constants.items()]
         parts += [self._table(key, np.asarray(value)) for key, value in tables.items()]
-        parts += [_file(f"{name}.c") for name in names]
+        parts += [self.resolve(_file(f"{name}.c")) for name in names]
         parts += [f"{head}\n{{\n{text}\n}}\n" for head, text in self._functions().items()]
         return "\n".join(parts)
 
@@ -103,9 +112,10 @@ class Code:
         """Type and length of the arrays of a body: its variables, then what the functions work with."""
         system, S, free = self.system, self.stages, self.fixed is None
         n, states = int(system.constants["MODES"]), len(system.states)
-        rigid, places, width = 6 * (system.structure == "floating"), 1 + free, states * (states + len(system.inputs))
-        size = rigid + n
-        real = {"p": len(system.parameters), "u": len(system.inputs), "x": states, "y": len(system.outputs)}
+        rigid, places, inputs = 6 * (system.structure == "floating"), 1 + free, len(system.inputs)
+        width, size = states * (states + (1 + self.linear_inputs) * inputs), rigid + n
+        real = {"p": len(system.parameters), "u": inputs, "x": states, "y": len(system.outputs)}
+        real |= {"u_start": inputs, "u_change": inputs, "part": 2} if self.linear_inputs else {}
         whole: dict[str, int] = {}
         if system.structure == "linear":
             real |= {"change": states}
@@ -137,16 +147,26 @@ class Code:
         )
         body, real = f"{name}_body *body", f"{name}_real"
         start = {f"void {name}_start({body})": f"    memset(body, 0, sizeof *body);\n{starts}    observe(body);"}
+        begin, end = (
+            ("    begin_inputs(body);\n", "    end_inputs(body, failed);\n") if self.linear_inputs else ("", "")
+        )
         if not free:
             failed = "unsound(body) || advance(body) || unsound(body)"
-            step = f"    int failed = {failed};\n    observe(body);\n    return failed;"
-            return start | {f"int {name}_step({body})": step}
+            step = f"{begin}    int failed = {failed};\n{end}    observe(body);\n    return failed;"
+            linear = {f"int {name}_step_linear({body}, const {real} *u_end)": _STEP_LINEAR.format(name=name)}
+            return start | {f"int {name}_step({body})": step} | (linear if self.linear_inputs else {})
         advance = "    return unsound(body) || advance(body, time, h) || unsound(body);"
+        if self.linear_inputs:
+            advance = f"{begin}{advance.replace('return', 'int failed =')}\n{end}    return failed;"
         return start | {
             f"int {name}_rates({body}, {real} *x_rate)": "    return unsound(body) || rates(body, x_rate);",
             f"void {name}_observe({body})": "    observe(body);",
             f"int {name}_advance({body}, {real} time, {real} h)": advance,
         }
+
+    def resolve(self, text: str) -> str:
+        """``text`` of a C file without the parts that are not of this body."""
+        return _SECTION.sub(lambda found: (found[1] if self.linear_inputs else found[2]) or "", text)
 
     def _constant(self, value: float) -> str:
         return str(value) if isinstance(value, int) else f"((real){self._numbers(np.array([value]))[0]})"
@@ -191,8 +211,12 @@ def glue(code: Code, version: str) -> dict[str, str]:
     """Sources of the interface in this version, by their names; with them the token of the body."""
     own = {f"{code.name}.h": code.header(), f"{code.name}.c": code.source()}
     names = (f"fmi{version[0]}.c", "instance.h")
-    shared = {name: _file(name) for name in names}
-    sizes = "".join(f"#define {key} {size}\n" for key, size in code.sizes.items())
+    shared = {name: code.resolve(_file(name)) for name in names}
+    counts = code.sizes
+    if code.linear_inputs:
+        # Version 2 has a function for rates of inputs, in version 3 they are inputs.
+        counts = counts | {"INPUT_RATES": len(code.system.inputs) if version == "3.0" else 0}
+    sizes = "".join(f"#define {key} {size}\n" for key, size in counts.items())
     nominal = code._table("NOMINAL", np.array([variable.nominal for variable in code.system.states]))
     model = (
         f'#include "{code.name}.h"\ntypedef {code.name}_body Body;\n{sizes}'
@@ -208,6 +232,17 @@ def glue(code: Code, version: str) -> dict[str, str]:
 def token_of(sources: Mapping[str, str]) -> str:
     """The token in the sources of ``glue``."""
     return sources["model.h"].rpartition('#define TOKEN "')[2].partition('"')[0]
+
+
+_STEP_LINEAR = """\
+    for (int i = 0; i < INPUTS; i++)
+        body->u_change[i] = u_end[i] - body->u[i];
+    int failed = {name}_step(body);
+    for (int i = 0; i < INPUTS; i++)
+        body->u_change[i] = 0;
+    for (int i = 0; i < INPUTS && !failed; i++)
+        body->u[i] = u_end[i];
+    return failed;"""
 
 
 _HEADER = """\

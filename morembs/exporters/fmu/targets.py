@@ -48,7 +48,8 @@ class Equations(Exporter):
     ``structure`` "linear" (small motion, ``held`` at some interfaces or at none) or "floating" (large rotations;
     "auto": that where the body has a floating frame, no generalised forces, and nothing is held), labels of nodes
     whose ``stress`` comes out, and a ``damping_ratio`` of all modes beside the damping matrix. Modes that a
-    ``time_step`` in s does not resolve are static compliance (linear) or left out (floating).
+    ``time_step`` in s does not resolve are static compliance (linear) or left out (floating). With a time step, or by
+    ``interpolate_inputs`` alone, inputs may go in a line over a step.
     """
 
     needs_frame: ClassVar[bool] = False
@@ -60,6 +61,12 @@ class Equations(Exporter):
     stress: list[int] = field(default_factory=list)
     damping_ratio: NotNegative = 0.0
     time_step: Positive | None = None
+    interpolate_inputs: bool | None = None
+
+    @property
+    def has_linear_inputs(self) -> bool:
+        """Whether inputs may go in a line over a step."""
+        return self.time_step is not None if self.interpolate_inputs is None else self.interpolate_inputs
 
     def _system(self, context: ExportContext) -> System:
         body = context.body
@@ -126,17 +133,18 @@ class Fmu(Equations):
     def write_equations(self, system: System, to: Destination, body: str, notes: tuple[str, ...] = ()) -> Exported:
         stem = to.path.name.partition(".")[0]
         name = identifier(stem)
-        sources = glue(Code(name=name, system=system), self.fmi)
+        code = Code(name=name, system=system, linear_inputs=self.has_linear_inputs)
+        sources = glue(code, self.fmi)
         members = {
-            "modelDescription.xml": model_description(system, body, name, token_of(sources), self.fmi),
+            "modelDescription.xml": model_description(code, body, token_of(sources), self.fmi),
             **{f"sources/{file}": text.encode("ascii") for file, text in sources.items()},
         }
         if self.fmi == "3.0":
             members["sources/buildDescription.xml"] = build_description(name)
         notes = (*notes, *renamed_note({stem: name}))
         if self.time_step is not None and system.structure == "linear":
-            code = CSource(time_step=self.time_step).code(name, system, self.time_step)
-            notes = (*notes, *price_note(seconds_of_step(code), self.time_step))
+            stepping = CSource(time_step=self.time_step).code(name, system, self.time_step)
+            notes = (*notes, *price_note(seconds_of_step(stepping), self.time_step))
         with replacing(to.path) as file:
             file.doing = "the compiled library"
             library: bytes | str = ""
@@ -212,32 +220,48 @@ class CSource(Equations):
                 raise InputError(f'method = "exponential" was given; {system.structure} bodies take "midpoint"')
             constants = {key: value for key, value in system.constants.items() if key != "TOLERANCE"}
             slim = replace(system, parameters=system.parameters[:1], constants=constants)
-            return Code(name=name, system=slim, precision=self.precision, fixed={"STEP": step}, stages=1)
-        A, B = state_space(system)
-        X, U = (midpoint if self.method == "midpoint" else exponential)(A, B, step)
-        n = len(A) // 2
-        slim = replace(system, parameters=(), tables={**system.tables, "MINUS_D": A[n:, n:]})
-        return Code(name=name, system=slim, precision=self.precision, fixed={"STEP_X": X, "STEP_U": U})
+            fixed: dict[str, Floats | float] = {"STEP": step}
+        else:
+            A, B = state_space(system)
+            discretise = midpoint if self.method == "midpoint" else exponential
+            fixed = dict(zip(("STEP_X", "STEP_U"), discretise(A, B, step, linear=self.has_linear_inputs), strict=True))
+            n = len(A) // 2
+            slim = replace(system, parameters=(), tables={**system.tables, "MINUS_D": A[n:, n:]})
+        return Code(
+            name=name,
+            system=slim,
+            precision=self.precision,
+            fixed=fixed,
+            stages=2 if system.structure == "linear" else 1,
+            linear_inputs=self.has_linear_inputs,
+        )
 
 
-def exponential(A: Floats, B: Floats, step: float) -> tuple[Floats, Floats]:
-    """X (n, n) and U (n, m) with x + X x + U u after one step of x' = A x + B u under a held u."""
+def exponential(A: Floats, B: Floats, step: float, *, linear: bool = False) -> tuple[Floats, Floats]:
+    """X (n, n) and U (n, m) with x + X x + U u after one step of x' = A x + B u under a held u.
+
+    Where inputs are ``linear``, U (n, 2 m) takes [u; d] of inputs that go from u to u + d in a line.
+    """
     n, m = B.shape
     # Displacements in units of their velocities, as far as these are coupled: all of one size.
     half = n // 2
     omega = np.sqrt(-np.diag(A[half:, :half]))
     scale = np.concatenate([np.where(omega > 0, omega, 1.0), np.ones(half)])
-    whole = np.zeros((n + m, n + m))
-    whole[:n, :n], whole[:n, n:] = A * scale[:, None] / scale, B * scale[:, None]
+    width = n + (1 + linear) * m
+    whole = np.zeros((width, width))
+    whole[:n, :n], whole[:n, n : n + m] = A * scale[:, None] / scale, B * scale[:, None]
+    # Rows are left where inputs are held.
+    whole[n : n + m, n + m :] = np.eye(m, width - n - m) / step
     E = sl.expm(step * whole)[:n]
     X = (E[:, :n] - np.eye(n)) * scale / scale[:, None]
     return X, E[:, n:] / scale[:, None]
 
 
-def midpoint(A: Floats, B: Floats, step: float) -> tuple[Floats, Floats]:
+def midpoint(A: Floats, B: Floats, step: float, *, linear: bool = False) -> tuple[Floats, Floats]:
     """As ``exponential``, by the implicit midpoint rule."""
     both = np.asarray(np.linalg.solve(np.eye(len(A)) - 0.5 * step * A, step * np.hstack([A, B])), dtype=np.float64)
-    return both[:, : len(A)], both[:, len(A) :]
+    X, U = both[:, : len(A)], both[:, len(A) :]
+    return X, np.hstack([U, 0.5 * U]) if linear else U
 
 
 def _single_words(code: Code) -> str:

@@ -10,6 +10,11 @@ static int unsound(const Body *body)
     for (int i = 0; i < STATES; i++)
         if (!isfinite(body->x[i]))
             return 1;
+#if LINEAR_INPUTS
+    for (int i = 0; i < INPUTS; i++)
+        if (!isfinite(body->u_change[i]))
+            return 1;
+#endif
     return 0;
 }
 

@@ -21,6 +21,10 @@ typedef struct {
     void *environment;
 } fmi2Callbacks;
 
+#if LINEAR_INPUTS
+#define NO_RATE "expected finite first derivatives of inputs"
+
+#endif
 typedef struct {
     fmi2Boolean newDiscreteStatesNeeded, terminateSimulation, nominalsOfContinuousStatesChanged,
         valuesOfContinuousStatesChanged, nextEventTimeDefined;
@@ -178,8 +182,17 @@ EXPORT fmi2Status fmi2GetEventIndicators(fmi2Component c, double indicator[], si
 EXPORT fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,
                                               const int order[], const double value[])
 {
+#if LINEAR_INPUTS
+    int known = finite_numbers(value, n);
+    for (size_t i = 0; i < n; i++)
+        known = known && order[i] == 1 && vr[i] >= FIRST_INPUT && vr[i] < FIRST_STATE;
+    for (size_t i = 0; i < n && known; i++)
+        ((Instance *)c)->u_rate[vr[i] - FIRST_INPUT] = value[i];
+    DONE(c, known, NO_RATE);
+#else
     (void)vr, (void)order, (void)value;
     DONE(c, n == 0, NOT_OFFERED);
+#endif
 }
 
 EXPORT fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,

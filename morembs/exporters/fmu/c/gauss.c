@@ -113,8 +113,18 @@ static real iterate(Body *body, const real *x, real h, int place)
 #if RIGID
     turn = turn_stages(body, x, h);
 #endif
+#if LINEAR_INPUTS
+    for (int s = 0; s < STAGES; s++) {
+        real node = 0;
+        for (int t = 0; t < STAGES; t++)
+            node += GAUSS[s * STAGES + t];
+        set_inputs(body, body->part[0] + node * body->part[1]);
+        stage_residual(body, s, all + s * SIZE);
+    }
+#else
     for (int s = 0; s < STAGES; s++)
         stage_residual(body, s, all + s * SIZE);
+#endif
     solve(body->matrix + place * LARGE * LARGE, LARGE, body->pivot + place * LARGE, all);
     for (int s = 0; s < STAGES; s++) {
         real *d = all + s * SIZE, part = h * h * relative_size(d);

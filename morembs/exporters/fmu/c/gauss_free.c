@@ -41,9 +41,19 @@ static real tried(Body *body, real h)
 {
     copy(body->x, body->halves);
     copy(body->x, body->whole);
+#if LINEAR_INPUTS
+    real *part = body->part;
+    int failed = gauss_step(body, body->whole, h, 0);
+    part[1] /= 2;
+    failed = failed || gauss_step(body, body->halves, h / 2, 1);
+    part[0] += part[1];
+    if (failed || gauss_step(body, body->halves, h / 2, 1))
+        return -1;
+#else
     if (gauss_step(body, body->whole, h, 0) || gauss_step(body, body->halves, h / 2, 1)
         || gauss_step(body, body->halves, h / 2, 1))
         return -1;
+#endif
     return distance(body, body->halves, body->whole, h) / GAIN;
 }
 
@@ -52,6 +62,10 @@ static int advance(Body *body, real time, real h)
     long parts = 1L << body->level[0], done = 0;
     (void)time;
     while (done < parts) {
+#if LINEAR_INPUTS
+        body->part[1] = (real)1 / parts;
+        body->part[0] = done * body->part[1];
+#endif
         real error = tried(body, h / parts), tolerance = body->p[TOLERANCE];
         if (error >= 0 && error <= tolerance) {
             copy(body->halves, body->x);

@@ -12,11 +12,19 @@
 
 /* References of the first of each kind. */
 #define FIRST_INPUT (1 + PARAMETERS)
+#if LINEAR_INPUTS
+#define FIRST_STATE (FIRST_INPUT + INPUTS + INPUT_RATES)
+#else
 #define FIRST_STATE (FIRST_INPUT + INPUTS)
+#endif
 #define FIRST_RATE (FIRST_STATE + STATES)
 #define FIRST_OUTPUT (FIRST_RATE + STATES)
 #define REFERENCES (FIRST_OUTPUT + OUTPUTS)
+#if LINEAR_INPUTS
+#define STATE_BYTES ((1 + PARAMETERS + 2 * INPUTS + STATES) * sizeof(double))
+#else
 #define STATE_BYTES ((1 + PARAMETERS + INPUTS + STATES) * sizeof(double))
+#endif
 
 #define NO_INSTANCE "no instance: the token of the description is not that of this library, or memory is short"
 #define NO_VALUE "no such value, or none that is finite at these inputs and states"
@@ -31,6 +39,9 @@ typedef struct {
     double time;
     double x_rate[STATES];
     double before[STATES]; /* states before a step */
+#if LINEAR_INPUTS
+    double u_rate[INPUTS]; /* of inputs over the next steps of co-simulation */
+#endif
     int rates_known, outputs_known;
     const void *callbacks; /* of version 2 */
     void (*log)(void *environment, int status, const char *category, const char *text); /* of version 3 */
@@ -43,6 +54,9 @@ static void changed(Instance *instance) { instance->rates_known = instance->outp
 static void start_instance(Instance *instance)
 {
     body_start(&instance->body);
+#if LINEAR_INPUTS
+    memset(instance->u_rate, 0, sizeof instance->u_rate);
+#endif
     instance->time = 0;
     changed(instance);
 }
@@ -98,6 +112,10 @@ static double *settable(Instance *instance, unsigned reference)
         return NULL;
     if (reference < FIRST_INPUT)
         return instance->body.p + reference - 1;
+#if LINEAR_INPUTS
+    if (reference >= FIRST_INPUT + INPUTS && reference < FIRST_STATE)
+        return instance->u_rate + reference - FIRST_INPUT - INPUTS;
+#endif
     if (reference < FIRST_STATE)
         return instance->body.u + reference - FIRST_INPUT;
     return instance->body.x + reference - FIRST_STATE;
@@ -170,6 +188,10 @@ static int do_step(Instance *instance, double time, double h)
     if (!(h > 0) || !isfinite(h) || !isfinite(time))
         return 0;
     memcpy(instance->before, body->x, STATES * sizeof(double));
+#if LINEAR_INPUTS
+    for (int i = 0; i < INPUTS; i++)
+        body->u_change[i] = h * instance->u_rate[i];
+#endif
     if (body_advance(body, time, h)) {
         memcpy(body->x, instance->before, STATES * sizeof(double));
         changed(instance);
@@ -180,7 +202,11 @@ static int do_step(Instance *instance, double time, double h)
     return 1;
 }
 
+#if LINEAR_INPUTS
+/* A state is [time; parameters; inputs; rates of inputs; states]. */
+#else
 /* A state is [time; parameters; inputs; states]. */
+#endif
 static int is_state(const double *value)
 {
     for (int i = 0; i < PARAMETERS; i++)
@@ -198,7 +224,12 @@ static int set_state(Instance *instance, const void *state)
     instance->time = value[0];
     memcpy(body->p, value + 1, PARAMETERS * sizeof(double));
     memcpy(body->u, value + FIRST_INPUT, INPUTS * sizeof(double));
+#if LINEAR_INPUTS
+    memcpy(instance->u_rate, value + FIRST_INPUT + INPUTS, INPUTS * sizeof(double));
+    memcpy(body->x, value + FIRST_INPUT + 2 * INPUTS, STATES * sizeof(double));
+#else
     memcpy(body->x, value + FIRST_STATE, STATES * sizeof(double));
+#endif
     changed(instance);
     return 1;
 }
@@ -212,7 +243,12 @@ static int get_state(const Instance *instance, void **state)
     value[0] = instance->time;
     memcpy(value + 1, body->p, PARAMETERS * sizeof(double));
     memcpy(value + FIRST_INPUT, body->u, INPUTS * sizeof(double));
+#if LINEAR_INPUTS
+    memcpy(value + FIRST_INPUT + INPUTS, instance->u_rate, INPUTS * sizeof(double));
+    memcpy(value + FIRST_INPUT + 2 * INPUTS, body->x, STATES * sizeof(double));
+#else
     memcpy(value + FIRST_STATE, body->x, STATES * sizeof(double));
+#endif
     *state = value;
     return 1;
 }

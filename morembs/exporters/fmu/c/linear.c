@@ -24,6 +24,9 @@ static void affine_step(Body *body, const real *X, const real *U)
         change[i] = 0;
     add_columns(STATES, STATES, X, body->x, change);
     add_columns(STATES, INPUTS, U, body->u, change);
+#if LINEAR_INPUTS
+    add_columns(STATES, INPUTS, U + STATES * INPUTS, body->u_change, change);
+#endif
     for (int i = 0; i < STATES; i++)
         body->x[i] += change[i];
 }

@@ -4,7 +4,11 @@
    times; without the unit matrix slow states keep their digits beside fast ones (Higham 2008, ch. 10). Columns of
    inputs follow in the same way. States are scaled so that both halves have one unit. */
 
+#if LINEAR_INPUTS
+#define WIDTH (STATES + 2 * INPUTS)
+#else
 #define WIDTH (STATES + INPUTS)
+#endif
 #define TERMS 18
 
 static real state_scale(int i)
@@ -16,7 +20,11 @@ static real state_scale(int i)
 static void scaled_columns(Body *body, real h)
 {
     real *p_rate = body->change, *A = body->A;
+#if LINEAR_INPUTS
+    real keep[WIDTH + 1];
+#else
     real keep[STATES + INPUTS + 1];
+#endif
     for (int j = 0; j < WIDTH; j++) {
         for (int i = 0; i < WIDTH; i++)
             keep[i] = i == j ? 1 : 0;
@@ -56,10 +64,18 @@ static void discretise(Body *body, real h)
         halvings++;
     for (int i = 0; i < STATES * WIDTH; i++)
         F[i] = A[i] = ldexp(A[i], -halvings);
+#if LINEAR_INPUTS
+    /* Inputs grow by their change over the step: by this share of it in 1 / 2^halvings of the step. */
+    real share = ldexp((real)1, -halvings), *change = work + STATES * (STATES + INPUTS);
+#endif
     for (int term = TERMS; term > 1; term--) {
         for (int i = 0; i < STATES * WIDTH; i++)
             work[i] = A[i];
         add_product((real)1 / term, A, F, WIDTH, work);
+#if LINEAR_INPUTS
+        for (int i = 0; i < STATES * INPUTS; i++)
+            change[i] += share / term * A[STATES * STATES + i];
+#endif
         for (int i = 0; i < STATES * WIDTH; i++)
             F[i] = work[i];
     }
@@ -67,6 +83,11 @@ static void discretise(Body *body, real h)
         for (int i = 0; i < STATES * WIDTH; i++)
             work[i] = 2 * F[i];
         add_product(1, F, F, WIDTH, work);
+#if LINEAR_INPUTS
+        for (int i = 0; i < STATES * INPUTS; i++)
+            change[i] += share * F[STATES * STATES + i];
+        share *= 2;
+#endif
         for (int i = 0; i < STATES * WIDTH; i++)
             F[i] = work[i];
     }
