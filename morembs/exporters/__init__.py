@@ -163,7 +163,9 @@ def step_for_band(
     exporter, place = make_exporter(to, options), Path(source)
     bodies = read_body(place)
     context = ExportContext(source=bodies, body=choose_body(bodies, body, place), path=place, file=place)
-    found = find_step(lambda step: exporter.truncated(context, step), exporter.step_error, band_hz)
+    found = find_step(
+        lambda step: exporter.truncated(context, step), lambda angle: exporter.step_error(context, angle), band_hz
+    )
     if found is None:
         raise InputError(f"export to {to!r} knows no time step that fits; take 'mujoco', 'fmu', 'c' or 'statespace'")
     return found

@@ -195,8 +195,8 @@ class Exporter(ABC):
         """
         return None
 
-    def step_error(self, angle: float) -> float:
-        """Part by which the simulator puts a frequency off that goes on by ``angle`` in rad in a step."""
+    def step_error(self, context: ExportContext, angle: float) -> float:
+        """Part by which steps put a frequency off that goes on by ``angle`` in rad in a step."""
         return 0.0
 
     @final

@@ -93,7 +93,7 @@ class MuJoCo(Exporter):
         context.markers("MuJoCo")
         return with_slides(context, _lightened(context.frame, self.share), step, self.share)[1]
 
-    def step_error(self, angle: float) -> float:
+    def step_error(self, context: ExportContext, angle: float) -> float:
         return too_fast(angle)
 
     def _refuse_both(self) -> None:

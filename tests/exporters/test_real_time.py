@@ -214,6 +214,17 @@ def test_a_check_names_the_longest_step_that_is_good_enough(source, tmp_path):
     # The steps of MuJoCo count too: (w h)^2 / 24.
     steps = step_for_band(source, "mujoco", 100.0)
     assert steps[1]["steps"] == pytest.approx((2 * np.pi * 100 * steps[0].step) ** 2 / 24, rel=0.01)
+    # So do those of C code by the midpoint rule, (w h)^2 / 12; the exponential and FMUs have none.
+    for to, options, has_steps in (
+        ("c", {"structure": "linear", "method": "midpoint"}, True),
+        ("c", {"structure": "floating"}, True),
+        ("c", {"structure": "linear"}, False),
+        ("fmu", {}, False),
+    ):
+        found_to, errors_to = step_for_band(source, to, 100.0, options=options)
+        assert ("steps" in errors_to) is has_steps
+        if has_steps:
+            assert errors_to["steps"] == pytest.approx((2 * np.pi * 100 * found_to.step) ** 2 / 12, rel=0.01)
     said = command("export", source, "--to", "statespace", "--check", 100, folder=tmp_path)
     assert said.code == 0 and f"time step for motion up to 100 Hz: {found.step:g} s" in said.output
     for to, band, words in (("sid", 100.0, "knows no time step"), ("c", -1.0, "expected a positive frequency")):
