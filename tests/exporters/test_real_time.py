@@ -167,6 +167,11 @@ def test_the_price_of_a_second_is_told_where_it_can_be_measured(source, tmp_path
         assert all(words[4:] == f"s on this machine, step {step:g} s".split() for words in told)
         return [float(words[3]) for words in told]
 
+    # Of FMUs of both structures, too.
+    for structure in ("linear", "floating"):
+        options = {"time_step": STEP, "structure": structure}
+        notes = export_body(source, "fmu", path=tmp_path / "x.fmu", options=options).notes
+        assert sum(note.startswith("1 s costs") for note in notes) == 1
     # Ten times the steps, of more modes.
     [slow], [fast] = prices(1e-4), prices(1e-5)
     assert 0 < 3 * slow < fast

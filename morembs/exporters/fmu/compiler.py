@@ -96,21 +96,22 @@ def single_error(code: Code) -> float | str:
     return worst
 
 
-def seconds_of_step(code: Code) -> float | None:
-    """Processor time in s of one step of ``code``, the mean of ``timed_steps``; None where there is no compiler, or a
-    step fails."""
+def seconds_of_step(code: Code, size: float) -> float | None:
+    """Processor time in s of one step of ``code`` of ``size`` in s, the mean of ``timed_steps`` after the first, which
+    makes matrices; None where there is no compiler, or a step fails."""
     library = compiled({f"{code.name}.h": code.header(), f"{code.name}.c": code.source()}, "-fvisibility=default")
     if isinstance(library, str):
         return None
-    with _loaded(code, library) as (step, _):
+    with _loaded(code, library, size) as (step, _):
+        failed = bool(step())
         start = time.process_time()
-        failed = any(step() for _ in range(TOL.timed_steps))
+        failed = failed or any(step() for _ in range(TOL.timed_steps))
         return None if failed else (time.process_time() - start) / TOL.timed_steps
 
 
 @contextmanager
-def _loaded(code: Code, library: bytes) -> Iterator[tuple[Callable[[], int], Any]]:
-    """A body that has started: its function that makes a step, and its fields."""
+def _loaded(code: Code, library: bytes, size: float = 0.0) -> Iterator[tuple[Callable[[], int], Any]]:
+    """A body that has started: its function that makes a step, of ``size`` in s where any can be, and its fields."""
     real: Any = ctypes.c_double if code.precision == "double" else ctypes.c_float
     fields = [(key, (ctypes.c_int if kind == "int" else real) * size) for key, (kind, size) in code.fields().items()]
     body = type("Body", (ctypes.Structure,), {"_fields_": fields})()
@@ -119,7 +120,10 @@ def _loaded(code: Code, library: bytes) -> Iterator[tuple[Callable[[], int], Any
         path.write_bytes(library)
         loaded = ctypes.CDLL(str(path))
         getattr(loaded, f"{code.name}_start")(ctypes.byref(body))
-        yield partial(getattr(loaded, f"{code.name}_step"), ctypes.byref(body)), body
+        if code.fixed is None:
+            yield partial(getattr(loaded, f"{code.name}_advance"), ctypes.byref(body), real(0.0), real(size)), body
+        else:
+            yield partial(getattr(loaded, f"{code.name}_step"), ctypes.byref(body)), body
 
 
 def _outputs(code: Code, library: bytes) -> Floats:

@@ -143,9 +143,8 @@ class Fmu(Equations):
         if self.fmi == "3.0":
             members["sources/buildDescription.xml"] = build_description(name)
         notes = (*notes, *renamed_note({stem: name}))
-        if self.time_step is not None and system.structure == "linear":
-            stepping = CSource(time_step=self.time_step).code(name, system, self.time_step)
-            notes = (*notes, *price_note(seconds_of_step(stepping), self.time_step))
+        if self.time_step is not None:
+            notes = (*notes, *price_note(seconds_of_step(code, self.time_step), self.time_step))
         with replacing(to.path) as file:
             file.doing = "the compiled library"
             library: bytes | str = ""
@@ -192,7 +191,7 @@ class CSource(Equations):
             *notes,
             *renamed_note({to.path.name.partition(".")[0]: name}),
         ]
-        told += price_note(seconds_of_step(code), step) if self.time_step is not None else []
+        told += price_note(seconds_of_step(code, step), step) if self.time_step is not None else []
         told += [_single_words(code)] if self.precision == "single" else []
         text = {to.path: code.source().replace(f'"{name}.h"', f'"{header.name}"'), header: code.header()}
         with replacing_all(list(text)) as opened:
