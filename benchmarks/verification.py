@@ -4,13 +4,16 @@
 
 Models, bodies and bands are those of ``certificates.py``. A false certificate has new digests, and is false by
 construction: a limit below an error that is computed exactly, a mode dropped below the shift, a stiffness or mass that
-was changed so that the exact error exceeds the limit, cells left out, or the model of another trial.
+was changed so that the exact error exceeds the limit, cells left out, or the model of another trial. Others say what the
+statement is not about: a mode of negative stiffness and mass, a peak outside of the band, a band that is reversed, other
+rigid motions, axes or inputs, entries that are there twice, a damping matrix, or a sentence in place of the damping.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
+import json
 import sys
 import tempfile
 import time
@@ -21,6 +24,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sp
 
 from benchmarks.certificates import bodies_of, dense_errors, drawn, low_end
@@ -36,7 +40,11 @@ from morembs.reducers.base import ReducedModel
 from morembs.responses.measures import MEASURES
 
 BLOCK = 512
-TAMPERS = ("limit", "mode", "stiffness", "cells", "model")
+TAMPERS = (
+    *("limit", "mode", "stiffness", "cells", "model"),
+    *("negative mass", "outer peak", "band", "rigid inertia", "rigid damping", "axes", "entry twice", "own damping"),
+    *("sentence", "inputs"),
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,7 +126,10 @@ def tamper(case: Case, kind: str, rng: np.random.Generator) -> bool:
                 return False
             _put(file, f"{place}/cells_hz", hz[left])
             _put(file, f"{place}/cell_limit", limits[left])
-    elif not _other_matrices(case, kind, rng):
+    elif kind in ("stiffness", "model"):
+        if not _other_matrices(case, kind, rng):
+            return False
+    elif not _other_statement(case, kind, rng):
         return False
     reseal(path, model, witness)
     return True
@@ -145,6 +156,109 @@ def _other_matrices(case: Case, kind: str, rng: np.random.Generator) -> bool:
             write_model(case.files[1], other)
             return True
     return False
+
+
+def _other_statement(case: Case, kind: str, rng: np.random.Generator) -> bool:
+    """Files that say what is not so, or is not what the limits are of."""
+    path, model, witness = case.files
+    place = f"bodies/{case.body.name}"
+    which = {"negative mass": model, "entry twice": model, "own damping": model, "sentence": witness}.get(kind, path)
+    with h5py.File(which, "r+") as file:
+        if kind == "negative mass":
+            _add_a_mode(file, case.certificate.band_hz)
+        elif kind == "own damping":
+            file.copy("matrices/K", "matrices/D")
+            file["matrices/D/data"][...] *= rng.uniform(1e-7, 1e-3)
+        elif kind == "entry twice":
+            _add_entries(file, int(rng.integers(len(file["dofs/node"]))))
+        elif kind == "sentence":
+            given = json.loads(file["damping"][()]) | {"modal": -0.01}
+            _put(file, "damping", np.bytes_(json.dumps(given)))
+        elif kind == "band":
+            _put(file, f"{place}/certificate/band_hz", np.array(case.certificate.band_hz[::-1]))
+        elif kind == "outer peak":
+            return _hide_the_peak(case, file)
+        elif kind == "axes":
+            name = rng.choice(list(file["interfaces"]))
+            angle = rng.uniform(0.01, 1.0)
+            c, s = np.cos(angle), np.sin(angle)
+            _put(file, f"interfaces/{name}/axes", np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
+        elif kind == "inputs":
+            index = file["inputs/component"][()]
+            if (index == index[::-1]).all():
+                return False
+            _put(file, "inputs/component", index[::-1].copy())
+        else:
+            return _other_rigid_motions(file, place, kind, rng)
+    if kind == "negative mass":
+        with h5py.File(witness, "r+") as file:
+            # Dofs of the model come before those of frames, and the new one is the last of them.
+            at = len(file["vectors"]) - 6 * _frames(case)
+            for name in ("rigid", "vectors", "solutions"):
+                _put(file, name, np.insert(file[name][()], at, 0.0, axis=0))
+    return True
+
+
+def _frames(case: Case) -> int:
+    return sum(interface.coupling == "rigid" and len(interface.nodes) > 1 for interface in case.problem.interfaces)
+
+
+def _add_a_mode(file: h5py.File, band: tuple[float, float]) -> None:
+    """One more dof, with a stiffness and a mass below zero: a mode in the band, but never below the shift."""
+    size, n = 1e-9 * file["matrices/M/data"][()].max(), len(file["dofs/node"])
+    for name, value in (("K", -size * (np.pi * (band[0] + band[1])) ** 2), ("M", -size)):
+        matrix = f"matrices/{name}"
+        for part, more in (("data", value), ("indices", n), ("indptr", len(file[f"{matrix}/data"]) + 1)):
+            _put(file, f"{matrix}/{part}", np.append(file[f"{matrix}/{part}"][()], more))
+        _put(file, f"{matrix}/shape", file[f"{matrix}/shape"][()] + 1)
+    ids = file["nodes/ids"][()]
+    _put(file, "dofs/node", np.append(file["dofs/node"][()], len(ids)))
+    _put(file, "dofs/component", np.append(file["dofs/component"][()], 0))
+    _put(file, "nodes/ids", np.append(ids, ids.max() + 1))
+    _put(file, "nodes/coordinates", np.vstack([file["nodes/coordinates"][()], file["nodes/coordinates"][-1:]]))
+
+
+def _add_entries(file: h5py.File, row: int) -> None:
+    """Two entries of one place whose sum, to round-off, is nothing."""
+    indptr, n = file["matrices/K/indptr"][()], len(file["dofs/node"])
+    at, size = indptr[row], 1e20 * file["matrices/K/data"][()].max()
+    for part, more in (("data", [size, -size]), ("indices", [n - 1 - row] * 2)):
+        _put(file, f"matrices/K/{part}", np.insert(file[f"matrices/K/{part}"][()], [at, at], more))
+    indptr[row + 1 :] += 2
+    _put(file, "matrices/K/indptr", indptr)
+
+
+def _hide_the_peak(case: Case, file: h5py.File) -> bool:
+    """A band that leaves the largest peak out, whose cells stay: the error over the largest response in it is larger."""
+    low, high = case.certificate.band_hz
+    omega, errors = dense_errors(case.problem, case.body, (low, high))
+    size = errors[:, 1] / np.maximum(errors[:, 2], 1e-300)
+    for part in np.linspace(0.1, 0.9, 17):
+        first = low + part * (high - low)
+        inside = omega > 2 * np.pi * first
+        if errors[inside, 1].max() > 1.1 * case.certificate.limits["peak"].upper * size[inside].max():
+            _put(file, f"bodies/{case.body.name}/certificate/band_hz", np.array([first, high]))
+            return True
+    return False
+
+
+def _other_rigid_motions(file: h5py.File, place: str, kind: str, rng: np.random.Generator) -> bool:
+    """Another inertia of a body that can move, or damping that couples its rigid motions to its modes."""
+    rigid, size = int(file[f"{place}/rigid_count"][()]), 10 ** rng.uniform(-5, -1)
+    M, K, D = (file[f"{place}/{name}_matrix"][()] for name in ("mass", "stiffness", "damping"))
+    if not rigid:
+        return False
+    if kind == "rigid inertia":
+        M, K, D = ((1 + size) * A for A in (M, K, D))
+    elif "output_matrix" in file[place]:
+        D[:rigid, rigid:] += size * max(np.abs(D).max(), 1.0)
+    else:
+        values, X = scipy.linalg.eigh(K, M)
+        across = np.outer(M @ X[:, 0], M @ X[:, -1])
+        D += size * np.sqrt(values[-1]) * (across + across.T)
+    for name, A in (("mass", M), ("stiffness", K), ("damping", D)):
+        _put(file, f"{place}/{name}_matrix", A)
+    return True
 
 
 def answer(case: Case, found: list[np.ndarray] | None = None) -> tuple[bool, str]:

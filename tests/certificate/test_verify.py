@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import h5py
@@ -206,6 +207,8 @@ CELLS = "cells-of-the-band"
         (0, put("bodies/{}/damping_matrix", sheared), "rigid-motions"),
         (0, put("bodies/{}/mass_matrix", lambda value: -value), "body-poles"),
         (0, put("bodies/{}/input_matrix", lambda value: value[:, :1]), "body-poles"),
+        (0, put("inputs/component", lambda value: value[::-1].copy()), "interface-map"),
+        (0, put("inputs/interface_index", lambda value: 1 - value), "interface-map"),
         (0, put("interfaces/right/axes", lambda value: value[[1, 2, 0]]), "interface-map"),
         (0, put("interfaces/right/components", lambda value: value - 1), "interface-map"),
         (1, put("matrices/K/data", scaled(1.01, 5)), "interface-map"),
@@ -380,6 +383,48 @@ def test_negative_eigenvalues_are_counted_front_by_front(shift):
     # Whatever the matrix is that was counted, it is no further away.
     assert (values < -rho).sum() <= negative <= (values < rho).sum()
     assert negative == (values < 0).sum() and 0 < rho < 1e-5
+
+
+def test_a_singular_pivot_is_met_at_another_shift(monkeypatch):
+    line = sp.csr_array(sp.diags_array([2.0, -1.0, -1.0], offsets=[0, 1, -1], shape=(40, 40)))
+    # The first pivot block is the whole matrix, which is singular at its own eigenvalue.
+    shift = float(np.linalg.eigvalsh(line.toarray())[3])
+    with pytest.raises(morembs_verify.NotVerifiedError, match="a pivot is too small"):
+        morembs_verify.count_negative(sp.csr_array(line - shift * sp.eye_array(40)))
+    moved, negative, rho = morembs_verify.count_below(line, shift)
+    assert moved == 0.83 * shift and negative == 3 and rho < 1e-12
+    with pytest.raises(morembs_verify.NotVerifiedError, match="a pivot is too small"):
+        morembs_verify.count_below(sp.csr_array((40, 40)), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(0.0, 1e-9), (1.0, 1.0 + 3e-16), (18849.555921538759, 18849.55592153877), (1e5, 3e5)]
+)
+def test_cells_lie_between_their_centres_and_half_widths(low, high):
+    m, h = (Fraction(float(each[0])) for each in morembs_verify.halved(np.array([low]), np.array([high])))
+    assert m - h <= Fraction(low) and Fraction(high) <= m + h
+
+
+@pytest.mark.parametrize("zeta", [1e-7, 0.02, 1 - 1e-9, 1.0, 1 + 1e-9, 40.0])
+@pytest.mark.parametrize("w", [0.0, 0.4, 1.0, 1.0 + 1e-7, 3.0])
+def test_terms_are_their_polynomials_at_every_damping(zeta, w):
+    # At rest, beside a resonance, critical damping with its double root, and beyond.
+    z, r1, r2 = morembs_verify.second_order(np.array([1.0 + 0j]), np.array([2 * zeta]))
+    h = 0.2 * float(np.abs(w - z).min())
+    c, most, tail = morembs_verify.taylor(z, np.array([w]), np.array([h]))
+    for t in np.array([-1.0, -0.3, 0.0, 0.7, 1.0], dtype=np.longdouble):
+        # The difference of two numbers, then what is added to it: no digit is lost beside a root.
+        first, other = (np.clongdouble(w) - np.clongdouble(each) + h * t for each in z[0])
+        exact, found = 1 / (first * other), (c[0, :, 0].astype(np.clongdouble) * t ** np.arange(c.shape[1])).sum()
+        assert abs(found - exact) <= tail[0, 0] + 1e-13 * most[0, 0]
+        assert abs(exact) <= most[0, 0] * (1 + 1e-12)
+    sum_of_roots, product = np.clongdouble(z[0, 0]) + z[0, 1], np.clongdouble(z[0, 0]) * z[0, 1]
+    assert abs(sum_of_roots - 2j * np.longdouble(zeta)) <= r1[0] and abs(product + 1) <= r2[0]
+
+
+def test_what_is_not_covered_is_said(sound):
+    said = morembs_verify.verify(*map(str, sound[0]))[2]
+    assert said.splitlines()[-1] == morembs_verify.NOT_LOOKED_AT and "limits of blocks" in said
 
 
 def job(folder, more="", damping="rayleigh = { alpha = 5.0, beta = 4e-7 }"):
