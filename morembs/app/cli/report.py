@@ -35,9 +35,13 @@ LABELS = {
     "processes": "workers or ranks beside it",
     "process_bytes": "memory of each of them",
     "all_processes_bytes": "peak memory of all processes",
+    "witness_bytes": "size of the witness",
 }
 # Left out where there is nothing beside the one factorisation and the one process.
-BESIDE = ("shift_factor_entries", "shift_factor_bytes", "shift_seconds", "processes", "process_bytes")
+BESIDE = (
+    *("shift_factor_entries", "shift_factor_bytes", "shift_seconds", "processes", "process_bytes"),
+    "witness_bytes",
+)
 
 
 def print_forecast(console: Console, forecast: Mapping[str, Any]) -> None:

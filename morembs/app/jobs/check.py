@@ -112,6 +112,7 @@ def _check(job: Job) -> JobForecast:
         extent=(x, y, z),
         interface_nodes={interface.name: len(interface.nodes) for interface in facts.interfaces},
         reduction_seconds={name: seconds for known in times for name, seconds in known.items()},
+        witness_bytes=sum(stage.witness_bytes(job, facts) for stage in asked(job)),
         warnings=(*outline.warnings, *_warnings(cost, solver.scratch)),
     )
 

@@ -62,9 +62,10 @@ def refuse_witness(facts: ProblemSummary) -> None:
         )
 
 
-def witness_bytes(size: int, inputs: int) -> float:
-    """Bytes of a witness, about: eight blocks of vectors and one of solutions."""
-    return 8.0 * size * (9 * inputs + 6)
+def witness_bytes(size: int, inputs: int) -> int:
+    """Bytes of a witness, within a half of them as a rule: two blocks of vectors and one of solutions beside two dozen
+    modes, and rigid motions."""
+    return 8 * size * (min(24 + 2 * inputs, size) + inputs + 6)
 
 
 class Certify(JobStage):

@@ -98,7 +98,8 @@ class Work(Results):
 
 @dataclass(frozen=True, kw_only=True)
 class JobForecast:
-    """What a job will need. Bytes are those of memory but ``scratch_bytes``; ``extent`` (3,) in m.
+    """What a job will need. Bytes are those of memory but ``scratch_bytes`` and ``witness_bytes``; ``extent`` (3,)
+    in m.
 
     ``choice`` says in one line which solver will be taken and why; ``factor_seconds`` is that of the one
     factorisation with ``threads`` threads at the speed of this machine now, ``reduction_seconds`` that of each
@@ -134,6 +135,7 @@ class JobForecast:
     extent: tuple[float, float, float]
     interface_nodes: dict[str, int]
     reduction_seconds: dict[str, float] = field(default_factory=dict)
+    witness_bytes: int = 0
     warnings: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
@@ -219,6 +221,10 @@ class JobStage:
     def shifted(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
         """What it factorises beside K, by the words for what asks for it."""
         return {}
+
+    def witness_bytes(self, job: Job, facts: ProblemSummary) -> int:
+        """Size of the witness that it writes, about."""
+        return 0
 
     def columns(self, job: Job, facts: ProblemSummary) -> int:
         """Columns as long as there are dofs that it has at once."""

@@ -32,10 +32,12 @@ class Witness(JobStage):
         return written if _model_of(job) is not None else written | {"its model": job.output.with_suffix(".model.h5")}
 
     def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
-        """Refuse what has no proof, and say how large the witness will be."""
+        """Refuse what has no proof."""
         refuse_witness(facts)
-        about = witness_bytes(facts.size, facts.inputs) / 1e6
-        return (f"the witness of [certify] will have about {about:,.0f} MB; it takes a second or so for 100 MB",)
+        return ()
+
+    def witness_bytes(self, job: Job, facts: ProblemSummary) -> int:
+        return witness_bytes(facts.size, facts.inputs)
 
     def run(self, work: Work) -> None:
         from morembs.certificate.witness import write_witness
