@@ -4,9 +4,9 @@
 
 Models, bodies and bands are those of ``certificates.py``. A false certificate has new digests, and is false by
 construction: a limit below an error that is computed exactly, a mode dropped below the shift, a stiffness or mass that
-was changed so that the exact error exceeds the limit, cells left out, or the model of another trial. Others say what the
-statement is not about: a mode of negative stiffness and mass, a peak outside of the band, a band that is reversed, other
-rigid motions, axes or inputs, entries that are there twice, a damping matrix, or a sentence in place of the damping.
+was changed so that the exact error exceeds the limit, cells left out, or the model of another trial. Others say what
+is not so, or is not known: a mode of negative stiffness and mass, a peak outside of the band, a band that is reversed,
+other rigid motions, axes or inputs, entries that are there twice, a damping matrix, or a ratio below zero.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ BLOCK = 512
 TAMPERS = (
     *("limit", "mode", "stiffness", "cells", "model"),
     *("negative mass", "outer peak", "band", "rigid inertia", "rigid damping", "axes", "entry twice", "own damping"),
-    *("sentence", "inputs"),
+    *("ratio", "inputs"),
 )
 
 
@@ -162,7 +162,7 @@ def _other_statement(case: Case, kind: str, rng: np.random.Generator) -> bool:
     """Files that say what is not so, or is not what the limits are of."""
     path, model, witness = case.files
     place = f"bodies/{case.body.name}"
-    which = {"negative mass": model, "entry twice": model, "own damping": model, "sentence": witness}.get(kind, path)
+    which = {"negative mass": model, "entry twice": model, "own damping": model, "ratio": witness}.get(kind, path)
     with h5py.File(which, "r+") as file:
         if kind == "negative mass":
             _add_a_mode(file, case.certificate.band_hz)
@@ -171,7 +171,7 @@ def _other_statement(case: Case, kind: str, rng: np.random.Generator) -> bool:
             file["matrices/D/data"][...] *= rng.uniform(1e-7, 1e-3)
         elif kind == "entry twice":
             _add_entries(file, int(rng.integers(len(file["dofs/node"]))))
-        elif kind == "sentence":
+        elif kind == "ratio":
             given = json.loads(file["damping"][()]) | {"modal": -0.01}
             _put(file, "damping", np.bytes_(json.dumps(given)))
         elif kind == "band":
@@ -229,7 +229,7 @@ def _add_entries(file: h5py.File, row: int) -> None:
 
 
 def _hide_the_peak(case: Case, file: h5py.File) -> bool:
-    """A band that leaves the largest peak out, whose cells stay: the error over the largest response in it is larger."""
+    """A band without the largest peak, whose cells stay: the error over the largest response in it is larger."""
     low, high = case.certificate.band_hz
     omega, errors = dense_errors(case.problem, case.body, (low, high))
     size = errors[:, 1] / np.maximum(errors[:, 2], 1e-300)
