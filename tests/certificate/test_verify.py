@@ -467,6 +467,7 @@ def test_a_job_writes_a_witness_and_the_command_writes_the_same(tmp_path):
     assert shown.exit_code == 0, shown.output
     files = [str(tmp_path / name) for name in ("part.h5", "part.model.h5", "part.witness.h5")]
     assert not any("witness" in sentence for sentence in forecast["warnings"])
+    # Within a factor of two.
     assert 0.5 < Path(files[2]).stat().st_size / forecast["witness_bytes"] < 2
     shown = RUNNER.invoke(cli.app, ["verify", *files])
     assert shown.exit_code == 0 and VERIFIED.search(shown.stdout), shown.output

@@ -63,9 +63,9 @@ def refuse_witness(facts: ProblemSummary) -> None:
 
 
 def witness_bytes(size: int, inputs: int) -> int:
-    """Bytes of a witness, within a half of them as a rule: two blocks of vectors and one of solutions beside two dozen
-    modes, and rigid motions."""
-    return 8 * size * (min(24 + 2 * inputs, size) + inputs + 6)
+    """Bytes of a witness, within a factor of two: two blocks of vectors and one of solutions, ten modes and rigid
+    motions."""
+    return 8 * size * (3 * inputs + 16)
 
 
 class Certify(JobStage):
