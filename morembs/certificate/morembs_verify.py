@@ -748,7 +748,7 @@ class Proof:
 
     def outer(self, T: Array, some: slice) -> Array:
         """(p, e) entries of t_p b_p', for the columns t_p of T."""
-        return np.asarray((T.T[:, :, None] * self.b[some, None, :]).reshape(T.shape[1], -1))
+        return np.asarray((T.T[:, :, None] * self.b[some, None, :]).reshape(T.shape[1], len(T) * self.b.shape[1]))
 
     def take_modal_damping(self) -> None:
         """Lemma damping: ratios of exact modes, of which those of the vectors are off."""

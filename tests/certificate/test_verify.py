@@ -422,6 +422,24 @@ def test_terms_are_their_polynomials_at_every_damping(zeta, w):
     assert abs(sum_of_roots - 2j * np.longdouble(zeta)) <= r1[0] and abs(product + 1) <= r2[0]
 
 
+def test_modal_damping_of_vectors_that_are_not_orthonormal_is_covered():
+    rng = np.random.default_rng(6)
+    values, zeta, top = np.array([1.0, 9.0, 900.0]), 0.04, 5.0
+    # M = I, K and D diagonal; vectors that are off by a ten-thousandth, and longer than one.
+    V = (np.eye(3) + 1e-4 * rng.standard_normal((3, 3))) * [1.0, 1.001, 1.002]
+    theta = np.einsum("ip,i,ip->p", V, values, V)
+    proof = object.__new__(morembs_verify.Proof)
+    proof.theta, proof.ratio, proof.top, proof.k = theta, zeta, top, 3
+    proof.dK, proof.dM = np.abs(V.T @ (values[:, None] * V) - np.diag(theta)), np.abs(V.T @ V - np.eye(3))
+    proof.T = (values[:, None] * V - V * theta) / theta / np.sqrt(values)[:, None]
+    proof.tau, proof.lost_T = np.linalg.norm(proof.T, axis=0), np.zeros(3)
+    proof.z = morembs_verify.second_order(theta + 0j, 2 * zeta * np.sqrt(theta))[0]
+    proof.b, proof.loads, proof.own, proof.away = np.ones((3, 1)), np.ones(3), np.zeros(3), np.zeros((3, 3))
+    proof.take_modal_damping()
+    exact = top * np.abs(V.T @ (2 * zeta * np.sqrt(values)[:, None] * V) - np.diag(2 * zeta * np.sqrt(theta)))
+    assert (exact <= proof.away + 1e-15).all() and (proof.away.diagonal() < 4 * exact.diagonal() + 1e-5).all()
+
+
 def test_what_is_not_covered_is_said(sound):
     said = morembs_verify.verify(*map(str, sound[0]))[2]
     assert said.splitlines()[-1] == morembs_verify.NOT_LOOKED_AT and "limits of blocks" in said
