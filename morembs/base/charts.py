@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -60,8 +60,8 @@ class Panel:
         axes.set(
             xlabel=self.x_label,
             ylabel=self.y_label,
-            xscale="log" if self.x_log else "linear",
-            yscale="log" if self.y_log else "linear",
+            xscale="log" if self.x_log and _has_positive(c.x for c in self.curves) else "linear",
+            yscale="log" if self.y_log and _has_positive(c.y for c in self.curves) else "linear",
         )
         axes.grid(True, color="#d0d4d8", linewidth=0.5)
         axes.legend(frameon=False)
@@ -172,6 +172,11 @@ class Chart:
     def plain(self) -> dict[str, Any]:
         """As plain values, with six digits."""
         return {"title": self.title, "note": self.note, "panels": [panel.plain() for panel in self.panels]}
+
+
+def _has_positive(rows: Iterable[Floats]) -> bool:
+    """Whether an axis of ratios has a place for any of the numbers."""
+    return any(bool((np.asarray(row) > 0).any()) for row in rows)
 
 
 def _color(number: int | None) -> str:

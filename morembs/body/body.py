@@ -316,7 +316,7 @@ class Body(Viewed):
                 default the first six motions, each under its own load.
 
         Raises:
-            InputError: an entry that is not there, or no frequencies for a body without elastic modes.
+            InputError: an entry that is not there, no frequencies, or none for a body without elastic modes.
 
         >>> body.plot_response(entries=[(1, 1), (7, 1)]).savefig("response.png")
         """

@@ -8,7 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from morembs.base.charts import Bars, Chart, Curve, Dash, Matrix, Panel
-from morembs.base.errors import InputError
+from morembs.base.errors import InputError, shown
+from morembs.base.tolerances import TOL as BASE
 from morembs.base.types import Complexes, Floats
 from morembs.body.floating.spin import Spinning, campbell
 from morembs.body.tolerances import TOL
@@ -42,17 +43,21 @@ def response_chart(body: Charted, frequencies_hz: Any, entries: Sequence[tuple[i
     """Size and phase of entries (motion, load) of the transfer matrix, counted from 1; see ``Body.plot_response``.
 
     Raises:
-        InputError: an entry that the body does not have.
+        InputError: an entry that the body does not have, or no frequencies.
     """
     motions, loads = body.output_matrix.shape[0], body.input_matrix.shape[1]
     if entries is None:
         entries = [(k, k) for k in range(1, 1 + min(motions, loads, TOL.drawn_receptances))]
+    if not entries:
+        raise InputError(
+            f"no entries were given, or body {body.name!r} has no interfaces; expected pairs (motion, load)"
+        )
     for i, j in entries:
         if not (1 <= i <= motions and 1 <= j <= loads):
             raise InputError(
                 f"the entry {(i, j)} was given; body {body.name!r} has motions 1 to {motions} and loads 1 to {loads}"
             )
-    hz = _frequencies(body) if frequencies_hz is None else np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
+    hz = _frequencies(body) if frequencies_hz is None else _given(frequencies_hz)
     H = body.frequency_response(hz)
     named = {f"motion {i} by load {j}": H[:, i - 1, j - 1] for i, j in entries}
     sizes = [Curve(name=name, x=hz, y=np.abs(h), color=k) for k, (name, h) in enumerate(named.items())]
@@ -67,6 +72,20 @@ def response_chart(body: Charted, frequencies_hz: Any, entries: Sequence[tuple[i
             Panel(y_label="phase in degrees", curves=phases, y_log=False),
         ),
     )
+
+
+def _given(frequencies_hz: Any) -> Floats:
+    """Frequencies (nf,) that were asked for; an axis of ratios has no place for 0."""
+    try:
+        hz = np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
+    except (TypeError, ValueError):
+        hz = np.empty(0)
+    if hz.ndim != 1 or not (hz > 0).any() or not ((hz >= 0) & (hz < BASE.largest_hz)).all():
+        raise InputError(
+            f"frequencies_hz = {shown(frequencies_hz)} was given; expected a row of frequencies in Hz below "
+            f"{BASE.largest_hz:g}, one of them above 0"
+        )
+    return hz[hz > 0]
 
 
 def _frequencies(body: Charted) -> Floats:

@@ -76,9 +76,11 @@ def _draw_mode(panel: Axes, shapes: Shapes, number: int) -> None:
     size = np.linalg.norm(motion, axis=1)
     # Which way a mode points has no meaning: its largest motion goes upwards or to the viewer.
     sign = 1.0 if motion[size.argmax(), 1:].sum() >= 0 else -1.0
-    moved = points + sign * largest / size.max() * motion
+    # A mode of what lies under the skin alone leaves the skin at rest.
+    top = float(size.max()) or 1.0
+    moved = points + sign * largest / top * motion
     _paint(panel, points, shapes.triangles, None)
-    _paint(panel, moved, shapes.triangles, size / size.max())
+    _paint(panel, moved, shapes.triangles, size / top)
     panel.set_aspect("equal")
     panel.autoscale_view()
 
@@ -104,6 +106,8 @@ def _paint(panel: Axes, points: Floats, triangles: NDArray[np.int64], size: Floa
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
     seen = np.flatnonzero(normal[:, 2] > 0)
     order = seen[np.argsort(corners[seen, :, 2].mean(axis=1), kind="stable")]
+    if not len(order):  # all of it is seen edge-on
+        return
     if size is None:
         colors = np.tile(to_rgba(REST_COLOR), (3 * len(order), 1))
     else:

@@ -146,7 +146,9 @@ def scene_of_series(path: Path, title: str) -> Scene:
         group: Any = file.get("VTKHDF", {})
         if "Steps" not in group or "PointData" not in group:
             raise InputError(f"{path} has no steps over time; expected a file that morembs recover wrote")
-        times = group["Steps/Values"][()]
+        times = np.atleast_1d(group["Steps/Values"][()])
+        if not len(times):
+            raise InputError(f"{path} has no steps over time; write it again")
         grid = Grid(**{name: group[name.capitalize()][()] for name in ("points", "connectivity", "offsets", "types")})
         n, data = len(grid.points), group["PointData"]
         surface, rows = surface_of(str(path), grid, np.arange(n))
@@ -154,9 +156,11 @@ def scene_of_series(path: Path, title: str) -> Scene:
         steps = np.unique(np.linspace(0, len(times) - 1, min(len(times), most)).round().astype(int))
         name = "motion" if "motion" in data else "displacement"
         shapes = np.array([data[name][step * n : (step + 1) * n][rows] for step in steps], dtype=float)
+        shapes = shapes.reshape(len(steps), len(rows), 3)
         stress = None
         if "von_mises" in data:
             stress = np.array([data["von_mises"][step * n : (step + 1) * n][rows] for step in steps], dtype=float)
+            stress = stress.reshape(len(steps), len(rows))
     few = f"{len(steps)} of {len(times)} steps are shown" if len(steps) < len(times) else ""
     return Scene(
         title=title,

@@ -14,7 +14,7 @@ from morembs.body.tolerances import TOL
 from morembs.body.vtkhdf_series import Grid, View
 from morembs.fem import ElementBlock, Mesh, Nodes
 from morembs.fem.elements import FACES, TYPES
-from morembs.fem.surface import outer_faces
+from morembs.fem.surface import seen_faces
 from morembs.fem.viewer.skin import triangles_of
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
@@ -44,7 +44,7 @@ def mode_shapes(problem: Problem, reduced: ReducedModel) -> Shapes | None:
     shown = slice(reduced.rigid_count, reduced.rigid_count + TOL.drawn_modes)
     if mesh is None or not len(values[shown]):
         return None
-    triangles = triangles_of(outer_faces(mesh))[0]
+    triangles = triangles_of(seen_faces(mesh))[0]
     rows = np.unique(triangles)
     dofs = problem.model.dofs.of_nodes(rows).ravel()
     motion = problem.coupling.T[dofs] @ (reduced.V @ Y[:, shown])
@@ -88,6 +88,6 @@ def faces_of(grid: Grid) -> dict[str, Ints]:
         blocks += [ElementBlock(type=name, nodes=nodes, ids=cells) for name, kind in TYPES.items() if kind.vtk == vtk]
     if blocks:
         nodes = Nodes(ids=np.arange(len(grid.points)), xyz=grid.points)
-        for name, outer in outer_faces(Mesh(nodes=nodes, blocks=tuple(blocks))).items():
+        for name, outer in seen_faces(Mesh(nodes=nodes, blocks=tuple(blocks))).items():
             faces.setdefault(name, []).append(outer)
     return {name: np.concatenate(parts) for name, parts in faces.items()}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.body.drawing import viewed_axes
@@ -41,4 +43,6 @@ def surface_of(name: str, grid: Grid, node_ids: Ints) -> tuple[Surface, Ints]:
     faces = faces_of(grid)
     if not any(len(nodes) for nodes in faces.values()):
         raise InputError(f'{name} has no faces to show; keep nodes = "all" or "skin" of a model with elements')
+    if not np.isfinite(grid.points).all():
+        raise InputError(f"coordinates of {name}: NaN or infinity cannot be shown; check the run that made them")
     return drawn_surface(grid.points, node_ids, faces)

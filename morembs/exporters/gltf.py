@@ -65,6 +65,13 @@ class Gltf(Exporter):
                 f'body {context.body.name!r} has no elastic modes or no elements to show them on; keep nodes = "skin" '
                 'or "all" of a model with elements'
             )
+        if not all(
+            np.abs(each).max() <= np.finfo("f4").max for each in (shapes.points, shapes.motion, shapes.frequencies_hz)
+        ):
+            raise InputError(
+                f"body {context.body.name!r} has coordinates or modes that are no numbers of 32 bits, as in glTF; "
+                "check the units"
+            )
         content = _content(context, shapes, self.largest, self.seconds)
         with replacing(context.path) as file:
             file.write(content)
@@ -156,7 +163,9 @@ def _mesh(buffer: _Buffer, shapes: Shapes, largest: float) -> dict[str, Any]:
         Code.ELEMENT_ARRAY_BUFFER,
     )
     side = float(np.ptp(shapes.points, axis=0).max())
-    scales = [largest * side / float(np.linalg.norm(motion, axis=1).max()) for motion in shapes.motion]
+    sizes = [float(np.linalg.norm(motion, axis=1).max()) for motion in shapes.motion]
+    # A mode of what lies under the skin alone, as a mass on a spring, leaves the skin at rest.
+    scales = [largest * side / size if size > 0 else 1.0 for size in sizes]
     targets = [
         {"POSITION": buffer.add((scale * motion).astype("<f4"), Code.FLOAT, "VEC3", Code.ARRAY_BUFFER)}
         for scale, motion in zip(scales, shapes.motion, strict=True)

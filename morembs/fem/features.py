@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from morembs.base.types import Floats, Ints
 from morembs.fem.mesh import Mesh
-from morembs.fem.surface import outer_faces
+from morembs.fem.surface import seen_faces
 from morembs.fem.tolerances import TOL
 
 
@@ -52,7 +52,7 @@ class Skin:
     @classmethod
     def of(cls, mesh: Mesh) -> Skin:
         """The skin of ``mesh``. Peak memory: some 100 numbers a face."""
-        nodes = np.concatenate([_padded(faces) for faces in outer_faces(mesh).values()])
+        nodes = np.concatenate([_padded(faces) for faces in seen_faces(mesh).values()])
         corners = nodes[:, :4]
         at = mesh.nodes.xyz[corners]
         # Diagonals span twice the area; the fourth corner of a triangle is its first, and the same holds.

@@ -40,6 +40,19 @@ def outer_faces(mesh: Mesh, *, within: Ints | None = None, elements: tuple[Ints,
     return {kind: outer[kind] for kind in stacked}
 
 
+def seen_faces(mesh: Mesh) -> dict[str, Ints]:
+    """Faces as ``outer_faces``, to look at: of elements on the same nodes one alone counts, as two of them hide each
+    face of the other."""
+    return outer_faces(mesh, elements=tuple(_first_of_each(block.nodes) for block in mesh.blocks))
+
+
+def _first_of_each(nodes: Ints) -> Ints:
+    """Rows (k,) of ``nodes`` (n, w) that have other nodes than all rows before, in any order."""
+    # Sums of random numbers are the same for the same nodes in any order, and of 64 bits for no others.
+    draw = np.random.default_rng(21).integers(0, 2**63, int(nodes.max(initial=-1)) + 1, dtype=np.uint64)
+    return np.sort(np.unique(draw[nodes].sum(axis=1), return_index=True)[1])
+
+
 def _corners(kind: str) -> int:
     return 3 if kind.startswith("tri") else 4
 

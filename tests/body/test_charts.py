@@ -6,6 +6,7 @@ import pytest
 from morembs import campbell, read_body
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
+from morembs.base.charts import Chart, Curve, Panel
 from morembs.base.errors import InputError
 from morembs.body.charts import cost_chart, density_chart, mac_chart, response_chart
 from morembs.certificate.charts import certificate_chart
@@ -45,6 +46,29 @@ def test_a_response_has_the_entries_that_were_asked_for(stored):
     assert np.isin(body.frequencies_hz[6:], x).all() and x[0] < body.frequencies_hz[6] < 2 * body.frequencies_hz[-1]
     with pytest.raises(InputError, match=r"\(13, 1\) was given; body 'cb' has motions 1 to 12"):
         body.plot_response(entries=[(13, 1)])
+
+
+@pytest.mark.parametrize("hz", [[], [0.0], [np.nan], [10.0, np.inf], [-1.0, 5.0], "x", [[1.0, 2.0]], [1e300]])
+def test_frequencies_that_no_axis_has_are_told(stored, hz):
+    with pytest.raises(InputError, match="expected a row of frequencies in Hz"):
+        stored.bodies["cb"].plot_response(hz)
+
+
+def test_one_frequency_and_one_above_zero_are_drawn(stored):
+    body = stored.bodies["cb"]
+    for hz in ([100.0], [0.0, 100.0]):
+        figure = body.plot_response(hz, [(1, 1)])
+        figure.canvas.draw()
+        assert lines(figure.axes[0])["motion 1 by load 1"][0].tolist() == [100.0]
+    with pytest.raises(InputError, match="no entries were given"):
+        body.plot_response([100.0], [])
+
+
+def test_an_axis_of_ratios_without_a_positive_number_is_plain(recwarn):
+    curve = Curve(name="nothing", x=np.array([1.0, 2.0]), y=np.zeros(2))
+    figure = Chart(title="", panels=(Panel(y_label="y", curves=(curve,)),)).figure()
+    figure.canvas.draw()
+    assert (figure.axes[0].get_xscale(), figure.axes[0].get_yscale()) == ("log", "linear") and not recwarn.list
 
 
 def test_modes_below_a_frequency_and_their_density(stored):

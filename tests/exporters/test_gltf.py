@@ -138,6 +138,28 @@ def test_options_and_the_same_bytes(body, tmp_path):
         assert max(np.abs([accessor["min"], accessor["max"]]).max(axis=1)) <= 0.2 * 0.06 * (1 + 1e-6)
 
 
+def test_a_mode_that_leaves_the_skin_at_rest_is_a_target_at_rest(body, tmp_path, monkeypatch):
+    """As one of a mass on a spring within has; numbers beyond those of 32 bits are refused."""
+    stored = read_body(body)
+    own = type(stored.bodies["cb"]).view
+    for scale, name in (([0.0, 1.0], "still.glb"), ([1.0, np.inf], "far.glb")):
+        factor = np.array(scale)[:, None, None]
+        with monkeypatch.context() as patch, np.errstate(invalid="ignore"):
+            patch.setattr(
+                type(stored.bodies["cb"]),
+                "view",
+                lambda self, modes, factor=factor: replace(own(self, 2), motion=own(self, 2).motion * factor),
+            )
+            if name == "still.glb":
+                path = export_body(body, "gltf", path=tmp_path / name).paths[0]
+                continue
+            with pytest.raises(InputError, match="no numbers of 32 bits"):
+                export_body(body, "gltf", path=tmp_path / name)
+    document, _ = parts_of(path)
+    targets = [document["accessors"][each["POSITION"]] for each in document["meshes"][0]["primitives"][0]["targets"]]
+    assert [max(each["max"]) > 0 for each in targets] == [False, True] and not (tmp_path / "far.glb").exists()
+
+
 def test_a_body_without_a_skin_is_refused(tmp_path):
     decks.folder(tmp_path, {"output": 'path = "part.h5"\nnodes = "interfaces"'})
     run_job(load_job(tmp_path / "job.toml"))

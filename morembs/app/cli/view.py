@@ -26,7 +26,9 @@ def view(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE [FILE2]", help=SHOWN, show_default=False, autocompletion=known)
     ],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="The page to write, by default beside FILE.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="The page to write, by default FILE.view.html.")
+    ] = None,
     no_open: Annotated[bool, typer.Option("--no-open", help="Write the page, open no browser.")] = False,
 ) -> None:
     """Show bodies, models, decks and jobs in a browser; a click there selects nodes."""
@@ -57,7 +59,7 @@ def _page(files: list[Path], out: Path | None) -> Path:
         raise InputError(f"{len(files)} files were given; expected one, or two bodies to show beside each other")
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"--out {out} was given; expected a name that ends in .html")
-    return out or files[0].with_name("-".join(file.name.partition(".")[0] for file in files) + ".view.html")
+    return out or files[0].with_name("-".join(file.name for file in files) + ".view.html")
 
 
 def _size(scene: Scene) -> str:

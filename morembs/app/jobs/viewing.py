@@ -17,7 +17,7 @@ from morembs.app.jobs.stages.couple import interfaces_of
 from morembs.app.jobs.stages.forecast import outlined
 from morembs.app.jobs.stages.model import materials_of, mesh_of, model_of_files
 from morembs.app.jobs.tables import Job, ModelTable
-from morembs.app.kinds import BODY, DECK, JOB, MODEL, PARTS, instead, kind_of
+from morembs.app.kinds import BODY, DECK, JOB, MATRIX_FILE, MODEL, PARTS, instead, kind_of
 from morembs.app.report.style import STYLE
 from morembs.base import progress
 from morembs.base.errors import InputError
@@ -120,6 +120,10 @@ def _scene_of_part(path: Path) -> Scene:
             return _scene(
                 path.name, nodes, found.mesh, (*found.rigid, *found.average), hanging=hanging, warnings=found.warnings
             )
+    if kind_of(path) is MATRIX_FILE:
+        raise InputError(
+            f"{path} holds matrices alone, no nodes: there is nothing to show; morembs init {path} writes a job for it"
+        )
     mesh = read_mesh(path)
     return _scene(path.name, mesh.nodes, mesh, warnings=mesh.warnings)
 

@@ -152,7 +152,7 @@ def _seal(content: Mapping[str, Any]) -> str:
 
 
 def _is_whole(content: Any) -> bool:
-    if not isinstance(content, dict) or not content.get("sha256"):
+    if not isinstance(content, dict) or not isinstance(content.get("sha256"), str):
         return False
     return bool(content.get("seal") == _seal({key: value for key, value in content.items() if key != "seal"}))
 

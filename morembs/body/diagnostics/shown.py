@@ -13,7 +13,7 @@ from morembs.body.diagnostics.elements import bodies_of_nodes, double_elements, 
 from morembs.body.diagnostics.findings import Finding, listed
 from morembs.body.diagnostics.tolerances import TOL
 from morembs.fem import Mesh, Nodes
-from morembs.fem.surface import outer_faces
+from morembs.fem.surface import seen_faces
 from morembs.fem.viewer.scene import Group, Kind
 from morembs.fem.viewer.skin import triangles_of
 
@@ -54,7 +54,7 @@ def _rows(finding: Finding, nodes: Nodes, mesh: Mesh | None) -> Ints:
 
 def _open_edges(mesh: Mesh) -> list[Group]:
     """Edges of the skin with a face on one side only: faces of elements that meet there differ."""
-    triangles, _ = triangles_of(outer_faces(mesh), middles=False)
+    triangles, _ = triangles_of(seen_faces(mesh), middles=False)
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     pairs, counts = np.unique(edges, axis=0, return_counts=True)
     free = pairs[counts == 1]

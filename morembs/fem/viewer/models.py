@@ -10,7 +10,7 @@ import numpy as np
 from morembs.base.types import Floats, Ints
 from morembs.fem.constraints import AverageElement, RigidElement
 from morembs.fem.mesh import Mesh, Nodes
-from morembs.fem.surface import outer_faces
+from morembs.fem.surface import seen_faces
 from morembs.fem.tolerances import TOL
 from morembs.fem.viewer.page import Scene
 from morembs.fem.viewer.scene import Feature, Group, Surface
@@ -44,7 +44,7 @@ def scene_of_nodes(
         xyz = nodes.xyz.copy()
         xyz[unknown] = 0.0
         nodes = replace(nodes, xyz=xyz)
-    faces = outer_faces(mesh) if mesh is not None and mesh.blocks else {}
+    faces = seen_faces(mesh) if mesh is not None and mesh.blocks else {}
     left_out = len(groups) - TOL.drawn_groups
     chosen = groups[: TOL.drawn_groups]
     marked = [np.concatenate([_marks(group), group.lines.ravel()]) for group in chosen if group.kind != "elements"]

@@ -31,9 +31,12 @@ def pack_whole(values: Any) -> dict[str, Any]:
 
 
 def pack_steps(values: Floats, steps: int) -> dict[str, Any]:
-    """Numbers (n, w) as whole multiples of ``scale``, of which the largest is ``steps``; NaN is the least."""
-    largest = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
-    whole = np.where(np.isfinite(values), np.round(np.nan_to_num(values) / largest * steps), -steps - 1)
+    """Numbers (n, w) as whole multiples of ``scale``, of which the largest is ``steps``; the least stands for NaN and
+    infinity."""
+    known = np.isfinite(values)
+    drawn = np.where(known, values, 0.0)
+    largest = float(np.abs(drawn).max(initial=0.0)) or 1.0
+    whole = np.where(known, np.round(drawn / largest * steps), -steps - 1)
     return pack_whole(whole.astype(np.int64)) | {"scale": largest / steps}
 
 

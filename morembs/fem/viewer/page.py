@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.fem.tolerances import TOL
 from morembs.fem.viewer.packing import pack_steps, pack_whole
@@ -118,7 +119,12 @@ def embedded(scene: Scene) -> str:
 
 
 def document_of(scene: Scene) -> dict[str, Any]:
-    """The scene in numbers and texts of JSON, as ``viewer.js`` reads it."""
+    """The scene in numbers and texts of JSON, as ``viewer.js`` reads it.
+
+    Raises:
+        InputError: nothing to draw, or places, displacements, frequencies or times that are no finite numbers.
+    """
+    _refuse_undrawable(scene)
     whole = np.concatenate([surface.points for surface in scene.surfaces])
     low, high = whole.min(axis=0), whole.max(axis=0)
     middle, half = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
@@ -144,6 +150,19 @@ def document_of(scene: Scene) -> dict[str, Any]:
         said["owner"] = pack_whole(owner)
         said["features"] = [{"select": feature.select, "about": feature.about} for feature in scene.features]
     return said
+
+
+def _refuse_undrawable(scene: Scene) -> None:
+    numbers = [(f"coordinates of {scene.title}", surface.points) for surface in scene.surfaces]
+    if not sum(len(points) for _, points in numbers):
+        raise InputError(f"{scene.title} has no nodes, so there is nothing to show")
+    for motion in scene.motions:
+        numbers.append((f"displacements of {motion.name}", motion.shapes))
+        numbers.append((f"{'times' if motion.over_time else 'frequencies'} of {motion.name}", motion.values))
+    numbers += [(f"the frame of the interface {name!r}", rows) for name, rows in scene.frames.items()]
+    for what, values in numbers:
+        if not np.isfinite(values).all():
+            raise InputError(f"{what}: NaN or infinity cannot be shown; check the run that made them")
 
 
 def _frame(rows: Floats) -> dict[str, Any]:
