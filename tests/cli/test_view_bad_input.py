@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import webbrowser
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -129,9 +130,10 @@ def test_coordinates_of_any_size_are_drawn(size: float) -> None:
 def test_models_without_nodes_are_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="empty has no nodes"):
         viewer_page(scene_of_nodes("empty", Nodes(ids=np.empty(0, dtype=int), xyz=np.empty((0, 3))), None))
-    np.savez(tmp_path / "k.npz", K=np.eye(6), M=np.eye(6))
-    done = RUNNER.invoke(cli.app, ["view", str(tmp_path / "k.npz"), "--no-open"])
-    assert done.exit_code == 2 and "holds matrices alone" in done.stderr and len(list(tmp_path.iterdir())) == 1
+    np.savez(tmp_path / "k 1.npz", K=np.eye(6), M=np.eye(6))
+    done = RUNNER.invoke(cli.app, ["view", str(tmp_path / "k 1.npz"), "--no-open"])
+    assert done.exit_code == 2 and "holds matrices alone" in done.stderr and "k 1.npz' writes a job" in done.stderr
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_a_mode_that_leaves_the_skin_at_rest_is_drawn(folder: Path) -> None:
@@ -193,6 +195,14 @@ def test_stress_that_is_infinite_has_no_color(folder: Path, tmp_path: Path) -> N
 
 
 # --- Pages
+
+
+@pytest.mark.parametrize("starts", [True, False])
+def test_a_machine_without_a_browser_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch, starts: bool) -> None:
+    monkeypatch.setattr(webbrowser, "open", lambda address: starts)
+    done = RUNNER.invoke(cli.app, ["view", str(folder / "part.inp")])
+    assert done.exit_code == 0 and (folder / "part.inp.view.html").exists()
+    assert ("no browser could be started here; open" in done.stderr) is not starts
 
 
 def test_files_of_one_stem_have_pages_of_their_own(folder: Path, tmp_path: Path) -> None:

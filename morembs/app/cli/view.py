@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from morembs.app.cli.completion import known
-from morembs.app.cli.messages import printing
+from morembs.app.cli.messages import printing, tell
 from morembs.app.cli.terminal import Verb, example, messages, progress_line
 from morembs.base.errors import InputError
 from morembs.storage.safefile import check_writable, replacing
@@ -45,8 +45,8 @@ def view(
             target.write(text.encode("utf-8", "replace"))
         with printing([str(page)]):
             typer.echo("\n".join([f"written: {page}, {_size(scene)}", *(f"note: {note}" for note in scene.notes)]))
-        if not no_open:
-            webbrowser.open(page.resolve().as_uri())
+        if not no_open and not webbrowser.open(page.resolve().as_uri()):
+            tell(f"note: no browser could be started here; open {page} in one")
 
 
 def _page(files: list[Path], out: Path | None) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import shlex
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -121,9 +122,8 @@ def _scene_of_part(path: Path) -> Scene:
                 path.name, nodes, found.mesh, (*found.rigid, *found.average), hanging=hanging, warnings=found.warnings
             )
     if kind_of(path) is MATRIX_FILE:
-        raise InputError(
-            f"{path} holds matrices alone, no nodes: there is nothing to show; morembs init {path} writes a job for it"
-        )
+        cure = f"morembs init {shlex.quote(str(path))} writes a job for it"
+        raise InputError(f"{path} holds matrices alone, no nodes: there is nothing to show; {cure}")
     mesh = read_mesh(path)
     return _scene(path.name, mesh.nodes, mesh, warnings=mesh.warnings)
 
