@@ -2,7 +2,7 @@
 VENV := .venv
 RUN := $(VENV)/bin
 
-.PHONY: setup test-setup mumps demo test lint docs benchmark attack clean
+.PHONY: setup test-setup mumps demo test lint docs benchmark attack nightly clean
 
 setup:
 	@bash scripts/setup.sh
@@ -55,6 +55,10 @@ benchmark: setup
 # For example: make attack ARGS="kill --count 1000", or ARGS="damage --count 10000 --seed 7"
 attack: setup
 	@OPENBLAS_NUM_THREADS=1 $(RUN)/python -m benchmarks.attack $(or $(ARGS),kill)
+
+# Campaigns with new seeds, one hour; build/nightly/index.html shows every night. For example: make nightly ARGS="--hours 8"
+nightly: test-setup
+	@$(RUN)/python -m benchmarks.nightly $(ARGS)
 
 clean:
 	rm -rf $(VENV)
