@@ -325,7 +325,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     history, nights = given.folder / "history.jsonl", []
     for campaign in some:
         nights.append(run_night(campaign, seed, 3600 * given.hours * campaign.share / shares))
-        # store_seeds(nights[-1])
+        store_seeds(nights[-1])
         _replace(history, "".join(json.dumps(asdict(n)) + "\n" for n in (*nights_of(history), nights[-1])))
         _replace(given.folder / "index.html", page(nights_of(history)))
     print(given.folder / "index.html")
