@@ -21,7 +21,7 @@ from measure import HERE, ROOT, Row, shown
 from tables import FIGURES, TABLES, Table
 
 RESULTS = HERE / "results"
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
 _MARK = re.compile(r"<!-- (measured|figure): (.*?) -->.*?<!-- end -->", re.DOTALL)
 
 

@@ -7,7 +7,7 @@ author = copyright = "morembs developers"
 version = release = VERSION
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery"]
-exclude_patterns = ["tutorials"]  # the gallery makes pages of them, in built/tutorials
+exclude_patterns = ["start/tutorials"]  # the gallery makes pages of them, in built/tutorials
 html_theme = "furo"
 html_title = f"morembs {VERSION}"
 
@@ -18,7 +18,7 @@ autodoc_typehints_description_target = "documented"
 autodoc_member_order = "bysource"
 
 sphinx_gallery_conf = {
-    "examples_dirs": ["tutorials"],
+    "examples_dirs": ["start/tutorials"],
     "gallery_dirs": ["built/tutorials"],
     "filename_pattern": r"\.py$",
     "within_subsection_order": "FileNameSortKey",

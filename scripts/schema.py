@@ -212,7 +212,7 @@ def renewed(text: str) -> str:
 
 def stale() -> dict[Path, str]:
     """Pages that are not as they should be, and how they should be."""
-    pages = {page: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs").glob("*.md"))}
+    pages = {page: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs").rglob("*.md"))}
     return {page: new for page, text in pages.items() if (new := renewed(text)) != text}
 
 

@@ -1,4 +1,4 @@
-"""Tables that other packages add to: the package of docs/extending.md, found by its entry points or assigned."""
+"""Tables that other packages add to: the package of docs/howto/extending.md, found by its entry points or assigned."""
 
 import re
 import sys
@@ -26,7 +26,7 @@ from tests.support.meshes import box, steel, where
 from tests.support.processes import python
 
 ROOT = Path(__file__).parent.parent
-DOCUMENT = (ROOT / "docs" / "extending.md").read_text()
+DOCUMENT = (ROOT / "docs" / "howto" / "extending.md").read_text()
 # As it was written for 0.1, which goes on working until 1.0.
 FORMER = (ROOT / "tests" / "data" / "0.1.0" / "my_package.py").read_text()
 PACKAGE, ASSIGNMENT = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)

@@ -78,7 +78,7 @@ def test_python_example(conrod):
 @pytest.mark.parametrize(("number", "client"), [(0, "control"), (1, "rumoca"), (2, "mujoco")])
 def test_simulator_examples(conrod, number, client):
     pytest.importorskip(client, reason=f"{client} is not installed: pip install {client}")
-    code, mass = blocks("simulators.md")[number], read_body(conrod / "conrod.h5").mass
+    code, mass = blocks("howto/simulators.md")[number], read_body(conrod / "conrod.h5").mass
     (values,) = printed(code, conrod)
     if client == "control":
         reaction, said, gain = values[:3]
@@ -94,7 +94,7 @@ def test_simulator_examples(conrod, number, client):
 
 
 def test_switching_example(tmp_path):
-    first, second = blocks("switching.md")
+    first, second = blocks("howto/switching.md")
     code = first + second + "print(body.inner.size, switching.xyz[0, 0], switching.length)\n"
     (deflection, changes), (size, start, length) = printed(code, tmp_path)
     # A beam that is clamped at both ends, 10 N in its middle; the load crosses it in a tenth of a second.
@@ -106,7 +106,7 @@ def test_switching_example(tmp_path):
 
 
 def test_contact_examples(tmp_path):
-    ground, plate, ball, block = blocks("contact.md")
+    ground, plate, ball, block = blocks("howto/contact.md")
     times, (gap, force, *_, complementarity), (balance,) = printed(ground, tmp_path)
     fall = np.sqrt(2 / 9.81)
     assert times[:2] == pytest.approx([fall, fall * (1 + 2 * 0.8)], abs=1e-9)
@@ -125,8 +125,8 @@ def test_contact_examples(tmp_path):
 
 
 def test_import_example(tmp_path):
-    """The first command of docs/formats.md needs nothing but the repository; others name files of the reader."""
-    text = (ROOT / "docs" / "formats.md").read_text()
+    """The first command of docs/reference/formats.md needs only the repository; others name files of the reader."""
+    text = (ROOT / "docs" / "reference" / "formats.md").read_text()
     first, *others = re.search(r"```\n(morembs import.*?)```", text, re.DOTALL).group(1).splitlines()
     name, *arguments = first.replace("data/", f"{ROOT}/data/").split()
     assert name == "morembs" and morembs(*arguments, folder=tmp_path).code == 0
@@ -136,8 +136,8 @@ def test_import_example(tmp_path):
 
 
 def test_flow_example(tmp_path):
-    """The tube of docs/job.md: its model file, and the modes that the page tells of."""
-    text = (ROOT / "docs" / "job.md").read_text().partition("\n## Flow\n")[2]
+    """The tube of docs/reference/job.md: its model file, and the modes that the page tells of."""
+    text = (ROOT / "docs" / "reference" / "job.md").read_text().partition("\n## Flow\n")[2]
     printed(re.search(r"```python\n(.*?)```", text, re.DOTALL).group(1), tmp_path)
     (tmp_path / "tube.toml").write_text(re.search(r"```toml\n(.*?)```", text, re.DOTALL).group(1))
     for changes, ratio in ((), 0.3602), (("--set", "flow.mass_flow=12"), -0.2402):
@@ -149,8 +149,8 @@ def test_flow_example(tmp_path):
 
 
 def test_solver_example(tmp_path):
-    """The example of docs/solvers.md: a count that the analytic eigenvalues 2 - 2 cos(k pi / 1001) confirm."""
-    code = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "solvers.md").read_text(), re.DOTALL).group(1)
+    """The example of docs/howto/solvers.md: a count that the analytic eigenvalues 2 - 2 cos(k pi / 1001) confirm."""
+    code = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "howto" / "solvers.md").read_text(), re.DOTALL).group(1)
     code = code.replace("solver.negative_eigenvalues", "print(solver.negative_eigenvalues", 1).replace(
         "eye_array(1000))  #", "eye_array(1000)))  #"
     )
@@ -162,10 +162,10 @@ def test_solver_example(tmp_path):
 @needs_compiler
 def test_fmu_examples(tmp_path):
     """The connecting rod through both targets; the FMU and the C program of the page give the same."""
-    make, simulate = blocks("fmu.md")
+    make, simulate = blocks("howto/fmu.md")
     done = python(make, tmp_path)
     assert done.code == 0 and "sources only" not in done.output, done.errors
-    (main,) = re.findall(r"```c\n(.*?)```", (ROOT / "docs" / "fmu.md").read_text(), re.DOTALL)
+    (main,) = re.findall(r"```c\n(.*?)```", (ROOT / "docs" / "howto" / "fmu.md").read_text(), re.DOTALL)
     (tmp_path / "main.c").write_text(main)
     flags = ["-Wall", "-Wextra", "-Werror", "-O2"]
     subprocess.run(["cc", *flags, "main.c", "rod.c", "-o", "main", "-lm"], cwd=tmp_path, check=True)
@@ -182,26 +182,26 @@ def test_fmu_examples(tmp_path):
 
 
 def test_a_model_file_is_read_with_h5py_alone(tmp_path, monkeypatch):
-    """The Python of docs/formats.md."""
+    """The Python of docs/reference/formats.md."""
     monkeypatch.chdir(tmp_path)
     model = steel(box("hex8", (2, 1, 1), (0.2, 0.05, 0.03)))
     write_model("part.model.h5", model)
-    code, names = blocks("formats.md")[-1], {}
+    code, names = blocks("reference/formats.md")[-1], {}
     exec(code, names)
     assert abs(names["K"] - model.K).max() == 0
 
 
 def test_a_deck_is_read_by_its_labels(tmp_path, monkeypatch):
-    """The Python on decks of docs/formats.md."""
+    """The Python on decks of docs/reference/formats.md."""
     monkeypatch.chdir(tmp_path)
-    code, names = next(block for block in blocks("formats.md") if "read_deck" in block), {}
+    code, names = next(block for block in blocks("reference/formats.md") if "read_deck" in block), {}
     exec(code, names)
     assert len(names["tip"]) == len(names["model"].nodes.sets["TIP"]) > 0
 
 
 def test_simulate_example(tmp_path):
-    """The commands of docs/simulate.md, from an empty folder."""
-    text = (ROOT / "docs" / "simulate.md").read_text()
+    """The commands of docs/howto/simulate.md, from an empty folder."""
+    text = (ROOT / "docs" / "howto" / "simulate.md").read_text()
     (tmp_path / "pendulum.toml").write_text(re.search(r"```toml\n(.*?)```", text, re.DOTALL).group(1))
     for line in re.findall(r"^    morembs (.*)$", text, re.MULTILINE):
         done = morembs(*line.split(), folder=tmp_path)
@@ -228,7 +228,7 @@ WHOLE = {
 }
 
 
-@pytest.mark.parametrize("page", ["job.md", "formats.md", "switching.md"])
+@pytest.mark.parametrize("page", ["reference/job.md", "reference/formats.md", "howto/switching.md"])
 def test_fragments_of_jobs_are_taken(page):
     fragments = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / page).read_text(), re.DOTALL)
     assert fragments
@@ -243,7 +243,7 @@ def test_fragments_of_jobs_are_taken(page):
 
 
 def test_the_page_of_jobs_tells_of_every_key():
-    pages = "".join((ROOT / "docs" / page).read_text() for page in ("job.md", "formats.md"))
+    pages = "".join((ROOT / "docs" / page).read_text() for page in ("reference/job.md", "reference/formats.md"))
     told = set(re.findall(r"\w+", " ".join(re.findall(r"`[^`\n]+`", pages))))
     keys = {row.split("|")[2].strip(" `-") for row in job_keys()}
     assert len(keys) > 40 and keys <= told, keys - told
@@ -293,7 +293,7 @@ def test_every_block_of_code_is_run_by_a_test():
 
 def command_lines():
     """Commands of morembs that the README and the pages show, as lists of words."""
-    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+    for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")):
         for line in re.findall(r"^(?:    )?morembs ([a-z]+ .*)$", page.read_text(), re.MULTILINE):
             if "#" in line or line.split()[0] in SHOWN:
                 yield page.name, line.partition("#")[0].split()
@@ -310,7 +310,7 @@ def test_commands_that_are_shown_exist():
 
 
 def test_documents_that_are_named_exist():
-    for document in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
+    for document in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]:
         for target in re.findall(r"\]\(([^)#]+)\)", document.read_text()):
             # What the site is built with is drawn then; its own test looks there.
             known = target.startswith(("http", "built/")) or (document.parent / target).exists()

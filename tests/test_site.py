@@ -67,7 +67,7 @@ def test_pages_link_to_each_other(site):
 
 
 def test_the_gallery_shows_every_pipeline(site):
-    page = (site / "html" / "gallery.html").read_text()
+    page = (site / "html" / "start" / "gallery.html").read_text()
     assert set(re.findall(r"_images/(\w+)\.png", page)) == PICTURES
 
 

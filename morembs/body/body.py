@@ -167,7 +167,7 @@ class Body(Viewed):
         default=None,
         later=True,
         doc="static modes of candidate loads, if the method was `static-modes-switching`: see "
-        "[switching](switching.md#in-the-body-file)",
+        "[switching](../howto/switching.md#in-the-body-file)",
         when="if",
     )
     parameters: Later[ParametricParts] = dataset(
@@ -176,7 +176,7 @@ class Body(Viewed):
         default=None,
         later=True,
         doc="the body at other values of its parameters, if the method was `parametric`: see [parametric "
-        "bodies](parametric.md)",
+        "bodies](../howto/parametric.md)",
         when="if",
     )
     recovery: Later[Recovery] = dataset(

@@ -1,4 +1,4 @@
-"""The HDF5 file of elastic bodies, described in docs/schema.md: read lazily."""
+"""The HDF5 file of elastic bodies, described in docs/reference/schema.md: read lazily."""
 
 from __future__ import annotations
 

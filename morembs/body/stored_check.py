@@ -1,4 +1,4 @@
-"""Is a body file what docs/schema.md says? Its tables, and values, before anything is made of them."""
+"""Is a body file what docs/reference/schema.md says? Its tables, and values, before anything is made of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bodies to a file, described in docs/schema.md: written whole or not at all."""
+"""Bodies to a file, described in docs/reference/schema.md: written whole or not at all."""
 
 from __future__ import annotations
 

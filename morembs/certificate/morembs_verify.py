@@ -4,8 +4,8 @@
 
 Nothing of morembs is imported, and nothing that its files say is believed: modes and solutions of the witness are
 checked by their residuals, the modes below its shift are counted by an elimination of this program. The page
-docs/verification.md of morembs has the statements, their proofs and the treatment of round-off; its sections have the
-names of the lemmas. Exit codes: 0 verified, 1 not verified, 2 files that cannot be read.
+docs/background/verification.md of morembs has the statements, their proofs and the treatment of round-off; its sections
+have the names of the lemmas. Exit codes: 0 verified, 1 not verified, 2 files that cannot be read.
 """
 
 from __future__ import annotations

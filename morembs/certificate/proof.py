@@ -1,4 +1,4 @@
-"""The lemmas that the limits of a certificate rest on; docs/methods.md has a section with the proof of each."""
+"""The lemmas that the limits of a certificate rest on; docs/background/methods.md has a section for each proof."""
 
 from __future__ import annotations
 

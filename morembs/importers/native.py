@@ -1,4 +1,7 @@
-"""The native model file: HDF5, SI units; written by ``morembs.importers.model_file``, described in docs/formats.md."""
+"""The native model file: HDF5, SI units; written by ``morembs.importers.model_file``.
+
+docs/reference/formats.md describes it.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Options of an import, each declared once.
 
 Flags of ``morembs import``, keys of ``[model]`` in jobs, keyword arguments of ``morembs.import_model`` and the table of
-docs/formats.md are made from the fields of ``ImportOptions``.
+docs/reference/formats.md are made from the fields of ``ImportOptions``.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ REDUCERS: Registry[type[Reducer]] = Registry(
     "morembs.reducers", {reducer.method: reducer for reducer in _OWN}, subclass_fault(Reducer, "method")
 )
 
-_MEMBERS = "it reduces planar members: give the job a table [member] in place of a mesh (docs/gmp.md)"
+_MEMBERS = "it reduces planar members: give the job a table [member] in place of a mesh (docs/howto/gmp.md)"
 REDUCERS.nicknames = {
     "gmp": _MEMBERS,
     "global-modal-parameterisation": _MEMBERS,

@@ -135,7 +135,7 @@ def refuse_unsafe_file(path: Path) -> None:
 
 
 def refuse_newer(path: Path, version: int, known: int, cure: str = "install a newer one") -> None:
-    """Refuse a file of a version that is not among 1 to ``known``; when versions rise is said in docs/schema.md.
+    """Refuse a file of a version that is not among 1 to ``known``; docs/reference/schema.md says when versions rise.
 
     Raises:
         InputError: it is of another version.

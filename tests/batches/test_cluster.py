@@ -274,7 +274,7 @@ def test_scripts_for_queues(tmp_path: Path, kind: str, lines: list[str]) -> None
 
 
 def test_files_to_copy_from_the_documents_are_sound(tmp_path: Path) -> None:
-    text = (ROOT / "docs" / "scale.md").read_text()
+    text = (ROOT / "docs" / "howto" / "scale.md").read_text()
     blocks = {kind: text.split(f"```{kind}\n")[1].split("```")[0] for kind in ("toml", "sh")}
     (tmp_path / "cluster.toml").write_text(blocks["toml"])
     place = place_of(tmp_path / "cluster.toml")

@@ -36,7 +36,7 @@ from tests.support.processes import apart, python
 from tests.support.stored import everything
 
 ROOT = Path(__file__).parents[2]
-SCHEMA = ROOT / "docs" / "schema.md"
+SCHEMA = ROOT / "docs" / "reference" / "schema.md"
 PROVENANCE = {
     "created": "2024-05-06T07:08:09+00:00",
     "solver": "superlu",

@@ -23,7 +23,7 @@ from morembs.storage.lemma import kind_of
 from tests.support.meshes import box, steel, where
 
 RUNNER = CliRunner()
-METHODS = Path(__file__).parents[2] / "docs" / "methods.md"
+METHODS = Path(__file__).parents[2] / "docs" / "background" / "methods.md"
 DAMPED = Damping(alpha=2.0, beta=4e-7)
 BAND = [700.0, 3000.0]
 CHAIN = [

@@ -33,7 +33,7 @@ from tests.support.meshes import box, steel, where
 RUNNER = CliRunner()
 PROGRAM = Path(morembs_verify.__file__)
 ROOT = Path(__file__).parents[2]
-DOCS, MESHES = ROOT / "docs" / "verification.md", ROOT / "data" / "small_meshes"
+DOCS, MESHES = ROOT / "docs" / "background" / "verification.md", ROOT / "data" / "small_meshes"
 BAND = (0.0, 3000.0)
 VERIFIED = re.compile(r"verified: error <= (\S+) at every frequency from 0 to 3000 Hz")
 

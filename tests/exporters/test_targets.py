@@ -173,8 +173,8 @@ CLIENTS = {
 
 
 def table():
-    """Rows of the table in docs/simulators.md: target -> its cells by column."""
-    text = (ROOT / "docs" / "simulators.md").read_text()
+    """Rows of the table in docs/howto/simulators.md: target -> its cells by column."""
+    text = (ROOT / "docs" / "howto" / "simulators.md").read_text()
     (head, _, *rows) = re.search(r"(\| target \|.*?)\n\n", text, re.DOTALL).group(1).splitlines()
     columns = [cell.strip() for cell in head.strip("|").split("|")]
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]

@@ -1,4 +1,4 @@
-"""Reduced members in a file: what comes back, and the evaluator of docs/gmp.md on the raw datasets."""
+"""Reduced members in a file: what comes back, and the evaluator of docs/howto/gmp.md on the raw datasets."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,7 @@ from morembs.dynamics.gmp.stored import read_members, write_members
 from morembs.dynamics.nonlinear import PlanarBeam, Section
 from studies import flexible_slider_crank as slider_crank
 
-DOCS = Path(__file__).parents[2] / "docs" / "gmp.md"
+DOCS = Path(__file__).parents[2] / "docs" / "howto" / "gmp.md"
 
 
 @pytest.fixture(scope="module")

@@ -32,7 +32,7 @@ def same(a, b) -> bool:
 
 
 def blocks(language: str, word: str) -> list[str]:
-    text = (Path(__file__).parents[2] / "docs/formats.md").read_text()
+    text = (Path(__file__).parents[2] / "docs/reference/formats.md").read_text()
     return [block for block in re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL) if word in block]
 
 

@@ -27,7 +27,7 @@ from morembs.problem import Problem
 from tests.support.meshes import box
 from tests.support.parametric import BRACKET, STEEL, bracket, interfaces, longer, parameters, parametric_file
 
-PAGE = (Path(__file__).parents[2] / "docs" / "parametric.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "howto" / "parametric.md").read_text()
 JOB = re.search(r"```toml\n(.*?)```", PAGE, re.DOTALL)[1]
 
 

@@ -1,4 +1,4 @@
-"""A new solver is one file and one line of a table: that of docs/extending.md, and the same one as 0.1 wrote it."""
+"""A new solver is one file and one line of a table: that of docs/howto/extending.md, and the same one in words of 0.1."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.linalg import test_solvers as contract
 from tests.support.matrices import backward_error, brick, random
 
 FIELD = re.compile(r"    \w+: ")
-DOCUMENT = Path(__file__).parents[2] / "docs" / "extending.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "howto" / "extending.md"
 
 
 class FormerFactor(Factorization):

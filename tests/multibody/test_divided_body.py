@@ -110,7 +110,7 @@ def test_a_solid_strip_in_pieces_is_as_flexible_as_a_beam():
 
 
 def test_the_example_of_the_document(capsys):
-    text = (Path(__file__).parents[2] / "docs" / "multibody.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "howto" / "multibody.md").read_text()
     (code,) = re.findall(r"```python divided\n(.*?)```", text, re.DOTALL)
     exec(compile(code, "multibody.md", "exec"), {})
     assert capsys.readouterr().out.startswith("1 [")

@@ -1,4 +1,4 @@
-"""Studies with large deflections: figures that docs/gmp.md states, and more of them in test_pipelines."""
+"""Studies with large deflections: figures that docs/howto/gmp.md states, and more of them in test_pipelines."""
 
 import numpy as np
 import pytest

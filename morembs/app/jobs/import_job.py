@@ -102,7 +102,7 @@ def import_model(path: str | Path | None = None, *, materials: Sequence[Material
         path: the file of the model; None where ``stiffness`` and ``mass`` name files of matrices.
         materials: of a mesh, or of element sets whose materials are not complete, in the units of the files.
         options: those of ``morembs import`` by their names, such as units="mm-t-s", density=7.85e-9, contact="skip",
-            skip=["S4"], engine="auto"; docs/formats.md has the table.
+            skip=["S4"], engine="auto"; docs/reference/formats.md has the table.
 
     Raises:
         DeckError: all that keeps a deck from becoming a model: an ``InputError`` with ``problems``.

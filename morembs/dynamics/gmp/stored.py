@@ -1,6 +1,6 @@
 """Members with large deflections in a file, both ways: the group ``parameterised`` of a body.
 
-Equations and an evaluator that needs nothing but these datasets are in docs/gmp.md.
+Equations and an evaluator that needs nothing but these datasets are in docs/howto/gmp.md.
 """
 
 from __future__ import annotations

@@ -39,7 +39,8 @@ class Interface:
     name: str
     nodes: Ints
     coupling: str = dataset(
-        "text", doc="`rigid`, `average`, `direct`, `matrix`, or a kind that [another package](extending.md) defines"
+        "text",
+        doc="`rigid`, `average`, `direct`, `matrix`, or a kind that [another package](../howto/extending.md) defines",
     )
     components: tuple[int, ...] = dataset(
         "few",

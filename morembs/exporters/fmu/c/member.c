@@ -1,4 +1,4 @@
-/* A planar member of large deflections by global modal parameterisation; docs/gmp.md has the equations.
+/* A planar member of large deflections by global modal parameterisation; docs/howto/gmp.md has the equations.
 
    q = [x, y, angle of the start, x, y, angle of the end, eta] along the axes of the plane. PLACE has the MODES free
    coordinates first, frames before eta, whose positions and rates are the states x, then the HELD ones, whose motion

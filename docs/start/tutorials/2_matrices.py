@@ -58,8 +58,8 @@ print(morembs.examined(model) or "nothing looks wrong")
 
 # %%
 # Matrices that are files already (Matrix Market, ANSYS, Nastran, Abaqus, CalculiX, MATLAB and others) are read by
-# ``morembs import``, see :doc:`/formats`. It writes a model file, which jobs take by ``[model] file = "bar.model.h5"``.
-# From here:
+# ``morembs import``, see :doc:`/reference/formats`. It writes a model file, which jobs take by
+# ``[model] file = "bar.model.h5"``. From here:
 
 write_model(folder / "bar.model.h5", model)
 

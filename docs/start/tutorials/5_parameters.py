@@ -141,7 +141,7 @@ plt.show()
 
 # %%
 # ``morembs evaluate bracket.h5 --at E_lug=1.8e11,t=2 -o at.h5`` writes an ordinary body file of a value, which every
-# exporter takes; ``morembs update`` finds the values from measured frequencies. :doc:`/parametric` has the rest.
+# exporter takes; ``morembs update`` finds the values from measured frequencies. :doc:`/howto/parametric` has the rest.
 
 at.write(folder / "at.h5")
 print(f"at.h5 has {morembs.read_body(folder / 'at.h5').bodies['bracket'].floating.integrals.mass:.5f} kg")

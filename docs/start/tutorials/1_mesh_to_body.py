@@ -79,8 +79,8 @@ plt.tight_layout(pad=0)
 # %%
 # The body
 # --------
-# The file holds all that a simulator needs; :doc:`/schema` lists every dataset. The first six frequencies are those of
-# rigid-body motion, zero but for round-off. Those of the finite-element model stand beside the elastic ones.
+# The file holds all that a simulator needs; :doc:`/reference/schema` lists every dataset. The first six frequencies are
+# those of rigid-body motion, zero but for round-off. Those of the finite-element model stand beside the elastic ones.
 
 body = morembs.read_body(folder / "rod.h5").bodies["cb50"]
 elastic = body.frequencies_hz[6:]
