@@ -1,4 +1,4 @@
-"""A new solver is one file and one line of a table: that of docs/howto/extending.md, and the same one in words of 0.1."""
+"""A new solver is one file and one line of a table: that of docs/howto/extending.md, and the same one as 0.1 had it."""
 
 from __future__ import annotations
 
