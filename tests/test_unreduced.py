@@ -164,7 +164,7 @@ def test_the_error_against_the_unreduced_parts_is_that_of_dense_solutions(
     stored, known = certificate(arm(tmp_path, [job, job], couple=couple, turned=turned, more=more))
     dense = whole([job, job], joints, turned=turned, damping=[{"beta": 2e-6 * damped}] * 2, **same)
     assert not any("own errors are not in them" in warning for warning in stored.warnings)
-    assert known["bound_kind"] == ("estimate" if damped else "bound")
+    assert known["bound_kind"] == "bound"
     hz = known["frequencies_hz"][1:]
     true = true_errors(stored, dense, hz, floor)
     assert (known["bound"][1:] >= true * (1 - 1e-9)).all()
@@ -202,7 +202,7 @@ def test_damping_of_parts_is_that_of_their_jobs(case: str, tmp_path: Path) -> No
         jobs.append(link(tmp_path, f"link{number}", damping=text))
     stored, known = certificate(arm(tmp_path, jobs))
     dense = whole(jobs, [RIGID], damping=DAMPINGS[case])
-    assert known["bound_kind"] == "estimate"
+    assert known["bound_kind"] == "bound"
     true = true_errors(stored, dense, known["frequencies_hz"][1:], 0.0)
     assert (known["bound"][1:] >= true * (1 - 1e-9)).all()
     assert known["error"][1:] == pytest.approx(true, rel=1e-4, abs=1e-7)

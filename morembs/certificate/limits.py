@@ -124,7 +124,7 @@ def _causes(standard: ReferenceResponse, body: Response, cells: BandCells, loose
             parts = np.nan_to_num(
                 [
                     standard.uncertainty(omega, omega),
-                    standard.rounding.at(inverse).size()[:, 0] / e + standard.floor,
+                    standard.lost_to_rounding(omega, inverse) / e + standard.floor,
                     body.rounding.at(body.terms.moduli(omega)[0]).size()[:, 0] / e,
                 ],
                 nan=np.inf,

@@ -14,12 +14,10 @@ from morembs.storage.lemma import ESTIMATE, PROVEN, Lemma
 
 def proof_of(reference: CertifiedReference, limits: ErrorLimits) -> tuple[Lemma, ...]:
     """The chain behind the limits ``limits`` against ``reference``."""
-    own = reference.problem.D is not None
-    complement = () if own else (_complement(reference),)
     return (
         _count(reference),
         _enclosures(reference),
-        *complement,
+        _complement(reference),
         _residual(reference),
         _damping(reference),
         _round_off(reference),
@@ -46,10 +44,8 @@ def _count(reference: CertifiedReference) -> Lemma:
 def _enclosures(reference: CertifiedReference) -> Lemma:
     hz = enclosures(reference)
     widest = float((hz[:, 1] - hz[:, 0]).max(initial=0.0))
-    kind = PROVEN if reference.problem.D is None else ESTIMATE
-    doubt = "" if kind == PROVEN else ", if the eigensolver is exact"
-    statement = f"each of these modes lies in its enclosure, at most {upwards(widest)} Hz wide{doubt}"
-    return _lemma("ritz-enclosures", statement, kind, modes=len(hz), widest_hz=widest)
+    statement = f"each of these modes lies in its enclosure, at most {upwards(widest)} Hz wide"
+    return _lemma("ritz-enclosures", statement, modes=len(hz), widest_hz=widest)
 
 
 def _complement(reference: CertifiedReference) -> Lemma:
@@ -72,7 +68,8 @@ def _residual(reference: CertifiedReference) -> Lemma:
 def _damping(reference: CertifiedReference) -> Lemma:
     damping, kind = reference.model.damping, PROVEN
     if reference.problem.D is not None:
-        kind, statement = ESTIMATE, "the damping matrix of the model couples modes, as the reference has it"
+        kind = PROVEN if reference.proven else ESTIMATE
+        statement = "the damping matrix of the model is symmetric, and couples modes as the reference has it"
     elif damping.is_modal:
         statement = "modal damping acts on the modes of the reference, each of which has one ratio of the table"
         if not reference.proven and len(damping.jumps):

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.linalg as sl
+import scipy.sparse as sp
 
 from morembs.base import progress
 from morembs.base.arguments import check_value
@@ -26,13 +27,14 @@ from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.responses.band import beyond, checked_band
 from morembs.responses.certified_reference import CertifiedReference, inside_band
+from morembs.responses.damped_residual import damped_residual
 from morembs.responses.direct import refuse_skew_parts
 from morembs.responses.krylov_space import ReferenceBasis, RitzModes, root
 from morembs.responses.loads import unit_loads
 from morembs.responses.rational import squares
 from morembs.responses.reference import ModalReference, ReferenceSpace, has_stagnated, reference_model, reference_space
 from morembs.responses.residual_bound import Residual, numerator, slope
-from morembs.responses.rounding import EPS
+from morembs.responses.rounding import EPS, absorb_couplings
 from morembs.responses.tolerances import TOL
 
 
@@ -89,7 +91,10 @@ def certified_reference(
     if key not in references or references[key][0] > tolerance:
         damping = replace(problem.damping, structural=problem.damping.structural + 2 * floor)
         build = _Build(problem, (low, high), damping, floor, tolerance, key[-1])
-        references[key] = tolerance, build.with_own_damping() if problem.D is not None else build.within_tolerance()
+        references[key] = (
+            tolerance,
+            (build.within_tolerance() if problem.D is None else build.with_own_damping(problem.D)),
+        )
     return references[key][1]
 
 
@@ -113,37 +118,54 @@ class _Build:
         # Whether nothing but the residuals of solutions keeps the error above the tolerance.
         self.hidden = False
 
-    def with_own_damping(self) -> CertifiedReference:
-        """The space of a damping matrix of the model's own, whose error is an estimate."""
+    def with_own_damping(self, D: sp.csr_array) -> CertifiedReference:
+        """The space of a damping matrix ``D`` (Nc, Nc) of the model's own."""
         problem, omega = self.problem, np.linspace(*self.band, TOL.growth_samples)
         omega = np.unique(np.concatenate([omega, inside_band(np.sqrt(self.modes.eigenvalues), self.band)]))
         model = reference_model(problem, omega, tolerance=TOL.damped_error, inertia_loads=self.inertia)
+        k, structural = len(self.modes.eigenvalues), self.damping.structural
+        D_modes = np.zeros((len(model.values), len(model.values))) if model.D is None else model.D
+        residual, proven = damped_residual(problem, model, (D, D_modes), k, self.cut, structural)
+        edges, bounds = residual.bounds(self.band, TOL.damped_error)
+        doubts: tuple[str, ...] = ()
+        if int((model.values < self.cut).sum()) != k or not proven or not np.isfinite(bounds).all():
+            doubts += ("the error of the full response, with the model's own damping, is an estimate",)
+            edges, bounds = np.array(self.band), np.array([max(model.error, TOL.damped_error)])
+        damped = np.linalg.eigvalsh(D_modes)
+        if damped.min(initial=0.0) < -TOL.negative_damping * np.abs(damped).max(initial=0.0):
+            doubts += ("the damping matrix of the model drives some motions, so that limits are estimates",)
         return CertifiedReference(
             model=replace(model, damping=self.damping),
             band_hz=self.band_hz,
             floor=self.floor,
-            unsure=np.maximum(self._rounding(model), 4 * EPS * (model.values + self.band[1] ** 2)),
+            unsure=self._rounding(model),
             b_off=np.zeros((len(model.values), problem.B.shape[1])),
             vectors=self.modes.vectors,
-            sigma=np.zeros(len(self.modes.eigenvalues)),
+            sigma=(model.values * np.sqrt(residual.own))[:k],
             cut=self.cut,
-            edges=np.array(self.band),
-            error_bounds=np.array([max(model.error, TOL.damped_error)]),
-            doubts=("the error of the full response, with the model's own damping, is an estimate",),
-            solve_errors=np.zeros(len(model.values)),
-            start=0.0,
+            edges=edges,
+            error_bounds=bounds,
+            doubts=doubts,
+            solve_errors=residual.lost[0],
+            start=residual.start,
             counted=self.modes.counted,
+            least=residual.least,
         )
 
     def _rounding(self, model: ModalReference) -> Floats:
-        """What round-off in K and D, that of stiff links and dampers too, makes of the energies (n,) of all modes."""
+        """What round-off in K and D, that of stiff links and dampers too, makes of the energies (n,) of all modes, with
+        what the eigensolver leaves of couplings."""
         problem, n = self.problem, len(model.values)
         weights, width = scaled_row_sums(problem.D), problem.budget.columns(len(model.V))
         parts = [np.zeros(0)]
         for at in range(0, n, width):
             X = model.vectors(np.eye(n, min(width, n - at), -at))
             parts.append(problem.system.roundoff(X) + EPS * self.band[1] * np.einsum("i,ij,ij->j", weights, X, X))
-        return np.concatenate(parts)
+        unsure = np.maximum(np.concatenate(parts), 4 * EPS * (model.values + self.band[1] ** 2))
+        U = model.vectors(np.eye(n))
+        coupled = np.abs(problem.space.dot(U, problem.K @ U) - np.diag(model.values))
+        coupled += self.band[1] ** 2 * np.abs(problem.space.dot(U, problem.M @ U) - np.eye(n))
+        return absorb_couplings(np.sqrt(unsure), np.sqrt(unsure), coupled)[0] ** 2
 
     def within_tolerance(self) -> CertifiedReference:
         """The space, grown until the error is below the tolerance."""

@@ -108,8 +108,12 @@ class CertifiedReference:
         d = damping.of_modes(self.values) if D is None else damping_of_clusters(self.values, D)[0]
         modes = PoleResidueForm.second_order(stiffness, d, layout.rows(self.b, self.b))
         H = modes
-        if D is not None:
-            H = response_of(
+        highest = abs(1 + 1j * (damping.structural + damping.beta * 2 * np.pi * self.band_hz[1]))
+        lost = np.sqrt(highest * self.unsure)
+        if D is None:
+            rounding = RoundoffBound.of(layout, self.b, self.b, lost, lost, self.b_off, self.b_off)
+        else:
+            response = response_of(
                 np.eye(len(self.values)),
                 D,
                 np.diag(self.values),
@@ -118,10 +122,9 @@ class CertifiedReference:
                 layout,
                 structural=damping.structural,
                 highest=2 * np.pi * self.band_hz[1],
-            ).terms
-        highest = abs(1 + 1j * (damping.structural + damping.beta * 2 * np.pi * self.band_hz[1]))
-        lost = np.sqrt(highest * self.unsure)
-        rounding = RoundoffBound.of(layout, self.b, self.b, lost, lost, self.b_off, self.b_off)
+                unsure=(lost, self.b_off),
+            )
+            H, rounding = response.terms, response.rounding
         # What the small eigenproblem leaves of the couplings between modes above the cut, of which the band may be far
         # below the first.
         above = self.values[self.values >= self.cut]
@@ -161,7 +164,7 @@ class CertifiedReference:
         standard = self.standard()
         size = standard.modes.moduli(omega)[0]
         e = size @ standard.residue_norms[:, 0]
-        loss = standard.rounding.at(size).size()[:, 0]
+        loss = standard.lost_to_rounding(omega, size)
         return np.asarray(loss + (standard.uncertainty(omega, omega) + standard.floor) * e), e
 
     @property

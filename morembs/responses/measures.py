@@ -60,7 +60,8 @@ class Verdict:
 class ReferenceResponse:
     """What bodies are measured against: ``H`` in the entries of ``layout``, known but for ``uncertainty(low, high)``
     (nc,) times the envelope on cells without round-off (``cell_uncertainty`` between ``edges``), the envelope's
-    ``modes`` with ``residue_norms`` (k, 1 + nb) and their ``rounding``, at least ``floor`` times the envelope."""
+    ``modes`` with ``residue_norms`` (k, 1 + nb), the ``rounding`` at the poles of H, at least ``floor`` times the
+    envelope."""
 
     H: PoleResidueForm
     modes: PoleResidueForm
@@ -79,6 +80,11 @@ class ReferenceResponse:
         # Every other result belongs to a cell; the last end may lie behind all.
         pairs = np.stack([first, end], axis=1).ravel()
         return np.asarray(np.maximum.reduceat(np.append(self.cell_uncertainty, 0.0), pairs)[::2])
+
+    def lost_to_rounding(self, omega: Floats, inverse: Floats) -> Floats:
+        """(nf,) limits of what round-off makes of H at ``omega`` (nf,), for 1 / |a_p| (nf, k) of the modes."""
+        own = inverse if self.H is self.modes else self.H.moduli(omega)[0]
+        return np.asarray(self.rounding.at(own).size()[:, 0])
 
 
 class Comparison:
@@ -156,8 +162,13 @@ class Comparison:
         # On each half of a segment by the way to its end.
         grown = [((1 + half / near[:, s]) * (1 + half / far[:, s]))[..., None] for s in (slice(1, None), slice(-1))]
         least = np.minimum(e[:, 1:] / grown[0], e[:, :-1] / grown[1])
-        lost, shrunk = standard.rounding.at(inverse), _shrunk(half, near, far)
+        shrunk = _shrunk(half, near, far)
         largest = np.maximum(e[:, 1:] * shrunk[0][..., None], e[:, :-1] * shrunk[1][..., None])
+        if standard.H is not standard.modes:
+            # Damping couples the modes: errors grow at the poles of the response.
+            inverse, near, far = _inverse(standard.H, grid)
+            shrunk = _shrunk(half, near, far)
+        lost = standard.rounding.at(inverse)
         floor, floor_most = lost.size() + standard.floor * e, _largest_loss(lost, shrunk) + standard.floor * largest
         inverse, near, far = _inverse(self.body.terms, grid)
         lost = self.body.rounding.at(inverse)

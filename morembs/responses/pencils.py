@@ -44,11 +44,13 @@ def response_of(
     highest: float,
     rigid: int = 0,
     symmetric: bool = True,
+    unsure: tuple[Floats, Floats] | None = None,
 ) -> Response:
     """C ((1 + i structural) K + i w D - w^2 M)^-1 B without rigid motion: ``M``, ``D``, ``K`` (n, n), ``B`` (n, m),
     ``C`` (m, n), for frequencies up to ``highest`` rad/s.
 
-    Where D couples modes the poles are those of the first-order form.
+    Where D couples modes the poles are those of the first-order form. ``unsure`` are roots (n,) of the energies by
+    which A is off, with couplings of their products, and what B and C (n, m) are off by, where both are one.
     """
     theta, X, L = modes_of(M, K, rigid, symmetric)
     off_c, off_b = (4 * EPS * np.abs(side).T @ np.abs(modes) for side, modes in ((C.T, X), (B, L)))
@@ -61,6 +63,9 @@ def response_of(
     outputs, inputs, theta, X, L = outputs[:, rigid:].T, inputs[:, rigid:].T, theta[rigid:], X[:, rigid:], L[:, rigid:]
     loss = abs(1 + 1j * structural)
     s, t = bound_entry_errors(loss * np.abs(K) + highest * np.abs(D) + highest**2 * np.abs(M), L, X)
+    if unsure is not None:
+        s, t = (np.hypot(own, unsure[0] @ np.abs(modes)) for own, modes in ((s, L), (t, X)))
+        off_c, off_b = (off + unsure[1].T @ np.abs(modes) for off, modes in ((off_c, X), (off_b, L)))
     coupled = L.T @ D @ X
     d, stiffness = np.diag(coupled), theta * (1 + 1j * structural)
     left = loss * np.abs(L.T @ K @ X - np.diag(theta)) + highest**2 * np.abs(L.T @ M @ X - np.eye(len(theta)))

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -97,6 +98,11 @@ class Solves:
         """(k,) by how much M ``V`` (Nc, k), a part ``known`` of other unit motions beside, may be off in that norm."""
         heavy, largest = self._mass
         return np.asarray((self.gamma + known) * largest * _norms(V, heavy))
+
+    def product(self, weights: Floats, A: Any, V: Floats) -> Floats:
+        """(k,) by how much ``A`` ``V`` (Nc, k) may be off in that norm, ``weights`` the scaled row sums of |A|."""
+        rows = int(np.diff(A.indptr).max(initial=0)) + 4
+        return np.asarray(0.5 * EPS * rows * np.sqrt((weights / self.weights).max()) * _norms(V, weights))
 
     def of_modes(self, U: Floats, values: Floats, KU: Floats, MU: Floats, known: Floats) -> Floats:
         """(k,) limits of |K u / value - M u + known|_W for Ritz vectors ``U`` (Nc, k) and their products."""

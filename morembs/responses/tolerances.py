@@ -49,6 +49,13 @@ class ResponseTolerances:
     growth_samples: int = 24
     # Error of the reference of a model with a damping matrix of its own: ten times that of others.
     damped_error: float = 1e-8
+    # Degree of the Taylor series of a damped response on a cell, and the ratio of its terms: 1/4^17 is 6e-11.
+    taylor_degree: int = 16
+    taylor_ratio: float = 0.25
+    # Cells on which the residual of a damped reference is bounded: each takes the inverse of a matrix of its order.
+    max_damped_cells: int = 6000
+    # Negative part of a damping matrix, over its largest eigenvalue, that is round-off: 4500 eps.
+    negative_damping: float = 1e-12
     # Backward error of a small eigenproblem in eps of its highest value (3 to 4), over 1 - 1 / 1.25^2 = 0.36.
     small_eigen_eps: float = 10.0
 
