@@ -49,8 +49,9 @@ class ResponseTolerances:
     growth_samples: int = 24
     # Error of the reference of a model with a damping matrix of its own: ten times that of others.
     damped_error: float = 1e-8
-    # Degree of the Taylor series of a damped response on a cell, and the ratio of its terms: 1/4^17 is 6e-11.
+    # Degree of the Taylor series of a damped response on a cell: with the ratio below the rest is 1/4^17, 6e-11.
     taylor_degree: int = 16
+    # Ratio of the terms of that series.
     taylor_ratio: float = 0.25
     # Cells on which the residual of a damped reference is bounded: each takes the inverse of a matrix of its order.
     max_damped_cells: int = 6000
