@@ -25,7 +25,7 @@ from tests.support import decks
 from tests.support.dense_assembly import Joint, Part, Whole, elastic
 from tests.support.tubes import STEEL
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "job.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "job" / "assemblies.md"
 STRUCTURAL = "[damping]\nstructural = 0.02\n"
 LENGTH, AXIS, DEGREES = 30.0, [1.0, -2.0, 0.5], 77.0
 BAND = [0, 60000]
@@ -224,7 +224,7 @@ def test_parts_with_all_their_modes_have_no_error(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("modes", [1, 6, 20])
 def test_parts_that_are_too_coarse_are_seen(modes: int, tmp_path: Path) -> None:
-    """The limits that docs/reference/job.md shows: of an assembly that reduces its bodies hardly or not at all."""
+    """The limits of docs/reference/job/assemblies.md: of an assembly that reduces its bodies hardly or not at all."""
     job = link(tmp_path, reduce=f'name = "cb"\nmethod = "craig-bampton"\nmodes = {modes}')
     limits = []
     for certified in (False, True):

@@ -202,7 +202,7 @@ def test_what_cannot_spin_is_refused_before_any_work(tmp_path, tables, message):
 
 
 def test_the_table_of_the_documentation_is_taken(tmp_path):
-    text = (Path(__file__).parents[2] / "docs" / "reference" / "job.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "reference" / "job" / "spin.md").read_text()
     (block,) = re.findall(r"^```toml\n(\[spin\].*?)^```", text, re.MULTILINE | re.DOTALL)
     assert "reduction" in run("check", job(tmp_path, block.replace("bearing", "root")))
 

@@ -22,9 +22,9 @@ from tests.support.meshes import box, steel, where
 
 @pytest.fixture
 def translations(monkeypatch):
-    """The kind of docs/reference/job.md: nodes that move as one, without turning."""
+    """The kind of docs/reference/job/interfaces.md: nodes that move as one, without turning."""
     name = "translations"
-    page = (Path(__file__).parents[2] / "docs" / "reference" / "job.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "job" / "interfaces.md").read_text()
     (code,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "CouplingKind" in block)
     # Taken out of the table again after the test.
     monkeypatch.setitem(COUPLINGS, name, None)
