@@ -135,6 +135,15 @@ def test_import_example(tmp_path):
         assert "." not in word or word.startswith("part.model") or word.partition(".")[0].isupper(), word
 
 
+@pytest.mark.parametrize("page", ["keywords", "elements", "engines"])
+def test_imports_of_the_repository(page, tmp_path):
+    """Commands of docs/reference/formats that name no file of the reader."""
+    text = (ROOT / "docs" / "reference" / "formats" / f"{page}.md").read_text()
+    (line,) = re.findall(r"^    morembs (.*)$", text, re.MULTILINE)
+    done = morembs(*line.replace("data/", f"{ROOT}/data/").split(), folder=tmp_path)
+    assert done.code == 0, done.errors
+
+
 def test_flow_example(tmp_path):
     """The tube of docs/reference/job/flow.md: its model file, and the modes that the page shows."""
     text = (ROOT / "docs" / "reference" / "job" / "flow.md").read_text()
@@ -182,19 +191,19 @@ def test_fmu_examples(tmp_path):
 
 
 def test_a_model_file_is_read_with_h5py_alone(tmp_path, monkeypatch):
-    """The Python of docs/reference/formats.md."""
+    """The Python of docs/reference/formats/model_file.md."""
     monkeypatch.chdir(tmp_path)
     model = steel(box("hex8", (2, 1, 1), (0.2, 0.05, 0.03)))
     write_model("part.model.h5", model)
-    code, names = blocks("reference/formats.md")[-1], {}
+    (code,), names = blocks("reference/formats/model_file.md"), {}
     exec(code, names)
     assert abs(names["K"] - model.K).max() == 0
 
 
 def test_a_deck_is_read_by_its_labels(tmp_path, monkeypatch):
-    """The Python on decks of docs/reference/formats.md."""
+    """The Python of docs/reference/formats/decks.md."""
     monkeypatch.chdir(tmp_path)
-    code, names = next(block for block in blocks("reference/formats.md") if "read_deck" in block), {}
+    (code,), names = blocks("reference/formats/decks.md"), {}
     exec(code, names)
     assert len(names["tip"]) == len(names["model"].nodes.sets["TIP"]) > 0
 
@@ -248,7 +257,7 @@ def test_the_first_job(tmp_path):
     "page",
     [
         page
-        for page in [*JOB_PAGES, "reference/formats.md", "howto/switching.md"]
+        for page in [*JOB_PAGES, "reference/formats.md", "reference/formats/matrices.md", "howto/switching.md"]
         if "```toml" in (ROOT / "docs" / page).read_text()
     ],
 )
@@ -277,7 +286,11 @@ RUN = {
     "README.md": {"python": 2},
     "contact.md": {"python": 4},
     "extending.md": {"toml": 1, "python": 2},
-    "formats.md": {"": 3, "toml": 3, "python": 3},
+    "decks.md": {"python": 1},
+    "engines.md": {"": 1},
+    "formats.md": {"": 1, "toml": 1, "python": 1},
+    "matrices.md": {"": 1, "toml": 2},
+    "model_file.md": {"python": 1},
     "fmu.md": {"python": 2, "c": 1},
     "gmp.md": {
         "toml": 1,

@@ -1,4 +1,4 @@
-"""The native model file: what ``morembs import`` writes once, and jobs read. HDF5, SI units: docs/reference/formats.md.
+"""The model file that ``morembs import`` writes and jobs read. HDF5, SI units: docs/reference/formats/model_file.md.
 
 The reader of the file itself is ``morembs.importers.native``.
 """

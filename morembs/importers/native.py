@@ -1,6 +1,6 @@
 """The native model file: HDF5, SI units; written by ``morembs.importers.model_file``.
 
-docs/reference/formats.md describes it.
+docs/reference/formats/model_file.md describes it.
 """
 
 from __future__ import annotations

@@ -139,7 +139,7 @@ def test_the_commands_of_the_page_run(tmp_path):
     scipy.io.savemat(tmp_path / "MODEL.mat", {"K": K, "M": M, "E": D, "B": B, "C": C})
     for name, A in (("K", K), ("M", M), ("B", sp.coo_array(B))):
         scipy.io.mmwrite(tmp_path / f"{name}.mtx", A)
-    page = (ROOT / "docs" / "reference" / "formats.md").read_text().partition("## Input and output matrices")[2]
+    page = (ROOT / "docs" / "reference" / "formats" / "matrices.md").read_text()
     commands = re.search(r"```\n(.*?)```", page, re.DOTALL).group(1).splitlines()
     read = []
     for command in commands:

@@ -1,7 +1,7 @@
 """What the element types of other programs mean: formulation and mass here, and a warning where theirs are others.
 
 That a meaning is right was seen with matrices of the programs themselves (CalculiX 2.20, Abaqus, ANSYS); what was not,
-or is known to differ, is said. See docs/reference/formats.md for the figures.
+or is known to differ, is said. See docs/reference/formats/elements.md for the figures.
 """
 
 from __future__ import annotations
