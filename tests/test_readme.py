@@ -292,16 +292,10 @@ RUN = {
     "matrices.md": {"": 1, "toml": 2},
     "model_file.md": {"python": 1},
     "fmu.md": {"python": 2, "c": 1},
-    "gmp.md": {
-        "toml": 1,
-        "python": 1,
-        "python job": 1,
-        "python divided": 1,
-        "python chain": 1,
-        "python body": 1,
-        "python slider-crank": 1,
-        "python evaluator": 1,
-    },
+    "gmp.md": {"toml": 1, "python": 1, "python job": 1, "python divided": 1, "python body": 1},
+    "chains.md": {"python chain": 1},
+    "gmp_figures.md": {"python slider-crank": 1},
+    "member_file.md": {"python evaluator": 1},
     "job.md": {"toml": 1},
     **{
         f"{page}.md": {"toml": 1}

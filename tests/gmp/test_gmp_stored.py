@@ -1,4 +1,4 @@
-"""Reduced members in a file: what comes back, and the evaluator of docs/howto/gmp.md on the raw datasets."""
+"""Reduced members in a file: what comes back, and the evaluator of docs/reference/member_file.md on its datasets."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,8 @@ from morembs.dynamics.gmp.stored import read_members, write_members
 from morembs.dynamics.nonlinear import PlanarBeam, Section
 from studies import flexible_slider_crank as slider_crank
 
-DOCS = Path(__file__).parents[2] / "docs" / "howto" / "gmp.md"
+PAGES = Path(__file__).parents[2] / "docs"
+DOCS = PAGES / "howto" / "gmp.md"
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +51,9 @@ def test_a_member_comes_back_bit_by_bit(member, file):
 
 
 def test_the_evaluator_of_the_documentation_gives_the_same(member, file):
-    (code,) = re.findall(r"```python evaluator\n(.*?)```", DOCS.read_text(), re.DOTALL)
+    (code,) = re.findall(
+        r"```python evaluator\n(.*?)```", (PAGES / "reference" / "member_file.md").read_text(), re.DOTALL
+    )
     space = {}
     exec(code, space)
     with h5py.File(file) as opened:
@@ -84,7 +87,7 @@ def test_the_job_of_the_documentation_makes_the_member_of_its_mechanism(tmp_path
 
 
 def test_the_slider_crank_of_the_documentation_bends_as_the_full_model(tmp_path, monkeypatch, capsys):
-    text = DOCS.read_text()
+    text = DOCS.read_text() + (PAGES / "background" / "gmp_figures.md").read_text()
     (job,), (code,) = (re.findall(rf"```{kind}\n(.*?)```", text, re.DOTALL) for kind in ("toml", "python slider-crank"))
     assert len(code.splitlines()) <= 30
     (tmp_path / "rod.toml").write_text(job)

@@ -88,7 +88,7 @@ def test_links_on_free_joints_fall_and_keep_their_energy():
 
 
 def test_the_example_of_the_documentation():
-    text = (Path(__file__).parents[2] / "docs" / "howto" / "gmp.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "howto" / "chains.md").read_text()
     (code,) = re.findall(r"```python chain\n(.*?)```", text, re.DOTALL)
     reduced, full = {}, {}
     exec(code, reduced)

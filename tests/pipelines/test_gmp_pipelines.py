@@ -1,4 +1,4 @@
-"""Studies with large deflections: figures that docs/howto/gmp.md states, and more of them in test_pipelines."""
+"""Studies with large deflections: the figures of docs/background/gmp_figures.md, and more in test_pipelines."""
 
 import numpy as np
 import pytest
