@@ -54,7 +54,7 @@ class Unreduced(Closing):
     ...     reduced = CraigBampton(modes=6).reduce(small)
     ...     [certificate] = certify(full.problem, [full.expanded(reduced)], [0.0, 1000.0])
     >>> certificate.kind
-    'estimate'
+    'proven'
     """
 
     def __init__(self, given: Problem) -> None:
