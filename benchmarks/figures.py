@@ -29,7 +29,9 @@ _MARK = re.compile(r"<!-- (measured|figure): (.*?) -->.*?<!-- end -->", re.DOTAL
 def results(case: str) -> dict[str, Any]:
     """What a case wrote; nothing where it has not run."""
     path = RESULTS / f"{case}.json"
-    return dict(json.loads(path.read_text(encoding="utf-8"))) if path.exists() else {}
+    document = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    # The case of decks writes a list of them.
+    return {"rows": {row["deck"]: row for row in document}} if isinstance(document, list) else dict(document)
 
 
 def in_markdown(table: Table, document: dict[str, Any]) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from measure import Row
+from measure import Row, shown
 
 Rows = dict[str, Row]
 # Heading, key of a row or what to make of one, unit of ``measure.shown``.
@@ -264,6 +264,46 @@ def _one_point(rows: Rows) -> str:
     return f"{min(costs):.1f} to {max(costs):.1f}"
 
 
+def shown_with_unit(value: Any, unit: str) -> str:
+    """A figure within a sentence or a cell; errors have no unit."""
+    return shown(value, unit) + (f" {unit}" if unit in ("s", "GB") else "")
+
+
+def _beside(ours: str, theirs: str, who: str, columns: tuple[tuple[str, str], ...]) -> Callable[[Rows], str]:
+    """Cells of README: a row of ours, one of another program or method, and the commit of the first."""
+
+    def cells(rows: Rows) -> str:
+        own, other = (
+            ", ".join(shown_with_unit(rows[name][key], unit) for key, unit in columns) for name in (ours, theirs)
+        )
+        return f"{own} | {who}: {other} | {rows[ours]['commit']}"
+
+    return cells
+
+
+def _within_a_row(name: str, key: str, unit: str) -> Callable[[Rows], str]:
+    """Cells of README: a quantity of ours and of pyMOR that one row holds, and its commit."""
+
+    def cells(rows: Rows) -> str:
+        own, other = (shown_with_unit(rows[name][which], unit) for which in (key, f"pymor_{key}"))
+        return f"{own} | pyMOR: {other} | {rows[name]['commit']}"
+
+    return cells
+
+
+def _decks(rows: Rows) -> str:
+    """Cells of README: mean times of the decks that ccx computes and that both ways take, and how many have its frequencies."""
+    both = [
+        row["ways"]
+        for row in rows.values()
+        if row["program"] == "computes" and all(row["ways"].get(way, {}).get("taken") for way in ("own", "calculix"))
+    ]
+    own, engine = (f"{sum(ways[way]['seconds'] for ways in both) / len(both):.2f} s" for way in ("own", "calculix"))
+    equal = sum(ways["own"].get("difference", 1.0) <= 1e-6 for ways in both)
+    link = "[file](benchmarks/results/decks.json)"
+    return f"{own} a deck, {equal} of {len(both)} equal | CalculiX's matrices: {engine} a deck | {link}"
+
+
 # Name -> case, and what to make of its rows.
 FIGURES: dict[str, tuple[str, Callable[[Rows], str]]] = {
     "budgets": ("budgets", _budgets),
@@ -273,4 +313,29 @@ FIGURES: dict[str, tuple[str, Callable[[Rows], str]]] = {
     ),
     "assembly": ("parts", lambda rows: _ratio(rows, "assemble_cube", "assemble_cube_scikit_fem", "cpu_seconds")),
     "one point": ("krylov", _one_point),
+    **{
+        f"{count} modes of the {body}": (
+            "modes",
+            _beside(
+                f"{count} modes, {body}: block Lanczos with count",
+                f"{count} modes, {body}: ARPACK without count",
+                "ARPACK",
+                (("all_seconds", "s"),),
+            ),
+        )
+        for count, body in ((50, "cube"), (300, "beam"), (12, "rod"))
+    },
+    "krylov of the crankshaft": (
+        "krylov",
+        _beside(
+            "crankshaft 104,000: morembs",
+            "crankshaft 104,000: pyMOR, block",
+            "pyMOR's parts",
+            (("seconds", "s"), ("peak_rise_bytes", "GB")),
+        ),
+    ),
+    "irka of the chain": ("published", _within_a_row("mass-spring-damper chain, irka", "hinf_error", "e")),
+    "balanced truncation of the chain": ("published", _within_a_row("triple chain, fv", "seconds", "s")),
+    "floating frames": ("frames", _beside("100,000: morembs", "100,000: Exudyn", "Exudyn's CMS", (("seconds", "s"),))),
+    "decks of CalculiX": ("decks", _decks),
 }
