@@ -292,7 +292,7 @@ def _within_a_row(name: str, key: str, unit: str) -> Callable[[Rows], str]:
 
 
 def _decks(rows: Rows) -> str:
-    """Cells of README: mean times of the decks that ccx computes and that both ways take, and how many have its frequencies."""
+    """Cells of README: mean time of the decks that ccx computes and both ways take; decks with the same frequencies."""
     both = [
         row["ways"]
         for row in rows.values()

@@ -48,19 +48,91 @@ def printed(code, folder):
 def conrod(tmp_path_factory):
     """A folder with the body file of the example of the README."""
     folder = tmp_path_factory.mktemp("conrod")
-    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL).group(1)
-    assert len(code.strip().splitlines()) < 15
-    done = python(code.replace("data/small_meshes", str(ROOT / "data" / "small_meshes")), folder)
-    assert done.code == 0, done.errors
+    text = (ROOT / "README.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    done = python(code, folder)
+    assert done.code == 0 and done.output == shown_outputs(text)[0], done.errors
     return folder
 
 
-def test_the_example_swings_in_exudyn(conrod):
+def shown_outputs(text):
+    """Output of the blocks of a page, in the order of the page."""
+    return re.findall(r"```text\n(.*?)```", text, re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def first_body(tmp_path_factory):
+    """A folder with the body file of docs/start/first_body.md."""
+    folder = tmp_path_factory.mktemp("first_body")
+    done = python(blocks("start/first_body.md")[0], folder)
+    assert done.code == 0, done.errors
+    assert [done.output] == shown_outputs((ROOT / "docs/start/first_body.md").read_text())
+    return folder
+
+
+def test_the_readme_fits_one_screen_and_a_half():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 90
+
+
+def test_the_job_of_the_readme_prints_the_lines_that_are_shown(tmp_path):
+    text = (ROOT / "README.md").read_text()
+    (job,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    assert len(job.splitlines()) == 5
+    assert morembs("init", "--example", folder=tmp_path).code == 0
+    (tmp_path / "job.toml").write_text(job)
+    done = morembs("reduce", "job.toml", folder=tmp_path)
+    assert done.code == 0 and set(shown_outputs(text)[1].splitlines()) <= set(done.output.splitlines()), done.errors
+    assert morembs("view", "rod.h5", "--no-open", folder=tmp_path).code == 0
+
+
+@pytest.mark.parametrize("page", ["index", "start/install", "start/first_job", "reference/commands"])
+def test_commands_of_the_start_run(page, tmp_path):
+    """The first block of commands of each page, in an empty folder; the lines of output that stand below it."""
+    text = (ROOT / "docs" / f"{page}.md").read_text()
+    lines = re.findall(r"^    morembs (.*)$", text, re.MULTILINE)
+    printed = ""
+    for line in lines:
+        words = [*line.split(), *(["--no-open"] if line.startswith("view") and "--no-open" not in line else [])]
+        done = morembs(*words, folder=tmp_path)
+        assert done.code == 0, done.errors
+        printed += done.output
+    assert len(lines) >= 2
+    for output in shown_outputs(text):
+        assert set(output.splitlines()) <= set(printed.splitlines())
+
+
+def test_the_table_of_methods_has_measured_figures(tmp_path):
+    text = (ROOT / "docs/start/which_method.md").read_text()
+    (job,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    assert morembs("init", "--example", folder=tmp_path).code == 0
+    (tmp_path / "methods.toml").write_text(job)
+    done = morembs("compare", "methods.toml", folder=tmp_path)
+    assert done.code == 0, done.errors
+    rows = [line.replace("*", " ").split() for line in done.output.splitlines()]
+    found = {row[0]: row for row in rows if row}
+    shown = re.findall(r"^\| `(\S+)` \| (\d+) \| (\S+) \| (\S+) \| (\S+) \|$", text, re.MULTILINE)
+    assert len(shown) == len(tomllib.loads(job)["reduce"])
+    for name, order, *errors in shown:
+        row = found[name]
+        assert row[1] == order, name
+        for shown_error, error in zip(map(float, errors), (float(row[at]) for at in (2, 5, 6)), strict=True):
+            # Below 1e-11 stands round-off.
+            assert error == pytest.approx(shown_error, rel=0.1, abs=1e-11), name
+
+
+def test_the_matrices_of_the_first_body(tmp_path):
+    """The response of a chain of 50 masses to a force at its end, against the dense solution."""
+    ((response,),) = printed(blocks("start/first_body.md")[2], tmp_path)
+    K = np.diag([2.0] * 50) - np.diag([1.0] * 49, 1) - np.diag([1.0] * 49, -1)
+    exact = np.linalg.solve(K - (2 * np.pi * 0.001) ** 2 * np.eye(50), np.eye(50)[:, 0])[0]
+    assert response == pytest.approx(exact, rel=1e-9)
+
+
+def test_the_example_swings_in_exudyn(first_body):
     """A stiff pendulum that was let go from the horizontal has fallen by the arc of a compound one."""
     pytest.importorskip("exudyn", reason="Exudyn is not here: pip install exudyn")
-    _, code = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    ((x, y, z),) = printed(code, conrod)
-    rod = read_body(conrod / "conrod.h5")
+    ((x, y, z),) = printed(blocks("start/first_body.md")[1], first_body)
+    rod = read_body(first_body / "conrod.h5")
     big, small = (np.asarray(rod.interfaces[name].point) for name in ("BIGEND", "SMALLEND"))
     arm, length = np.linalg.norm(rod.center_of_mass - big), np.linalg.norm(small - big)
     # Small angles: m g a t^2 / (2 J) about the pin.
@@ -283,7 +355,10 @@ def test_the_page_of_jobs_tells_of_every_key():
 # Blocks of every language on every page, all of which tests run, here or where the subject is tested; what another
 # program would have to run is said to be untested on its page.
 RUN = {
-    "README.md": {"python": 2},
+    "README.md": {"python": 1, "toml": 1, "text": 2},
+    "first_body.md": {"python": 3, "text": 1},
+    "first_job.md": {"text": 1},
+    "which_method.md": {"toml": 1},
     "contact.md": {"python": 4},
     "extending.md": {"toml": 1, "python": 2},
     "decks.md": {"python": 1},
@@ -329,7 +404,9 @@ def test_every_block_of_code_is_run_by_a_test():
 def command_lines():
     """Commands of morembs that the README and the pages show, as lists of words."""
     for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")):
-        for line in re.findall(r"^(?:    )?morembs ([a-z]+ .*)$", page.read_text(), re.MULTILINE):
+        text = page.read_text()
+        in_tables = re.findall(r"^\| `morembs ([a-z]+ [^`]*)`", text, re.MULTILINE)
+        for line in re.findall(r"^(?:    )?morembs ([a-z]+ .*)$", text, re.MULTILINE) + in_tables:
             if "#" in line or line.split()[0] in SHOWN:
                 yield page.name, line.partition("#")[0].split()
 
