@@ -325,11 +325,23 @@ def test_the_first_job(tmp_path):
     assert read_body(tmp_path / "rod.h5").interfaces.keys() == {table["name"] for table in shown["interface"]}
 
 
+@pytest.mark.parametrize("page", ["background/methods.md", "background/certificate.md", "background/proofs.md"])
+def test_a_page_begins_with_commands_that_run(page, tmp_path):
+    first, *_ = (ROOT / "docs" / page).read_text().partition("\n## ")
+    lines = re.findall(r"^    morembs (.*)$", first, re.MULTILINE)
+    for line in lines:
+        done = morembs(*line.split(), folder=tmp_path)
+        assert done.code == 0, (line, done.errors)
+    # Rows of tables that the page shows are those that are printed.
+    shown = re.findall(r"^    (craig-bampton .*)$", first, re.MULTILINE)
+    assert lines and all(row in done.output for row in shown)
+
+
 @pytest.mark.parametrize(
     "page",
     [
         page
-        for page in [*JOB_PAGES, "reference/formats.md", "reference/formats/matrices.md", "howto/switching.md"]
+        for page in [*JOB_PAGES, "reference/formats.md", "reference/formats/matrices.md", "howto/switching.md", "background/tolerance.md"]
         if "```toml" in (ROOT / "docs" / page).read_text()
     ],
 )
@@ -386,6 +398,7 @@ RUN = {
     "simulators.md": {"python": 3},
     "solvers.md": {"python": 1},
     "switching.md": {"toml": 1, "python": 2},
+    "tolerance.md": {"toml": 1},
 }
 
 

@@ -1,4 +1,4 @@
-"""The lemmas that the limits of a certificate rest on; docs/background/methods.md has a section for each proof."""
+"""The lemmas that the limits of a certificate rest on; docs/background/proofs.md has a section for each proof."""
 
 from __future__ import annotations
 

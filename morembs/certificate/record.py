@@ -189,7 +189,7 @@ class Certificate(ErrorLimits, FormerMapping):
         "",
         "lemmas that the limits rest on",
         default=(),
-        doc="JSON, `lemmas` is a list of those that the limits rest on: `name` (a section of methods.md), "
+        doc="JSON, `lemmas` is a list of those that the limits rest on: `name` (a section of proofs.md), "
         "`statement`, `numbers` by name, `kind` (`proven` or `estimate`)",
         since="0.2",
         when="absent without limits",

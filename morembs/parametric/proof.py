@@ -1,6 +1,6 @@
 """The lemmas that the bound of a parametric body rests on, and what holds on the cells of its box.
 
-docs/background/methods.md has a section with the proof of each lemma.
+docs/background/proofs.md has a section with the proof of each lemma.
 """
 
 from __future__ import annotations

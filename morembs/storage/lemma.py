@@ -14,7 +14,7 @@ PROVEN, ESTIMATE = "proven", "estimate"
 @dataclass(frozen=True, kw_only=True)
 class Lemma:
     """A link of a proof. ``name`` does not change between versions and is that of a section of
-    docs/background/methods.md with the proof; ``statement`` says what holds, by ``numbers`` that are finite; ``kind``
+    docs/background/proofs.md with the proof; ``statement`` says what holds, by ``numbers`` that are finite; ``kind``
     is "proven" or "estimate".
 
     >>> count = Lemma(name="sturm-count", statement="3 modes lie below 100 Hz", numbers={"modes": 3.0})

@@ -23,7 +23,7 @@ from morembs.storage.lemma import kind_of
 from tests.support.meshes import box, steel, where
 
 RUNNER = CliRunner()
-METHODS = Path(__file__).parents[2] / "docs" / "background" / "methods.md"
+PROOFS = Path(__file__).parents[2] / "docs" / "background" / "proofs.md"
 DAMPED = Damping(alpha=2.0, beta=4e-7)
 BAND = [700.0, 3000.0]
 CHAIN = [
@@ -121,7 +121,7 @@ def test_proofs_are_stored_printed_and_documented(tmp_path):
     assert CHAIN[0] not in RUNNER.invoke(cli.app, ["info", str(path)]).stdout
     (document,) = json.loads(RUNNER.invoke(cli.app, ["info", str(path), "--json"]).stdout)
     assert document["bodies"][body.name]["certificate"]["proof"] == [asdict(lemma) for lemma in stored.proof]
-    headings = set(re.findall(r"(?m)^### (\S+)$", METHODS.read_text(encoding="utf-8")))
+    headings = set(re.findall(r"(?m)^### (\S+)$", PROOFS.read_text(encoding="utf-8")))
     assert {"sturm-count", *CHAIN} <= headings
     # A file of an earlier version has none.
     with h5py.File(path, "r+") as file:

@@ -184,10 +184,10 @@ def test_the_lemmas_of_the_bound_are_stored_printed_and_documented(path, proven)
     with h5py.File(path) as file:
         assert "proof" not in file["bodies/some-basis/parametric"]
     shown = run("info", proven, "--proof")
-    methods = (Path(__file__).parents[2] / "docs" / "background" / "methods.md").read_text()
+    proofs = (Path(__file__).parents[2] / "docs" / "background" / "proofs.md").read_text()
     assert "bounds of parametric at all values" in shown
     for lemma in proof:
-        assert f"  {lemma['name']} (proven): {lemma['statement']}" in shown and f"\n### {lemma['name']}\n" in methods
+        assert f"  {lemma['name']} (proven): {lemma['statement']}" in shown and f"\n### {lemma['name']}\n" in proofs
     (document,) = json.loads(run("info", proven, "--proof", "--json"))
     assert document["bodies"]["parametric"]["bound_proof"] == proof
 

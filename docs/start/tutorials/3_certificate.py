@@ -71,4 +71,4 @@ for hz, (low, high), deviation in zip(
 
 # %%
 # In a job the same is ``[certify] band_hz = [0, 25000]``; ``morembs compare`` sets its reductions side by side.
-# :doc:`/background/methods` has the definitions and the proofs.
+# :doc:`/background/certificate` has the definitions, :doc:`/background/proofs` the proofs.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from morembs.body import Body
     from morembs.storage.lemma import Lemma
-PROOFS = "docs/background/methods.md"
+PROOFS = "docs/background/proofs.md"
 
 
 def show(file: str | Path, documents: list[dict[str, Any]] | None, proof: bool = False) -> None:
