@@ -325,6 +325,14 @@ def test_the_first_job(tmp_path):
     assert read_body(tmp_path / "rod.h5").interfaces.keys() == {table["name"] for table in shown["interface"]}
 
 
+OTHER_FRAGMENTS = [
+    "reference/formats.md",
+    "reference/formats/matrices.md",
+    "howto/switching.md",
+    "background/tolerance.md",
+]
+
+
 @pytest.mark.parametrize("page", ["background/methods.md", "background/certificate.md", "background/proofs.md"])
 def test_a_page_begins_with_commands_that_run(page, tmp_path):
     first, *_ = (ROOT / "docs" / page).read_text().partition("\n## ")
@@ -338,12 +346,7 @@ def test_a_page_begins_with_commands_that_run(page, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "page",
-    [
-        page
-        for page in [*JOB_PAGES, "reference/formats.md", "reference/formats/matrices.md", "howto/switching.md", "background/tolerance.md"]
-        if "```toml" in (ROOT / "docs" / page).read_text()
-    ],
+    "page", [page for page in [*JOB_PAGES, *OTHER_FRAGMENTS] if "```toml" in (ROOT / "docs" / page).read_text()]
 )
 def test_fragments_of_jobs_are_taken(page):
     fragments = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / page).read_text(), re.DOTALL)
