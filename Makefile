@@ -2,7 +2,7 @@
 VENV := .venv
 RUN := $(VENV)/bin
 
-.PHONY: setup test-setup mumps demo test lint docs benchmark attack nightly clean
+.PHONY: setup test-setup mumps demo test lint docs benchmark attack nightly release clean
 
 setup:
 	@bash scripts/setup.sh
@@ -59,6 +59,15 @@ attack: setup
 # Campaigns with new seeds, one hour; build/nightly/index.html shows every night. For example: make nightly ARGS="--hours 8"
 nightly: test-setup
 	@$(RUN)/python -m benchmarks.nightly $(ARGS)
+
+# sdist, wheel, bill of materials and licenses in dist/, tried in fresh environments.
+# For example: make release ARGS="--python python3.11 python3.12 python3.13"
+build/release/bin/twine:
+	@$(or $(PYTHON),python3) -m venv build/release
+	@build/release/bin/pip install --quiet --disable-pip-version-check build twine cyclonedx-bom
+
+release: build/release/bin/twine
+	@build/release/bin/python scripts/release.py $(ARGS)
 
 clean:
 	rm -rf $(VENV)
