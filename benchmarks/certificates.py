@@ -35,7 +35,7 @@ from morembs.certificate.record import Certificate
 from morembs.fem import DofMap, FEModel, Nodes
 from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
-from morembs.reducers import Balanced, CraigBampton, FreeInterface, Gramian, Krylov, Modal
+from morembs.reducers import BalancedTruncation, CraigBampton, FreeInterface, Gramian, Krylov, Modal
 from morembs.reducers.base import ReducedModel
 from morembs.responses.certified import certified_reference
 from morembs.responses.clusters import damping_of_clusters
@@ -148,7 +148,7 @@ def bodies_of(problem: Problem, high: float, rng: np.random.Generator) -> list[R
         FreeInterface(modes=max(1, count - int(rng.integers(0, 3)))),
         Krylov(shifts_hz=[0.0, 0.8 * high]),
         Gramian(band_hz=band, order=count + m),
-        Balanced(order=count + m, band_hz=band),
+        BalancedTruncation(order=count + m, band_hz=band),
         CraigBampton(modes=count),
     ]
     for number in rng.permutation(len(tried)):

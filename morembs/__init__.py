@@ -32,10 +32,8 @@ import lazy_loader
 # First, as it quiets the idle threads of OpenBLAS before NumPy loads its copy.
 import morembs.linalg  # noqa: F401
 from morembs.base.errors import alike
-from morembs.base.former_names import accept_former_rooms
 from morembs.version import VERSION
 
-accept_former_rooms()
 __version__ = VERSION
 _imported, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 

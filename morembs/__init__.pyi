@@ -40,9 +40,7 @@ from .linalg.sparse.select import available_solvers, select_solver
 from .problem import Damping, Problem
 from .reducers import (
     REDUCERS,
-    Automatic,
     AutoReducer,
-    Balanced,
     BalancedTruncation,
     CraigBampton,
     FreeInterface,
@@ -67,8 +65,6 @@ __version__: str
 __all__ = [
     "REDUCERS",
     "AutoReducer",
-    "Automatic",
-    "Balanced",
     "BalancedTruncation",
     "Body",
     "Certificate",

@@ -461,14 +461,6 @@ def test_a_worker_has_a_share_of_the_budget(tmp_path: Path) -> None:
             assert memory is not None and 0 < memory < 8 * 10**9 and same
 
 
-def test_the_argument_of_before_works_and_warns() -> None:
-    model = steel(box("hex8", (4, 1, 1), (0.4, 0.05, 0.03)))
-    with pytest.warns(DeprecationWarning, match="budget of Problem goes with 1.0"):
-        problem = Problem(model, budget=Budget(widest=4))
-    assert problem.budget.widest == 4 == problem.space.budget.widest
-    problem.close()
-
-
 def test_another_process_gets_the_limits_and_no_files(tmp_path: Path) -> None:
     with Budget(memory=10**12, scratch=tmp_path, in_memory=0, widest=4) as budget:
         solid = SaintVenantKirchhoff(steel(box("hex8", (2, 1, 1), (0.2, 0.05, 0.03))))

@@ -12,8 +12,8 @@ import pytest
 import morembs
 
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE | doctest.IGNORE_EXCEPTION_DETAIL
-# Without a table, and a name that goes.
-NAMES = [name for name in morembs.__all__ if name not in ("REDUCERS", "Automatic", "Balanced")]
+# Without a table.
+NAMES = [name for name in morembs.__all__ if name != "REDUCERS"]
 
 
 def run(text: str, names: dict[str, Any], where: str) -> dict[str, Any]:

@@ -27,10 +27,7 @@ from tests.support.processes import python
 
 ROOT = Path(__file__).parent.parent
 DOCUMENT = (ROOT / "docs" / "howto" / "extending.md").read_text()
-# As it was written for 0.1, which goes on working until 1.0.
-FORMER = (ROOT / "tests" / "data" / "0.1.0" / "my_package.py").read_text()
 PACKAGE, ASSIGNMENT = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
-FORMER_WARNS = pytest.mark.filterwarnings("ignore:.*goes? with 1.0:DeprecationWarning")
 TABLES: tuple[Registry, ...] = (REDUCERS, SOLVERS, EXPORTERS, IMPORTERS, COUPLINGS)
 REDUCE = 'name = "few"\nmethod = "static-responses"'
 
@@ -62,11 +59,8 @@ def look_again() -> None:
         table.reload()
 
 
-@pytest.mark.parametrize("package", [PACKAGE, pytest.param(FORMER, marks=FORMER_WARNS)], ids=["now", "of 0.1"])
-def test_a_package_adds_a_reducer_a_solver_an_exporter_and_an_importer(
-    place: Path, tmp_path: Path, package: str
-) -> None:
-    (place / "my_package.py").write_text(package)
+def test_a_package_adds_a_reducer_a_solver_an_exporter_and_an_importer(place: Path, tmp_path: Path) -> None:
+    (place / "my_package.py").write_text(PACKAGE)
     toml = re.search(r"```toml\n(.*?)```", DOCUMENT, re.DOTALL)
     assert toml is not None
     entry_points(place, re.sub(r'project\.entry-points\."(.*?)"', r"\1", toml[1]).replace('"', ""))

@@ -1,5 +1,7 @@
 """What README and documents show runs as it stands."""
 
+import importlib
+import importlib.util
 import re
 import subprocess
 import tomllib
@@ -369,6 +371,23 @@ def test_the_page_of_jobs_tells_of_every_key():
 
 # Blocks of every language on every page, all of which tests run, here or where the subject is tested; what another
 # program would have to run is said to be untested on its page.
+def test_contexts_stand_in_for_the_arguments_of_before(tmp_path):
+    (code,) = blocks("howto/migrating.md")
+    done = python(code + "\n    print(model.K.shape, mesh.nodes is not None)", tmp_path)
+    assert done.code == 0, done.errors
+    assert done.output.splitlines()[-1].endswith("True")
+
+
+def test_modules_of_today_are_there_and_those_of_before_are_gone():
+    page = (ROOT / "docs" / "howto" / "migrating.md").read_text()
+    rows = re.findall(r"^\| `(morembs\.[\w.]+)`.*? \| `(morembs\.[\w.]+)`", page, re.MULTILINE)
+    assert len(rows) >= 7
+    for old, new in rows:
+        assert importlib.util.find_spec(new) is not None, new
+        with pytest.raises(ModuleNotFoundError):
+            importlib.import_module(old)
+
+
 RUN = {
     "README.md": {"python": 1, "toml": 1, "text": 2},
     "first_body.md": {"python": 3, "text": 1},
@@ -393,6 +412,7 @@ RUN = {
     },
     "flow.md": {"toml": 1, "python": 1},
     "interfaces.md": {"toml": 1, "python": 1},
+    "migrating.md": {"python": 1},
     "multibody.md": {"python": 4, "python divided": 1},
     "parametric.md": {"toml": 2, "python": 2},
     "scale.md": {"toml": 1, "sh": 1},

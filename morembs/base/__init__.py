@@ -5,5 +5,5 @@
 extend. ``units`` and ``summary`` read and show numbers.
 ``progress``, ``stopping`` and ``closing`` serve work that takes long, is interrupted, or holds something. ``memory``,
 ``budget`` and ``scratch`` count memory and put files in its place. ``worker_pool`` has processes that work together,
-``optional`` the libraries that may be absent, ``former_names`` what was called otherwise before 1.0.
+``optional`` the libraries that may be absent.
 """

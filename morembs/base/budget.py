@@ -22,7 +22,6 @@ from numpy.typing import DTypeLike
 
 from morembs.base.closing import Closing
 from morembs.base.errors import OutputError
-from morembs.base.former_names import with_old_names
 from morembs.base.memory import resident_bytes, trim
 from morembs.base.scratch import ScratchFolder
 from morembs.base.tolerances import TOL
@@ -58,7 +57,6 @@ def current_budget() -> Budget:
     return stack[-1] if stack else UNLIMITED
 
 
-@with_old_names(rest="release_pages", relax="release_if_tight")
 @dataclass(eq=False)
 class Budget(Closing):
     """What a process may use. A context manager: what is made inside keeps to it.

@@ -10,7 +10,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base.errors import InputError
-from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
 from morembs.body.body import Body
@@ -133,7 +132,6 @@ class BodyOptions:
     stress: StressOptions | None = field(default=None)
 
 
-@with_progress_argument
 def build_body(
     problem: Problem,
     reduced: ReducedModel,

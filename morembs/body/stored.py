@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 
 from morembs.base.errors import InputError, nearest
-from morembs.base.former_names import renamed
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
 from morembs.body.body import BODY, Body
@@ -281,6 +280,3 @@ def basis_columns(data: Any, columns: slice) -> Floats:
         refuse_not_finite(data.file.filename, f"{data.name.lstrip('/')}[:, {column}]", block[:, place])
         checksums.verify_column(data.name.lstrip("/"), column, block[:, place])
     return block
-
-
-__getattr__ = renamed(__name__, {"StoredBody": "Body", "StoredInterface": "Interface"})

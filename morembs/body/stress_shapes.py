@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from morembs.base import progress
-from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats, Ints, Reals
 from morembs.body.recovery_shapes import Recovery
 from morembs.body.tolerances import TOL
@@ -24,7 +23,6 @@ from morembs.reducers.base import ReducedModel
 from morembs.responses.loads import static_response
 
 
-@with_progress_argument
 def stress_recovery(
     problem: Problem,
     reduced: ReducedModel,

@@ -11,7 +11,6 @@ import numpy as np
 
 from morembs.base import progress
 from morembs.base.errors import InputError
-from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
 from morembs.body import vtkhdf
 from morembs.body.body import BODY, UNSYMMETRIC, Body
@@ -42,7 +41,6 @@ def check_names(names: Sequence[str], what: str = "body") -> None:
             raise InputError(f"the {what} name {name!r} was given more than once; give each its own name")
 
 
-@with_progress_argument
 def write_body(
     path: str | Path,
     bodies: Sequence[Body],

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from morembs.base import progress
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
-from morembs.base.former_names import with_progress_argument
 from morembs.base.limits import DampingFloor
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
@@ -36,7 +35,6 @@ from morembs.responses.tolerances import TOL as RESPONSES
 from morembs.storage.lemma import kind_of
 
 
-@with_progress_argument
 @checked
 def certify(
     problem: Problem,
@@ -71,7 +69,7 @@ def certify(
     given = None
     if len(band_hz) != 2:
         warnings.warn(
-            "certify takes the band, [LOW, HIGH] in Hz; a list of frequencies will not be taken any more",
+            "certify takes the band, [LOW, HIGH] in Hz; a list of frequencies goes with 2.0",
             DeprecationWarning,
             stacklevel=2,
         )

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from morembs.base.former_names import FormerMapping
 from morembs.base.optional import optional
 from morembs.base.summary import error_words, summarised, upwards
 from morembs.base.types import Floats
@@ -71,7 +70,7 @@ class ErrorLimits:
 
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Certificate(ErrorLimits, FormerMapping):
+class Certificate(ErrorLimits):
     """Errors of the elastic transfer matrix H over ``band_hz``, forces and moments scaled by the radius of gyration.
 
     ``limits`` hold at every frequency of the band where ``kind`` is "proven"; it is "estimate" where they rest on an

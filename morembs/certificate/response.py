@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.base.former_names import with_progress_argument
 from morembs.base.optional import optional
 from morembs.base.types import Complexes, Floats
 from morembs.certificate.tolerances import TOL
@@ -47,7 +46,6 @@ def reduced_response(reduced: ReducedModel, omega: Floats) -> Complexes:
     return np.array(H, dtype=complex).reshape(len(omega), *C.shape[:1], *B.shape[1:])
 
 
-@with_progress_argument
 def full_response(problem: Problem, omega: Floats, *, tolerance: float = TOL.full_response_error) -> Complexes:
     """Elastic part of H (nf, m, m) of the full coupled model at ``omega`` (nf,) in rad/s.
 

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.base.former_names import renamed
 from morembs.base.options import read_options
 from morembs.base.plugins import Registry, subclass_fault
 from morembs.body.body import Body
@@ -208,5 +207,3 @@ __all__ = [
     "make_exporter",
     "step_for_band",
 ]
-
-__getattr__ = renamed(__name__, {"Task": "ExportContext"})

@@ -19,7 +19,6 @@ from morembs.base import progress
 from morembs.base.arguments import checked
 from morembs.base.budget import current_budget
 from morembs.base.errors import InputError, nearest
-from morembs.base.former_names import with_budget_argument, with_progress_argument
 from morembs.base.types import Floats, Ints
 from morembs.fem.elements import TYPES, ElementType
 from morembs.fem.fe_model import DofMap, FEModel
@@ -61,8 +60,6 @@ def stiffness_pattern(graph: sp.csr_array) -> sp.csr_array:
     return K
 
 
-@with_progress_argument
-@with_budget_argument
 @checked
 def assemble(
     mesh: Mesh, materials: Sequence[Material], *, mass_integration: str = "element", seams: bool = False

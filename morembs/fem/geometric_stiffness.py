@@ -15,7 +15,6 @@ import scipy.sparse as sp
 
 from morembs.base.budget import current_budget
 from morembs.base.errors import InputError
-from morembs.base.former_names import with_budget_argument
 from morembs.base.types import Floats, Ints
 from morembs.fem.assembly import chunks, node_graph
 from morembs.fem.elements import TYPES
@@ -83,7 +82,6 @@ class StressedMesh:
         return matrix
 
 
-@with_budget_argument
 def geometric_stiffness(mesh: Mesh, materials: Sequence[Material], u: Floats) -> sp.csr_array:
     """Scalar kg (n, n) in N/m of the stress under the displacements ``u`` (3 n,) in m: K_g = kg (x) I3.
 

@@ -20,7 +20,6 @@ import scipy.sparse as sp
 from morembs.base import progress
 from morembs.base.budget import current_budget
 from morembs.base.errors import InputError
-from morembs.base.former_names import with_budget_argument, with_progress_argument
 from morembs.base.types import Floats, Ints, Reals
 from morembs.fem import assembly as fem
 from morembs.fem.elements import TYPES, ElementType
@@ -89,8 +88,6 @@ class SingleElements:
     operator: StressOperator
 
 
-@with_progress_argument
-@with_budget_argument
 def stress_operator(
     model: FEModel, nodes: str | Ints = "skin", *, elements: bool = False, collected: int = TOL.collected_entries
 ) -> StressOperator:

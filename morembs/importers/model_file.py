@@ -12,7 +12,6 @@ from pathlib import Path
 from morembs.base import progress
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError, OverwriteError
-from morembs.base.former_names import with_budget_argument, with_progress_argument
 from morembs.fem import FEModel
 from morembs.importers.native import FORMAT, MODEL, ModelFile, import_native
 from morembs.importers.to_model import model_of
@@ -25,7 +24,6 @@ from morembs.storage.writer import writing
 _MODELS = {"Deck": "deck.to_model(units)", "Mesh": "assemble(mesh, materials)"}
 
 
-@with_progress_argument
 def write_model(
     path: str | Path,
     model: FEModel,
@@ -88,7 +86,6 @@ def save_model(
     return target
 
 
-@with_budget_argument
 def read_model(path: str | Path) -> FEModel:
     """The model of a native file, bit by bit as it was written. Peak memory: that of the matrices.
 

@@ -13,7 +13,6 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.base.errors import InputError
-from morembs.base.former_names import with_budget_argument
 from morembs.base.types import Floats
 from morembs.fem import FEModel, skew
 from morembs.fem.assembly import mass_matrix
@@ -41,7 +40,6 @@ class AffineProblem(Problem):
     (48, 48)
     """
 
-    @with_budget_argument
     def __init__(
         self,
         varied: VariedModel,

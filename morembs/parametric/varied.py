@@ -14,7 +14,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from morembs.base.former_names import with_budget_argument
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel, Mesh
 from morembs.fem.assembly import (
@@ -169,7 +168,6 @@ class VariedModel:
         return groups, volume_ratios(self.morph, chosen, lambda block: (_mass_rule(block, self.mass_integration),))
 
 
-@with_budget_argument
 def varied_model(
     mesh: Mesh,
     materials: Sequence[Material],

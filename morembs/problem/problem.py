@@ -13,7 +13,6 @@ from morembs.base.arguments import check_value
 from morembs.base.budget import UNLIMITED, Budget, current_budget
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError, MorembsError, SingularMatrixError
-from morembs.base.former_names import with_budget_argument, with_old_names, with_progress_argument
 from morembs.base.progress import listener, listening
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
@@ -42,7 +41,6 @@ Shared = TypeVar("Shared")
 CONSTRAINT = "constraint modes"
 
 
-@with_old_names(elastic="free_free", internal="fixed_interface")
 @summarised
 class Problem(Closing):
     """M u'' + (D + G) u' + (K + N) u = B f of a model coupled to its interfaces. A context manager.
@@ -63,8 +61,6 @@ class Problem(Closing):
 
     made_by: ClassVar[str] = "Problem(model, interfaces)"
 
-    @with_progress_argument
-    @with_budget_argument
     def __init__(
         self,
         model: FEModel,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from morembs.base.arguments import told
-from morembs.base.former_names import renamed
 from morembs.base.plugins import Registry, subclass_fault
 from morembs.reducers.automatic import AutoReducer
 from morembs.reducers.balanced import BalancedTruncation
@@ -80,7 +79,3 @@ __all__ = [
     "Reducer",
     "StaticModesSwitching",
 ]
-
-__getattr__ = renamed(
-    __name__, {"Automatic": "AutoReducer", "Balanced": "BalancedTruncation", "Facts": "ProblemSummary"}
-)

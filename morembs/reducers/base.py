@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, ClassVar, Self, final
+from typing import TYPE_CHECKING, ClassVar, Self, final
 
 import numpy as np
 import scipy.linalg as sl
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from morembs.base.arguments import check_options, check_value
 from morembs.base.errors import InputError, SolverError
-from morembs.base.former_names import FormerMethod, accept_progress, with_old_names, with_progress_argument
 from morembs.base.summary import hertz, kinds_words, summarised
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz
@@ -53,7 +52,6 @@ MODE_KINDS = (
 )
 
 
-@with_old_names(left="W", inertial="V_velocity")
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Basis:
@@ -78,10 +76,9 @@ class Basis:
     notes: Mapping[str, object] = field(default_factory=dict)
 
 
-@with_old_names(left="W")
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ReducedModel(FormerMethod, TransferFunction):
+class ReducedModel(TransferFunction):
     """M q'' + D q' + K q = B f, interface displacements C q: the projection on ``V`` (Nc, n).
 
     Of a model with gyroscopic or circulatory matrices ``D`` is V'(D + G)V and ``K`` V'(K + N)V, with ``W`` the same
@@ -256,12 +253,7 @@ class Reducer(ABC):
     def _basis(self, problem: Problem) -> Basis:
         """Columns of the reduction and their exact stiffness; ``why_not`` has nothing against ``problem``."""
 
-    def __init_subclass__(cls, **keys: Any) -> None:
-        super().__init_subclass__(**keys)
-        accept_progress(cls, _basis=2, switching=3, variation=3)
-
     @final
-    @with_progress_argument
     def reduce(self, problem: Problem, name: str | None = None) -> ReducedModel:
         """Reduced model of ``problem``.
 

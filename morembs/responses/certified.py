@@ -17,7 +17,6 @@ import scipy.sparse as sp
 from morembs.base import progress
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError, SolverError
-from morembs.base.former_names import with_progress_argument
 from morembs.base.limits import DampingFloor
 from morembs.base.types import Floats
 from morembs.base.units import angular_band, eigenvalue_in_hz
@@ -57,7 +56,6 @@ def floor_of(
     return 0.0 if damping.ratio(np.append(jumps[(jumps > low) & (jumps < high)], low)).all() else TOL.damping_floor
 
 
-@with_progress_argument
 def certified_reference(
     problem: Problem,
     band_hz: Sequence[float],

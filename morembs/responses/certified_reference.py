@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from morembs.base.former_names import with_old_names
 from morembs.base.summary import summarised, upwards
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import angular_band, in_hz
@@ -22,7 +21,6 @@ from morembs.responses.rounding import EPS, RoundoffBound
 from morembs.responses.tolerances import TOL
 
 
-@with_old_names(off="error_bounds")
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CertifiedReference:

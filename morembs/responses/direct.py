@@ -11,7 +11,6 @@ import numpy as np
 
 from morembs.base import progress
 from morembs.base.errors import InputError, SingularMatrixError
-from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Complexes, Floats, Values
 from morembs.base.units import in_hz
 from morembs.base.worker_pool import WorkerPool
@@ -106,7 +105,6 @@ def elastic_statics(problem: Problem, F: Values, *, transposed: bool = False) ->
         return solve(F, transposed=transposed)
 
 
-@with_progress_argument
 def direct_response(problem: Problem, omega: Floats) -> Complexes:
     """Elastic part of H (nf, m, m) at ``omega`` (nf,) in rad/s, one factorisation for each frequency, on the workers of
     the problem.

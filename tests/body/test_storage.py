@@ -205,10 +205,8 @@ def test_damping_ratios_of_modes_are_kept(tmp_path):
         read_body(path)
 
 
-def test_what_0_1_called_is_a_property_now(stored):
+def test_switching_of_other_bodies_is_refused(stored):
     body = read_body(stored).bodies["modal"]
-    with pytest.warns(DeprecationWarning, match="ReducedModel is there without a call"):
-        assert body.reduced() is body.reduced
     with pytest.raises(InputError, match="no static modes of candidate loads"):
         body.switching()
 

@@ -508,14 +508,6 @@ def test_bad_systems_are_told():
         simulate(system, end=1, step=0.1, events=Again())
 
 
-def test_the_former_keyword_of_events_still_works_and_says_so():
-    system = System(gravity=DOWN)
-    system.add(RigidBody(1.0, (1, 1, 1), position=(0, 0, 1)))
-    with pytest.warns(DeprecationWarning, match=r"events=\.\.\."):
-        old = simulate(system, end=0.5, step=7e-3, switch=Floor())
-    assert len(old.segments) == 2
-
-
 class Again(EventHandler):
     def time(self, before, after):
         return before.time + 1e-12

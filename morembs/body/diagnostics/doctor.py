@@ -13,7 +13,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base.errors import InputError
-from morembs.base.former_names import with_budget_argument
 from morembs.base.types import Floats
 from morembs.base.units import Units
 from morembs.body.diagnostics import matrices
@@ -52,7 +51,6 @@ class _Case:
         return Names(nodes=self.nodes, dofs=self.dofs)
 
 
-@with_budget_argument
 def examine(
     K: sp.sparray,
     M: sp.sparray,

@@ -22,7 +22,6 @@ from morembs.base import progress
 from morembs.base.arguments import check_options, check_value
 from morembs.base.budget import current_budget
 from morembs.base.errors import InputError, nearest
-from morembs.base.former_names import with_progress_argument
 from morembs.base.limits import Bounded, Direction, Vector, Wrench
 from morembs.base.types import Floats, Ints
 from morembs.body.floating.buckling import critical_factor
@@ -110,7 +109,6 @@ class Preloaded:
     notes: Mapping[str, object]
 
 
-@with_progress_argument
 def preloaded(problem: Problem, preload: Preload) -> Preloaded:
     """The model of ``problem`` under ``preload``; make a new ``Problem`` of it with the same interfaces.
 
@@ -127,7 +125,6 @@ def preloaded(problem: Problem, preload: Preload) -> Preloaded:
     return _stiffened(problem, u, turning, preload.follows or preload.held, notes)
 
 
-@with_progress_argument
 def prestressed(problem: Problem, displacements: Floats, follows: tuple[str, ...] = ()) -> Preloaded:
     """As ``preloaded``, for the stress of known ``displacements`` (N,) in m, from whatever static solution.
 

@@ -17,7 +17,6 @@ import scipy.sparse as sp
 from morembs.base import progress
 from morembs.base.arguments import check_options
 from morembs.base.errors import InputError, nearest
-from morembs.base.former_names import with_progress_argument
 from morembs.base.limits import Direction, Vector
 from morembs.base.types import Floats
 from morembs.body.floating.static_state import coupling_stiffness, static_state
@@ -91,7 +90,6 @@ def why_no_spin(model: FEModel) -> str:
     return ""
 
 
-@with_progress_argument
 def spinning(problem: Problem, rotation: Rotation) -> Spin:
     """Coriolis matrix, spin softening and centrifugal stiffness of the body of ``problem``.
 

@@ -10,7 +10,6 @@ import scipy.sparse as sp
 
 from morembs.base import progress
 from morembs.base.errors import InputError, nearest
-from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
 from morembs.body.floating.spin import ReducedSpin, whirl_modes
 from morembs.body.floating.spinning import Spin
@@ -21,7 +20,6 @@ from morembs.problem import Damping, Problem
 from morembs.reducers.base import ReducedModel
 
 
-@with_progress_argument
 def spinning_modes(
     problem: Problem, spin: Spin, speed: float, count: int, *, start: Floats | None = None
 ) -> ComplexModes:

@@ -16,7 +16,6 @@ import scipy.sparse as sp
 
 from morembs.base import progress
 from morembs.base.errors import InputError, SolverError
-from morembs.base.former_names import with_progress_argument
 from morembs.base.types import Floats
 from morembs.body.floating.frame import FloatingFrame, frame_rows, why_not_floating
 from morembs.body.floating.integrals import PAIRS
@@ -42,7 +41,6 @@ def why_no_stiffening(model: FEModel) -> str:
     return ""
 
 
-@with_progress_argument
 def geometric_stiffening(
     problem: Problem, reduced: ReducedModel, frame: FloatingFrame, envelope: Envelope | None = None
 ) -> Stiffening:

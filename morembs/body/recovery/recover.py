@@ -12,7 +12,6 @@ import numpy as np
 from morembs.base import progress
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
-from morembs.base.former_names import with_progress_argument
 from morembs.base.limits import number
 from morembs.body.body import Body
 from morembs.body.file import read_body
@@ -47,7 +46,6 @@ class Recovered:
     notes: tuple[str, ...] = ()
 
 
-@with_progress_argument
 @keeping_ledger()
 def recover(
     body_file: str | Path,

@@ -26,7 +26,7 @@ from morembs.storage.writer import writing
 Key = tuple[int, int, int, int]
 
 
-class _Format:
+class EquilibriaFormat:
     """Format of a file of equilibria, whose attribute ``kind`` is the name and the version."""
 
     NAME = "morembs equilibria"
@@ -83,9 +83,9 @@ class Checkpoint:
         cure = "give the name of another such file, or of a new one"
         with own_files(), reading(self.path, "equilibria of an earlier run", cure) as file:
             kind, _, version = str(file.attrs.get("kind")).rpartition(" ")
-            if kind != _Format.NAME or not version.isdecimal():
+            if kind != EquilibriaFormat.NAME or not version.isdecimal():
                 raise KeyError("kind")
-            refuse_newer(self.path, int(version), _Format.VERSION, f"install a newer one, or {cure}")
+            refuse_newer(self.path, int(version), EquilibriaFormat.VERSION, f"install a newer one, or {cure}")
             if len(file["keys"]):
                 TableCheck(self.path, file, "file of equilibria", cure).table("", _EQUILIBRIA, {})
             values = read_rows(file, _EQUILIBRIA)
@@ -129,7 +129,7 @@ class Checkpoint:
         begin = time.monotonic()
         with writing(self.path) as out:
             file = out.file
-            file.attrs["kind"] = f"{_Format.NAME} {_Format.VERSION}"
+            file.attrs["kind"] = f"{EquilibriaFormat.NAME} {EquilibriaFormat.VERSION}"
             file["signature"], file["options"] = self.signature, self.options
             file["reach"], file["notes"] = self.reach, json.dumps(self.notes)
             file["keys"] = np.array(list(self.equilibria), dtype=np.int64).reshape(-1, 4)

@@ -13,7 +13,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base.arguments import checked
-from morembs.base.former_names import with_progress_argument
 from morembs.base.limits import Count
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.data import Formulation, Parameterised
@@ -45,7 +44,6 @@ class ReducedMember:
 
     report: Report | None = None
 
-    @with_progress_argument
     def __init__(
         self,
         component: NonlinearComponent,

@@ -18,7 +18,6 @@ from numpy.polynomial.chebyshev import chebvander
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
-from morembs.base.former_names import with_progress_argument
 from morembs.base.limits import Count
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.chebyshev import ChebyshevTable, points
@@ -58,7 +57,6 @@ class _Sample:
     H: Floats
 
 
-@with_progress_argument
 @checked
 def solid_member(
     solid: NonlinearSolid,

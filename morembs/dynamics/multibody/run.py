@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -118,7 +117,6 @@ def simulate(
     events: EventHandler | None = None,
     corrected_start: bool = True,
     max_deflection: float | None = 1.0,
-    switch: EventHandler | None = None,
     start: State | Equilibrium | None = None,
     sensitivities: Sequence[str] | bool = False,
 ) -> Result:
@@ -129,7 +127,7 @@ def simulate(
     Args:
         rho: spectral radius at infinite frequency, 1 no numerical damping, 0 the most.
         tolerance: of Newton's method, relative to the largest velocity in the norm of kinetic energy.
-        events: stops the run at events, with a restart of second order at each (``switch`` is its old name).
+        events: stops the run at events, with a restart of second order at each.
         corrected_start: start and restart of second order (Arnold, Bruels and Cardona 2015). Without it multipliers
             are of first order after each start.
         max_deflection: of an elastic body in its floating frame, per length of the body; None for any.
@@ -142,11 +140,9 @@ def simulate(
         InputError: invalid times, joints that are open or redundant, velocities that violate joints.
         SolverError: a step that does not converge, with its time and size; a deflection beyond ``max_deflection``.
     """
-    if switch is not None:
-        warnings.warn("simulate(switch=...) is now simulate(events=...)", DeprecationWarning, stacklevel=2)
     run = Run(
         system,
-        events or switch or Events(),
+        events or Events(),
         begin=begin,
         end=end,
         step=step,

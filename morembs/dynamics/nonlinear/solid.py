@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike
 
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError, nearest
-from morembs.base.former_names import with_budget_argument
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.rotation_vectors import curvature, shortened, tangents, turned
 from morembs.dynamics.nonlinear.total_lagrangian import SaintVenantKirchhoff
@@ -61,7 +60,6 @@ class NonlinearSolid:
             small rotations only.
     """
 
-    @with_budget_argument
     def __init__(self, model: FEModel, interfaces: Sequence[Interface] = ()) -> None:
         self.elements = SaintVenantKirchhoff(model)
         self.model, self.interfaces = model, {interface.name: interface for interface in interfaces}

@@ -17,7 +17,6 @@ import scipy.sparse as sp
 
 from morembs.base.budget import Budget, current_budget
 from morembs.base.errors import InputError, SolverError
-from morembs.base.former_names import with_budget_argument
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel
 from morembs.fem.assembly import chunks, node_graph, stiffness_pattern
@@ -56,7 +55,6 @@ class SaintVenantKirchhoff:
             elements whose formulation is one of small strains.
     """
 
-    @with_budget_argument
     def __init__(self, model: FEModel) -> None:
         if model.mesh is None or not model.materials or not model.dofs.is_solid:
             raise InputError(

@@ -13,7 +13,6 @@ import scipy.sparse as sp
 
 from morembs.base.closing import Closing
 from morembs.base.errors import InputError, SingularMatrixError, SolverError
-from morembs.base.former_names import accept_former_methods
 from morembs.base.types import Values
 from morembs.linalg.sparse.cost import FactorStats, Forecast
 from morembs.linalg.sparse.symmetric import General, Lower
@@ -145,10 +144,6 @@ class Factorization(_Resource):
 
 class Analysis(_Resource):
     """Symbolic analysis of one pattern, for matrices with that pattern. One factor of it lives at a time."""
-
-    def __init_subclass__(cls, **keys: Any) -> None:
-        super().__init_subclass__(**keys)
-        accept_former_methods(cls, _factorize="factorize_unchecked")
 
     def __init__(self, pattern: Lower, structure: str) -> None:
         super().__init__()

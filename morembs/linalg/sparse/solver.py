@@ -16,7 +16,6 @@ import scipy.sparse as sp
 
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
-from morembs.base.former_names import with_old_names
 from morembs.base.limits import one_of
 from morembs.base.types import Floats
 from morembs.linalg.sparse.cost import FactorStats, Forecast
@@ -45,7 +44,6 @@ __all__ = [
 Structure = Annotated[str, one_of(*STRUCTURES)]
 
 
-@with_old_names(knowing="with_near_null_space")
 @dataclass(frozen=True, kw_only=True)
 class LinearSolver(ABC):
     """Configuration of a sparse solver.
