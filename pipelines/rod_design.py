@@ -47,7 +47,7 @@ class Rod:
             columns = [problem.rigid_terms.reshape(problem.K.shape[0], -1)]
             for t in (-0.2, 0.0, 0.2):
                 with problem.at(self.box.point({"t": t})) as there:
-                    columns += [there.elastic_modes(count=4).vectors, there.elastic.flexibility(there.B.toarray())]
+                    columns += [there.elastic_modes(count=4).vectors, there.free_free.flexibility(there.B.toarray())]
             X = np.hstack(columns)
             Q, R, _ = qr(X / np.maximum(np.linalg.norm(X, axis=0), 1e-300), mode="economic", pivoting=True)
             V = Q[:, np.abs(np.diag(R)) > 1e-9]

@@ -60,7 +60,7 @@ def some_basis(problem, modes=8, corners=6):
     values[:, varied] = np.where(high[:, : len(varied)], problem.box.high[varied], problem.box.low[varied])
     for p in (problem.box.nominal, *values[:corners]):
         with problem.at(p) as there:
-            columns += [there.elastic_modes(count=modes).vectors, there.elastic.flexibility(there.B.toarray())]
+            columns += [there.elastic_modes(count=modes).vectors, there.free_free.flexibility(there.B.toarray())]
     X = np.hstack(columns)
     Z = problem.rigid
     X -= Z @ (Z.T @ (problem.M @ X))
