@@ -1,5 +1,5 @@
 """Writes the tables of docs from those that writers, readers and checks of files and jobs go by, from the reducers and
-from the tolerances of the rooms.
+from the tolerances of the rooms; and the version where pages, recipe and citation name it.
 
 A table stands between the lines <!-- table: NAME --> and <!-- end -->; what is around it is written by hand. With
 --check nothing is written, and the exit code is 1 where a page is stale.
@@ -43,6 +43,7 @@ from morembs.reducers import REDUCERS, Reducer
 from morembs.responses.static_mode_tables import StaticModeTables
 from morembs.storage.kinds import KINDS
 from morembs.storage.table import Row, Table, table_of
+from morembs.version import VERSION
 
 ROOT = Path(__file__).resolve().parents[1]
 # Name of a table on a page -> paths of its groups as they are shown, and their tables.
@@ -62,6 +63,9 @@ SHOWN = {
     "model file": [("", MODEL)],
     "simulation": [("/", RECORDING)],
 }
+# Files beside docs that name the version, and the words in front of it there.
+NAMED = ("README.md", "CITATION.cff", "conda/recipe/meta.yaml")
+VERSIONS = re.compile(r'^(version: |{% set version = "|.*?\bmorembs-)\d+\.\d+\.\d+(?=-py3-none-any|"|$)', re.MULTILINE)
 # Tables within tables of system files that have many keys.
 UNFOLDED = (LawTable, MotionTable, SwitchingTable, SurfaceTable)
 
@@ -207,12 +211,14 @@ def renewed(text: str) -> str:
             rows = [line for at, part in SHOWN[match[1]] for line in lines(at, part)]
         return "\n".join([f"<!-- table: {match[1]} -->", *head, *rows, "<!-- end -->"])
 
+    text = VERSIONS.sub(rf"\g<1>{VERSION}", text)
     return re.sub(r"<!-- table: (.*?) -->\n.*?<!-- end -->", table, text, flags=re.DOTALL)
 
 
 def stale() -> dict[Path, str]:
     """Pages that are not as they should be, and how they should be."""
-    pages = {page: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs").rglob("*.md"))}
+    named = [*sorted((ROOT / "docs").rglob("*.md")), *(ROOT / name for name in NAMED)]
+    pages = {page: page.read_text(encoding="utf-8") for page in named}
     return {page: new for page, text in pages.items() if (new := renewed(text)) != text}
 
 
