@@ -1,4 +1,4 @@
-"""Files that 0.1.0 wrote are read for ever, and those of a later version are refused in one message.
+"""Files that 0.1.0 and 0.2.0 wrote are read for ever, and those of a later version are refused in one message.
 
 ``tests/support/released.py`` made the files, and says how.
 """
@@ -25,12 +25,13 @@ from morembs.importers.native import import_native
 from tests.support.released import body_file, described, member
 
 RELEASED = Path(__file__).parents[1] / "data" / "0.1.0"
-EXPECTED = json.loads((RELEASED / "expected.json").read_text())
+LATER = Path(__file__).parents[1] / "data" / "0.2.0"
+EXPECTED = {**json.loads((RELEASED / "expected.json").read_text()), **json.loads((LATER / "expected.json").read_text())}
 
 
 @pytest.fixture
 def unpacked(tmp_path: Path) -> Path:
-    for packed in RELEASED.glob("*.gz"):
+    for packed in (*RELEASED.glob("*.gz"), *LATER.glob("*.gz")):
         (tmp_path / packed.stem).write_bytes(gzip.decompress(packed.read_bytes()))
     return tmp_path
 
@@ -41,7 +42,7 @@ def compare(name: str, values: dict[str, object]) -> None:
     assert {place: values.get(place, "missing") for place in expected} == expected
 
 
-@pytest.mark.parametrize("name", ["symmetric.h5", "two_sided.h5"])
+@pytest.mark.parametrize("name", ["symmetric.h5", "two_sided.h5", "limits.h5", "design.h5", "turning.h5"])
 def test_body_files(unpacked: Path, name: str) -> None:
     compare(name, body_file(unpacked / name, read_body, read_recovery))
 
@@ -54,6 +55,27 @@ def test_what_the_body_files_hold(unpacked: Path) -> None:
     assert rail.has_switching and rail.has_recovery and rail.certificate and rail.ranking
     assert rail.floating is not None and rail.floating.stiffening is not None and rail.floating.kind == "tangent"
     assert not np.array_equal(both.input_matrix.T, both.output_matrix)
+
+
+def test_what_files_of_0_2_hold_beyond(unpacked: Path) -> None:
+    limits, design, turning = (read_body(unpacked / f"{name}.h5") for name in ("limits", "design", "turning"))
+    certificate = limits.bodies["craig-bampton"].certificate
+    assert certificate is not None and certificate.kind == "proven" and 0 < certificate.limit.upper < np.inf
+    assert certificate.proof and "limits" in certificate.datasets
+    parametric = design.bodies["parametric"].parametric
+    assert parametric is not None and parametric.names == ("E",)
+    softest, stiffest = (parametric.at(E=value).frequencies_hz for value in (2e11, 2.2e11))
+    assert stiffest[-1] == pytest.approx(softest[-1] * 1.1**0.5, rel=1e-6)
+    (body,) = turning.bodies.values()
+    assert turning.format_version == 3 and not np.allclose(body.damping_matrix, body.damping_matrix.T)
+
+
+@pytest.mark.parametrize(("name", "version"), [("tied", 2), ("turning", 3)])
+def test_models_of_0_2(unpacked: Path, name: str, version: int) -> None:
+    path = unpacked / f"{name}.model.h5"
+    compare(path.name, described(read_model(path)))
+    with h5py.File(path) as file:
+        assert file["format_version"][()] == version
 
 
 def test_certificates_of_the_first_version(unpacked: Path, capsys: pytest.CaptureFixture[str]) -> None:

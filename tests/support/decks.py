@@ -31,7 +31,7 @@ JOB: dict[str, str] = {
     "reduce": 'name = "cb"\nmethod = "craig-bampton"\nmodes = 4',
     "output": 'path = "part.h5"',
 }
-ARRAYS = {"material", "interface", "reduce"}
+ARRAYS = {"parameter", "material", "interface", "reduce"}
 
 
 def refusals(read: Callable[[], object]) -> list[tuple[str, int, tuple[str, ...]]]:

@@ -5,6 +5,8 @@ The files of 0.1.0 in ``tests/data/0.1.0`` were made by this module with the cod
     git archive c6ca06f | tar x -C OLD
     PYTHONPATH=OLD python tests/support/released.py tests/data/0.1.0
 
+Those of 0.2.0 in ``tests/data/0.2.0``, with what 0.1.0 could not hold, were made with its code and ``later`` behind.
+
 They are never made anew: ``tests/storage/test_released_files.py`` reads them with today's readers.
 """
 
@@ -28,6 +30,7 @@ sys.path.append(str(Path(__file__).parents[2]))
 from tests.support import decks
 
 CELLS, SIZE = (4, 1, 1), (400.0, 50.0, 30.0)
+PLAIN = (str, int, float, list, type(None))
 # Tables of the jobs, by ``decks.job``.
 BAR: dict[str, str | None] = {
     "model": 'mesh = "bar.inp"\nunits = "mm-t-s"',
@@ -52,6 +55,18 @@ JOBS: dict[str, dict[str, str | None]] = {
         "reduce": 'name = "both"\nmethod = "krylov"\nshifts_hz = [1000.0]\ntwo_sided = true\ninputs = ["left end"]\n'
         'outputs = ["right"]',
         "output": 'path = "two_sided.h5"\nnodes = "interfaces"',
+    },
+}
+LATER_JOBS: dict[str, dict[str, str | None]] = {
+    "limits": {
+        "reduce": 'method = "craig-bampton"\nmodes = 2',
+        "certify": "band_hz = [0.0, 2000.0]\npoints = 4",
+        "output": 'path = "limits.h5"\nnodes = "interfaces"',
+    },
+    "design": {
+        "parameter": 'name = "E"\nproperty = "young"\nset = "all"\nrange = [2e5, 2.2e5]',
+        "reduce": 'method = "parametric"\nband_hz = [0.0, 500.0]\ntolerance = 0.1',
+        "output": 'path = "design.h5"\nnodes = "interfaces"',
     },
 }
 
@@ -149,6 +164,47 @@ def make(folder: Path) -> None:
     (folder / "expected.json").write_text(json.dumps(expected, indent=0, sort_keys=True) + "\n")
 
 
+def make_later(folder: Path) -> None:
+    """Write files of 0.2.0 with what 0.1.0 could not hold: proven limits, parameters, equations, skew parts.
+
+    Runs with the code of that version alone.
+    """
+    import morembs
+    from morembs.app.jobs.job import load_job
+    from morembs.app.jobs.run import run_job
+    from morembs.body.recovery_shapes import read_recovery
+
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "bar.inp").write_text(deck())
+    expected = {}
+    for name, tables in LATER_JOBS.items():
+        toml = folder / f"{name}.toml"
+        toml.write_text(decks.job({**BAR, **tables}))
+        run_job(load_job(toml))
+        toml.unlink()
+        expected[f"{name}.h5"] = body_file(folder / f"{name}.h5", morembs.read_body, read_recovery)
+    (folder / "tied.inp").write_text(deck() + "*EQUATION\n2\n17, 1, 1., 18, 1, -1.\n")
+    steel = morembs.isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)
+    tied = morembs.import_model(folder / "tied.inp", materials=[steel], units="mm-t-s")
+    K, M = np.diag([2.0, 3.0, 5.0, 7.0]) * 1e6, np.eye(4)
+    G = np.array([[0, 40.0, 0, 0], [-40.0, 0, 0, 0], [0, 0, 0, 3.0], [0, 0, -3.0, 0]])
+    turning = morembs.from_matrices(K, M, B=np.eye(4)[:, :2], C=np.eye(4)[1:3], G=G, name="turning")
+    for name, model in (("tied", tied), ("turning", turning)):
+        morembs.write_model(folder / f"{name}.model.h5", model)
+        expected[f"{name}.model.h5"] = described(morembs.read_model(folder / f"{name}.model.h5"))
+    inputs = [morembs.matrix_interface(turning, name="B", matrix="B")]
+    with morembs.Problem(turning, inputs) as problem:
+        reduced = morembs.Krylov(shifts_hz=[100.0], order=2).reduce(problem, name="turning")
+        body = morembs.elastic_body(problem, reduced, morembs.make_part(problem))
+    morembs.write_body(folder / "turning.h5", [body])
+    expected["turning.h5"] = body_file(folder / "turning.h5", morembs.read_body, read_recovery)
+    for path in folder.glob("*.inp"):
+        path.unlink()
+    # Without objects that read at demand.
+    plain = {name: {at: v for at, v in found.items() if isinstance(v, PLAIN)} for name, found in expected.items()}
+    (folder / "expected.json").write_text(json.dumps(plain, indent=0, sort_keys=True) + "\n")
+
+
 def body_file(path: Path, read_body: Any, read_recovery: Any) -> dict[str, Any]:
     """All that a reader finds in a body file, with what it reads at demand."""
     import h5py
@@ -175,4 +231,4 @@ def body_file(path: Path, read_body: Any, read_recovery: Any) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    make(Path(sys.argv[1]))
+    (make_later if "later" in sys.argv[2:] else make)(Path(sys.argv[1]))
