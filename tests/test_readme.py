@@ -335,7 +335,9 @@ OTHER_FRAGMENTS = [
 ]
 
 
-@pytest.mark.parametrize("page", ["background/methods.md", "background/certificate.md", "background/proofs.md"])
+@pytest.mark.parametrize(
+    "page", ["background/methods.md", "background/certificate.md", "background/proofs.md", "howto/solvers.md"]
+)
 def test_a_page_begins_with_commands_that_run(page, tmp_path):
     first, *_ = (ROOT / "docs" / page).read_text().partition("\n## ")
     lines = re.findall(r"^    morembs (.*)$", first, re.MULTILINE)
@@ -416,6 +418,7 @@ RUN = {
     "multibody.md": {"python": 4, "python divided": 1},
     "parametric.md": {"toml": 2, "python": 2},
     "scale.md": {"toml": 1, "sh": 1},
+    "recipes.md": {"toml": 1, "python": 1},
     "schema.md": {"python": 4, "octave": 1, "matlab": 1, "sh": 1},
     "simulate.md": {"toml": 4},
     "simulators.md": {"python": 3},
