@@ -90,3 +90,42 @@ def test_a_batch_where_there_are_no_locks_nor_fork(tmp_path: Path) -> None:
     twice = COMMANDS.format(commands=[["batch", job.name, "-q"], ["batch", job.name, "-q"]], more="")
     done = run("windows", tmp_path, twice)
     assert "1 done" in done and "1 unchanged" in done and "error" not in done
+
+
+# As on Windows, whose own class of processes is not there to be tried; what is asked for is told at the end.
+SPAWNING = """
+import multiprocessing
+asked, context = [], multiprocessing.get_context
+multiprocessing.get_all_start_methods = lambda: ["spawn"]
+multiprocessing.get_context = lambda method=None: asked.append(method) or context(method)
+"""
+
+
+def test_processes_are_spawned_in_a_folder_with_spaces_and_letters_beyond_ascii(tmp_path: Path) -> None:
+    folder = tmp_path / "Größe 1, 部品 & co"
+    folder.mkdir()
+    tables = {
+        "reduce": 'name = "few"\nmethod = "krylov"\nshifts_hz = [100.0, 400.0, 900.0]',
+        "solver": "workers = 2",
+        "check": "full_modes = 0",
+        "output": 'path = "Körper 1.h5"',
+    }
+    job = decks.folder(folder, tables, decks.deck(decks.BEAM))
+    job = job.rename(folder / "Auftrag ü.toml")
+    commands = [["reduce", job.name], ["info", "Körper 1.h5"], ["export", "Körper 1.h5", "--to", "exudyn"]]
+    done = run("macos", folder, SPAWNING + COMMANDS.format(commands=commands, more="print('asked for', set(asked))"))
+    assert "error" not in done and "asked for {'spawn'}" in done, done
+    assert all(f"{verb} done" in done for verb in ("reduce", "info", "export"))
+    assert read_body(folder / "Körper 1.h5").bodies["few"].rigid_count == 6
+
+
+def test_names_in_the_repository_are_names_everywhere() -> None:
+    """No two differ by case alone, and none has what Windows refuses."""
+    for top in ("morembs", "tests", "docs", "data", "scripts", "benchmarks", "pipelines", "studies"):
+        names = [
+            path.relative_to(ROOT).as_posix() for path in (ROOT / top).rglob("*") if "__pycache__" not in path.parts
+        ]
+        assert len({name.lower() for name in names}) == len(names)
+        for name in names:
+            assert not set(name) & set('<>:"|?*\\') and not name.endswith((".", " ")), name
+            assert Path(name).stem.lower() not in ("con", "prn", "aux", "nul"), name
