@@ -12,6 +12,8 @@ What counts as a number:
 - A literal in a function counts where it is a float other than 0.5 and whole numbers up to 12, or an integer beyond 64
   that is no power of two, unless it changes units (``UNITS``) or a comment stands in its line or in the line above.
   Defaults of parameters are literals too.
+
+Words that the field does not use and sentences of more than 35 words are counted by ``prose.py``, from ``words.toml``.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+
+import prose
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "morembs"
@@ -44,6 +48,10 @@ LIMITS = {
     "formatter switched off": (2, 20),
     "aliases defined twice": (0, 0),
     "types of a body": (1, 1),
+    "dialect in names": (999, 0),
+    "dialect in code texts": (999, 0),
+    "dialect in docs": (999, 0),
+    "long sentences in docs": (999, 0),
 }
 
 
@@ -201,6 +209,28 @@ def bodies(modules: list[Module]) -> Iterator[str]:
                 yield module.place(node, node.name)
 
 
+def dialect_in_names(modules: list[Module]) -> Iterator[str]:
+    """Names that the field does not use."""
+    for module in modules:
+        yield from prose.dialect_in_names(module.tree, str(module.path.relative_to(ROOT)))
+
+
+def dialect_in_code(modules: list[Module]) -> Iterator[str]:
+    """Words in docstrings and messages that the field does not use."""
+    for module in modules:
+        yield from prose.dialect_in(prose.texts_of_code(module.tree, str(module.path.relative_to(ROOT))))
+
+
+def dialect_in_docs(_: list[Module]) -> Iterator[str]:
+    """Words in README and docs that the field does not use."""
+    return prose.dialect_in(prose.pages())
+
+
+def long_sentences(_: list[Module]) -> Iterator[str]:
+    """Sentences of README and docs that are too long, without a reason."""
+    return prose.long_sentences(prose.pages())
+
+
 COUNTS: dict[str, Callable[[list[Module]], Iterator[str]]] = {
     "rooms": rooms,
     "context parameters": context_parameters,
@@ -211,6 +241,10 @@ COUNTS: dict[str, Callable[[list[Module]], Iterator[str]]] = {
     "formatter switched off": formatter_off,
     "aliases defined twice": aliases_twice,
     "types of a body": bodies,
+    "dialect in names": dialect_in_names,
+    "dialect in code texts": dialect_in_code,
+    "dialect in docs": dialect_in_docs,
+    "long sentences in docs": long_sentences,
 }
 
 
