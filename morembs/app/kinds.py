@@ -68,7 +68,7 @@ def kind_of(path: Path) -> Kind | None:
 
 
 def _holds_system(path: Path) -> bool:
-    """Whether a TOML file has the table of systems, also where it is not valid TOML."""
+    """True if a TOML file has the table of systems, also where it is not valid TOML."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):

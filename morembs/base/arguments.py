@@ -141,7 +141,7 @@ def check_value(name: str, value: object, hint: Any) -> None:
     """Refuse a ``value`` called ``name`` that is not as ``hint`` says.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     if not fits(value, hint):
         raise InputError(f"{name} = {shown(value)} was given; expected {words(hint)}")
@@ -179,7 +179,7 @@ def _annotations(target: Any) -> Iterator[tuple[str, Any, str]]:
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Whether ``value`` is of the type ``hint``, numbers of NumPy and arrays in place of sequences included."""
+    """True if ``value`` is of the type ``hint``, numbers of NumPy and arrays in place of sequences included."""
     kind, parts = get_origin(hint), get_args(hint)
     if kind is Annotated:
         return fits(value, parts[0]) and all(part.passes(value) for part in parts[1:] if isinstance(part, Domain))
@@ -240,7 +240,7 @@ def _is_number(value: Any, hint: type) -> bool:
 
 
 def _is_array(value: Any, parts: tuple[Any, ...]) -> bool:
-    """Whether it holds real numbers; ``parts`` of a hint NDArray ask for one axis or more, and maybe integers."""
+    """True if it holds real numbers; ``parts`` of a hint NDArray ask for one axis or more, and maybe integers."""
     try:
         array = np.asarray(value)
     except (TypeError, ValueError, OverflowError):

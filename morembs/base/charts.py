@@ -175,7 +175,7 @@ class Chart:
 
 
 def _has_positive(rows: Iterable[Floats]) -> bool:
-    """Whether an axis of ratios has a place for any of the numbers."""
+    """True if an axis of ratios has a place for any of the numbers."""
     return any(bool((np.asarray(row) > 0).any()) for row in rows)
 
 

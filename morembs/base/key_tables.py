@@ -30,7 +30,7 @@ class Table:
         """Refuse keys that do not go together, each of which is right by itself.
 
         Raises:
-            InputError: as said.
+            InputError: in these cases.
         """
 
     def values(self, *, but: Collection[str] = (), without_none: bool = False) -> dict[str, Any]:
@@ -159,7 +159,7 @@ def inner_table(hint: Any) -> type[Table] | None:
 
 
 def holds_several(hint: Any) -> bool:
-    """Whether a hint is that of a list."""
+    """True if a hint is that of a list."""
     return get_origin(get_args(hint)[0] if get_origin(hint) is Annotated else hint) is list
 
 

@@ -141,7 +141,7 @@ def _abandoned(folder: Path) -> bool:
 
 
 def _free(mark: Path) -> bool:
-    """Whether nobody holds the lock of a mark of this machine."""
+    """True if nobody holds the lock of a mark of this machine."""
     if fcntl is None:
         return False
     handle = os.open(mark, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
@@ -169,7 +169,7 @@ def _process(number: int) -> bytes:
 
 
 def _ended(mark: bytes) -> bool:
-    """Whether the process that wrote the ``mark`` on this machine has ended."""
+    """True if the process that wrote the ``mark`` on this machine has ended."""
     number, _, machine = [*mark.split(b" ", 2), b"", b""][:3]
     return machine == _machine() and number.isdigit() and _process(int(number)) != mark
 

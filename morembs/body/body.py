@@ -219,17 +219,17 @@ class Body(Viewed):
 
     @property
     def has_recovery(self) -> bool:
-        """Whether there are stress shapes."""
+        """True if there are stress shapes."""
         return bool(self.recovery)
 
     @property
     def has_switching(self) -> bool:
-        """Whether there are static modes of candidate loads."""
+        """True if there are static modes of candidate loads."""
         return bool(self.switching)
 
     @property
     def has_parameters(self) -> bool:
-        """Whether the body can be evaluated at other values."""
+        """True if the body can be evaluated at other values."""
         return bool(self.parameters)
 
     @property
@@ -239,7 +239,7 @@ class Body(Viewed):
 
     @property
     def symmetric(self) -> bool:
-        """Whether all matrices are symmetric: one-sided, without gyroscopic and circulatory terms."""
+        """True if all matrices are symmetric: one-sided, without gyroscopic and circulatory terms."""
         both = self.stiffness_matrix, self.damping_matrix
         return self._one_sided and all(
             np.abs(A - A.T).max(initial=0.0) <= TOL.asymmetry * np.abs(A).max(initial=0.0) for A in both

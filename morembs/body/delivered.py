@@ -162,7 +162,7 @@ def _of_stored(body: Body, file: StoredBodies) -> Delivered:
 
 
 def _meant_symmetric(body: Body, file: StoredBodies) -> bool:
-    """Whether matrices have to be symmetric: skew parts are in files of version 3 only, elsewhere they are damage."""
+    """True if matrices have to be symmetric: skew parts are in files of version 3 only, elsewhere they are damage."""
     return bool(np.array_equal(body.input_matrix.T, body.output_matrix)) and (
         file.format_version < FormatVersion.SKEW_PARTS or body.symmetric
     )

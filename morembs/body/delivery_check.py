@@ -130,12 +130,12 @@ def _definite(given: Delivered, findings: list[Finding], facts: dict[str, Any]) 
 
 
 def _congruent(given: Delivered) -> bool:
-    """Whether motions are expanded with the basis that the equations were tested with."""
+    """True if motions are expanded with the basis that the equations were tested with."""
     return given.symmetric or bool(np.array_equal(given.B.T, given.C))
 
 
 def _round_off(A: Floats, given: Delivered) -> bool:
-    """Whether what is negative in A lies in coordinates that it hardly resists, as rigid-body motion.
+    """True if what is negative in A lies in coordinates that it hardly resists, as rigid-body motion.
 
     A body of rigid-body motion alone has nothing but round-off in K and D.
     """

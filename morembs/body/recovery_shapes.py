@@ -110,7 +110,7 @@ class Recovery:
 
     @cached_property
     def seams(self) -> bool:
-        """Whether some node is more than one point."""
+        """True if some node is more than one point."""
         return len(np.unique(self.points)) < len(self.points)
 
     def at(self, coordinates: Floats, loads: Floats | None = None) -> Floats:

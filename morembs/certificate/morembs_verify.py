@@ -889,7 +889,7 @@ def belong(body: str, model: str, witness: str) -> list[str]:
 
 
 def verify(body: str, model: str, witness: str, found: list[Array] | None = None) -> tuple[bool, bool, str]:
-    """Whether the files belong to each other, whether the limits are proven, and sentences that say so."""
+    """True if the files belong to each other, whether the limits are proven, and sentences that say so."""
     others = belong(body, model, witness)
     said = ["belongs: " + (f"no, the {' and the '.join(others)} was changed" if others else "yes, as they were made")]
     with h5py.File(body, "r") as bodies, h5py.File(model, "r") as matrices, h5py.File(witness, "r") as given:

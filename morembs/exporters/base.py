@@ -66,7 +66,7 @@ class Destination:
         """Refuse to write over the body file.
 
         Raises:
-            InputError: as said.
+            InputError: in these cases.
         """
         if self.file is not None and _same(path, self.file):
             raise InputError(f"{path} is the body file itself; give another name for the output")
@@ -232,7 +232,7 @@ class Exporter(ABC):
         """Refuse files that are not the body, before they get their names.
 
         Raises:
-            OutputError: as said.
+            OutputError: in these cases.
         """
         try:
             read = self._read_back(context, files)

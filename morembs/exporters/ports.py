@@ -117,7 +117,7 @@ def refuse_loose(ports: Sequence[Port], rows: Sequence[int], rigid: Floats) -> N
         rigid: motion (m, r) of all degrees of freedom by the r rigid-body motions that the part has.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     at = rigid[list(rows)]
     size = np.linalg.norm(at, axis=1)

@@ -134,7 +134,7 @@ class Truncation:
 
     @property
     def is_proven(self) -> bool:
-        """Whether fast and slow states act on each other by no more than round-off."""
+        """True if fast and slow states act on each other by no more than round-off."""
         A, slow = self.system.A, np.setdiff1d(np.arange(len(self.system.A)), self.fast)
         across = np.abs(np.hstack([A[np.ix_(slow, self.fast)].ravel(), A[np.ix_(self.fast, slow)].ravel()]))
         return bool(across.max(initial=0.0) <= TOL.rigid_damping * np.abs(np.diag(A)).max(initial=0.0))
@@ -223,7 +223,7 @@ def refuse_nothing_left(name: str, step: float, left: int) -> None:
     """Refuse a step that resolves no motion.
 
     Raises:
-        StepTooLongError: as said.
+        StepTooLongError: in these cases.
     """
     if not left:
         raise StepTooLongError(

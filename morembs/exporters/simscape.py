@@ -111,7 +111,7 @@ def refuse_not_symmetric(body: Body, target: str) -> None:
     """Refuse a body that is none to a ``target`` with symmetric matrices and a mass for each coordinate.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     matrices = (body.stiffness_matrix, body.mass_matrix, body.damping_matrix)
     if any(np.abs(A - A.T).max() > TOL.asymmetry * np.abs(A).max() for A in matrices):

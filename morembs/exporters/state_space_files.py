@@ -67,7 +67,7 @@ def refuse_displacement(path: Path, inputs: Sequence[str]) -> None:
     """Refuse an input that a proper state space does not take, in a .mat file.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     if path.suffix == ".mat" and any(":displacement" in text for text in inputs):
         raise InputError(

@@ -310,7 +310,7 @@ class FEModel:
 
 
 def has_places(model: FEModel) -> bool:
-    """Whether dofs are motions of nodes at different places; all others are abstract coordinates."""
+    """True if dofs are motions of nodes at different places; all others are abstract coordinates."""
     xyz = model.nodes.xyz[model.dofs.node[model.dofs.component < Component.SCALAR]]
     return bool(len(xyz) and np.ptp(xyz, axis=0).any())
 
@@ -398,7 +398,7 @@ def refuse_complex(model: FEModel) -> None:
     """Refuse complex matrices, as reductions take real ones.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     for name in MATRICES:
         A = getattr(model, name)
@@ -413,7 +413,7 @@ def refuse_unsymmetric(model: FEModel, names: Sequence[str] = ("K", "M", "D")) -
     """Refuse K, M and D that are not symmetric: their skew parts belong into N and G.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     for name in names:
         A = getattr(model, name)

@@ -113,7 +113,7 @@ class Formulation:
 
     @property
     def is_plain(self) -> bool:
-        """Whether strains are those of the gradients at the points, and nothing else."""
+        """True if strains are those of the gradients at the points, and nothing else."""
         return not (self.mean or self.change or self.hourglass)
 
     def points(self, kind: ElementType) -> Rule:

@@ -26,7 +26,7 @@ _Parts = tuple[Floats, Floats]
 
 
 def has_inner_modes(mesh: Mesh) -> bool:
-    """Whether elements have modes that are dofs."""
+    """True if elements have modes that are dofs."""
     return any(formulation_of(block).has_modes for block in mesh.blocks)
 
 

@@ -57,7 +57,7 @@ def residual(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> Residual:
 
 
 def mounted(residuals: Residual, nodes: Nodes, dofs: DofMap) -> bool:
-    """Whether springs between nodes and the ground explain all force under rigid motion.
+    """True if springs between nodes and the ground explain all force under rigid motion.
 
     Then turning gives the force that the same springs give under the displacement which turning means at their node.
     In a wrong order of the dofs it does not.

@@ -188,7 +188,7 @@ def refuse_compressed(path: Path) -> None:
     """Refuse a compressed file other than a matrix .mtx.gz.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     if path.suffix.lower() in _UNPACK:
         unpack = f"{_UNPACK[path.suffix.lower()]} {shlex.quote(str(path))}"

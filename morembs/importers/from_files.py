@@ -61,7 +61,7 @@ def _refuse_options_of_others(options: ImportOptions) -> None:
     """Refuse options of decks where no file takes them.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     formats = [format_of(Path(options.file), options.format)] if options.file is not None else []
     formats += [format_of(Path(options.nodes))] if options.nodes is not None else []

@@ -104,7 +104,7 @@ def read_model(path: str | Path) -> FEModel:
 
 
 def is_model_file(path: Path) -> bool:
-    """Whether ``path`` is a model file of ours, sound or not."""
+    """True if ``path`` is a model file of ours, sound or not."""
     return holds_format(path, FORMAT)
 
 

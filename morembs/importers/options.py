@@ -115,7 +115,7 @@ class ImportOptions(Table):
 
     @property
     def has_plain_file(self) -> bool:
-        """Whether there is nothing but one file and its units."""
+        """True if there is nothing but one file and its units."""
         return all(
             not getattr(self, entry.name) or getattr(self, entry.name) == default_of(entry)
             for entry in fields(ImportOptions)

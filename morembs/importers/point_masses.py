@@ -118,7 +118,7 @@ def refuse_loose(model: FEModel, ties: Sequence[Ties]) -> None:
     """Refuse point masses on nodes that neither have stiffness nor take part in a coupling, a spring or an equation.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     held = np.zeros(len(model.nodes), dtype=bool)
     held[model.dofs.node[np.diff(model.K.indptr) > 0]] = True

@@ -39,7 +39,7 @@ def refuse_mass_integration(rule: str, what: str) -> None:
     """Refuse a rule other than that of the elements for what is not assembled here.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     if rule != "element":
         raise InputError(f"--mass-integration {rule} was given for {what}; leave it out")

@@ -36,7 +36,7 @@ def slice_width(stats: FactorStats) -> int:
 
 
 def is_dense_cheaper(rows: int, count: int, room: int | None) -> bool:
-    """Whether LAPACK finds ``count`` modes with fewer operations, in ``room`` bytes (None: no limit)."""
+    """True if LAPACK finds ``count`` modes with fewer operations, in ``room`` bytes (None: no limit)."""
     if room is not None and TOL.dense_matrices * 8 * rows**2 > room:
         return False
     return TOL.dense_operations * rows**3 < TOL.mode_operations * count

@@ -146,7 +146,7 @@ class BlockLanczos:
         self.V, self.T, self.capacity = V, T, capacity
 
     def grew_since(self, looked: int) -> bool:
-        """Whether another look at the Ritz values pays: their small eigenproblem costs more than the growth of a large
+        """True if another look at the Ritz values pays: their small eigenproblem costs more than the growth of a large
         space. True where it cannot grow further."""
         return self.size >= TOL.ritz_growth * looked or self.full() or not self.pending.shape[1]
 

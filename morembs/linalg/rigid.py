@@ -100,7 +100,7 @@ def free_in_groups(
 
 
 def has_stiffness(A: sp.csr_array, Phi: Floats, size: Floats, node: Ints, last: float = 0.0) -> bool:
-    """Whether ``A`` (N, N) has forces beyond round-off under the motions ``Phi`` (N, k); arguments as above."""
+    """True if ``A`` (N, N) has forces beyond round-off under the motions ``Phi`` (N, k); arguments as above."""
     ratio, level = _forces(A, Phi, size, node, last)
     return bool((np.abs(ratio) > level).any())
 
@@ -145,5 +145,5 @@ def _round_off(ratio: Floats, work: Floats, node: Ints) -> float:
 
 
 def _coherent(work: Floats) -> bool:
-    """Whether ``work`` (nodes, k) is that of supports: positive at most nodes, however much each does."""
+    """True if ``work`` (nodes, k) is that of supports: positive at most nodes, however much each does."""
     return bool((np.sign(work).sum(axis=0) >= TOL.coherent_nodes * np.count_nonzero(work, axis=0)).all())

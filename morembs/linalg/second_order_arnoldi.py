@@ -55,7 +55,7 @@ class SecondOrderArnoldi:
 
     @property
     def finished(self) -> bool:
-        """Whether the space holds all that the loads can reach."""
+        """True if the space holds all that the loads can reach."""
         return bool(self.last.stop == self.last.start)
 
     def expand(self, solve: Solve) -> None:

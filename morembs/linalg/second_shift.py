@@ -20,7 +20,7 @@ from morembs.linalg.tolerances import TOL
 
 
 def keeps_two_factors(body: ConstrainedStatics) -> bool:
-    """Whether there is room for the factor of the Sturm count beside that of the stiffness: not under a budget."""
+    """True if there is room for the factor of the Sturm count beside that of the stiffness: not under a budget."""
     stats = body.statics.factor.stats
     unlimited = body.statics.budget.memory is None and not stats.out_of_core
     return unlimited and TOL.factor_room * stats.memory_bytes < installed_bytes()

@@ -329,7 +329,7 @@ class GreedySearch:
         """Refuse values ``p`` (P,) without damping at a resonance of the band, where no response has a limit.
 
         Raises:
-            InputError: as said.
+            InputError: in these cases.
         """
         inside = at.values[(at.values > self.low**2) & (at.values < self.high**2)]
         undamped = inside[at.damping.at_resonance(inside) == 0]

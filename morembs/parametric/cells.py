@@ -218,7 +218,7 @@ class Proofs:
 def is_positive(
     A: sp.csr_array, solver: LinearSolver, rows: Ints | None = None, *, W: Floats | None = None, sigma: float = 0.0
 ) -> bool:
-    """Whether ``A`` + ``sigma`` W W', with ``rows`` held, has no negative eigenvalue, by a count of pivots."""
+    """True if ``A`` + ``sigma`` W W', with ``rows`` held, has no negative eigenvalue, by a count of pivots."""
     lower = Lower.of(A, "a control matrix", regular=False)
     if rows is not None and len(rows):
         lower = with_fixed_rows(lower, rows)

@@ -192,7 +192,7 @@ class Morph:
         """Refuse morphs that turn elements inside out at a point of the ``rules`` of a block, anywhere in the box.
 
         Raises:
-            InputError: as said, with their labels.
+            InputError: in these cases, with their labels.
         """
         for bits, chosen in self.groups():
             points, bad = self.points(bits, TOL.det_coefficients), list[tuple[str, int]]()
@@ -206,7 +206,7 @@ class Morph:
                 self._refuse_inverted(bits, bad)
 
     def _positive(self, det: Floats, points: dict[int, Floats]) -> NDArray[np.bool_]:
-        """Whether cubics (n, nq) with values ``det`` (4, ..., n, nq) at ``points`` are positive on the box."""
+        """True if cubics (n, nq) with values ``det`` (4, ..., n, nq) at ``points`` are positive on the box."""
         least = TOL.flat_volume * np.abs(det).max(axis=tuple(range(len(points))))
         sure = _bernstein_least(det, points, {number: [self.range(number)] for number in points}) > least
         if not sure.all():

@@ -134,7 +134,7 @@ class AffineProblem(Problem):
         """Refuse springs that are too soft beside the elements, whose strain by rigid motion is round-off, not zero.
 
         Raises:
-            InputError: as said.
+            InputError: in these cases.
         """
         theta, own = self.law_K(self.box.low), len(self.varied.stiffness)
         added = np.arange(len(theta)) >= own
@@ -200,7 +200,7 @@ def _refuse_bent(varied: VariedModel, interfaces: Sequence[Interface]) -> None:
     """Refuse morphs that do not move an interface by one translation.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     morph = varied.morph
     size = float(np.ptp(morph.mesh.nodes.xyz, axis=0).max())

@@ -70,17 +70,17 @@ class Damping:
 
     @property
     def is_modal(self) -> bool:
-        """Whether there is modal damping, which is known mode by mode only."""
+        """True if there is modal damping, which is known mode by mode only."""
         return any(ratio for _, ratio in self.steps)
 
     @property
     def is_rayleigh(self) -> bool:
-        """Whether there is Rayleigh damping."""
+        """True if there is Rayleigh damping."""
         return bool(self.alpha or self.beta)
 
     @property
     def is_viscous(self) -> bool:
-        """Whether there is damping that a matrix D can hold."""
+        """True if there is damping that a matrix D can hold."""
         return self.is_modal or self.is_rayleigh
 
     @property

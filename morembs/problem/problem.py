@@ -178,7 +178,7 @@ class Problem(Closing):
 
     @property
     def symmetric(self) -> bool:
-        """Whether there is neither a gyroscopic nor a circulatory matrix."""
+        """True if there is neither a gyroscopic nor a circulatory matrix."""
         return self.G is None and self.N is None
 
     @cached_property
@@ -263,7 +263,7 @@ class Problem(Closing):
         """Refuse a budget that the Sturm counts of modes will exceed, before anything is factorised.
 
         Raises:
-            BudgetError: as said.
+            BudgetError: in these cases.
         """
         if self.budget.memory is not None:
             with self.budget.in_use():
@@ -286,7 +286,7 @@ class Problem(Closing):
         return np.concatenate([np.zeros(self.rigid.shape[1]), self._elastic.frequencies_hz])
 
     def knows_modes(self, count: int) -> bool:
-        """Whether ``count`` elastic free-free modes have been computed."""
+        """True if ``count`` elastic free-free modes have been computed."""
         return self._elastic is not None and len(self._elastic.eigenvalues) >= count
 
     def close(self) -> None:

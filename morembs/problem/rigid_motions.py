@@ -27,7 +27,7 @@ from morembs.problem.tolerances import TOL
 
 
 def need_factor(model: FEModel, K: sp.csr_array) -> bool:
-    """Whether the motions of ``K`` show in a factorisation only: many coordinates without places that are coupled."""
+    """True if the motions of ``K`` show in a factorisation only: many coordinates without places that are coupled."""
     limit = LINALG.dense_rows
     return not has_places(model) and K.shape[0] > limit and int(np.bincount(groups_of(K)[1]).max()) > limit
 
@@ -85,7 +85,7 @@ def nodes_of_rows(model: FEModel, coupling: Coupling) -> Ints:
 def acts_on_rigid_motion(
     model: FEModel, coupling: Coupling, own: sp.csr_array | None, given: sp.csr_array | None, rigid: Floats
 ) -> bool:
-    """Whether a matrix ``own`` (Nc, Nc) of the coupled dofs, ``given`` (N, N) in the model, acts on the motions
+    """True if a matrix ``own`` (Nc, Nc) of the coupled dofs, ``given`` (N, N) in the model, acts on the motions
     ``rigid`` (Nc, r), which then couple to the elastic part."""
     if own is None or given is None or not own.nnz or not rigid.shape[1]:
         return False
@@ -133,7 +133,7 @@ def _refuse_free_parts(
     """Refuse groups of dofs that K does not couple and that have more motions free of strain than the ``free`` of all.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     count, group = groups_of(K)
     if count == 1:

@@ -29,7 +29,7 @@ def refuse_lost_supports(statics: Statics, M: sp.csr_array) -> None:
     """Refuse a factor that does not give back the rigid motions that K holds from their own forces.
 
     Raises:
-        SolverError: as said.
+        SolverError: in these cases.
     """
     motions = statics.held_motions
     if not motions.shape[1]:
@@ -48,7 +48,7 @@ def refuse_lost_modes(modes: Modes, roundoff: Floats, what: str) -> None:
     """Refuse ``modes`` of whose eigenvalues ``roundoff`` (k,) in (rad/s)2 leaves less than three digits.
 
     Raises:
-        SolverError: as said.
+        SolverError: in these cases.
     """
     error = TOL.usual_roundoff * roundoff
     lost = np.flatnonzero(error > TOL.lost_digits * modes.eigenvalues)
@@ -67,7 +67,7 @@ def refuse_other_geometry(model: FEModel, coupling: Coupling, system: System, he
     ``held_motions`` (Nc, h) are the rigid motions that K holds.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     if not held_motions.shape[1] or model.dependent is not None or not has_places(model):
         return

@@ -116,12 +116,12 @@ class ReducedModel(TransferFunction):
 
     @property
     def symmetric(self) -> bool:
-        """Whether this is a Galerkin projection of a symmetric model, whose matrices are symmetric."""
+        """True if this is a Galerkin projection of a symmetric model, whose matrices are symmetric."""
         return self.W is None
 
     @property
     def congruent(self) -> bool:
-        """Whether the equations are tested with V itself, whatever the model: symmetric and skew parts stay apart."""
+        """True if the equations are tested with V itself, whatever the model: symmetric and skew parts stay apart."""
         return self.W is None or self.W is self.V
 
     def _facts(self) -> dict[str, object]:
@@ -182,17 +182,17 @@ class Reducer(ABC):
 
     @property
     def takes_unsymmetric(self) -> bool:
-        """Whether models with gyroscopic and circulatory matrices are taken."""
+        """True if models with gyroscopic and circulatory matrices are taken."""
         return False
 
     @property
     def two_sided(self) -> bool:
-        """Whether the equations are tested with another space than that of the coordinates."""
+        """True if the equations are tested with another space than that of the coordinates."""
         return False
 
     @property
     def needs_interfaces(self) -> bool:
-        """Whether there have to be interfaces."""
+        """True if there have to be interfaces."""
         return True
 
     @property
@@ -202,12 +202,12 @@ class Reducer(ABC):
 
     @property
     def computes_modes(self) -> bool:
-        """Whether modes of the full model are computed, and so counted."""
+        """True if modes of the full model are computed, and so counted."""
         return False
 
     @property
     def follows_responses(self) -> bool:
-        """Whether the responses to all interface dofs are followed at once, which takes long where there are many."""
+        """True if the responses to all interface dofs are followed at once, which takes long where there are many."""
         return False
 
     @property

@@ -18,7 +18,7 @@ def refuse_singular_mass(method: str, M: Floats, kinds: Sequence[str]) -> None:
     """Refuse motions of the basis that have no mass, such as rotations of interfaces beside lumped masses.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     try:
         np.linalg.cholesky(M)

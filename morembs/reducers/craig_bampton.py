@@ -61,7 +61,7 @@ class CraigBampton(OfModes):
 
     @property
     def reduces_interfaces(self) -> bool:
-        """Whether characteristic modes replace the constraint modes."""
+        """True if characteristic modes replace the constraint modes."""
         return self.interface_modes is not None or self.interface_up_to_hz is not None
 
     @property

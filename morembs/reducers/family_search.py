@@ -135,7 +135,7 @@ class FamilySearch:
         return None, None
 
     def _holds(self, C: Floats) -> bool:
-        """Whether the tolerance holds on all of the band; if not, the worst frequency joins the samples."""
+        """True if the tolerance holds on all of the band; if not, the worst frequency joins the samples."""
         low, high = angular_band(self.certified.band_hz)
         verdict = decide(self.standard, self._response(C), low, high, self.measure, self.tolerance)
         if not verdict.holds:
@@ -144,7 +144,7 @@ class FamilySearch:
         return True
 
     def cannot_reach_tolerance(self) -> bool:
-        """Whether not even all modes of the reference hold the tolerance: what is not known of it counts at zeros."""
+        """True if not even all modes of the reference hold the tolerance: what is not known of it counts at zeros."""
         if self.measure != "pointwise" or self._holds(np.eye(len(self.reference.values))):
             return False
         size = self.standard.layout.norms(self.standard.H.at(self.samples))[:, 0]
@@ -177,7 +177,7 @@ class FamilySearch:
         )
 
     def zero(self, hz: float) -> bool:
-        """Whether the response is as good as zero at ``hz``."""
+        """True if the response is as good as zero at ``hz``."""
         w = 2 * np.pi * np.array([hz])
         e = self.standard.modes.moduli(w)[0] @ self.standard.residue_norms[:, 0]
         return bool(np.linalg.norm(self.standard.H.at(w)) < TOL.zero_response * e[0])

@@ -227,7 +227,7 @@ def _single(B: sp.csc_array) -> tuple[Ints, Ints]:
 
 
 def _holds(problem: Problem, rows: Ints) -> bool:
-    """Whether holding ``rows`` holds the body."""
+    """True if holding ``rows`` holds the body."""
     Z = problem.rigid
     size = np.linalg.norm(Z, axis=0) / np.sqrt(len(Z))
     s = np.linalg.svd(Z[rows] / size, compute_uv=False)

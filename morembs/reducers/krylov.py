@@ -295,7 +295,7 @@ class _LoadSpace:
         return int(block.shape[1] - new.shape[1])
 
     def takes_all_loads(self, tangential: int | None) -> bool:
-        """Whether all loads are taken at each point."""
+        """True if all loads are taken at each point."""
         return tangential is None or tangential >= self.F.shape[1]
 
     def loads(self, s: complex, tangential: int | None) -> tuple[tuple[object, ...], Floats]:

@@ -56,12 +56,12 @@ class ProblemSummary:
 
     @property
     def own_damping(self) -> bool:
-        """Whether the model has a damping, gyroscopic or circulatory matrix."""
+        """True if the model has a damping, gyroscopic or circulatory matrix."""
         return self.model.D is not None or not self.symmetric
 
     @property
     def symmetric(self) -> bool:
-        """Whether the model has neither a gyroscopic nor a circulatory matrix."""
+        """True if the model has neither a gyroscopic nor a circulatory matrix."""
         return self.model.G is None and self.model.N is None
 
     def at_shifts(self, s: Iterable[complex], columns: int, at_once: bool = True) -> list[ShiftedFactorisations]:

@@ -50,7 +50,7 @@ class KrylovChain:
 
     @property
     def finished(self) -> bool:
-        """Whether a further block would be empty."""
+        """True if a further block would be empty."""
         if self.space is not None:
             return self.space.finished
         if self.ended is not None:
@@ -117,7 +117,7 @@ class ExpansionPoint:
 
     @property
     def fresh(self) -> bool:
-        """Whether nothing was made here yet, and a factor is needed for it."""
+        """True if nothing was made here yet, and a factor is needed for it."""
         return bool(self.asked) and not self.chains and not self.moves
 
     def extend(self, wanted: Mapping[object, KrylovStart]) -> list[KrylovChain]:
@@ -154,7 +154,7 @@ class ExpansionPoint:
         return [self.chains[key] for key in wanted]
 
     def lacks(self, wanted: Mapping[object, KrylovStart]) -> bool:
-        """Whether blocks of ``wanted`` are still to be made."""
+        """True if blocks of ``wanted`` are still to be made."""
         return not all(self._long_enough(key, want.count) for key, want in wanted.items())
 
     def take(self, grown: KrylovBlocks, wanted: Mapping[object, KrylovStart]) -> None:

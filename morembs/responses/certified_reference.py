@@ -69,7 +69,7 @@ class CertifiedReference:
 
     @property
     def proven(self) -> bool:
-        """Whether ``error_bounds`` are limits."""
+        """True if ``error_bounds`` are limits."""
         return not self.doubts
 
     @property
@@ -167,7 +167,7 @@ class CertifiedReference:
 
     @property
     def undamped(self) -> bool:
-        """Whether resonances are infinite."""
+        """True if resonances are infinite."""
         damping = self.model.damping
         return self.model.D is None and not (damping.is_viscous or damping.structural)
 

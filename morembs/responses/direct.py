@@ -38,7 +38,7 @@ def refuse_skew_parts(problem: Problem) -> None:
     """Refuse models with a gyroscopic or circulatory matrix, of which there is no reference model.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     if not problem.symmetric:
         raise InputError(

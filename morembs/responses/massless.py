@@ -81,7 +81,7 @@ def refuse_massless(problem: Problem) -> None:
     """Refuse responses to loads of which none moves any mass.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     motions = massless_motions(problem)
     if motions and len(motions) == problem.B.shape[1]:

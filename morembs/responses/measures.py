@@ -49,7 +49,7 @@ class Limit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Verdict:
-    """Whether a tolerance holds; if not, frequencies ``at`` (n,) in rad/s where to look: the worst one found and the
+    """True if a tolerance holds; if not, frequencies ``at`` (n,) in rad/s where to look: the worst one found and the
     ends of its cell."""
 
     holds: bool
@@ -101,7 +101,7 @@ class Comparison:
         self.poles = np.concatenate([terms.z.real.ravel() for terms in self.both])
 
     def resolved(self, low: Floats, high: Floats) -> NDArray[np.bool_]:
-        """Whether cells are far enough from the poles to be worth a look."""
+        """True if cells are far enough from the poles to be worth a look."""
         middle = 0.5 * (low + high)
         return np.asarray(
             0.5 * (high - low) < TOL.resolved_cell * np.minimum(*(terms.nearest(middle) for terms in self.both))
@@ -294,7 +294,7 @@ def _blocks(layout: BlockIndex, upper: Floats) -> Floats:
 def decide(
     standard: ReferenceResponse, body: Response, low: float, high: float, measure: str, tolerance: float
 ) -> Verdict:
-    """Whether the limit by ``measure`` is at most ``tolerance`` from ``low`` to ``high`` rad/s."""
+    """True if the limit by ``measure`` is at most ``tolerance`` from ``low`` to ``high`` rad/s."""
     comparison = Comparison(standard, body)
     number = MEASURES.index(measure)
     allowed = np.full(comparison.quantities, np.inf)

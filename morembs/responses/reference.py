@@ -170,7 +170,7 @@ def _beside_resonances(omega: Floats, reference: ModalReference) -> Floats:
 
 
 def has_stagnated(errors: list[float]) -> bool:
-    """Whether the latest blocks of a space do not help, by the ``errors`` after each."""
+    """True if the latest blocks of a space do not help, by the ``errors`` after each."""
     late = max(TOL.stagnation_blocks, len(errors) // 2)
     before, latest = min(errors[:-late], default=np.inf), min(errors[-late:])
     return before <= TOL.stagnated_error and latest > 0.5 * before

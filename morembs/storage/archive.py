@@ -15,7 +15,7 @@ def refuse_unsafe_archive(source: str, archive: zipfile.ZipFile | None) -> None:
     NumPy reads one of two such arrays; other programs may read the other.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     if archive is None:
         return

@@ -127,7 +127,7 @@ class Checksums:
 
 
 def _by_columns(item: Any) -> bool:
-    """Whether each column lies in one piece, as it is read alone."""
+    """True if each column lies in one piece, as it is read alone."""
     return isinstance(item, h5py.Dataset) and item.ndim == 2 and item.chunks is not None and item.chunks[1] == 1
 
 

@@ -75,7 +75,7 @@ class Content:
         return cls(target=str(values["target"]), sha256=str(values["sha256"]), **numbers)
 
     def still_in(self, path: str | Path) -> bool:
-        """Whether the name leads to the same bytes now: by the file and its times where they tell, else by all bytes.
+        """True if the name leads to the same bytes now: by the file and its times where they tell, else by all bytes.
 
         A link may lead to another file by now, of the same size and even of the same times.
         """
@@ -195,7 +195,7 @@ def place_of(path: str | Path) -> Place:
 
 
 def same_place(one: str | Path, other: str | Path) -> bool:
-    """Whether two names lead to one file, or would once it is there."""
+    """True if two names lead to one file, or would once it is there."""
     return os.path.realpath(one) == os.path.realpath(other) or place_of(one) == place_of(other)
 
 

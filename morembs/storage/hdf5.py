@@ -93,13 +93,13 @@ def reading_format(
 
 
 def is_format(file: Any, name: str) -> bool:
-    """Whether an open HDF5 file says that it has the format ``name``."""
+    """True if an open HDF5 file says that it has the format ``name``."""
     held = file.get("format")
     return isinstance(held, h5py.Dataset) and held.shape == () and bool(held[()] == name.encode())
 
 
 def holds_format(path: Path, name: str) -> bool:
-    """Whether ``path`` is a file of ours of the format ``name``, sound or not."""
+    """True if ``path`` is a file of ours of the format ``name``, sound or not."""
     try:
         with reading(path, "a file of morembs") as file:
             return is_format(file, name)

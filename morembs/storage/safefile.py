@@ -240,7 +240,7 @@ def take_names(places: Sequence[Place]) -> None:
 
 
 def _undone(place: Place, existed: bool) -> bool:
-    """Whether the file is again what it was before."""
+    """True if the file is again what it was before."""
     try:
         if existed:
             os.replace(place.old, place.target)
@@ -252,7 +252,7 @@ def _undone(place: Place, existed: bool) -> bool:
 
 
 def one_file(one: Path, other: Path) -> bool:
-    """Whether two names are those of one file, also of one that is not there yet on a disk that ignores case."""
+    """True if two names are those of one file, also of one that is not there yet on a disk that ignores case."""
     if same_place(one, other):
         return True
     alike = one.name != other.name and one.name.casefold() == other.name.casefold()
@@ -260,7 +260,7 @@ def one_file(one: Path, other: Path) -> bool:
 
 
 def _ignores_case(folder: Path) -> bool:
-    """Whether the disk takes names for the same that differ in small and capital letters only."""
+    """True if the disk takes names for the same that differ in small and capital letters only."""
     trial = PrivateFolder(folder, PREFIX)
     try:
         (trial.path / "a").touch()

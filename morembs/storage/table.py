@@ -74,12 +74,12 @@ class Row:
 
     @property
     def optional(self) -> bool:
-        """Whether files without it are read."""
+        """True if files without it are read."""
         return bool(self.when or self.since)
 
     @property
     def many(self) -> bool:
-        """Whether the row stands for several."""
+        """True if the row stands for several."""
         return self.name.endswith(("/*", "_#"))
 
     @property
@@ -100,7 +100,7 @@ class Row:
         return (value() if value else None) if isinstance(value, Later) else value
 
     def within(self, group: Any) -> bool:
-        """Whether any row of an ``inline`` table is in an open ``group``."""
+        """True if any row of an ``inline`` table is in an open ``group``."""
         return isinstance(self.kind, Table) and any(row.place in group for row in self.kind)
 
     def items(self, group: Any) -> dict[str, Any]:

@@ -88,7 +88,7 @@ class Probes(Closing):
 
 
 def _seen(path: Path, text: str) -> bool:
-    """Whether a file with this text is there soon."""
+    """True if a file with this text is there soon."""
     end = time.monotonic() + TOL.file_seconds
     while True:
         with suppress(OSError):

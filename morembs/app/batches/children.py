@@ -55,7 +55,7 @@ class Children(Closing):
 
     @property
     def running(self) -> bool:
-        """Whether some have not ended."""
+        """True if some have not ended."""
         return bool(self._children)
 
     def threads(self, asked: int | None, tasks: int) -> int:

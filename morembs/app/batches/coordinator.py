@@ -122,7 +122,7 @@ class Coordinator:
             insort(self._waiting, _Work(parts=due[first::count], needs=needs, checks=True))
 
     def _overwrites_nothing(self, work: _Work) -> bool:
-        """Whether no result takes the place of what other jobs were seen to open, includes among it; else it fails."""
+        """True if no result takes the place of what other jobs were seen to open, includes among it; else it fails."""
         try:
             for path in work.parts[0].outputs:
                 refuse_input(path)

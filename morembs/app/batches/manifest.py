@@ -49,7 +49,7 @@ class Ended:
     facts: Mapping[str, Any]
 
     def holds(self, key: str, outputs: Iterable[Path]) -> bool:
-        """Whether the same job with the same inputs would give the files that are there."""
+        """True if the same job with the same inputs would give the files that are there."""
         if self.key != key or set(self.outputs) != {Path(os.path.realpath(path)) for path in outputs}:
             return False
         return all(content.still_in(path) for path, content in [*self.outputs.items(), *self.inputs.items()])
@@ -171,7 +171,7 @@ class Manifest(Closing):
 
 
 def is_manifest(path: Path) -> bool:
-    """Whether a file begins as a manifest does."""
+    """True if a file begins as a manifest does."""
     try:
         with own_files(), open(path, "rb") as file:
             first = json.loads(file.readline(TOL.first_line_bytes))

@@ -130,7 +130,7 @@ def _as_counted(path: Path) -> list[list[tuple[int, str]]]:
 
 
 def _is_job(path: Path) -> bool:
-    """Whether a file has a table of a job; of a file that is no TOML its text decides."""
+    """True if a file has a table of a job; of a file that is no TOML its text decides."""
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -30,7 +30,7 @@ class Worker:
     seconds: float = float("inf")
 
     def holds(self, other: Worker) -> bool:
-        """Whether a task with the needs of ``other`` has room."""
+        """True if a task with the needs of ``other`` has room."""
         return self.slots > 0 and all(
             getattr(self, name) >= getattr(other, name) for name in ("bytes", "cores", "seconds")
         )
@@ -59,7 +59,7 @@ class Finished:
 
     @property
     def killed(self) -> bool:
-        """Whether something else ended it."""
+        """True if something else ended it."""
         return self.lost or self.code < 0 or self.code >= 128
 
 

@@ -174,7 +174,7 @@ def _refuse_without_inputs(job: Job, name: str) -> None:
     """Refuse methods that need inputs.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     for reducer in job.reducers.values():
         if reducer.needs_interfaces:

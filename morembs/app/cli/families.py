@@ -118,7 +118,7 @@ def _refuse_other_family(index: Path, stem: str, new: set[str]) -> None:
     but not where files of its own would stay that are not among the ``new`` ones, and tell of other values.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     try:
         with own_files(), index.open(newline="", encoding="utf-8") as file:

@@ -60,7 +60,7 @@ def show(file: str | Path, documents: list[dict[str, Any]] | None, proof: bool =
 
 
 def _show_members(path: Path, documents: list[dict[str, Any]] | None) -> bool:
-    """Whether ``path`` is a file of planar members; what it holds is then shown, or added to the ``documents``.
+    """True if ``path`` is a file of planar members; what it holds is then shown, or added to the ``documents``.
 
     Raises:
         InputError: the file is damaged, or of a newer version.

@@ -105,7 +105,7 @@ def _refuse_slash(args: Sequence[str]) -> None:
     """Refuse a file to write whose name ends as that of a folder.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     outs = [word for before, word in pairwise(args) if before in ("-o", "--out")]
     outs += [word.partition("=")[2] for word in args if word.startswith("--out=")]

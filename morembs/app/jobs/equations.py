@@ -49,7 +49,7 @@ def _refuse_loose_tubes(model: FEModel, paths: Sequence[NDArray[np.int64]]) -> N
     """Refuse tubes that nothing keeps from turning in ``model``, which is without the flow.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     if not paths:
         return

@@ -29,7 +29,7 @@ class Proposal:
     matrix: str = ""
 
     def is_fit(self, xyz: Floats, taken: NDArray[np.bool_]) -> bool:
-        """Whether it can be an interface: no node of it is taken, it holds all six motions, and half of all at most."""
+        """True if it can be an interface: no node of it is taken, it holds all six motions, and half of all at most."""
         rows = self.rows
         if len(rows) < 3 or len(rows) > len(xyz) // 2 or taken[rows].any():
             return False

@@ -134,7 +134,7 @@ class ModelTable(SingleTable, ImportOptions):
 
     @property
     def brings_matrices(self) -> bool:
-        """Whether files of a whole model are given, not a mesh alone."""
+        """True if files of a whole model are given, not a mesh alone."""
         return bool(self.files) and self.mesh is None
 
     def refuse_conflicts(self) -> None:

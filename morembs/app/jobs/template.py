@@ -204,7 +204,7 @@ def _plain_mesh(file: Path) -> Mesh:
 
 
 def _has_structures(file: Path) -> bool:
-    """Whether a file is a deck with shells, beams or bars."""
+    """True if a file is a deck with shells, beams or bars."""
     if format_of(file) not in DECKS:
         return False
     with suppress(InputError):

@@ -71,7 +71,7 @@ class PartPage:
 
     @property
     def holds_members(self) -> bool:
-        """Whether the file holds planar members."""
+        """True if the file holds planar members."""
         return bool(self.content.get("members"))
 
     @property

@@ -22,7 +22,7 @@ def refuse_names(key: str, names: Iterable[str]) -> None:
     """Refuse names of markers that the file of the result cannot have.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     for name in names:
         if not fits(name, PartName):
@@ -35,7 +35,7 @@ def refuse_foreign(table: Table, kind: str, keys: dict[str, set[str]]) -> None:
     """Refuse keys that belong to another kind of a table; ``keys`` are those that one kind alone has, by its name.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     own = keys.get(kind, set())
     for key in sorted({key for several in keys.values() for key in several} & table.given - own):

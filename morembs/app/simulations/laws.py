@@ -160,7 +160,7 @@ def refuse_outside(path: Path, t: Floats, begin: float, end: float) -> None:
     """Refuse times of a table that do not ascend, or do not cover the run.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     ascends = np.diff(t) > 0
     if not ascends.all():

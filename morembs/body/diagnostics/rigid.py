@@ -16,7 +16,7 @@ from morembs.linalg.congruence import magnitudes
 
 
 def doubled_diagonal(K: sp.csr_array, residuals: Residual) -> bool:
-    """Whether half the diagonal would fit the geometry: a triangle was added to its mirror image."""
+    """True if half the diagonal would fit the geometry: a triangle was added to its mirror image."""
     force = residuals.force - 0.5 * K.diagonal()[:, None] * residuals.R
     size = magnitudes(K, residuals.R).max(axis=1)
     good = np.abs(force).max(axis=1) <= FEM.strained_force * size

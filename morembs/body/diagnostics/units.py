@@ -121,7 +121,7 @@ def unit_findings(
     declared: Units | None = None,
     mass: float = np.nan,
 ) -> list[Finding]:
-    """Whether numbers in ``units`` can be those of an elastic body of ``extent`` (3,) and ``mass`` (in the same units).
+    """True if numbers in ``units`` can be those of an elastic body of ``extent`` (3,) and ``mass`` (in the same units).
 
     ``declared`` are the units that the numbers were taken for before they were converted to ``units``, where they were.
     """
@@ -248,17 +248,17 @@ def _from_metal(c: float, rho: float) -> float:
 
 
 def _is_solid(speed: float) -> bool:
-    """Whether sound travels at ``speed`` m/s in what bodies are made of."""
+    """True if sound travels at ``speed`` m/s in what bodies are made of."""
     return TOL.slowest_metal < speed < TOL.material_speeds[1]
 
 
 def _in_si(density: float) -> bool:
-    """Whether the number of a density looks like one in kg/m3."""
+    """True if the number of a density looks like one in kg/m3."""
     return TOL.least_density < density < TOL.material_densities[1]
 
 
 def _mixed(speed: float, density: float) -> bool:
-    """Whether a density in kg/m3 stands beside a modulus in MPa: the speed is that of sound over 1000."""
+    """True if a density in kg/m3 stands beside a modulus in MPa: the speed is that of sound over 1000."""
     slowest, fastest = TOL.slowest_metal / 1000, TOL.material_speeds[1] / 1000
     return _in_si(density) and slowest < speed < fastest
 

@@ -51,7 +51,7 @@ class Rotation:
         """Refuse a ``model`` without the motions that spin needs, and held interfaces that are not among ``names``.
 
         Raises:
-            InputError: as said.
+            InputError: in these cases.
         """
         for name in self.held:
             if name not in names:

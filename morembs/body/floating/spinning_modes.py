@@ -82,7 +82,7 @@ def refuse_damping(damping: Damping, rigid: int) -> None:
     """Refuse damping that no sparse matrix of the full model with ``rigid`` rigid-body motions holds.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     if damping.is_modal or damping.structural:
         raise InputError(

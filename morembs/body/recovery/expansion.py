@@ -178,7 +178,7 @@ def reduced_coordinates(body: Body, trajectory: Trajectory) -> Floats:
 
 
 def is_reduced(body: Body, trajectory: Trajectory) -> bool:
-    """Whether the coordinates are the reduced ones, not the elastic ones of the floating frame."""
+    """True if the coordinates are the reduced ones, not the elastic ones of the floating frame."""
     return bool(trajectory.coordinates.shape[1] == len(body.stiffness_matrix))
 
 

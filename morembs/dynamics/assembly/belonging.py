@@ -1,4 +1,4 @@
-"""Whether a body was reduced from a problem: by its mass, interfaces, nodes, and a few products with its basis."""
+"""True if a body was reduced from a problem: by its mass, interfaces, nodes, and a few products with its basis."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def eliminations(problem: Problem) -> Mapping[str, Elimination]:
 
 
 def _keeps_all(part: Substructure, problem: Problem) -> bool:
-    """Whether the body file of ``part`` keeps the motion of all dofs of ``problem``."""
+    """True if the body file of ``part`` keeps the motion of all dofs of ``problem``."""
     ids, own = part.bodies.node_ids, problem.model.nodes.ids
     return problem.model.dofs.is_solid and len(ids) == len(own) and set(ids.tolist()) == set(own.tolist())
 
@@ -56,7 +56,7 @@ def check_same_model(part: Substructure, problem: Problem) -> None:
     """Refuse a body of another part than that of ``problem``: other interfaces, mass or nodes, or a loss factor.
 
     Raises:
-        InputError: as said, with both.
+        InputError: in these cases, with both.
     """
     source, what = part.bodies, f"part {part.name!r}: its body was not reduced from its model"
     if problem.damping.structural:
@@ -97,7 +97,7 @@ def refuse_other_matrices(part: Substructure, body: Body, problem: Problem, V: F
     """Refuse a body whose matrices are not the projections of those of ``problem`` on its basis ``V`` (Nc, n).
 
     Raises:
-        InputError: as said, with the differences.
+        InputError: in these cases, with the differences.
     """
     n, what = len(body.stiffness_matrix), f"part {part.name!r}: its body was not reduced from its model"
     if V.shape != (len(problem.rigid), n):

@@ -124,7 +124,7 @@ def _matched(
 
 
 def _holds(component: Shaped, symmetry: Symmetry, length: float) -> bool:
-    """Whether inner forces of a few smooth, large deflections move as the nodes do."""
+    """True if inner forces of a few smooth, large deflections move as the nodes do."""
     random, at = np.random.default_rng(11), component.translations
     s = component.reference[at[:, 0]] / length
     reference = component.reference

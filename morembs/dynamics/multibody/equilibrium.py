@@ -63,7 +63,7 @@ class Equilibrium:
 
     @property
     def stable(self) -> bool:
-        """Whether no small disturbance grows."""
+        """True if no small disturbance grows."""
         return self.linear.growth <= 0
 
     @property

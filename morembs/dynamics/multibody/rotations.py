@@ -107,5 +107,5 @@ def orthonormal(R: Floats) -> Floats:
 
 
 def is_rotation(R: Floats, tolerance: float = TOL.default_rotation_error) -> bool:
-    """Whether R (3, 3) is orthonormal and right-handed."""
+    """True if R (3, 3) is orthonormal and right-handed."""
     return bool(R.shape == (3, 3) and np.abs(R.T @ R - np.eye(3)).max() <= tolerance and np.linalg.det(R) > 0)

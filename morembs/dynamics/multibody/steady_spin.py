@@ -77,7 +77,7 @@ class SteadySpin:
         """Refuse a system that cannot turn steadily: joints that the spin would open, forces that do not turn with it.
 
         Raises:
-            InputError: as said.
+            InputError: in these cases.
         """
         v, _ = self.motion(a, x, np.zeros(a.size))
         _, g, _, B = a.equations(t, x, v)

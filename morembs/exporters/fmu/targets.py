@@ -65,7 +65,7 @@ class Equations(Exporter):
 
     @property
     def has_linear_inputs(self) -> bool:
-        """Whether inputs may go in a line over a step."""
+        """True if inputs may go in a line over a step."""
         return self.time_step is not None if self.interpolate_inputs is None else self.interpolate_inputs
 
     def _is_linear(self, context: ExportContext) -> bool:

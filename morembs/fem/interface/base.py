@@ -159,7 +159,7 @@ class CouplingKind(ABC):
         """Refuse nodes that do not determine the degrees of freedom; by default any will do.
 
         Raises:
-            InputError: as said.
+            InputError: in these cases.
         """
 
     def columns(self, interface: Interface) -> tuple[Ints, Ints]:

@@ -73,7 +73,7 @@ def refuse_collinear(interface: Interface, condition: float) -> None:
     """Refuse nodes that do not determine the rotations of their frame, by their ``condition``.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     if not condition < TOL.collinear_condition:
         count = len(interface.nodes)

@@ -194,7 +194,7 @@ class Assembly(Names):
 
 
 def _repeats(labels: Ints) -> bool:
-    """Whether a label is there twice."""
+    """True if a label is there twice."""
     return len(distinct(labels)) < len(labels)
 
 

@@ -62,7 +62,7 @@ class Axes:
         return axes
 
     def turned(self, node: int) -> bool:
-        """Whether a node has axes of its own."""
+        """True if a node has axes of its own."""
         return node in self._of
 
     def part(self, node: int, component: int) -> Floats:

@@ -271,7 +271,7 @@ class DeckReader:
             self.scope.others.append((code, np.array(others, dtype=np.int64)[:, None]))
 
     def _skips(self, code: str) -> bool:
-        """Whether elements of a type are left out as asked."""
+        """True if elements of a type are left out as asked."""
         options = self.deck.options
         return options.skips(code) or (code in GAPS and options.contact == "skip" and not self.is_for_calculix)
 

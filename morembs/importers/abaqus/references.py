@@ -58,7 +58,7 @@ def problems_of_references(
 
 
 def _has_arm(element: AverageElement, xyz: NDArray[np.float64]) -> bool:
-    """Whether the reference is away from the mean place of the nodes, so that their rotation moves it."""
+    """True if the reference is away from the mean place of the nodes, so that their rotation moves it."""
     places = xyz[element.nodes]
     arm = xyz[element.reference] - np.average(places, axis=0, weights=element.weights)
     return float(np.linalg.norm(arm)) > TOL.no_arm * float(np.ptp(places, axis=0).max())

@@ -56,7 +56,7 @@ def supports_of(contents: Contents, assembly: Assembly, axes: Axes) -> Supports:
 
 
 def starts_anew(step: Sequence[tuple[Card, bytes]]) -> bool:
-    """Whether a step lets go of what was held before: its first *BOUNDARY has OP=NEW."""
+    """True if a step lets go of what was held before: its first *BOUNDARY has OP=NEW."""
     operation = next((card.options.get("OP", "") for card, _ in step if card.keyword == "BOUNDARY"), "")
     return operation.upper() == "NEW"
 

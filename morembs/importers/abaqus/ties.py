@@ -31,7 +31,7 @@ Pair = tuple[Placed, Card, list[str]]
 
 
 def is_sector(card: Card) -> bool:
-    """Whether a *TIE joins the sides of a sector, and not two surfaces."""
+    """True if a *TIE joins the sides of a sector, and not two surfaces."""
     return card.keyword == "TIE" and any(word in card.options for word in _SECTORS)
 
 

@@ -172,7 +172,7 @@ def node_block(lines: Lines, fields: list[str]) -> tuple[Ints, Floats, Floats]:
 
 
 def element_block(lines: Lines, fields: list[str]) -> tuple[bool, Ints]:
-    """Whether it is of the SOLID form, and the lines (k, columns) of an EBLOCK as they are."""
+    """True if it is of the SOLID form, and the lines (k, columns) of an EBLOCK as they are."""
     form = layout(lines.take("EBLOCK"), "EBLOCK", lines.name)
     if form.real:
         raise InputError(f"{lines.name}: EBLOCK has a format with reals; expected one such as (19i8)")

@@ -50,7 +50,7 @@ def open_line(file: str, line: bytes) -> str:
 
 
 def ends_within_number(line: bytes, above: Sequence[bytes]) -> bool:
-    """Whether the last field of a line lacks characters, as far as the lines ``above`` have fields of one width.
+    """True if the last field of a line lacks characters, as far as the lines ``above`` have fields of one width.
 
     Numbers between commas that are written in one format have one width; columns that are filled from the right end
     at a multiple of eight.
@@ -135,7 +135,7 @@ class Includes:
         return path
 
     def _inside(self, resolved: Path | None, name: str, beside: tuple[Path, ...]) -> bool:
-        """Whether a file, there or not, lies in the folder: what is outside is not even told to exist."""
+        """True if a file, there or not, lies in the folder: what is outside is not even told to exist."""
         try:
             place = resolved if resolved is not None else (beside[0] / name).resolve()
         except (OSError, ValueError, RuntimeError):

@@ -39,7 +39,7 @@ class Labels:
         return len(self.ids)
 
     def has(self, labels: Ints) -> Bools:
-        """Whether each label (any shape) is there."""
+        """True if each label (any shape) is there."""
         return find(self.ascending, np.asarray(labels))[1]
 
     def rows(self, labels: Ints, who: str) -> Ints:
@@ -122,7 +122,7 @@ def ranges_by_number(parts: Iterable[tuple[Ints, Ints]]) -> dict[int, Ints]:
 
 
 def in_ranges(labels: Ints, ranges: Ints) -> Bools:
-    """Whether each of ``labels`` (n,) is in one of ``ranges`` (k, 2)."""
+    """True if each of ``labels`` (n,) is in one of ``ranges`` (k, 2)."""
     starts, ends = np.sort(ranges[:, 0]), np.sort(ranges[:, 1])
     # A label is in a range where more of them have begun than ended.
     return np.asarray(np.searchsorted(starts, labels, side="right") > np.searchsorted(ends, labels))

@@ -50,7 +50,7 @@ class DeckOptions:
         )
 
     def skips(self, *words: str) -> bool:
-        """Whether one of ``words`` is to be left out."""
+        """True if one of ``words`` is to be left out."""
         self.asked.update(word.upper() for word in words)
         return any(word.upper() in self.skip for word in words)
 
@@ -96,7 +96,7 @@ def refuse_both(density: float | Mapping[str, float] | None, materials: Sequence
     """Refuse a density and a material for one set: a material that is given is whole, and its density counts.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     keys = [] if density is None else density if isinstance(density, Mapping) else ["all"]
     named = {name.upper() for name in keys}

@@ -154,7 +154,7 @@ def _array(blocks: Iterator[bytes], head: _Head, name: str) -> Values:
 
 
 def _even(head: _Head, part: int) -> bool:
-    """Whether the other triangle is that of the file; it is its negative in the imaginary part of a Hermitian one."""
+    """True if the other triangle is that of the file; it is its negative in the imaginary part of a Hermitian one."""
     return head.symmetry == "symmetric" or (head.symmetry == "hermitian" and part == 0)
 
 

@@ -73,7 +73,7 @@ class Header:
 
     @property
     def complex(self) -> bool:
-        """Whether entries have an imaginary part."""
+        """True if entries have an imaginary part."""
         return self.type > 2
 
 

@@ -129,7 +129,7 @@ def refuse_outside(rows: Ints, columns: Ints, shape: tuple[int, int], name: str)
     """Refuse entries in rows or columns that a matrix of this shape does not have.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     for places, size in zip((rows, columns), shape, strict=True):
         outside = places[(places < 0) | (places >= size)]
@@ -205,7 +205,7 @@ class Renumbered:
 def completed(
     triplets: Iterable[Triplets], size: int, name: str, place: Place = row_and_column
 ) -> tuple[bool, sp.csr_array]:
-    """Whether the file holds one entry of each pair only, and the whole matrix.
+    """True if the file holds one entry of each pair only, and the whole matrix.
 
     Raises:
         InputError: as ``assembled``.

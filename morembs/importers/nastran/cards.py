@@ -251,7 +251,7 @@ def tables(text: BulkText, read: Container[str] | None = None) -> Iterator[Table
 
 
 def _star_in_first(lines: Bytes) -> NDArray[np.bool_]:
-    """Whether there is a star before the first comma of the line."""
+    """True if there is a star before the first comma of the line."""
     star, comma = lines == ord("*"), lines == 44
     return np.asarray(
         star.any(axis=1) & (star.argmax(axis=1) < np.where(comma.any(axis=1), comma.argmax(axis=1), Columns.ALL))

@@ -224,12 +224,12 @@ def solid_elements(bulk: Bulk) -> list[Elements]:
 
 
 def _is_full(words: list[str]) -> bool:
-    """Whether a PSOLID asks for full integration."""
+    """True if a PSOLID asks for full integration."""
     return words[0].isdigit() and words[5].upper() in ("1", "FULL") and words[3].upper() in ("2", "TWO", "3", "THREE")
 
 
 def _has_three_points(words: list[str]) -> bool:
-    """Whether a PSOLID asks for three points along each edge."""
+    """True if a PSOLID asks for three points along each edge."""
     return words[0].isdigit() and words[3].upper() in ("3", "THREE")
 
 

@@ -163,7 +163,7 @@ def _head_of(path: Path) -> tuple[bytes, int]:
 
 
 def _has_word(text: bytes, word: bytes) -> bool:
-    """Whether a word in capitals is in a text in any case; letters are looked for first, as copies take ten times as
+    """True if a word in capitals is in a text in any case; letters are looked for first, as copies take ten times as
     long."""
     return word in text or (any(bytes([letter]) in text for letter in {*word.lower()}) and word in text.upper())
 

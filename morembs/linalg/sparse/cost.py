@@ -26,7 +26,7 @@ class Forecast:
 
     @property
     def out_of_core(self) -> bool:
-        """Whether the factor lies on disk."""
+        """True if the factor lies on disk."""
         return self.disk > 0
 
 

@@ -22,7 +22,7 @@ _NAME = "morembs-call"
 
 
 def calls_running() -> bool:
-    """Whether an abandoned call is still running: the libraries it uses must not be unloaded then."""
+    """True if an abandoned call is still running: the libraries it uses must not be unloaded then."""
     return any(thread.name == _NAME for thread in threading.enumerate())
 
 

@@ -87,7 +87,7 @@ class _MixedFactor(Factorization):
         return replace(made, columns=self._columns, passes=self._applied)
 
     def converges(self) -> bool:
-        """Whether a trial right-hand side converges."""
+        """True if a trial right-hand side converges."""
         b = np.asfortranarray(np.random.default_rng(23).standard_normal((self.n, 2)).astype(self.dtype))
         return self._iterate(b) is not None
 

@@ -81,7 +81,7 @@ class Library:
 
     @property
     def keeps_analysis(self) -> bool:
-        """Whether JOB = -4 is there, which frees a factor and keeps the analysis (not yet in 5.5)."""
+        """True if JOB = -4 is there, which frees a factor and keeps the analysis (not yet in 5.5)."""
         return tuple(map(int, re.findall(r"\d+", self.version)[:2])) >= (5, 6)
 
     def call(self, data: Any, job: int) -> None:

@@ -85,7 +85,7 @@ class _Handle:
         return int(code.value)
 
     def lost_pivots(self, code: int) -> bool:
-        """Whether pivots vanished, by the ``code`` of the factorisation, or were replaced: then the factor is one of
+        """True if pivots vanished, by the ``code`` of the factorisation, or were replaced: then the factor is one of
         another matrix."""
         return code in SINGULAR or (code == 0 and bool(self.iparm[Place.REPLACED_PIVOTS]))
 

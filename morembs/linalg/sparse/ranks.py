@@ -91,7 +91,7 @@ class Ranks:
 
     @property
     def alive(self) -> bool:
-        """Whether commands can be sent."""
+        """True if commands can be sent."""
         return self._finalize.alive and self._mpirun.poll() is None
 
     def call(self, command: dict[str, Any]) -> dict[str, Any]:

@@ -107,7 +107,7 @@ def rebind(library: ctypes.CDLL, functions: Mapping[str, int]) -> bool:
 
 
 def _writable(places: list[int]) -> bool:
-    """Whether all ``places`` lie in memory that this process may write."""
+    """True if all ``places`` lie in memory that this process may write."""
     try:
         lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:

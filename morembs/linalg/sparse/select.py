@@ -150,7 +150,7 @@ class AutoSolver(LinearSolver):
                     yield self._configured(name)
 
     def _has_room(self, A: Lower, structure: str, direct: str) -> bool:
-        """Whether the factor and its workspace fit into memory."""
+        """True if the factor and its workspace fit into memory."""
         with self._configured(direct).with_memory(None).analyse(A, structure) as analysis:
             in_core, on_disk = analysis.forecast, analysis.on_disk
             if on_disk is None or self.memory is None:

@@ -52,7 +52,7 @@ def refuse_witness(facts: ProblemSummary) -> None:
     """Refuse a witness of what is not proven, or is no model of one part.
 
     Raises:
-        InputError: as said.
+        InputError: in these cases.
     """
     model = facts.model
     if any(A is not None for A in (model.D, model.G, model.N)) or len(facts.damping.jumps):

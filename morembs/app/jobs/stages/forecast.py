@@ -178,7 +178,7 @@ def require_room(job: Job, start: int, dofs: int, modes: bool, least: Callable[[
         least: tells a budget that will do for the job.
 
     Raises:
-        BudgetError: as said.
+        BudgetError: in these cases.
     """
     beside = resting_bytes(dofs)
     if modes:

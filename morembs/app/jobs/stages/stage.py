@@ -169,11 +169,11 @@ class JobStage:
         """Refuse tables that do not go together, each of which is right by itself.
 
         Raises:
-            InputError: as said.
+            InputError: in these cases.
         """
 
     def is_asked(self, job: Job) -> bool:
-        """Whether the job has this stage."""
+        """True if the job has this stage."""
         return True
 
     def reads(self, job: Job) -> Mapping[str, Path]:
@@ -188,7 +188,7 @@ class JobStage:
         """Refuse values that are wrong by themselves, before any file is read.
 
         Raises:
-            InputError: as said.
+            InputError: in these cases.
         """
 
     def matrices(self, job: Job) -> FEModel | None:
@@ -207,7 +207,7 @@ class JobStage:
         """Refuse what does not fit the mesh of the job.
 
         Raises:
-            InputError: as said.
+            InputError: in these cases.
         """
 
     def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
@@ -239,7 +239,7 @@ class JobStage:
         return {}
 
     def computes_modes(self, job: Job) -> bool:
-        """Whether it computes modes, which are counted."""
+        """True if it computes modes, which are counted."""
         return False
 
     def run(self, work: Work) -> None:
@@ -273,7 +273,7 @@ def _replaces(stage: JobStage, other: JobStage) -> bool:
 
 
 def computes_modes(job: Job) -> bool:
-    """Whether any stage computes modes, which are counted."""
+    """True if any stage computes modes, which are counted."""
     return any(stage.computes_modes(job) for stage in asked(job))
 
 
@@ -287,7 +287,7 @@ def in_order(stages: Sequence[JobStage]) -> Iterator[JobStage]:
 
 
 def _waits(stage: JobStage, other: JobStage) -> bool:
-    """Whether ``stage`` needs what ``other`` gives; a change does not come before what it needs of ``stage``."""
+    """True if ``stage`` needs what ``other`` gives; a change does not come before what it needs of ``stage``."""
     changes_later = not set(stage.gives).isdisjoint(other.needs)
     return stage is not other and any(
         result in other.gives and not (result in other.needs and changes_later) for result in stage.needs

@@ -40,7 +40,7 @@ class Activation:
 
     @property
     def quiet(self) -> bool:
-        """Whether all that went had died away."""
+        """True if all that went had died away."""
         return self.dropped <= TOL.quiet_amplitude
 
 

@@ -190,7 +190,7 @@ class _Writer:
             self._plain(placed, card, rows)
 
     def _tables(self) -> bool:
-        """Whether constants of a material take more than a line, so that they may depend on temperature."""
+        """True if constants of a material take more than a line, so that they may depend on temperature."""
         return any(
             len([row for row in rows if row]) > 1
             for cards in self.deck.materials.values()

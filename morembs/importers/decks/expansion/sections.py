@@ -72,7 +72,7 @@ def structures_of(deck: DeckTables, problems: Problems) -> list[Structure]:
 
 
 def is_expanded(part: Elements) -> bool:
-    """Whether elements become solids."""
+    """True if elements become solids."""
     return part.code in SOLIDS and part.kind in KINDS and part.problem is None
 
 

@@ -11,7 +11,7 @@ from morembs.importers.tolerances import TOL
 
 
 def is_isotropic(C: Floats | None) -> bool:
-    """Whether a stiffness (6, 6) is there and the same along all axes."""
+    """True if a stiffness (6, 6) is there and the same along all axes."""
     if C is None:
         return False
     plain = np.diag([2 * C[3, 3]] * 3 + [C[3, 3]] * 3)
@@ -23,7 +23,7 @@ def refuse_own_axes(deck: DeckTables, section: Section, program: str, what: str)
     """Refuse layers and materials of shells along axes that the program of the deck has otherwise than ``program``.
 
     Raises:
-        InputError: as said; the message begins with ``what``.
+        InputError: in these cases; the message begins with ``what``.
     """
     if section.kind not in ("shell", "membrane") or section.axes is not None or deck.program == program:
         return

@@ -215,7 +215,7 @@ class SectionText(MeshText):
         """Refuse circular profiles of beams of two nodes, which CalculiX does not read.
 
         Raises:
-            InputError: as said.
+            InputError: in these cases.
         """
         shapes = np.concatenate([np.full(len(part.ids), part.shape, object) for part in self.parts])[rows]
         is_round = section.profile in ("CIRC", "ELLIPSE", "PIPE")

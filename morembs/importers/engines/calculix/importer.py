@@ -132,7 +132,7 @@ def readable_by_calculix(
     materials: tuple[Material, ...] = (),
     format: str = "abaqus",
 ) -> None:
-    """Whether a deck can be written for CalculiX; it is not run.
+    """True if a deck can be written for CalculiX; it is not run.
 
     Raises:
         InputError: it cannot.

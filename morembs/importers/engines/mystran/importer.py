@@ -113,7 +113,7 @@ def readable_by_mystran(
     format: str = "nastran",
     materials: tuple[Material, ...] = (),
 ) -> None:
-    """Whether a deck can be written for MYSTRAN; it is not run.
+    """True if a deck can be written for MYSTRAN; it is not run.
 
     Raises:
         InputError: it cannot.
