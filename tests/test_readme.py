@@ -337,7 +337,7 @@ OTHER_FRAGMENTS = [
 
 COMMANDS_FIRST = [
     *(f"background/{name}.md" for name in ("methods", "certificate", "proofs", "cannot", "verification")),
-    *(f"howto/{name}.md" for name in ("solvers", "simulators")),
+    *(f"howto/{name}.md" for name in ("solvers", "simulators", "fmu")),
 ]
 
 
