@@ -10,7 +10,9 @@ import base64
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections import ChainMap
+from collections.abc import Callable, Iterable, Mapping, MutableMapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +26,7 @@ from morembs.version import VERSION
 DOCUMENT = re.compile(r'<script type="application/json" id="report">([^<]*)</script>')
 _PICTURE = re.compile(
     r'data-key="([0-9a-f]{64}:[a-z-]+)" data-sum="([0-9a-f]{64})" '
-    r'src="data:image/png;base64,(iVBORw0KGgo[A-Za-z0-9+/=]+)"'
+    r'(?:src|href)="data:image/png;base64,(iVBORw0KGgo[A-Za-z0-9+/=]+)"'
 )
 _NOTHING = re.compile(r'<template data-key="([0-9a-f]{64}:[a-z-]+)"></template>')
 _DATA = re.compile(
@@ -48,6 +50,11 @@ def as_json(value: Any) -> Markup:
 def sum_of(data: str) -> str:
     """The checksum that stands beside data in a page."""
     return hashlib.sha256(data.encode()).hexdigest()
+
+
+def folder_beside(report: Path) -> Path:
+    """``night_files`` beside ``night.html``, for the pages of its parts where they are many."""
+    return report.with_name(f"{report.stem}_files")
 
 
 def read_document(path: Path) -> dict[str, Any]:
@@ -108,9 +115,10 @@ class KeptParts:
 
     def __init__(self, reports: Iterable[Path]) -> None:
         self._contents: dict[str, Mapping[str, Any]] = {}
-        self._pictures: dict[str, str] = {}
-        self._data: dict[str, str] = {}
-        for path in reports:
+        self._pictures: MutableMapping[str, str] = {}
+        self._data: MutableMapping[str, str] = {}
+        self._reports = tuple(reports)
+        for path in self._reports:
             try:
                 text = _text(path)
                 document = _document(text, path)
@@ -119,8 +127,20 @@ class KeptParts:
             if document.get("morembs_version") == VERSION:
                 whole = [part["body_file"] for part in document["parts"] if _is_whole(part.get("body_file"))]
                 self._contents |= {content["sha256"]: content for content in whole}
-            self._pictures |= _whole(_PICTURE, text) | dict.fromkeys(_NOTHING.findall(text), "")
-            self._data |= _whole(_DATA, text)
+            self._take(text)
+
+    def _take(self, text: str) -> None:
+        self._pictures.update(_whole(_PICTURE, text) | dict.fromkeys(_NOTHING.findall(text), ""))
+        self._data.update(_whole(_DATA, text))
+
+    def beside(self, name: str) -> KeptParts:
+        """What is kept with the page ``name`` of a part beside the reports; what it takes up is forgotten with it."""
+        own = KeptParts(())
+        own._contents, own._pictures, own._data = self._contents, ChainMap({}, self._pictures), ChainMap({}, self._data)
+        for report in self._reports:
+            with suppress(OSError, UnicodeDecodeError):
+                own._take(_text(folder_beside(report) / name))
+        return own
 
     def content(self, sha256: str) -> Mapping[str, Any] | None:
         """What a report of this version says of a body file, None where there is none."""

@@ -1,9 +1,10 @@
-// The table of parts: sorting by mouse and keyboard, a filter, and the sections of those parts alone that are in it.
+// The table of parts: sorting by mouse and keyboard, a filter, and the sections of those parts alone that are in it. Of
+// many parts the page has no sections, and its rows are what links lead to.
 (function () {
   "use strict";
   var most = 1000, table = document.getElementById("parts"), body = table.tBodies[0], wanted = "";
   var heads = Array.from(table.tHead.rows[0].cells), rows = Array.from(body.rows), more = document.getElementById("more");
-  var sections = new Map(rows.map(function (row) { return [row, document.getElementById("part-" + row.dataset.part)]; }));
+  var sections = new Map(rows.map(function (row) { return [row, row.id ? null : document.getElementById("part-" + row.dataset.part)]; }));
   var texts = new Map(rows.map(function (row) { return [row, row.textContent.toLowerCase()]; }));
 
   function draw() {
@@ -11,7 +12,7 @@
     var some = rows.filter(function (row) { return texts.get(row).includes(wanted); }), listed = some.slice(0, most);
     body.replaceChildren(...listed);
     var seen = new Set(listed);
-    sections.forEach(function (section, row) { section.hidden = !seen.has(row); });
+    sections.forEach(function (section, row) { if (section) section.hidden = !seen.has(row); });
     more.hidden = some.length <= most;
     more.textContent = "show all " + some.length + " parts, not the first " + most + " alone";
     document.getElementById("count").textContent = wanted ? some.length + " of " + rows.length + " parts" : "";

@@ -7,14 +7,12 @@ by ``Markup.format`` or ``as_json`` alone, which escape them. Tables of stages a
 
 from __future__ import annotations
 
-import hashlib
 import io
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import quote
 
 from markupsafe import Markup
 
@@ -25,9 +23,7 @@ from morembs.base.errors import InputError
 from morembs.body.file import read_body
 from morembs.body.stored import StoredBodies
 from morembs.body.tolerances import TOL as BODY
-from morembs.fem.viewer.page import PROGRAM, Scene, document_of, section_of, viewer_page
-from morembs.storage.contents import own_files
-from morembs.storage.safefile import replacing
+from morembs.fem.viewer.page import PROGRAM, Scene, document_of, section_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,17 +37,14 @@ class PartPage:
     """A part on its way into a page: the body ``file``, its ``sha256``, what the page says of it (``content``).
 
     ``stored`` is read when it is asked for, unless it is ``fresh``: a part that has not changed goes without.
-    ``report`` is the page, ``count`` the number of its parts; ``folder`` beside it is for what is too large for a page
-    with many of them.
+    ``is_alone`` says that it has a page of its own.
     """
 
     name: str
-    number: int
-    count: int
-    report: Path
     file: Path
     sha256: str
     content: Mapping[str, Any]
+    is_alone: bool = False
     fresh: StoredBodies | None = None
     kept: KeptParts = field(default_factory=lambda: KeptParts(()))
 
@@ -73,11 +66,6 @@ class PartPage:
     def holds_members(self) -> bool:
         """True if the file holds planar members."""
         return bool(self.content.get("members"))
-
-    @property
-    def folder(self) -> Path:
-        """``night_files`` beside ``night.html``; it is made by who writes into it."""
-        return self.report.with_name(f"{self.report.stem}_files")
 
     @property
     def key(self) -> str:
@@ -153,6 +141,19 @@ def thumbnail(part: PartPage) -> Markup:
     return _shapes_picture(part, "row", f"first mode of {part.name}", STYLE.row_picture, draw_first)
 
 
+def thumbnail_data(part: PartPage) -> str:
+    """The thumbnail as PNG in base64, empty where there is none."""
+    thumbnail(part)  # it is kept now
+    return part.kept.picture(f"{part.key}:row", bytes)
+
+
+def icon(part: PartPage) -> Markup:
+    """The thumbnail as the icon of the page of a part, where a later report finds it again."""
+    source = thumbnail_data(part)
+    text = '<link rel="icon" data-key="{0}:row" data-sum="{1}" href="data:image/png;base64,{2}">'
+    return Markup(text).format(part.key, sum_of(source), source) if source else thumbnail(part)
+
+
 def mode_pictures(part: PartPage) -> Markup:
     """Four modes of the body that is shown, or shapes of a planar member over its end angles."""
     if part.holds_members:
@@ -180,49 +181,19 @@ def response_picture(part: PartPage) -> Markup:
 
 
 def viewer(part: PartPage) -> Markup:
-    """The modes as they move: in the page, or of many parts in pages of their own in the folder beside it."""
+    """The modes as they move; on a page of its own they are there at once."""
     try:
-        if part.count > STYLE.viewers_in_page:
-            return _framed_viewer(part)
         data = as_json(part.kept.data(f"{part.key}:viewer", lambda: document_of(_scene(part))))
     except InputError:
         return Markup("")  # there is nothing to show
     script = Markup('<script type="application/json" data-key="{}:viewer" data-sum="{}">{}</script>')
-    return _opened(Markup(section_of(script.format(part.key, sum_of(data), data))))
-
-
-def _opened(inner: Markup) -> Markup:
-    text = '<details class="morembs-look"><summary>Look at it: modes that move</summary>{}</details>'
-    return Markup(text).format(inner)
+    inner = Markup(section_of(script.format(part.key, sum_of(data), data)))
+    text = '<details class="morembs-look"{}><summary>Look at it: modes that move</summary>{}</details>'
+    return Markup(text).format(Markup(" open" if part.is_alone else ""), inner)
 
 
 def _scene(part: PartPage) -> Scene:
     return stored_scene(part.stored, part.name, part.shown, STYLE.viewer_modes)
-
-
-def _framed_viewer(part: PartPage) -> Markup:
-    """A page in the folder, written anew where the body file or the version is another one, or the page was edited."""
-    # Two parts may have one name, and two jobs one body file: a page belongs to both together.
-    owner = f"{part.name}\n{part.file.absolute()}"
-    page = part.folder / f"view-{hashlib.sha256(owner.encode('utf-8', 'surrogatepass')).hexdigest()[:16]}.html"
-    with own_files():
-        old, _, mark = (page.read_bytes() if page.is_file() else b"").rpartition(b"<!-- ")
-    if mark != _mark(part, old):
-        new = viewer_page(_scene(part)).encode("utf-8", "replace")
-        part.folder.mkdir(exist_ok=True)
-        with replacing(page) as file:
-            file.write(new + b"<!-- " + _mark(part, new))
-    link = quote(f"{part.folder.name}/{page.name}")
-    text = (
-        '<iframe src="{0}" title="modes of {1}" loading="lazy"></iframe>'
-        '<p><a href="{0}">{1} on a page of its own</a></p>'
-    )
-    return _opened(Markup(text).format(link, part.name))
-
-
-def _mark(part: PartPage, text: bytes) -> bytes:
-    """The end of a page in the folder: of which body file it is, and that it is as it was written."""
-    return f"{part.key} {hashlib.sha256(text).hexdigest()} -->\n".encode()
 
 
 def charts(part: PartPage) -> Markup:
@@ -270,9 +241,8 @@ def _body_charts(part: PartPage) -> Iterator[Chart]:
 
 # One line for each, in the order in which they stand in the section of a part.
 SECTIONS: tuple[Callable[[PartPage], Markup], ...] = (mode_pictures, viewer, charts)
-# Scripts and style sheets that a page holds once: package and file.
+# Scripts and style sheets that a page with sections holds once: package and file.
 SCRIPTS: tuple[tuple[str, str], ...] = (
-    ("morembs.app.pages", "page.js"),
     ("morembs.app.pages", "charts.js"),
     *(("morembs.fem.viewer", name) for name in PROGRAM),
 )

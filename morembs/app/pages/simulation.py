@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from morembs.app.pages.page import link_to, rendered
+from morembs.app.pages.rendering import link_to, rendered
 from morembs.app.pages.sections import png_of
 from morembs.app.report.style import STYLE
 from morembs.app.simulations.picture import pictures_of

@@ -33,8 +33,8 @@ class ReportStyle:
     shapes_picture: tuple[float, float, int] = (9.0, 4.0, 90)
     # Elastic modes that a viewer in a report shows: twelve parts of 6,000 triangles have 4 MB.
     viewer_modes: int = 10
-    # Viewers that a page of several parts holds itself: those of more parts lie in the folder beside it.
-    viewers_in_page: int = 20
+    # Parts with a section in the page itself: of more parts each has a page in the folder beside it.
+    sections_in_page: int = 20
     # Dots per inch and number of colors of the picture where no script runs: a fifth of the bytes of a full one.
     still_dots: int = 72
     still_colors: int = 48
