@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from urllib.parse import unquote
 
 import h5py
 import numpy as np
@@ -21,7 +23,8 @@ from morembs.app.jobs.stages.couple import interfaces_of
 from morembs.app.jobs.stages.forecast import outlined
 from morembs.app.jobs.stages.model import materials_of, mesh_of
 from morembs.app.jobs.viewing import scene_of_files
-from morembs.app.pages.page import Entry, write_report
+from morembs.app.pages.page import Entry, check_report, write_report
+from morembs.base.errors import OutputError
 from morembs.body.file import read_body
 from morembs.body.recovery.recover import recover
 from morembs.body.recovery.trajectory import Trajectory
@@ -420,9 +423,9 @@ def test_two_parts_of_one_name_have_pages_of_their_own(folder: Path, tmp_path: P
     bodies = [folder / "part.h5", *[folder / "other.h5"] * 20]
     entries = [Entry(name="part", job="j.toml", output=str(body), state="done") for body in bodies]
     write_report(tmp_path / "night.html", entries, "night")
-    frames = re.findall(r'iframe src="([^"]+)"', (tmp_path / "night.html").read_text())
-    one, two, *_ = [(tmp_path / frame).read_text() for frame in frames]
-    assert len(set(frames)) == 2 and one != two
+    links = re.findall(r'<a href="(night_files/[^"]+)"', (tmp_path / "night.html").read_text())
+    one, two, *_ = [(tmp_path / link).read_text() for link in links]
+    assert len(links) == 21 and len(set(links)) == 2 and one != two
 
 
 OPENED = "document.querySelector('.morembs-look').open = true, 1"
@@ -447,30 +450,79 @@ def test_a_report_has_a_viewer_a_part_that_begins_when_it_is_opened(page: Page, 
 
 
 @needs_browser
-def test_viewers_of_many_parts_lie_beside_the_report(page: Page, folder: Path, tmp_path: Path) -> None:
-    """Frames of pages in a folder, which are written again where a body has changed alone."""
+def test_many_parts_have_pages_of_their_own(page: Page, folder: Path, tmp_path: Path) -> None:
+    """They are written again where something of them has changed alone, and hold all that a section does."""
     body = tmp_path / "body.h5"
     body.write_bytes((folder / "part.h5").read_bytes())
     bodies = [body, *[folder / "other.h5"] * 20]
     text = report_of(bodies, tmp_path / "night.html")
-    pages = sorted((tmp_path / "night_files").glob("view-*.html"))
-    assert len(pages) == 21 and 'class="morembs-viewer"' not in text
-    assert sorted(re.findall(r'iframe src="([^"]+)"', text)) == [f"night_files/{each.name}" for each in pages]
+    pages = sorted((tmp_path / "night_files").glob("part-*.html"))
+    assert len(pages) == 21 and 'class="morembs-viewer"' not in text and "<section" not in text
+    assert sorted(re.findall(r'<a href="([^"]+)">&lt;i&gt;part', text)) == [
+        f"night_files/{each.name}" for each in pages
+    ]
     times = {each: each.stat().st_mtime_ns for each in pages}
     body.write_bytes((folder / "other.h5").read_bytes())
     report_of(bodies, tmp_path / "night.html")
     assert sum(each.stat().st_mtime_ns != times[each] for each in pages) == 1
     # A page that was edited by hand is written anew.
-    text = pages[3].read_bytes()
-    pages[3].write_bytes(text.replace(b"</main>", b"<p>no</p></main>"))
+    own = pages[3].read_bytes()
+    pages[3].write_bytes(own.replace(b"</main>", b"<p>no</p></main>"))
     report_of(bodies, tmp_path / "night.html")
-    assert pages[3].read_bytes() == text
-    page.faults.clear()
+    assert pages[3].read_bytes() == own
+    page.faults.clear(), page.requests.clear()
     page.open(tmp_path / "night.html")
-    page.run(OPENED)
-    page.run("document.querySelector('.morembs-look').scrollIntoView(), 1")
+    page.wait("document.querySelector('#parts img').naturalWidth === 128")
+    page.run("document.querySelector('#parts a').click(), 1")
+    page.wait("document.querySelector('h1').textContent === '<i>part 0' && document.querySelectorAll('.chart').length")
     seen_within_a_minute(page, lambda picture: colored(picture) > 0.03)
-    assert page.faults == []
+    page.run("document.querySelector('p a').click(), 1")
+    page.wait("location.hash === '#part-1' && document.querySelector(location.hash).cells.length === 11")
+    assert page.faults == [] and {url.partition(":")[0] for url in page.requests} <= {"file", "data"}
+
+
+def test_the_page_of_many_parts_is_small_and_draws_nothing_twice(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What 2,000 parts cost a browser: 5 kB and 20 elements each, where a section has 100 kB and more."""
+    bodies = [folder / "other.h5"] * 40
+    text = report_of(bodies, tmp_path / "night.html")
+    few = report_of(bodies[:21], tmp_path / "few.html")
+    assert (len(text) - len(few)) / 19 < 5_000 and (text.count("<") - few.count("<")) / 19 < 40
+    drawn: list[object] = []
+    monkeypatch.setattr("morembs.app.pages.sections.png_of", lambda *given: drawn.append(given) or b"")
+    monkeypatch.setattr("morembs.app.pages.sections.document_of", lambda *given: drawn.append(given))
+    assert report_of(bodies, tmp_path / "night.html") == text and drawn == []
+
+
+def test_the_folder_of_pages_is_looked_at_before_anything_runs(folder: Path, tmp_path: Path) -> None:
+    report = tmp_path / "night.html"
+    (tmp_path / "night_files").write_text("mine")
+    with pytest.raises(OutputError, match="is not a folder"):
+        check_report(report)
+    with pytest.raises(OutputError, match="cannot be made"):
+        report_of([folder / "other.h5"] * 21, report)
+    assert not report.exists() and (tmp_path / "night_files").read_text() == "mine"
+
+
+def test_hostile_names_lead_to_the_pages_of_their_parts(folder: Path, tmp_path: Path) -> None:
+    """Of the report, of its parts and of their body files."""
+    place = tmp_path / """a <b> "q" 'q' # % ü &.d"""
+    place.mkdir()
+    body = place / "p#%41 <i>.h5"
+    body.write_bytes((folder / "other.h5").read_bytes())
+    report = place / 'n#1 %20 <x>&".html'
+    entries = [Entry(name=f'"><i>{n} %', job=str(place / "j#.toml"), output=str(body), state="done") for n in range(21)]
+    write_report(report, entries, "<i>night")
+    text = report.read_text()
+    links = [unquote(html.unescape(link)) for link in re.findall(r'<a href="([^"#]+)">', text)]
+    assert len(links) == 21 and "<i>" not in text
+    for link in links:
+        own = (place / link).read_text()
+        assert "<i>" not in own
+        for back in re.findall(r'<a href="([^"#]+)', own):
+            found = (place / link).parent / unquote(html.unescape(back))
+            assert found.is_file() or found.name == "j#.toml"
 
 
 def test_frames_of_interfaces_have_their_axes_and_places_that_are_unknown_are_told() -> None:

@@ -129,7 +129,7 @@ def _folder_of(report: Path) -> Path:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise OutputError(
-            f"{folder}, the folder for the pages of the parts, cannot be made ({error.strerror}); remove what is there, "
-            "or choose another place for the report"
+            f"{folder}, the folder for the pages of the parts, cannot be made ({error.strerror}); remove what is "
+            "there, or choose another place for the report"
         ) from error
     return folder
