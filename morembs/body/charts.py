@@ -145,8 +145,10 @@ def mac_chart(body: Charted, other: Charted | None, modes: int) -> Chart:
     """Modal assurance criterion of the first elastic ``modes`` of a body with those of another at the same nodes.
 
     Raises:
-        InputError: bodies at other nodes, or without modes there.
+        InputError: bodies at other nodes, or without modes there, or something else than a body.
     """
+    if other is not None and not hasattr(other, "modes"):
+        raise InputError(f"other = {shown(other)} was given; expected a body, and a number of modes as modes=10")
     second = body if other is None else other
     one, two = body.modes(modes), second.modes(modes)
     if not one.size or not two.size or one.shape[1] != two.shape[1]:

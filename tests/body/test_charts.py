@@ -95,6 +95,8 @@ def test_mac_of_a_body_with_itself_and_another(stored):
     a, b = (body.modes(10)[k].ravel() for body, k in ((cb, 2), (worse, 0)))
     assert panel.values[2, 0] == pytest.approx((a @ b) ** 2 / (a @ a * (b @ b)))
     assert cb.plot_mac(worse).axes[0].images[0].get_array().shape == (10, 6)
+    with pytest.raises(InputError, match="other = 3 was given; expected a body"):
+        cb.plot_mac(3)
 
 
 def test_bodies_at_other_nodes_have_no_mac(stored, tmp_path):
