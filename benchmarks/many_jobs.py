@@ -32,7 +32,8 @@ from morembs.app.batches.plan import parts_of
 from morembs.app.batches.records import Nobody
 from morembs.app.batches.workers import Finished, Heard, Task, Worker
 from morembs.app.jobs.job import load_job
-from morembs.app.pages.page import Entry, write_report
+from morembs.app.pages.page import write_report
+from morembs.app.pages.parts import Entry
 from morembs.base.memory import peak_memory_bytes
 from morembs.storage.attempts import attempt_at
 from morembs.storage.checksums import whole_sum

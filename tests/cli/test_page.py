@@ -20,7 +20,8 @@ from typer.testing import CliRunner
 
 from morembs.app.cli import commands as cli
 from morembs.app.jobs.compare import recommended
-from morembs.app.pages.page import Entry, write_report
+from morembs.app.pages.page import write_report
+from morembs.app.pages.parts import Entry
 from morembs.body.file import read_body
 from tests.support import decks
 

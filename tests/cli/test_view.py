@@ -24,7 +24,8 @@ from morembs.app.jobs.stages.couple import interfaces_of
 from morembs.app.jobs.stages.forecast import outlined
 from morembs.app.jobs.stages.model import materials_of, mesh_of
 from morembs.app.jobs.viewing import scene_of_files
-from morembs.app.pages.page import Entry, check_report, write_report
+from morembs.app.pages.page import check_report, write_report
+from morembs.app.pages.parts import Entry
 from morembs.base.errors import OutputError
 from morembs.body.file import read_body
 from morembs.body.recovery.recover import recover

@@ -57,7 +57,8 @@ def batch(
 ) -> None:
     """Run many jobs beside each other; those whose results are up to date are left alone."""
     from morembs.app.batches.run import batch as run
-    from morembs.app.pages.page import Entry, write_report
+    from morembs.app.pages.page import write_report
+    from morembs.app.pages.parts import Entry
 
     wanted = requested(report, against, within)
     with messages():

@@ -286,7 +286,8 @@ def requested(report: Path | None, against: Path | None, within: str | None) -> 
 
 
 def _write_report(report: ReportRequest, documents: Sequence[Mapping[str, Any]]) -> str:
-    from morembs.app.pages.page import Entry, write_report
+    from morembs.app.pages.page import write_report
+    from morembs.app.pages.parts import Entry
 
     entries = [
         Entry(
