@@ -47,8 +47,12 @@ class VerifierTolerances:
     sizes: tuple[float, float] = (1e-120, 1e120)
     # Stands for zero in divisors.
     tiny: float = 1e-300
-    # Degree of Taylor polynomials: what they leave is 4^-17 = 6e-11 of the sum of all terms.
+    # Degree of Taylor polynomials: what they leave is about 4^-17 = 6e-11 of the sum of all terms.
     degree: int = 16
+    # Damping between modes of a body, over their own, that is round-off.
+    uncoupled: float = 1e-12
+    # Relative distance of equal frequencies, whose modes share an envelope.
+    equal_modes: float = 1e-6
     # Steps of the grid on a cell: between them the envelope changes by 2 / 64 * near at most.
     steps: int = 64
     # Half of a cell over the distance of the nearest root.
@@ -188,7 +192,7 @@ def interface_map(body: Any, model: Any) -> Coupling:
     """Lemma interface-map: coupled dofs and loads by the interfaces of the body on the nodes of the model."""
     lemma, node, component = "interface-map", read(model, "dofs/node", "iu"), read(model, "dofs/component", "iu")
     need("couplings" not in model and "equations" not in model, lemma, "equations of the model hold dofs")
-    need(set(model["matrices"]) <= {"K", "M"}, lemma, "the model has matrices beside K and M")
+    need(set(model["matrices"]) <= {"K", "M", "D"}, lemma, "the model has matrices beside K, M and D")
     xyz, ids, dof = read(model, "nodes/coordinates"), read(model, "nodes/ids", "iu").tolist(), np.arange(len(node))
     need((node >= 0) & (node < len(ids)) & (component >= 0) & (component < 7), lemma, "a dof has no node")
     need(
@@ -386,32 +390,110 @@ def count_below(S: sp.csr_array, shift: float) -> tuple[float, int, float]:
     raise last
 
 
-# Responses as sums over their poles -----------------------------------------------------------------------------------
+# Responses on cells of the band ---------------------------------------------------------------------------------------
+
+
+class Solved(NamedTuple):
+    """Solutions y (c, j, n, m) of A y = b in powers of t on cells, sizes (c, n) of their rows, and of what they leave
+    of b; A^-1 is at most ``norm`` (c,) between loads and motions that are scaled by ``weights`` (c, n)."""
+
+    y: Array
+    sizes: Array
+    left: Array
+    weights: Array
+    norm: Array
+
+
+class Pencil(NamedTuple):
+    """A(w) = (1 + i loss) K + i w D - w^2 M, diagonals (n,) or matrices (n, n), known but for ``off`` (3, n, n), entry
+    by entry."""
+
+    loss: float
+    K: Array
+    D: Array
+    M: Array
+    off: list[Array]
+
+    def poles(self) -> Array:
+        """Its poles, of which nothing but the choice of cells follows."""
+        if self.K.ndim == 1:
+            d = self.D / self.M
+            root = np.sqrt((1 + 1j * self.loss) * self.K / self.M - d * d / 4)
+            return np.concatenate([0.5j * d + root, 0.5j * d - root])
+        w0, eye = float(np.sqrt(np.linalg.norm(self.K) / np.linalg.norm(self.M))), np.eye(len(self.K))
+        D, K = (np.linalg.solve(self.M, A) for A in (self.D, self.K))
+        return -1j * np.linalg.eigvals(np.block([[0 * eye, w0 * eye], [-(1 + 1j * self.loss) * K / w0, -D]]))
+
+    def solve(self, m: Array, h: Array, b: Array) -> Solved:
+        """Lemma response-on-cells: A y = b on cells m + h t, as a series that is checked."""
+        n, diagonal, few = len(b), self.K.ndim == 1, gamma(4 * len(b) + 24)
+        at, wide = (each.reshape(-1, *[1] * self.K.ndim) for each in (m, h))
+        # What cancels beside a resonance is rounded afterwards.
+        A = [(self.K - at.astype(LONG) ** 2 * self.M).astype(float) + 1j * (self.loss * self.K + at * self.D)]
+        error = 8 * U * np.abs(A[0]) + 8 * U_LONG * (np.abs(self.K) + at**2 * np.abs(self.M))
+        error += 8 * U * (self.loss * np.abs(self.K) + (at + wide) * np.abs(self.D) + wide * (at + wide) * np.abs(self.M))
+        A += [wide * (1j * self.D - 2 * at * self.M), -(wide**2) * self.M + 0j]
+        sizes = [np.abs(part) for part in A]
+        if diagonal:
+            G, dot = 1 / A[0], np.multiply
+            weights = np.sqrt(np.abs(G))
+            times = lambda X, y: X[..., None] * y  # noqa: E731
+            norm = lambda X, _: np.abs(X).max(axis=1)  # noqa: E731
+            near, far = norm(G * A[0] - 1, 0), 1.0
+        else:
+            s, dot, times = 1 / np.sqrt(np.abs(np.diag(self.K)) + TINY), np.matmul, np.matmul
+            G = s[:, None] * np.linalg.inv(s[:, None] * A[0] * s) * s
+            weights = np.sqrt(np.linalg.norm(G, axis=2))
+            norm = lambda X, side: np.linalg.norm(X * weights[:, None] * weights[:, :, None] ** side, axis=(1, 2))  # noqa: E731
+            near, far = norm(G @ A[0] - np.eye(n), -1), norm(G / weights[:, None] ** 2, -1)
+        near = near + sum(norm(dot(G, part), -1) for part in A[1:])
+        near = near + few * sum(norm(dot(np.abs(G), part), -1) for part in sizes)
+        w, square = m + h, weights**2
+        factors = abs(1 + 1j * self.loss), w, w**2
+        for factor, off in zip(factors, self.off, strict=True):
+            near = near + far * factor * np.sqrt(np.einsum("cp,pq,cq->c", square, off**2, square))
+        near = near + far * (norm(error * square, 0) if diagonal else norm(error, 1))
+        y = [times(G, b[None])]
+        y[0] = y[0] + times(G, b - times(A[0], y[0]))
+        for j in range(1, DEGREE + 1):
+            y.append(-times(G, sum(times(A[i], y[j - i]) for i in range(1, min(j, 2) + 1))))
+        Y = UP * sum(np.linalg.norm(part, axis=2) for part in y)
+        left = few * (np.linalg.norm(b, axis=1) + sum(times(part, Y[..., None])[..., 0] for part in sizes))
+        left = left + times(error, Y[..., None])[..., 0]
+        for j in range(DEGREE + 3):
+            rho = sum(times(A[i], y[j - i]) for i in range(3) if 0 <= j - i <= DEGREE)
+            left = left + np.linalg.norm(b - rho if j == 0 else rho, axis=2)
+        for factor, off in zip(factors, self.off, strict=True):
+            left = left + np.reshape(factor, (-1, 1)) * (Y @ off.T)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            most = np.where(near < 1, far / (1 - near), np.inf)
+        return Solved(np.stack(y, axis=1), Y, UP * left, weights, UP * most)
 
 
 class Response(NamedTuple):
-    """sum_p left_p right_p' / a_p (P, m), a_p = (w - z_p1) (w - z_p2), or with one root alone; the matrix whose inverse
-    1 / a_p stands for is off by ``off`` = [A, B, C], A + w B + w^2 C (P, P), entry by entry."""
+    """C'A^-1 B of a ``pencil``, C and B (n, m); ``twin`` is that of A', or None where all is symmetric."""
 
-    z: Array
-    left: Array
-    right: Array
-    off: list[Array]
+    pencil: Pencil
+    twin: Pencil | None
+    C: Array
+    B: Array
 
-
-def second_order(stiffness: Array, d: Array) -> tuple[Array, Array, Array]:
-    """Roots (P, 2) of w^2 - i w d_p - s_p, and by how much the product misses that: r1 w + r2."""
-    root = np.sqrt(stiffness - d * d / 4 + 0j)
-    sign = np.where(np.abs(0.5j * d + root) >= np.abs(0.5j * d - root), 1, -1)
-    first = 0.5j * d + sign * root
-    z = np.stack([first, -stiffness / first], axis=1)
-    return z, np.abs(z.sum(axis=1) - 1j * d) + 4 * U * np.abs(z).sum(axis=1), 8 * U * np.abs(stiffness)
+    def on_cells(self, m: Array, h: Array) -> tuple[Array, Array]:
+        """Its powers of t (c, j, m m), and how far it is from these (c,)."""
+        right = self.pencil.solve(m, h, self.B)
+        left = right if self.twin is None else self.twin.solve(m, h, self.C)
+        lost = (left.sizes * right.left).sum(axis=1)
+        ends = (np.linalg.norm(right.weights * each.left, axis=1) for each in (left, right))
+        lost = lost + right.norm * np.prod(list(ends), axis=0)
+        lost = lost + gamma(8 * DEGREE + 2 * len(self.B) + 60) * (right.sizes @ np.linalg.norm(self.C, axis=1))
+        H = self.C.T @ right.y
+        return H.reshape(*H.shape[:2], -1), UP * lost
 
 
 def body_response(group: Any, loss: float, scale: Array, loads: Array) -> Response:
-    """Lemma body-poles: the elastic response of the body by its poles, whose rigid motions take the ``loads``
+    """Lemma body-response: the elastic response of the body whose rigid motions take the ``loads``
     (r, m) as those of the model do."""
-    lemma, rigid, inertia = "body-poles", len(loads), loads.T @ loads
+    lemma, rigid, inertia = "body-response", len(loads), loads.T @ loads
     M, K, D, B = (read(group, f"{name}_matrix") for name in ("mass", "stiffness", "damping", "input"))
     n, m = len(M), len(scale)
     need([np.isfinite(A).all() for A in (M, K, D, B)], lemma, "a matrix is not finite")
@@ -427,7 +509,9 @@ def body_response(group: Any, loss: float, scale: Array, loads: Array) -> Respon
         same = np.abs(moved - inertia).max() <= TOL.rigid_motion * np.abs(inertia).max()
         need(same, "rigid-motions", "the body has another inertia")
         M, K, D = (A[rigid:, rigid:] for A in (M, K, D))
-        return first_order(M, K, D, (B * scale)[rigid:], C[:, rigid:], loss)
+        parts, off = (K, D, M), [np.zeros_like(K)] * 3
+        twin = Pencil(loss, K.T, D.T, M.T, off)
+        return Response(Pencil(loss, *parts, off), twin, C[:, rigid:].T, (B * scale)[rigid:])
     need(np.diag(M) > 0, lemma, "its mass is not positive")
     d = 1 / np.sqrt(np.diag(M))
     values, X = np.linalg.eigh(d[:, None] * M * d)
@@ -452,51 +536,14 @@ def body_response(group: Any, loss: float, scale: Array, loads: Array) -> Respon
     parts, off = [], []
     for A in (K, D, M):
         G = X.T @ A.astype(LONG) @ X
-        parts.append(np.diag(G).astype(float) if A is not M else np.ones(len(G)))
+        parts.append(G.astype(float))
         error = gamma(4 * len(M), U_LONG) * (np.abs(X).T @ np.abs(A) @ np.abs(X))
-        off.append((np.abs(G - np.diag(parts[-1])) + error).astype(float))
+        off.append((np.abs(G - parts[-1]) + error).astype(float))
+    beside = [np.abs(G - np.diag(np.diag(G))) for G in parts]
+    if (beside[1].sum(axis=1) <= TOL.uncoupled * np.abs(np.diag(parts[1]))).all():
+        off, parts = [one + two for one, two in zip(off, beside, strict=True)], [np.diag(G) for G in parts]
     b = (X.T @ (B * scale).astype(LONG)).astype(float)
-    z, r1, r2 = second_order(parts[0] * (1 + 1j * loss), parts[1])
-    return Response(z, -b, b, [abs(1 + 1j * loss) * off[0] + np.diag(r2), off[1] + np.diag(r1), off[2]])
-
-
-def first_order(M: Array, K: Array, D: Array, B: Array, C: Array, loss: float) -> Response:
-    """The response of a body whose motions and loads have bases of their own: states (w0 q, i w q)."""
-    n, w0 = len(M), float(np.sqrt(np.linalg.norm(K) / np.linalg.norm(M)))
-    eye, zero = np.eye(n), np.zeros((n, n))
-    # (A - i w S) x = -[0; B] f.
-    S = np.block([[eye, zero], [zero, M]]).astype(complex)
-    A = np.block([[zero, w0 * eye], [-(1 + 1j * loss) * K / w0, -D]]).astype(complex)
-    mu, V = np.linalg.eig(np.linalg.solve(S, A))
-    L, V, off = np.linalg.inv(S @ V).astype(np.clongdouble), V.astype(np.clongdouble), []
-    for G, part in ((A, mu), (S, np.ones(2 * n))):
-        error = gamma(16 * n, U_LONG) * (np.abs(L) @ np.abs(G) @ np.abs(V))
-        off.append((np.abs(L @ G.astype(np.clongdouble) @ V - np.diag(part)) + error).astype(float))
-    left, right = -1j * (np.hstack([C / w0, 0 * C]) @ V).T, L[:, n:] @ B
-    return Response(-1j * mu[:, None], left.astype(complex), right.astype(complex), [*off, 0 * off[0]])
-
-
-def taylor(z: Array, m: Array, h: Array) -> tuple[Array, Array, Array]:
-    """Of 1 / ((w - z1) (w - z2)) at w = m + h t, or with one root: coefficients (c, DEGREE + 1, P) in t, the largest
-    value on the cell, and the largest sum of all further terms (c, P). Roots lie beyond |t| = 1 / TOL.near."""
-    x = h[:, None, None] / (z - m[:, None, None])
-    order = np.argsort(-np.abs(x), axis=2)
-    x = np.take_along_axis(x, order, axis=2)
-    first, other = x[..., 0], x[..., -1]
-    near, far, two = np.abs(first), np.abs(other), z.shape[1] == 2
-    c, power, grown = np.empty((len(m), DEGREE + 1, len(z)), dtype=complex), first, np.zeros_like(first)
-    for j in range(DEGREE + 1):
-        grown = (grown + power) * other
-        c[:, j] = grown if two else -power
-        power = power * first
-    scale = h[:, None] ** -z.shape[1]
-    most = near / (1 - near) * (far / (1 - far) if two else 1) * scale
-    # sum_{j > d} (j + 1) x^j, or a geometric series where the second root is further away.
-    tail = near ** (DEGREE + 1) / (1 - near) * near * scale
-    if two:
-        more = np.maximum(1 - far / near, TINY)
-        tail = tail * far * np.minimum(DEGREE + 2 + near / (1 - near), 1 / more)
-    return c * scale[:, None], most, tail
+    return Response(Pencil(loss, *parts, off), None, b, b)
 
 
 def grid_norm(P: Array, steps: int) -> tuple[Array, Array]:
@@ -554,7 +601,7 @@ class Proof:
         need([np.isfinite(A).all() for A in (self.Z, self.V, self.X, self.E)], "ritz-values", "a number is not finite")
         self.coupling = interface_map(bodies, model)
         n, p, q = len(self.coupling.B), self.V.shape[-1], self.X.shape[-1]
-        wanted = [(n, self.Z.shape[-1]), (n, p), (n, q), (q, p)]
+        wanted = [(n, self.Z.shape[-1]), (n, p), (n, q), (q, 2 * p if "D" in model["matrices"] else p)]
         need(
             [self.Z.shape, self.V.shape, self.X.shape, self.E.shape] == wanted, "ritz-values", "a shape is another one"
         )
@@ -597,6 +644,10 @@ class Proof:
         R, turns = self.coupling.R, self.coupling.turns
         self.K, self.lost_K = coupled(part_of(model, "matrices/K"), self.coupling.T)
         self.M, self.lost_M = coupled(part_of(model, "matrices/M"), self.coupling.T)
+        self.D, self.lost_D = None, np.zeros(0)
+        if "D" in model["matrices"]:
+            need(not self.ratio, "damping", "a ratio of modal damping stands beside a damping matrix")
+            self.D, self.lost_D = coupled(part_of(model, "matrices/D"), self.coupling.T)
         self.wK, self.wM, G = row_sums(self.K), row_sums(self.M), R.T @ (self.M @ R)
         size = self.wK + self.sigma * self.wM
         need((size > TOL.sizes[0]) & (size < TOL.sizes[1]), "sturm-count", "a dof has neither stiffness nor mass")
@@ -604,7 +655,7 @@ class Proof:
         self.W = 4.0 ** np.round(0.5 * np.log2(size))
         self.lost = float(((self.lost_K + self.sigma * self.lost_M) / self.W).max())
         self.cK, self.cM = float((self.wK / self.W).max()), float((self.wM / self.W).max())
-        self.row = int(max(np.diff(A.indptr).max() for A in (self.K, self.M)))
+        self.row = int(max(np.diff(A.indptr).max() for A in (self.K, self.M, self.D) if A is not None))
         # Sums of rows and of products over all dofs.
         self.terms = ROWS + len(self.W) / ROWS + 10
         # Rotations count times the radius of gyration.
@@ -621,7 +672,9 @@ class Proof:
         fine = p if (self.K.nnz + len(V) * p) * p < TOL.extended_products else k
         G, e, u = [], [], np.full((p, p), U)
         u[:fine] = u[:, :fine] = U_LONG
-        for A, w, lost in ((self.K, self.wK, self.lost_K), (self.M, self.wM, self.lost_M)):
+        given = [(self.K, self.wK, self.lost_K), (self.M, self.wM, self.lost_M)]
+        given += [] if self.D is None else [(self.D, row_sums(self.D), self.lost_D)]
+        for A, w, lost in given:
             long, size, own = A.astype(LONG), norms(V, w), norms(V, lost)
             # Sums of products are as long as rows.
             rows = norms(V, row_sums(A, 1.0 + np.diff(A.indptr)))
@@ -660,6 +713,16 @@ class Proof:
         self.dK = UP * (np.abs(G[0] - np.diag(self.theta)).astype(float) + e[0] + off)
         off = 2 * np.outer(self.rigid, self.rigid)
         self.dM = UP * (np.abs(G[1] - np.eye(p)).astype(float) + e[1] + off)
+        if self.D is not None:
+            self.DV, DZ, few = G[2].astype(float), self.D @ Z, gamma(self.terms + self.row)
+            size_Z = float(norms(Z, given[2][1]).sum())
+            strain = np.linalg.norm(gram(DZ, V), axis=0) + few * norms(V, given[2][1]) * size_Z
+            turned = np.outer(self.rigid, strain)
+            off = turned + turned.T + (np.linalg.norm(gram(Z, DZ)) + few * size_Z**2) * np.outer(self.rigid, self.rigid)
+            self.dD = UP * (np.abs(G[2] - self.DV).astype(float) + e[2] + off)
+            self.cD = float((given[2][1] / self.W).max())
+            self.lost_D = float((self.lost_D / self.W).max())
+            self.DZ = norms(DZ, 1 / self.W) + (gamma(self.row) * self.cD + self.lost_D) * norms(Z, self.W)
 
     def count_modes(self) -> None:
         """Lemmas sturm-count and complement-bound: K >= sigma M + kappa W on the complement of k modes, and any norm in
@@ -693,9 +756,9 @@ class Proof:
         less += rho + 8 * U + self.lost
         left = kappa - chi - less
         need(not negative and left > 0, "complement-bound", "the mass is not known to be semidefinite")
-        self.least = theta[low] - self.dK[low, low].sum(axis=1)
+        self.least = theta - self.dK.sum(axis=1)
         need(self.least > 0, "ritz-values", "a mode has no stiffness")
-        self.soft = UP * float(np.sqrt(1 / left + (soft / self.least).sum()))
+        self.soft = UP * float(np.sqrt(1 / left + (soft / self.least[low]).sum()))
 
     def take_residuals(self) -> None:
         """Lemma reference-residual: of s_p / theta_p coordinates T (q, p) in the dual energy but for lost_T (p,), norms
@@ -713,10 +776,24 @@ class Proof:
         self.start = UP * self.soft * float(np.linalg.norm(start))
         size, KX = norms(self.X, W), self.K @ self.X
         held = norms(self.X, self.wM) * norms(Z, self.wM).max(initial=0.0) * float(self.KZ.sum())
-        off = self.off + (size * (gamma(self.row + len(self.E) + 8) * self.cK + self.lost) + held) @ np.abs(self.E)
+        off = [self.off]
+        if self.D is not None:
+            # D V - K V D_V / theta, but for rigid motion that is held.
+            across = self.DV / theta[:, None]
+            rest, grown = self.D @ self.V - self.KV @ across, np.abs(across)
+            held_Z = np.linalg.solve(Z.T @ MZ, Z.T @ rest)
+            rest -= MZ @ held_Z
+            few = gamma(self.row + p + Z.shape[1] + 40)
+            off.append((few * self.cD + self.lost_D) * self.size + float(self.DZ.sum()) * self.rigid)
+            off[1] = off[1] + ((few * self.cK + self.lost) * self.size + float(self.KZ.sum()) * self.rigid) @ grown
+            off[1] = off[1] + 2 * few * self.cM * (norms(Z, W) @ np.abs(held_Z))
         self.KV /= theta
         self.KV -= self.MV
-        self.KV -= KX @ self.E
+        rest = self.KV if self.D is None else np.hstack([self.KV, rest])
+        rest -= KX @ self.E
+        off = np.concatenate(off) + (size * (gamma(self.row + len(self.E) + 8) * self.cK + self.lost) + held) @ np.abs(
+            self.E
+        )
         energy = np.einsum("ij,ij->j", self.X, KX)
         length = np.maximum(np.sqrt(np.maximum(energy, 0.0)), TOL.no_energy * size + TINY)
         size = size / length
@@ -724,107 +801,106 @@ class Proof:
             (held / length) @ size
         )
         R, C = root_of(gram(self.X / length, KX / length), error), self.E * length[:, None]
-        self.T = R @ C
-        lost = self.soft * (norms(self.KV, 1 / W) + off)
-        self.lost_T = UP * (lost + gamma(4 * len(C)) * np.linalg.norm(np.abs(R) @ np.abs(C), axis=0))
+        T = R @ C
+        lost = self.soft * (norms(rest, 1 / W) + off)
+        lost = UP * (lost + gamma(4 * len(C)) * np.linalg.norm(np.abs(R) @ np.abs(C), axis=0))
+        self.T, self.T_own, self.lost_T, self.lost_own = T[:, :p], T[:, p:], lost[:p], lost[p:]
         self.tau = UP * (np.linalg.norm(self.T, axis=0) + self.lost_T)
-        most = max(1 / float(self.least.min(initial=np.inf)), 1 / self.sigma) * (1 + float(self.dM[:k, :k].sum()))
-        self.softest = 1 / (UP * (most + float(np.sqrt((self.tau[:k] ** 2 / self.least).sum()))))
+        most = max(1 / float(self.least[:k].min(initial=np.inf)), 1 / self.sigma) * (1 + float(self.dM[:k, :k].sum()))
+        self.softest = 1 / (UP * (most + float(np.sqrt((self.tau[:k] ** 2 / self.least[:k]).sum()))))
 
     def respond(self, loss: float) -> None:
-        """Lemmas damping and round-off: roots of the terms of H, ``away`` (p, p) from them V'A V is at most."""
-        theta = self.theta
-        self.loads, self.d = np.linalg.norm(self.b, axis=1), 2 * self.ratio * np.sqrt(theta)
-        self.z, r1, r2 = second_order(theta * (1 + 1j * loss), self.alpha + self.beta * theta + self.d)
-        self.away = abs(1 + 1j * (loss + self.top * self.beta)) * self.dK + np.diag(self.top * r1 + r2)
-        self.away += abs(self.top**2 + 1j * self.top * self.alpha) * self.dM
-        # On C, of K v_p = theta_p M v_p + s_p that of vectors above the shift is left.
-        strain = np.sqrt(theta + np.diag(self.dK)) / theta * (np.arange(len(theta)) >= self.k)
-        self.missed = np.diag(self.away) * 2 * self.tau + (self.top * r1 + r2) * strain
-        self.rows, self.above = self.outer(self.T, slice(None)), 0.0
-        self.own = np.sqrt(self.ratio * theta * np.sqrt(theta))
+        """Lemmas damping and round-off: the pencil of the vectors, and coordinates TD (q, p) of what damping leaves."""
+        theta, p = self.theta, len(self.theta)
+        self.loads, modal = np.linalg.norm(self.b, axis=1), 2 * self.ratio * np.sqrt(theta)
+        d, offD = self.alpha + self.beta * theta + modal, self.alpha * self.dM + self.beta * self.dK
+        own = self.alpha + modal
+        self.TD, self.lost_TD = -self.T * own, own * self.lost_T
+        # Below the shift modal damping of exact modes counts twice.
+        self.tau_D = (own + modal) * self.tau
+        self.d, self.square, parts = d, self.loads**2, (theta, d, np.ones(p))
+        if self.D is not None:
+            self.d, self.square, offD = d + np.diag(self.DV), self.square.copy(), offD + self.dD
+            self.TD, self.lost_TD = self.TD + self.T_own, self.lost_TD + self.lost_own
+            self.tau_D = self.tau_D + np.linalg.norm(self.T_own, axis=0) + self.lost_own
+            parts = np.diag(theta), np.diag(d) + self.DV, np.eye(p)
+            root = np.sqrt(theta)
+            for some in np.split(np.arange(p), np.flatnonzero(np.diff(root) > TOL.equal_modes * root[1:]) + 1):
+                self.d[some], self.square[some] = self.d[some].mean(), self.square[some].mean()
+        self.own, self.rows = np.sqrt(self.ratio * theta * np.sqrt(theta)), np.zeros((0, p))
         if self.ratio:
-            self.take_modal_damping()
+            # Ratios of exact modes, of which those of the vectors are off.
+            root, up, low = np.sqrt(theta), slice(self.k, None), slice(self.k)
+            rate = 2 * self.ratio * np.outer(theta, theta) / (root[:, None] + root)
+            offD = offD + 2 * self.ratio * (self.dK / (root[:, None] + root) + np.maximum.outer(root, root) * self.dM)
+            offD[low, low] += (rate * np.outer(self.tau, self.tau))[low, low]
+            N = (rate * (self.T.T @ self.T))[up, up]
+            scale = np.sqrt(np.maximum(np.diag(N), TINY))
+            self.rows = np.zeros((p - self.k, p))
+            self.rows[:, up] = root_of(N / np.outer(scale, scale), 0.0) * scale
+        self.pencil = Pencil(loss, *parts, [self.dK, offD, self.dM])
 
-    def outer(self, T: Array, some: slice) -> Array:
-        """(p, e) entries of t_p b_p', for the columns t_p of T."""
-        return np.asarray((T.T[:, :, None] * self.b[some, None, :]).reshape(T.shape[1], len(T) * self.b.shape[1]))
-
-    def take_modal_damping(self) -> None:
-        """Lemma damping: ratios of exact modes, of which those of the vectors are off."""
-        root, up, low = np.sqrt(self.theta), slice(self.k, None), slice(self.k)
-        rate = 2 * self.ratio * np.outer(self.theta, self.theta) / (root[:, None] + root)
-        self.away += 2 * self.top * self.ratio * (self.dK + np.outer(root, root) * self.dM) / (root[:, None] + root)
-        self.away[low, low] += self.top * (rate * np.outer(self.tau, self.tau))[low, low]
-        N = (rate * (self.T.T @ self.T))[up, up]
-        scale = np.sqrt(np.maximum(np.diag(N), TINY))
-        rows = self.outer(root_of(N / np.outer(scale, scale), 0.0) * scale, up)
-        cells = refined(np.zeros(1), np.array([self.top]), self.z[up])
-        c, most, tail = taylor(self.z[up], *halved(*cells.T))
-        sup = np.linalg.norm(c @ rows, axis=2).sum(axis=1)
-        sup += (tail + gamma(256 + 2 * len(self.z)) * most) @ np.linalg.norm(rows, axis=1)
-        self.above = UP * float((sup + most @ (self.own * self.lost_T * self.loads)[up]).max())
-
-    def unsure(self, m: Array, h: Array, c: Array, most: Array, tail: Array) -> Array:
+    def unsure(self, m: Array, h: Array, x: Solved) -> Array:
         """(c,) limits of |H - H_ref| on cells: lemmas reference-residual and round-off."""
-        low, w, wd = slice(self.k), m + h, (m + h)[:, None] * self.d
-        numerator, beta = (w**2 + w * self.alpha)[:, None] + wd, most * self.loads
-        # g + i w d in powers of t, times the terms.
-        g = [-(m**2) + 1j * m * self.alpha, -2 * m * h + 1j * h * self.alpha, -(h**2)]
-        P = np.zeros((len(m), DEGREE + 3, len(self.z)), dtype=complex)
-        for j, (part, step) in enumerate(zip(g, (m, h, 0 * h), strict=True)):
-            P[:, j : j + DEGREE + 1] += (part[:, None] + 1j * step[:, None] * self.d)[:, None] * c
-        at, bulge = grid_norm(P @ self.rows, STEPS // 4)
-        t = at.max(axis=1) + bulge + self.start + (numerator * most) @ (self.lost_T * self.loads)
-        t += (numerator * (tail + gamma(256 + 2 * len(self.z)) * most)) @ np.linalg.norm(self.rows, axis=1)
-        t += beta @ self.missed
-        moved = beta @ self.away
-        first = (moved * beta).sum(axis=1) + 2 * beta @ self.b_lost
-        mu = np.sqrt(w) * ((beta * self.own * self.tau)[:, low].sum(axis=1) + self.above * bool(self.ratio))
+        w, p = m + h, len(self.theta)
+        low = slice(self.k) if self.D is None else slice(None)
+        mass, drag = self.T @ x.y, self.TD @ x.y
+        P = np.zeros((len(m), DEGREE + 3, *mass.shape[2:]), dtype=complex)
+        m_, h_ = m.reshape(-1, 1, 1, 1), h.reshape(-1, 1, 1, 1)
+        for j, part in enumerate((m_**2 * mass + 1j * m_ * drag, 2 * m_ * h_ * mass + 1j * h_ * drag, h_**2 * mass)):
+            P[:, j : j + DEGREE + 1] += part
+        at, bulge = grid_norm(P.reshape(*P.shape[:2], -1), STEPS // 4)
+        few, wide = gamma(256 + 2 * p), np.linalg.norm(self.TD, axis=0)
+        t = at.max(axis=1) + bulge + self.start
+        t += w**2 * (x.sizes @ (self.lost_T + few * self.tau)) + w * (x.sizes @ (self.lost_TD + few * wide))
+        mu = x.sizes[:, : self.k] @ (self.own * self.tau)[: self.k]
+        if len(self.rows):
+            U_y = self.rows @ x.y
+            above, bulge = grid_norm(U_y.reshape(*U_y.shape[:2], -1), STEPS // 4)
+            mu = mu + above.max(axis=1) + bulge + x.sizes @ (few * np.linalg.norm(self.rows, axis=0))
+            mu = mu + (x.sizes * self.own * self.lost_T)[:, self.k :].sum(axis=1)
+        mu = np.sqrt(w) * mu
         t += mu * np.sqrt(self.ratio * w / np.sqrt(self.softest))
-        r1 = (self.b_lost + moved + (np.sqrt(w) * mu)[:, None] * self.own * self.tau)[:, low]
-        left = 1 - np.sqrt(np.einsum("cp,pq,cq->c", most[:, low], self.away[low, low] ** 2, most[:, low]))
-        kap = (((numerator + wd) * self.tau)[:, low] ** 2 * most[:, low]).sum(axis=1)
-        rho = np.sqrt((r1**2 * most[:, low]).sum(axis=1))
+        r = x.left + self.b_lost
+        first = (x.sizes * (r + self.b_lost)).sum(axis=1)
+        if self.D is None:
+            t += np.linalg.norm(r[:, self.k :] / np.sqrt(self.least[self.k :]), axis=1)
+            r[:, low] += ((np.sqrt(w) * mu)[:, None] * self.own * self.tau)[:, low]
+        size = (w**2)[:, None] * self.tau + w[:, None] * self.tau_D
         with np.errstate(divide="ignore", invalid="ignore"):
+            kap = x.norm * ((size * x.weights)[:, low] ** 2).sum(axis=1)
+            rho = x.norm * ((r * x.weights)[:, low] ** 2).sum(axis=1)
             reach = 1 / (1 - w**2 / self.sigma)
-            room = 1 - reach * kap / left
-            total = first + mu**2 + rho**2 / left + reach * (t + np.sqrt(kap) * rho / left) ** 2 / room
-        return np.asarray(np.where((left > 0) & (room > 0), UP * total, np.inf))
+            room = 1 - reach * kap
+            total = first + mu**2 + rho + reach * (t + np.sqrt(kap * rho)) ** 2 / room
+        return np.asarray(np.where(room > 0, UP * total, np.inf))
 
     def evaluate(self, low: Array, high: Array, peak: float = 0.0) -> tuple[Array, Array]:
         """(c, 3) limits of the measures on cells that are fine enough, where |H| reaches ``peak`` somewhere, and what
         |H| reaches on them at least (c,)."""
-        (m, h), body = halved(low, high), self.body
-        N = -(self.b[:, :, None] * self.b[:, None, :]).reshape(len(self.b), -1)
-        R = (body.left[:, :, None] * body.right[:, None, :]).reshape(len(body.z), -1)
-        c, most, tail = taylor(self.z, m, h)
-        of_body, most_body, tail_body = taylor(body.z, m, h)
-        H, size, rounding = c @ N, self.loads**2, gamma(8 * DEGREE + 2 * (len(N) + len(R)) + 60)
-        left, right = (most_body * np.linalg.norm(side, axis=1) for side in (body.left, body.right))
-        first, square = np.zeros(len(m)), np.zeros(len(m))
-        for j, off in enumerate(body.off):
-            first += (m + h) ** j * np.einsum("cp,pq,cq->c", left, off, right)
-            square += (m + h) ** j * np.sqrt(np.einsum("cp,pq,cq->c", most_body, off**2, most_body))
-        rest = (tail + rounding * most) @ size + self.unsure(m, h, c, most, tail)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            own = np.where(square < 1, first / (1 - square), np.inf)
-        total = rest + own + (tail_body + rounding * most_body) @ np.linalg.norm(R, axis=1)
-        (at, bulge), (size_H, bulge_H) = grid_norm(H - of_body @ R, STEPS), grid_norm(H, STEPS)
-        error = np.maximum(at[:, 1:], at[:, :-1]) + (total + bulge)[:, None]
+        m, h = halved(low, high)
+        x = self.pencil.solve(m, h, self.b)
+        H = (self.b.T @ x.y).reshape(len(m), DEGREE + 1, -1)
+        of_body, own = self.body.on_cells(m, h)
+        rest = gamma(8 * DEGREE + 2 * len(self.b) + 60) * (x.sizes @ self.loads) + self.unsure(m, h, x)
+        (at, bulge), (size_H, bulge_H) = grid_norm(H - of_body, STEPS), grid_norm(H, STEPS)
+        error = np.maximum(at[:, 1:], at[:, :-1]) + (rest + own + bulge)[:, None]
         t = np.linspace(-1, 1, STEPS + 1)
         at_H = t[:, None] ** np.arange(DEGREE + 1) @ H
         # Distance of zero from the chords.
         start, way = at_H[:, :-1], np.diff(at_H, axis=1)
         along = -(way.conj() * start).real.sum(axis=2) / np.maximum((np.abs(way) ** 2).sum(axis=2), TINY)
         chord = np.linalg.norm(start + np.clip(along, 0, 1)[..., None] * way, axis=2) - (rest + bulge_H)[:, None]
-        # The difference of two numbers first, whose round-off is relative: beside a root m + h t has lost it.
-        away = [np.abs((m[:, None] - z)[:, None] + (h[:, None] * t)[..., None]) for z in self.z.T]
-        e = (1 / np.prod([np.maximum(each[:, 1:], each[:, :-1]) for each in away], axis=0)) @ size
-        with np.errstate(divide="ignore"):
-            parts = error / e, error / max(peak, 0.0), np.where(chord > 0, error / np.maximum(chord, TINY), np.inf)
-        upper = UP * np.stack([part.max(axis=1) for part in parts], axis=1)
         at = m[:, None] + h[:, None] * t
+        # Real and imaginary parts of a_p are monotone.
+        fixed = (self.theta - m[:, None].astype(LONG) ** 2).astype(float)
+        real = fixed[:, None] - ((2 * m[:, None] + h[:, None] * t) * h[:, None] * t)[..., None]
+        imag = self.pencil.loss * self.theta + at[..., None] * self.d
+        real, imag = (np.maximum(np.abs(each[:, 1:]), np.abs(each[:, :-1])) for each in (real, imag))
+        e = (1 / (np.hypot(real, imag) + 16 * U * self.theta)) @ self.square
+        with np.errstate(divide="ignore", invalid="ignore"):
+            parts = error / e, error / max(peak, 0.0), np.where(chord > 0, error / np.maximum(chord, TINY), np.inf)
+        upper = UP * np.nan_to_num(np.stack([part.max(axis=1) for part in parts], axis=1), nan=np.inf, posinf=np.inf)
         # What lies outside of the band is no peak of it.
         size_H = np.where((at > self.band[0]) & (at < self.band[1]), size_H, 0.0)
         return upper, (size_H - rest[:, None]).max(axis=1) / UP
@@ -832,8 +908,8 @@ class Proof:
     def prove_cells(self) -> Array:
         """Lemma cells-of-the-band: the largest limits (3,) that were found, none above those of the cells."""
         asked, found, work = np.isfinite(self.upper), np.zeros(3), []
-        z = np.concatenate([self.z.ravel(), self.body.z.ravel()])
-        need(np.isfinite(z), "body-poles", "a pole is no number")
+        z = np.concatenate([self.pencil.poles(), self.body.pencil.poles()])
+        need(np.isfinite(z), "body-response", "a pole is no number")
         for number, (low, high) in enumerate(self.cells):
             # Peaks are ends of cells.
             inner = np.sort(z.real[(z.real > low) & (z.real < high)])
