@@ -6,7 +6,7 @@ Models, bodies and bands are those of ``certificates.py``. A false certificate h
 construction: a limit below an error that is computed exactly, a mode dropped below the shift, a stiffness or mass that
 was changed so that the exact error exceeds the limit, cells left out, or the model of another trial. Others say what
 is not so, or is not known: a mode of negative stiffness and mass, a peak outside of the band, a band that is reversed,
-other rigid motions, axes or inputs, entries that are there twice, a damping matrix, or a ratio below zero.
+other rigid motions, axes or inputs, entries that are there twice, a damping matrix, another one or none, or a ratio below zero.
 """
 
 from __future__ import annotations
@@ -63,10 +63,11 @@ class Case:
         return self.folder / "body.h5", self.folder / "model.h5", self.folder / "witness.h5"
 
 
-def cases(seed: int, number: int, folder: Path) -> Iterator[Case]:
-    """The certified bodies of the random model ``number``, each while its files are there."""
+def cases(seed: int, number: int, folder: Path, own: float = 0.0) -> Iterator[Case]:
+    """The certified bodies of the random model ``number``, each while its files are there; a part ``own`` of all has
+    dashpots."""
     rng = np.random.default_rng([seed, number])
-    trial = drawn(rng, number)
+    trial = drawn(rng, number, own)
     band = (low_end(seed, number, trial.high, 0.33), trial.high)
     with trial.problem as problem:
         bodies = bodies_of(problem, trial.high, rng)
@@ -126,7 +127,7 @@ def tamper(case: Case, kind: str, rng: np.random.Generator) -> bool:
                 return False
             _put(file, f"{place}/cells_hz", hz[left])
             _put(file, f"{place}/cell_limit", limits[left])
-    elif kind in ("stiffness", "model"):
+    elif kind in ("stiffness", "model", "damping", "no damping"):
         if not _other_matrices(case, kind, rng):
             return False
     elif not _other_statement(case, kind, rng):
@@ -140,8 +141,14 @@ def _other_matrices(case: Case, kind: str, rng: np.random.Generator) -> bool:
     model, at = case.problem.model, [limit.at_hz for limit in case.certificate.limits.values()]
     K, M = model.K.toarray(), model.M.toarray()
     held = np.linalg.eigvalsh(K)[0] > 1e-9 * np.linalg.norm(K)
+    if "damping" in kind and model.D is None:
+        return False
     for size in 10 ** np.arange(-4.0, 1.0):
-        if kind == "stiffness" and held:
+        if kind == "damping":
+            other = replace(model, D=sp.csr_array((1 + size) * model.D))
+        elif kind == "no damping":
+            other = replace(model, D=sp.csr_array(1e-9 * model.D))
+        elif kind == "stiffness" and held:
             v = np.zeros(len(K))
             v[rng.integers(len(K))] = 1.0
             other = replace(model, K=sp.csr_array(K + size * K.max() * np.outer(v, v)))
@@ -153,7 +160,7 @@ def _other_matrices(case: Case, kind: str, rng: np.random.Generator) -> bool:
         with Problem(other, case.problem.interfaces, damping=case.problem.damping) as changed:
             error = dense_errors(changed, case.body, case.certificate.band_hz, at)[1][:, 0].max()
         if error > 1.01 * case.certificate.limits["envelope"].upper:
-            write_model(case.files[1], other)
+            write_model(case.files[1], replace(other, D=None) if kind == "no damping" else other)
             return True
     return False
 
@@ -167,6 +174,8 @@ def _other_statement(case: Case, kind: str, rng: np.random.Generator) -> bool:
         if kind == "negative mass":
             _add_a_mode(file, case.certificate.band_hz)
         elif kind == "own damping":
+            if "D" in file["matrices"]:
+                return False
             file.copy("matrices/K", "matrices/D")
             file["matrices/D/data"][...] *= rng.uniform(1e-7, 1e-3)
         elif kind == "entry twice":
@@ -276,12 +285,13 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=20, help="certificates of random models")
     parser.add_argument("--tampers", type=int, default=30, help="false certificates")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--own", type=float, default=0.0, help="part of models that have dashpots")
     given = parser.parse_args()
     rng, proven, told, wrong, largest = np.random.default_rng(given.seed), 0, 0, 0, 0.0
-    refused, seconds, number, count, tampers = Counter[str](), 0.0, 0, 0, 0
+    refused, seconds, number, count, tampers, tried = Counter[str](), 0.0, 0, 0, 0, 0
     with tempfile.TemporaryDirectory() as folder:
         while count < given.count or tampers < given.tampers:
-            for case in cases(given.seed, number, Path(folder)):
+            for case in cases(given.seed, number, Path(folder), given.own):
                 if case.certificate.kind != "proven" or not np.isfinite(case.certificate.limit.upper):
                     continue
                 if count < given.count:
@@ -293,7 +303,8 @@ def main() -> None:
                     if not holds:
                         print(f"{case.words}, {case.body.name}: {said}", flush=True)
                 if tampers < given.tampers:
-                    kind = TAMPERS[tampers % len(TAMPERS)]
+                    # What one case cannot have, the next one is not asked for.
+                    kind, tried = TAMPERS[tried % len(TAMPERS)], tried + 1
                     if tamper(case, kind, rng):
                         tampers += 1
                         holds, said = answer(case)

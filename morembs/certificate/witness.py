@@ -40,13 +40,13 @@ def write_witness(
     Peak memory: the vectors of the reference, (Nc, n), beside those of ``certified_reference``.
 
     Raises:
-        InputError: a model with a damping, gyroscopic or circulatory matrix, or a table of modal damping that jumps.
+        InputError: a model with a gyroscopic or circulatory matrix, or a table of modal damping that jumps.
         OutputError: the file cannot be written.
     """
-    if problem.D is not None or not problem.symmetric or len(problem.damping.jumps):
+    if not problem.symmetric or len(problem.damping.jumps):
         raise InputError(
-            "a witness was asked for of a model with a damping matrix of its own, a gyroscopic or circulatory matrix, "
-            "or a modal damping table that jumps, whose limits are not proven; leave the witness out"
+            "a witness was asked for of a model with a gyroscopic or circulatory matrix, or a modal damping table that "
+            "jumps, whose limits are not proven; leave the witness out"
         )
     reference = certified_reference(problem, band_hz, damping_floor=damping_floor)
     progress.update("witness")

@@ -148,6 +148,9 @@ class _Build:
             start=residual.start,
             counted=self.modes.counted,
             least=residual.least,
+            solutions=residual.solutions,
+            # K (G M U - U / theta) = M U - K U / theta, and that of D as it is.
+            coefficients=np.diag(np.repeat([-1.0, 1.0], len(model.values)))[: residual.solutions.shape[1]],
         )
 
     def _rounding(self, model: ModalReference) -> Floats:

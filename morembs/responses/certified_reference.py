@@ -33,7 +33,8 @@ class CertifiedReference:
     limit the errors of solutions in the modes, in the energy of G s_p / theta_p, and ``start`` the norm of r_0 in that
     of K^-1 (``residual_bound``). ``error_bounds`` are estimates where there are ``doubts``, which say why. Modes below
     ``cut`` are ``counted``, or LAPACK found all modes; beside their vectors K >= ``least`` M. ``solutions`` (Nc, q)
-    times ``coefficients`` (q, n) are G s_p / theta_p; None with a damping matrix of the model's own.
+    times ``coefficients`` (q, n) are G s_p / theta_p; with a damping matrix of the model's own (q, 2 n), beside G D u_p
+    outside of the space.
 
     >>> reference = certified_reference(problem, [0.0, 3000.0])
     >>> reference.proven, bool(reference.error_bounds.max() < 1e-6)

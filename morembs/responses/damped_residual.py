@@ -45,7 +45,8 @@ TINY = np.finfo(float).tiny
 class DampedResidual:
     """Of a space with Ritz ``values`` (n,), damping ``D`` (n, n) and loads ``b`` (n, m), with the loss factor
     ``structural``: coordinates ``heavy`` and ``damped`` (q, n) of G M U and G D U outside, known but for ``lost``
-    (2, n), and ``start``, |T_0|. The first ``k`` values lie below ``cut``, and no more modes."""
+    (2, n), and ``start``, |T_0|. The first ``k`` values lie below ``cut``, and no more modes. ``solutions`` (Nc, 2 n) are
+    the parts of G M U and G D U outside."""
 
     values: Floats
     D: Floats
@@ -57,6 +58,7 @@ class DampedResidual:
     start: float
     k: int
     cut: float
+    solutions: Floats
 
     @cached_property
     def own(self) -> Floats:
@@ -163,7 +165,7 @@ def damped_residual(
     """
     n, b = len(model.values), np.asarray(model.B * problem.motion_scale)
     parts, start, proven = [np.zeros((0, n)), np.zeros((0, n))], 0.0, True
-    lost = np.zeros((2, n))
+    lost, Z = np.zeros((2, n)), np.zeros((problem.K.shape[0], 0))
     # A space of all elastic motions leaves nothing.
     if n < problem.K.shape[0] - problem.rigid.shape[1]:
         solves, space = Solves(problem), problem.space
@@ -197,5 +199,6 @@ def damped_residual(
         start=start,
         k=k,
         cut=cut,
+        solutions=Z,
     )
     return residual, proven

@@ -55,17 +55,17 @@ def refuse_witness(facts: ProblemSummary) -> None:
         InputError: in these cases.
     """
     model = facts.model
-    if any(A is not None for A in (model.D, model.G, model.N)) or len(facts.damping.jumps):
+    if any(A is not None for A in (model.G, model.N)) or len(facts.damping.jumps):
         raise InputError(
-            "[certify] witness = true was given for a model with a damping, gyroscopic or circulatory matrix, or a "
-            "modal damping table that jumps, whose limits are not proven; leave it out"
+            "[certify] witness = true was given for a model with a gyroscopic or circulatory matrix, or a modal "
+            "damping table that jumps, whose limits are not proven; leave it out"
         )
 
 
-def witness_bytes(size: int, inputs: int) -> int:
+def witness_bytes(size: int, inputs: int, damped: bool = False) -> int:
     """Bytes of a witness, within a factor of two: two blocks of vectors and one of solutions, ten modes and rigid
-    motions."""
-    return 8 * size * (3 * inputs + 16)
+    motions; with a damping matrix solutions for two loads of each vector."""
+    return 8 * size * (3 * inputs + 16) * (3 if damped else 1)
 
 
 class Certify(JobStage):

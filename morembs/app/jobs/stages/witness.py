@@ -37,7 +37,7 @@ class Witness(JobStage):
         return ()
 
     def witness_bytes(self, job: Job, facts: ProblemSummary) -> int:
-        return witness_bytes(facts.size, facts.inputs)
+        return witness_bytes(facts.size, facts.inputs, facts.model.D is not None)
 
     def run(self, work: Work) -> None:
         from morembs.certificate.witness import write_witness
