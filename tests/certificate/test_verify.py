@@ -28,7 +28,8 @@ from morembs.fem.interface import make_interface
 from morembs.importers.model_file import write_model
 from morembs.problem import Damping, Problem
 from morembs.reducers import BalancedTruncation, CraigBampton, FreeInterface
-from tests.support.meshes import box, steel, where
+from tests.support.meshes import beam as beam_of_blocks
+from tests.support.meshes import box, ends, steel, where
 
 RUNNER = CliRunner()
 PROGRAM = Path(morembs_verify.__file__)
@@ -205,8 +206,8 @@ CELLS = "cells-of-the-band"
         (0, put(CERTIFICATE + "damping_floor", lambda _: np.nan), "damping"),
         (0, put("bodies/{}/mass_matrix", scaled(1.001, slice(6), slice(6))), "rigid-motions"),
         (0, put("bodies/{}/damping_matrix", sheared), "rigid-motions"),
-        (0, put("bodies/{}/mass_matrix", lambda value: -value), "body-poles"),
-        (0, put("bodies/{}/input_matrix", lambda value: value[:, :1]), "body-poles"),
+        (0, put("bodies/{}/mass_matrix", lambda value: -value), "body-response"),
+        (0, put("bodies/{}/input_matrix", lambda value: value[:, :1]), "body-response"),
         (0, put("inputs/component", lambda value: value[::-1].copy()), "interface-map"),
         (0, put("inputs/interface_index", lambda value: 1 - value), "interface-map"),
         (0, put("interfaces/right/axes", lambda value: value[[1, 2, 0]]), "interface-map"),
@@ -214,7 +215,8 @@ CELLS = "cells-of-the-band"
         (1, put("matrices/K/data", scaled(1.01, 5)), "interface-map"),
         (1, put("matrices/K/data", scaled(np.nan, 5)), "interface-map"),
         (1, put("dofs/node", scaled(-1, slice(None))), "interface-map"),
-        (1, lambda file, _: file.copy("matrices/M", "matrices/D"), "interface-map"),
+        (1, lambda file, _: file.copy("matrices/M", "matrices/D"), "ritz-values"),
+        (1, lambda file, _: file.copy("matrices/M", "matrices/G"), "interface-map"),
         (2, without_a_mode, "sturm-count"),
         (2, put("modes_below", lambda value: value + 1000), "sturm-count"),
         (2, put("modes_below", lambda _: -1), "sturm-count"),
@@ -405,39 +407,46 @@ def test_cells_lie_between_their_centres_and_half_widths(low, high):
     assert m - h <= Fraction(low) and Fraction(high) <= m + h
 
 
+@pytest.mark.parametrize("coupled", [False, True])
 @pytest.mark.parametrize("zeta", [1e-7, 0.02, 1 - 1e-9, 1.0, 1 + 1e-9, 40.0])
 @pytest.mark.parametrize("w", [0.0, 0.4, 1.0, 1.0 + 1e-7, 3.0])
-def test_terms_are_their_polynomials_at_every_damping(zeta, w):
+def test_solutions_on_cells_are_as_good_as_they_say(zeta, w, coupled):
     # At rest, beside a resonance, critical damping with its double root, and beyond.
-    z, r1, r2 = morembs_verify.second_order(np.array([1.0 + 0j]), np.array([2 * zeta]))
-    h = 0.2 * float(np.abs(w - z).min())
-    c, most, tail = morembs_verify.taylor(z, np.array([w]), np.array([h]))
+    one, two = np.longdouble(2 * zeta), np.longdouble(0.3 * zeta)
+    parts = np.array([1.0]), np.array([2 * zeta]), np.array([1.0])
+    if coupled:
+        parts = np.diag([1.0, 5.0]), np.array([[2 * zeta, 0.3 * zeta], [0.3 * zeta, zeta]]), np.eye(2)
+    n = len(parts[0])
+    pencil = morembs_verify.Pencil(0.0, *parts, [np.zeros((n, n))] * 3)
+    h = 0.1 * float(np.abs(w - pencil.poles()).min())
+    x = pencil.solve(np.array([w]), np.array([h]), np.eye(n)[:, :1])
     for t in np.array([-1.0, -0.3, 0.0, 0.7, 1.0], dtype=np.longdouble):
-        # The difference of two numbers, then what is added to it: no digit is lost beside a root.
-        first, other = (np.clongdouble(w) - np.clongdouble(each) + h * t for each in z[0])
-        exact, found = 1 / (first * other), (c[0, :, 0].astype(np.clongdouble) * t ** np.arange(c.shape[1])).sum()
-        assert abs(found - exact) <= tail[0, 0] + 1e-13 * most[0, 0]
-        assert abs(exact) <= most[0, 0] * (1 + 1e-12)
-    sum_of_roots, product = np.clongdouble(z[0, 0]) + z[0, 1], np.clongdouble(z[0, 0]) * z[0, 1]
-    assert abs(sum_of_roots - 2j * np.longdouble(zeta)) <= r1[0] and abs(product + 1) <= r2[0]
+        at = np.longdouble(w) + h * t
+        a = (1 - at) * (1 + at) + 1j * at * one
+        # What the second mode takes from the first.
+        exact = 1 / (a + (at * two) ** 2 / (5 - at * at + 1j * at * zeta)) if coupled else 1 / a
+        found = (x.y[0, :, 0, 0].astype(np.clongdouble) * t ** np.arange(x.y.shape[1])).sum()
+        # b'A^-1 b - b'y is y'r + r'A^-1 r for what is left, r.
+        lost = (x.sizes * x.left).sum() + x.norm[0] * ((x.weights * x.left) ** 2).sum()
+        assert abs(found - exact) <= lost < 1e-6 * abs(exact)
+        assert abs(exact) <= x.sizes[0, 0] + lost and abs(exact) <= x.norm[0] / (x.weights[0, 0] ** -2) * (1 + 1e-9)
 
 
 def test_modal_damping_of_vectors_that_are_not_orthonormal_is_covered():
     rng = np.random.default_rng(6)
-    values, zeta, top = np.array([1.0, 9.0, 900.0]), 0.04, 5.0
+    values, zeta = np.array([1.0, 9.0, 900.0]), 0.04
     # M = I, K and D diagonal; vectors that are off by a ten-thousandth, and longer than one.
     V = (np.eye(3) + 1e-4 * rng.standard_normal((3, 3))) * [1.0, 1.001, 1.002]
     theta = np.einsum("ip,i,ip->p", V, values, V)
     proof = object.__new__(morembs_verify.Proof)
-    proof.theta, proof.ratio, proof.top, proof.k = theta, zeta, top, 3
+    proof.theta, proof.ratio, proof.k, proof.alpha, proof.beta, proof.D = theta, zeta, 3, 0.0, 0.0, None
     proof.dK, proof.dM = np.abs(V.T @ (values[:, None] * V) - np.diag(theta)), np.abs(V.T @ V - np.eye(3))
     proof.T = (values[:, None] * V - V * theta) / theta / np.sqrt(values)[:, None]
-    proof.tau, proof.lost_T = np.linalg.norm(proof.T, axis=0), np.zeros(3)
-    proof.z = morembs_verify.second_order(theta + 0j, 2 * zeta * np.sqrt(theta))[0]
-    proof.b, proof.loads, proof.own, proof.away = np.ones((3, 1)), np.ones(3), np.zeros(3), np.zeros((3, 3))
-    proof.take_modal_damping()
-    exact = top * np.abs(V.T @ (2 * zeta * np.sqrt(values)[:, None] * V) - np.diag(2 * zeta * np.sqrt(theta)))
-    assert (exact <= proof.away + 1e-15).all() and (proof.away.diagonal() < 4 * exact.diagonal() + 1e-5).all()
+    proof.tau, proof.lost_T, proof.b = np.linalg.norm(proof.T, axis=0), np.zeros(3), np.ones((3, 1))
+    proof.respond(0.0)
+    exact = np.abs(V.T @ (2 * zeta * np.sqrt(values)[:, None] * V) - np.diag(2 * zeta * np.sqrt(theta)))
+    found = proof.pencil.off[1]
+    assert (exact <= found + 1e-15).all() and (found.diagonal() < 4 * exact.diagonal() + 1e-5).all()
 
 
 def test_what_is_not_covered_is_said(sound):
@@ -524,11 +533,80 @@ def test_files_that_cannot_be_read_are_told(sound, tmp_path):
     assert made.exit_code == 2 and "does not say the damping" in " ".join(made.stderr.split())
 
 
-def test_a_damping_matrix_has_no_witness(tmp_path):
+@pytest.fixture(scope="module")
+def dashpot(tmp_path_factory):
+    # A damper to the ground and some of the stiffness, with more dofs than the space of the reference has.
+    folder = tmp_path_factory.mktemp("dashpot")
+    files = tuple(folder / f"{name}.h5" for name in ("body", "model", "witness"))
+    model = beam_of_blocks((16, 2, 2))
+    row = model.dofs.of_nodes(where(model, 0, 0.5)[:1])[0][2]
+    v = sp.csr_array((np.ones(1), ([row], [0])), shape=(model.size, 1))
+    model = replace(model, D=sp.csr_array(300.0 * (v @ v.T) + 1e-6 * model.K))
+    with Problem(model, ends(model)) as problem:
+        body = FreeInterface(modes=8).reduce(problem)
+        (certificate,) = certify(problem, [body], BAND, points=5)
+        write_body(files[0], [elastic_body(problem, body, make_part(problem), certificate)])
+        write_model(files[1], problem.model)
+        write_witness(files[2], problem, BAND, body=files[0], model=files[1])
+    return files, certificate
+
+
+def test_limits_of_a_model_with_dashpots_are_proven_again(dashpot):
+    files, certificate = dashpot
+    found = []
+    belongs, proven, said = morembs_verify.verify(*map(str, files), found)
+    assert certificate.kind == "proven" and belongs and proven, said
+    with h5py.File(files[2]) as file:
+        n, q = file["solutions"].shape
+        assert q == 2 * file["vectors"].shape[1] < n
+    assert (found[0] > 0.9).all() and (found[0] <= 1).all()
+
+
+@pytest.mark.parametrize(
+    ("which", "change", "lemma"),
+    [
+        (0, put(LIMITS + "envelope", scaled(0.97, 1)), CELLS),
+        (1, put("matrices/D/data", scaled(1.5, slice(None))), CELLS),
+        (1, lambda file, _: file["matrices"].pop("D"), "ritz-values"),
+        (1, put("matrices/D/data", scaled(1.01, 5)), "interface-map"),
+        (2, put("solutions", scaled(0.0, slice(None))), CELLS),
+        (2, put("coefficients", lambda value: -value), CELLS),
+        (2, put("damping", lambda value: np.bytes_(value.replace(b'"modal": 0.0', b'"modal": 0.1'))), "damping"),
+    ],
+)
+def test_false_limits_of_dashpots_are_refused_by_their_lemma(dashpot, tmp_path, which, change, lemma):
+    copies = [Path(shutil.copy(file, tmp_path)) for file in dashpot[0]]
+    with h5py.File(copies[0]) as file:
+        place = next(iter(file["bodies"]))
+    with h5py.File(copies[which], "r+") as file:
+        change(file, place)
+    reseal(*copies)
+    belongs, proven, said = morembs_verify.verify(*map(str, copies))
+    assert belongs and not proven and f"not verified: lemma {lemma} fails" in said, said
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_random_dashpots_are_proven_and_false_ones_are_not(tmp_path, number):
+    rng = np.random.default_rng(number)
+    for case in cases(21, number, tmp_path, own=1.0):
+        assert case.certificate.kind == "proven" and case.problem.D is not None
+        holds, said = answer(case)
+        assert holds, (case.words, said)
+        kept = [file.read_bytes() for file in case.files]
+        for kind in ("limit", "damping", "no damping"):
+            if tamper(case, kind, rng):
+                assert not answer(case)[0], (case.words, kind)
+            for file, data in zip(case.files, kept, strict=True):
+                file.write_bytes(data)
+
+
+def test_a_gyroscopic_matrix_has_no_witness(tmp_path):
     with beam(Damping()) as problem:
-        own = replace(problem.model, D=1e-6 * problem.model.K)
-        with Problem(own, problem.interfaces) as damped, pytest.raises(InputError, match="damping matrix of its own"):
-            write_witness(tmp_path / "w.h5", damped, BAND, body=tmp_path, model=tmp_path)
+        n = problem.model.size
+        G = sp.csr_array((np.array([1.0, -1.0]), ([0, 1], [1, 0])), shape=(n, n))
+        own = replace(problem.model, G=G)
+        with Problem(own, problem.interfaces) as spun, pytest.raises(InputError, match="gyroscopic"):
+            write_witness(tmp_path / "w.h5", spun, BAND, body=tmp_path, model=tmp_path)
 
 
 def test_lemmas_have_sections():
