@@ -426,12 +426,19 @@ class Pencil(NamedTuple):
 
     def solve(self, m: Array, h: Array, b: Array) -> Solved:
         """Lemma response-on-cells: A y = b on cells m + h t, as a series that is checked."""
+        A: Any
+        near: Any
+        dot: Any
+        far: Any
+        times: Any
+        norm: Any
         n, diagonal, few = len(b), self.K.ndim == 1, gamma(4 * len(b) + 24)
         at, wide = (each.reshape(-1, *[1] * self.K.ndim) for each in (m, h))
         # What cancels beside a resonance is rounded afterwards.
         A = [(self.K - at.astype(LONG) ** 2 * self.M).astype(float) + 1j * (self.loss * self.K + at * self.D)]
-        error = 8 * U * np.abs(A[0]) + 8 * U_LONG * (np.abs(self.K) + at**2 * np.abs(self.M))
-        error += 8 * U * (self.loss * np.abs(self.K) + (at + wide) * np.abs(self.D) + wide * (at + wide) * np.abs(self.M))
+        stiff, drag, mass = (np.abs(part) for part in (self.K, self.D, self.M))
+        error = 8 * U * np.abs(A[0]) + 8 * U_LONG * (stiff + at**2 * mass)
+        error += 8 * U * (self.loss * stiff + (at + wide) * (drag + wide * mass))
         A += [wide * (1j * self.D - 2 * at * self.M), -(wide**2) * self.M + 0j]
         sizes = [np.abs(part) for part in A]
         if diagonal:
@@ -449,22 +456,22 @@ class Pencil(NamedTuple):
         near = near + sum(norm(dot(G, part), -1) for part in A[1:])
         near = near + few * sum(norm(dot(np.abs(G), part), -1) for part in sizes)
         w, square = m + h, weights**2
-        factors = abs(1 + 1j * self.loss), w, w**2
+        factors = [np.full(len(w), abs(1 + 1j * self.loss)), w, w**2]
         for factor, off in zip(factors, self.off, strict=True):
             near = near + far * factor * np.sqrt(np.einsum("cp,pq,cq->c", square, off**2, square))
         near = near + far * (norm(error * square, 0) if diagonal else norm(error, 1))
-        y = [times(G, b[None])]
+        y: list[Any] = [times(G, b[None])]
         y[0] = y[0] + times(G, b - times(A[0], y[0]))
         for j in range(1, DEGREE + 1):
             y.append(-times(G, sum(times(A[i], y[j - i]) for i in range(1, min(j, 2) + 1))))
-        Y = UP * sum(np.linalg.norm(part, axis=2) for part in y)
+        Y = np.asarray(UP * sum(np.linalg.norm(part, axis=2) for part in y))
         left = few * (np.linalg.norm(b, axis=1) + sum(times(part, Y[..., None])[..., 0] for part in sizes))
         left = left + times(error, Y[..., None])[..., 0]
         for j in range(DEGREE + 3):
             rho = sum(times(A[i], y[j - i]) for i in range(3) if 0 <= j - i <= DEGREE)
             left = left + np.linalg.norm(b - rho if j == 0 else rho, axis=2)
         for factor, off in zip(factors, self.off, strict=True):
-            left = left + np.reshape(factor, (-1, 1)) * (Y @ off.T)
+            left = left + factor[:, None] * (Y @ off.T)
         with np.errstate(divide="ignore", invalid="ignore"):
             most = np.where(near < 1, far / (1 - near), np.inf)
         return Solved(np.stack(y, axis=1), Y, UP * left, weights, UP * most)
@@ -490,9 +497,9 @@ class Response(NamedTuple):
         return H.reshape(*H.shape[:2], -1), UP * lost
 
 
-def body_response(group: Any, loss: float, scale: Array, loads: Array) -> Response:
+def body_response(group: Any, loss: float, scale: Array, loads: Array, damped: bool) -> Response:
     """Lemma body-response: the elastic response of the body whose rigid motions take the ``loads``
-    (r, m) as those of the model do."""
+    (r, m) as those of the model do, and are ``damped`` where a matrix of the model damps them too."""
     lemma, rigid, inertia = "body-response", len(loads), loads.T @ loads
     M, K, D, B = (read(group, f"{name}_matrix") for name in ("mass", "stiffness", "damping", "input"))
     n, m = len(M), len(scale)
@@ -502,16 +509,16 @@ def body_response(group: Any, loss: float, scale: Array, loads: Array) -> Respon
     if "output_matrix" in group:
         C = scale[:, None] * read(group, "output_matrix")
         need(C.shape == (m, n), lemma, "a matrix has another shape")
-        for A in (M, K, D):
+        for A in (M, K) if damped else (M, K, D):
             held = max(np.abs(A[:rigid, rigid:]).max(initial=0.0), np.abs(A[rigid:, :rigid]).max(initial=0.0))
             need(held <= TOL.rigid_motion * np.abs(A).max(), "rigid-motions", "those of the body are coupled to modes")
         moved = C[:, :rigid] @ np.linalg.solve(M[:rigid, :rigid], (B * scale)[:rigid])
         same = np.abs(moved - inertia).max() <= TOL.rigid_motion * np.abs(inertia).max()
         need(same, "rigid-motions", "the body has another inertia")
         M, K, D = (A[rigid:, rigid:] for A in (M, K, D))
-        parts, off = (K, D, M), [np.zeros_like(K)] * 3
-        twin = Pencil(loss, K.T, D.T, M.T, off)
-        return Response(Pencil(loss, *parts, off), twin, C[:, rigid:].T, (B * scale)[rigid:])
+        known = [np.zeros_like(K)] * 3
+        twin = Pencil(loss, K.T, D.T, M.T, known)
+        return Response(Pencil(loss, K, D, M, known), twin, C[:, rigid:].T, (B * scale)[rigid:])
     need(np.diag(M) > 0, lemma, "its mass is not positive")
     d = 1 / np.sqrt(np.diag(M))
     values, X = np.linalg.eigh(d[:, None] * M * d)
@@ -526,14 +533,14 @@ def body_response(group: Any, loss: float, scale: Array, loads: Array) -> Respon
         turn = np.where(apart, (k - m * theta) / np.where(apart, gap, 1), -0.5 * m)
         X = X + X @ np.where(np.eye(len(m), dtype=bool), 0.5 * (1 - m), turn)
     R, X = X[:, :rigid], X[:, rigid:] - X[:, :rigid] @ (X[:, :rigid].T @ M.astype(LONG) @ X[:, rigid:])
-    for A, size in ((K, theta[rigid]), (D, np.sqrt(theta[rigid]))):
+    for A, size in ((K, theta[rigid]), (D, np.inf if damped else np.sqrt(theta[rigid]))):
         held = np.abs([R.T @ A @ X, R.T @ A.T @ X]).max(initial=0.0)
         need(held <= TOL.rigid_motion * size, "rigid-motions", "those of the body are coupled to modes")
     moved = R.T @ (B * scale)
     same = np.abs(moved.T @ moved - inertia).max() <= TOL.rigid_motion * np.abs(inertia).max()
     need(same, "rigid-motions", "the body has another inertia")
     need(np.abs(theta[:rigid]) <= TOL.rigid_motion * theta[rigid], "rigid-motions", "those of the body have strain")
-    parts, off = [], []
+    parts, off = list[Any](), list[Any]()
     for A in (K, D, M):
         G = X.T @ A.astype(LONG) @ X
         parts.append(G.astype(float))
@@ -543,7 +550,7 @@ def body_response(group: Any, loss: float, scale: Array, loads: Array) -> Respon
     if (beside[1].sum(axis=1) <= TOL.uncoupled * np.abs(np.diag(parts[1]))).all():
         off, parts = [one + two for one, two in zip(off, beside, strict=True)], [np.diag(G) for G in parts]
     b = (X.T @ (B * scale).astype(LONG)).astype(float)
-    return Response(Pencil(loss, *parts, off), None, b, b)
+    return Response(Pencil(loss, parts[0], parts[1], parts[2], off), None, b, b)
 
 
 def grid_norm(P: Array, steps: int) -> tuple[Array, Array]:
@@ -623,7 +630,7 @@ class Proof:
         need(np.r_[band[0], cells[:, 1]] >= np.r_[cells[:, 0], band[1]], lemma, "cells leave frequencies out")
         need(int(read(group, "rigid_count", "iu")) == len(self.Z.T), "rigid-motions", f"the model has {len(self.Z.T)}")
         loss = float(json.loads(text(group, "recipe")).get("structural_damping", 0.0)) + 2 * floor
-        self.body = body_response(group, loss, self.scale, self.Z.T @ self.B)
+        self.body = body_response(group, loss, self.scale, self.Z.T @ self.B, self.damped)
         self.respond(self.structural + 2 * floor)
         self.upper = np.array([read(stated, f"limits/{each}")[1] for each in MEASURES])
         own = read(stated, "cell_limit")
@@ -644,7 +651,8 @@ class Proof:
         R, turns = self.coupling.R, self.coupling.turns
         self.K, self.lost_K = coupled(part_of(model, "matrices/K"), self.coupling.T)
         self.M, self.lost_M = coupled(part_of(model, "matrices/M"), self.coupling.T)
-        self.D, self.lost_D = None, np.zeros(0)
+        self.D: Any = None
+        self.lost_D, self.damped = np.zeros(0), False
         if "D" in model["matrices"]:
             need(not self.ratio, "damping", "a ratio of modal damping stands beside a damping matrix")
             self.D, self.lost_D = coupled(part_of(model, "matrices/D"), self.coupling.T)
@@ -718,11 +726,13 @@ class Proof:
             size_Z = float(norms(Z, given[2][1]).sum())
             strain = np.linalg.norm(gram(DZ, V), axis=0) + few * norms(V, given[2][1]) * size_Z
             turned = np.outer(self.rigid, strain)
+            # A damper to the ground couples rigid motion to modes: limits are those of the others alone.
+            self.damped = bool(strain.max() > TOL.rigid_motion * np.sqrt(self.theta.min()))
             off = turned + turned.T + (np.linalg.norm(gram(Z, DZ)) + few * size_Z**2) * np.outer(self.rigid, self.rigid)
             self.dD = UP * (np.abs(G[2] - self.DV).astype(float) + e[2] + off)
             self.cD = float((given[2][1] / self.W).max())
-            self.lost_D = float((self.lost_D / self.W).max())
-            self.DZ = norms(DZ, 1 / self.W) + (gamma(self.row) * self.cD + self.lost_D) * norms(Z, self.W)
+            self.rough_D = float((self.lost_D / self.W).max())
+            self.DZ = norms(DZ, 1 / self.W) + (gamma(self.row) * self.cD + self.rough_D) * norms(Z, self.W)
 
     def count_modes(self) -> None:
         """Lemmas sturm-count and complement-bound: K >= sigma M + kappa W on the complement of k modes, and any norm in
@@ -784,7 +794,7 @@ class Proof:
             held_Z = np.linalg.solve(Z.T @ MZ, Z.T @ rest)
             rest -= MZ @ held_Z
             few = gamma(self.row + p + Z.shape[1] + 40)
-            off.append((few * self.cD + self.lost_D) * self.size + float(self.DZ.sum()) * self.rigid)
+            off.append((few * self.cD + self.rough_D) * self.size + float(self.DZ.sum()) * self.rigid)
             off[1] = off[1] + ((few * self.cK + self.lost) * self.size + float(self.KZ.sum()) * self.rigid) @ grown
             off[1] = off[1] + 2 * few * self.cM * (norms(Z, W) @ np.abs(held_Z))
         self.KV /= theta
@@ -818,7 +828,8 @@ class Proof:
         self.TD, self.lost_TD = -self.T * own, own * self.lost_T
         # Below the shift modal damping of exact modes counts twice.
         self.tau_D = (own + modal) * self.tau
-        self.d, self.square, parts = d, self.loads**2, (theta, d, np.ones(p))
+        self.d, self.square = d, self.loads**2
+        parts: Any = theta, d, np.ones(p)
         if self.D is not None:
             self.d, self.square, offD = d + np.diag(self.DV), self.square.copy(), offD + self.dD
             self.TD, self.lost_TD = self.TD + self.T_own, self.lost_TD + self.lost_own
@@ -838,7 +849,7 @@ class Proof:
             scale = np.sqrt(np.maximum(np.diag(N), TINY))
             self.rows = np.zeros((p - self.k, p))
             self.rows[:, up] = root_of(N / np.outer(scale, scale), 0.0) * scale
-        self.pencil = Pencil(loss, *parts, [self.dK, offD, self.dM])
+        self.pencil = Pencil(loss, parts[0], parts[1], parts[2], [self.dK, offD, self.dM])
 
     def unsure(self, m: Array, h: Array, x: Solved) -> Array:
         """(c,) limits of |H - H_ref| on cells: lemmas reference-residual and round-off."""

@@ -45,8 +45,8 @@ TINY = np.finfo(float).tiny
 class DampedResidual:
     """Of a space with Ritz ``values`` (n,), damping ``D`` (n, n) and loads ``b`` (n, m), with the loss factor
     ``structural``: coordinates ``heavy`` and ``damped`` (q, n) of G M U and G D U outside, known but for ``lost``
-    (2, n), and ``start``, |T_0|. The first ``k`` values lie below ``cut``, and no more modes. ``solutions`` (Nc, 2 n) are
-    the parts of G M U and G D U outside."""
+    (2, n), and ``start``, |T_0|. The first ``k`` values lie below ``cut``, and no more modes. ``solutions`` (Nc, 2 n)
+    are the parts of G M U and G D U outside."""
 
     values: Floats
     D: Floats
