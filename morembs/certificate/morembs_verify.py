@@ -394,8 +394,8 @@ def count_below(S: sp.csr_array, shift: float) -> tuple[float, int, float]:
 
 
 class Solved(NamedTuple):
-    """Solutions y (c, j, n, m) of A y = b in powers of t on cells, sizes (c, n) of their rows, and of what they leave
-    of b; A^-1 is at most ``norm`` (c,) between loads and motions that are scaled by ``weights`` (c, n)."""
+    """Solutions y (c, j, n, m) of A y = b in powers of t on cells, sizes (c, n) of their rows and of the residuals
+    b - A y; A^-1 is at most ``norm`` (c,) between loads and motions that are scaled by ``weights`` (c, n)."""
 
     y: Array
     sizes: Array
@@ -432,7 +432,7 @@ class Pencil(NamedTuple):
         far: Any
         times: Any
         norm: Any
-        n, diagonal, few = len(b), self.K.ndim == 1, gamma(4 * len(b) + 24)
+        n, diagonal, slack = len(b), self.K.ndim == 1, gamma(4 * len(b) + 24)
         at, wide = (each.reshape(-1, *[1] * self.K.ndim) for each in (m, h))
         # What cancels beside a resonance is rounded afterwards.
         A = [(self.K - at.astype(LONG) ** 2 * self.M).astype(float) + 1j * (self.loss * self.K + at * self.D)]
@@ -454,7 +454,7 @@ class Pencil(NamedTuple):
             norm = lambda X, side: np.linalg.norm(X * weights[:, None] * weights[:, :, None] ** side, axis=(1, 2))  # noqa: E731
             near, far = norm(G @ A[0] - np.eye(n), -1), norm(G / weights[:, None] ** 2, -1)
         near = near + sum(norm(dot(G, part), -1) for part in A[1:])
-        near = near + few * sum(norm(dot(np.abs(G), part), -1) for part in sizes)
+        near = near + slack * sum(norm(dot(np.abs(G), part), -1) for part in sizes)
         w, square = m + h, weights**2
         factors = [np.full(len(w), abs(1 + 1j * self.loss)), w, w**2]
         for factor, off in zip(factors, self.off, strict=True):
@@ -465,7 +465,7 @@ class Pencil(NamedTuple):
         for j in range(1, DEGREE + 1):
             y.append(-times(G, sum(times(A[i], y[j - i]) for i in range(1, min(j, 2) + 1))))
         Y = np.asarray(UP * sum(np.linalg.norm(part, axis=2) for part in y))
-        left = few * (np.linalg.norm(b, axis=1) + sum(times(part, Y[..., None])[..., 0] for part in sizes))
+        left = slack * (np.linalg.norm(b, axis=1) + sum(times(part, Y[..., None])[..., 0] for part in sizes))
         left = left + times(error, Y[..., None])[..., 0]
         for j in range(DEGREE + 3):
             rho = sum(times(A[i], y[j - i]) for i in range(3) if 0 <= j - i <= DEGREE)
@@ -473,8 +473,8 @@ class Pencil(NamedTuple):
         for factor, off in zip(factors, self.off, strict=True):
             left = left + factor[:, None] * (Y @ off.T)
         with np.errstate(divide="ignore", invalid="ignore"):
-            most = np.where(near < 1, far / (1 - near), np.inf)
-        return Solved(np.stack(y, axis=1), Y, UP * left, weights, UP * most)
+            inverse_norm = np.where(near < 1, far / (1 - near), np.inf)
+        return Solved(np.stack(y, axis=1), Y, UP * left, weights, UP * inverse_norm)
 
 
 class Response(NamedTuple):
@@ -722,13 +722,15 @@ class Proof:
         off = 2 * np.outer(self.rigid, self.rigid)
         self.dM = UP * (np.abs(G[1] - np.eye(p)).astype(float) + e[1] + off)
         if self.D is not None:
-            self.DV, DZ, few = G[2].astype(float), self.D @ Z, gamma(self.terms + self.row)
+            self.DV, DZ, slack = G[2].astype(float), self.D @ Z, gamma(self.terms + self.row)
             size_Z = float(norms(Z, given[2][1]).sum())
-            strain = np.linalg.norm(gram(DZ, V), axis=0) + few * norms(V, given[2][1]) * size_Z
+            strain = np.linalg.norm(gram(DZ, V), axis=0) + slack * norms(V, given[2][1]) * size_Z
             turned = np.outer(self.rigid, strain)
             # A damper to the ground couples rigid motion to modes: limits are those of the others alone.
             self.damped = bool(strain.max() > TOL.rigid_motion * np.sqrt(self.theta.min()))
-            off = turned + turned.T + (np.linalg.norm(gram(Z, DZ)) + few * size_Z**2) * np.outer(self.rigid, self.rigid)
+            off = (
+                turned + turned.T + (np.linalg.norm(gram(Z, DZ)) + slack * size_Z**2) * np.outer(self.rigid, self.rigid)
+            )
             self.dD = UP * (np.abs(G[2] - self.DV).astype(float) + e[2] + off)
             self.cD = float((given[2][1] / self.W).max())
             self.rough_D = float((self.lost_D / self.W).max())
@@ -793,10 +795,10 @@ class Proof:
             rest, grown = self.D @ self.V - self.KV @ across, np.abs(across)
             held_Z = np.linalg.solve(Z.T @ MZ, Z.T @ rest)
             rest -= MZ @ held_Z
-            few = gamma(self.row + p + Z.shape[1] + 40)
-            off.append((few * self.cD + self.rough_D) * self.size + float(self.DZ.sum()) * self.rigid)
-            off[1] = off[1] + ((few * self.cK + self.lost) * self.size + float(self.KZ.sum()) * self.rigid) @ grown
-            off[1] = off[1] + 2 * few * self.cM * (norms(Z, W) @ np.abs(held_Z))
+            slack = gamma(self.row + p + Z.shape[1] + 40)
+            off.append((slack * self.cD + self.rough_D) * self.size + float(self.DZ.sum()) * self.rigid)
+            off[1] = off[1] + ((slack * self.cK + self.lost) * self.size + float(self.KZ.sum()) * self.rigid) @ grown
+            off[1] = off[1] + 2 * slack * self.cM * (norms(Z, W) @ np.abs(held_Z))
         self.KV /= theta
         self.KV -= self.MV
         rest = self.KV if self.D is None else np.hstack([self.KV, rest])
@@ -861,14 +863,14 @@ class Proof:
         for j, part in enumerate((m_**2 * mass + 1j * m_ * drag, 2 * m_ * h_ * mass + 1j * h_ * drag, h_**2 * mass)):
             P[:, j : j + DEGREE + 1] += part
         at, bulge = grid_norm(P.reshape(*P.shape[:2], -1), STEPS // 4)
-        few, wide = gamma(256 + 2 * p), np.linalg.norm(self.TD, axis=0)
+        slack, wide = gamma(256 + 2 * p), np.linalg.norm(self.TD, axis=0)
         t = at.max(axis=1) + bulge + self.start
-        t += w**2 * (x.sizes @ (self.lost_T + few * self.tau)) + w * (x.sizes @ (self.lost_TD + few * wide))
+        t += w**2 * (x.sizes @ (self.lost_T + slack * self.tau)) + w * (x.sizes @ (self.lost_TD + slack * wide))
         mu = x.sizes[:, : self.k] @ (self.own * self.tau)[: self.k]
         if len(self.rows):
             U_y = self.rows @ x.y
             above, bulge = grid_norm(U_y.reshape(*U_y.shape[:2], -1), STEPS // 4)
-            mu = mu + above.max(axis=1) + bulge + x.sizes @ (few * np.linalg.norm(self.rows, axis=0))
+            mu = mu + above.max(axis=1) + bulge + x.sizes @ (slack * np.linalg.norm(self.rows, axis=0))
             mu = mu + (x.sizes * self.own * self.lost_T)[:, self.k :].sum(axis=1)
         mu = np.sqrt(w) * mu
         t += mu * np.sqrt(self.ratio * w / np.sqrt(self.softest))
