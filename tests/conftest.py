@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
+import shutil
 import sys
+import tempfile
 from functools import cache
 from pathlib import Path
 
@@ -24,6 +27,10 @@ os.environ["BROWSER"] = "true"
 # Open MPI refuses root, as which a container runs its tests, and more processes than there are processors.
 for name in ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "OMPI_MCA_rmaps_base_oversubscribe"):
     os.environ[name] = "1"
+# What is kept from run to run is kept for the tests alone; workers have the folder of the process that starts them.
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="morembs-cache-")
+    atexit.register(shutil.rmtree, os.environ["XDG_CACHE_HOME"], ignore_errors=True)
 # typer builds its tree of commands anew at each call, which takes ten times as long as a command that is refused.
 typer.testing._get_command = cache(typer.main.get_command)  # noqa: SLF001
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from morembs.base.cache import cache_folder
 from morembs.base.errors import InputError
 from morembs.linalg.sparse import threads
 from morembs.linalg.sparse.threads import blas_threads, limit_threads, measured_speed, quiet_idle_threads
@@ -54,23 +56,94 @@ class Clock:
         return self.now
 
 
-def test_speed_is_measured_once_for_each_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    took = iter([0.05, 0.02, 0.5, 0.1])
+@pytest.fixture
+def measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[list[str]]:
+    """The jobs that were timed; the cache folder is not there yet."""
+    took, jobs = {"product": 0.05, "triad": 0.02, "_loop": 0.01}, list[str]()
 
     def best(job: Callable[[], object]) -> float:
         job()
-        return next(took)
+        jobs.append(job.__name__ if job.__name__ in took else "product")
+        return took[jobs[-1]]
 
-    # Numbers of threads that no machine has, as each is measured once in a process.
-    monkeypatch.setattr(threads, "blas_threads", lambda: 100_001)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(threads, "shortest_time", best)
+    threads.kept_speed.cache_clear()
+    yield jobs
+    threads.kept_speed.cache_clear()
+
+
+def test_speed_is_measured_once_for_each_number_of_threads(
+    measured: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(threads, "blas_threads", lambda: 100_001)
     speed = measured_speed()
-    # A product of matrices of order 1000 in 0.05 s; two of three vectors of a third of 64 MiB, and one more, in 0.02 s.
+    # A product of matrices of order 1000 in 0.05 s; two of three vectors of a third of 64 MiB, and one more, in 0.02 s;
+    # 100,000 rounds in 0.01 s.
     assert speed.gemm_gflops == pytest.approx(2e-9 * 1000**3 / 0.05)
     assert speed.triad_gbs == pytest.approx(5e-9 * 8 * (2**26 // 24) / 0.02)
-    assert measured_speed() is speed
+    assert speed.python_mhz == pytest.approx(10.0)
+    assert measured_speed() is speed and len(measured) == 3
     monkeypatch.setattr(threads, "blas_threads", lambda: 100_002)
-    assert measured_speed() is not speed
+    assert measured_speed() is not speed and len(measured) == 6
+
+
+def test_speed_is_kept_for_later_runs(measured: list[str]) -> None:
+    speed = measured_speed()
+    threads.kept_speed.cache_clear()
+    assert measured_speed() == speed and len(measured) == 3
+    (kept,) = cache_folder().iterdir()
+    if os.name == "posix":
+        assert kept.stat().st_mode & 0o077 == 0 and cache_folder().stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        b"",
+        b"\xff{",
+        b"[" * 100_000,
+        b"[1]",
+        b'{"gemm_gflops": 1.0}',
+        b'{"gemm_gflops": 1.0, "triad_gbs": 0.0, "python_mhz": 1.0}',
+        b'{"gemm_gflops": NaN, "triad_gbs": 1.0, "python_mhz": 1.0}',
+        b'{"gemm_gflops": "1", "triad_gbs": 1.0, "python_mhz": 1.0}',
+    ],
+)
+def test_damaged_cache_is_measured_again(measured: list[str], damage: bytes) -> None:
+    speed = measured_speed()
+    (kept,) = cache_folder().iterdir()
+    kept.write_bytes(damage)
+    threads.kept_speed.cache_clear()
+    assert measured_speed() == speed and len(measured) == 6
+    threads.kept_speed.cache_clear()
+    # The damaged file is replaced.
+    assert measured_speed() == speed and len(measured) == 6
+
+
+@pytest.mark.parametrize("where", ["under a file", "file is a folder"])
+def test_cache_that_cannot_be_written_is_no_error(measured: list[str], where: str) -> None:
+    if where == "under a file":
+        cache_folder().parent.write_text("")
+    else:
+        (cache_folder() / f"{threads.speed_name(blas_threads())}.json").mkdir(parents=True)
+    speed = measured_speed()
+    threads.kept_speed.cache_clear()
+    assert measured_speed() == speed and len(measured) == 6
+    assert where == "under a file" or len(list(cache_folder().iterdir())) == 1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="folders of POSIX systems")
+def test_cache_folder_is_that_of_the_system(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+    monkeypatch.delenv("LOCALAPPDATA", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert cache_folder() == tmp_path / ".cache" / "morembs"
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert cache_folder() == tmp_path / "Library" / "Caches" / "morembs"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "own"))
+    assert cache_folder() == tmp_path / "own" / "morembs"
 
 
 def test_best_of_several_runs_within_the_budget() -> None:

@@ -1,17 +1,23 @@
-"""Threads of the BLAS libraries in this process, and how fast they are."""
+"""Threads of the BLAS libraries in this process, and how fast they and the interpreter are."""
 
 from __future__ import annotations
 
+import hashlib
+import math
 import os
+import platform
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
+from pathlib import Path
 
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from morembs.base.cache import keep_cached, read_cached
 from morembs.base.errors import InputError
 from morembs.linalg.sparse.tolerances import TOL
+from morembs.version import VERSION
 
 # Binary logarithm of the processor cycles that an idle thread of OpenBLAS keeps asking for work before it
 # sleeps; 26 by default, which is 20 ms or more.
@@ -21,11 +27,23 @@ _SHORTEST = "4"
 
 @dataclass(frozen=True, kw_only=True)
 class Speed:
-    """Rate of a large dense product in 10^9 operations per second, and of a = b + s c on long vectors in
-    10^9 bytes per second, read and written."""
+    """Rate of a large dense product in 10^9 operations per second, of a = b + s c on long vectors in 10^9 bytes per
+    second, read and written, and of a loop of Python in 10^6 rounds per second."""
 
     gemm_gflops: float
     triad_gbs: float
+    python_mhz: float = TOL.usual_python_mhz
+
+    @classmethod
+    def of(cls, values: object) -> Speed | None:
+        """The speed that such plain values are, None where they are none."""
+        names = [field.name for field in fields(cls)]
+        if not isinstance(values, Mapping) or set(values) != set(names):
+            return None
+        rates = [values[name] for name in names]
+        if not all(isinstance(rate, float) and 0 < rate < math.inf for rate in rates):
+            return None
+        return cls(**values)
 
 
 def quiet_idle_threads() -> None:
@@ -56,12 +74,41 @@ def limit_threads(threads: int | None) -> threadpool_limits:
 
 
 def measured_speed() -> Speed:
-    """Speed of this process with its present number of threads, measured once for each number in under 0.5 s."""
-    return _measured(blas_threads())
+    """Speed of this machine with the present number of threads, measured once for each number in under 0.7 s.
+
+    It is kept in the cache folder of the user for each version, processor and number of threads.
+    """
+    return kept_speed(blas_threads())
 
 
 @lru_cache(maxsize=16)
-def _measured(threads: int) -> Speed:
+def kept_speed(threads: int) -> Speed:
+    """As ``measured_speed``, of so many ``threads``, which are those of now."""
+    name = speed_name(threads)
+    kept = Speed.of(read_cached(name))
+    if kept is None:
+        kept = _measure()
+        keep_cached(name, asdict(kept))
+    return kept
+
+
+def speed_name(threads: int) -> str:
+    """Name of the speed of this version, processor and Python with so many ``threads`` in the cache folder."""
+    machine = f"{_processor()} {os.cpu_count()} {platform.python_implementation()} {platform.python_version()}"
+    return f"speed-{VERSION}-{threads}-{hashlib.sha256(machine.encode()).hexdigest()[:12]}"
+
+
+def _processor() -> str:
+    """Name of the processor, as well as the system tells it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    models = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(models, "") or platform.processor() or platform.machine()
+
+
+def _measure() -> Speed:
     # Not at the top: this module has to be imported before NumPy, see quiet_idle_threads.
     import numpy as np
 
@@ -77,8 +124,21 @@ def _measured(threads: int) -> Speed:
     gemm = shortest_time(lambda: np.matmul(A, A, out=product))
     # The first pass reads c and writes a, the second reads a and b and writes a.
     stream = shortest_time(triad)
+    loop = shortest_time(_loop)
     # 2 n^3 operations of the product; five arrays that are read or written: both in units of 1e9.
-    return Speed(gemm_gflops=2e-9 * order**3 / gemm, triad_gbs=5e-9 * a.nbytes / stream)
+    return Speed(
+        gemm_gflops=2e-9 * order**3 / gemm,
+        triad_gbs=5e-9 * a.nbytes / stream,
+        python_mhz=1e-6 * TOL.speed_rounds / loop,
+    )
+
+
+def _loop() -> dict[int, int]:
+    """Rounds of what Python does most: a call, a look-up, a sum."""
+    found: dict[int, int] = {}
+    for i in range(TOL.speed_rounds):
+        found[i & 1023] = found.get(i & 1023, 0) + i
+    return found
 
 
 def shortest_time(

@@ -151,6 +151,10 @@ class SolverTolerances:
     speed_order: int = 1000
     # Bytes of the long arrays whose speed is measured: beyond every cache.
     speed_bytes: int = 1 << 26
+    # Rounds of a loop of Python whose speed is measured: 10 ms.
+    speed_rounds: int = 100_000
+    # Speed of that loop on the machines where the times of stages were measured, in 10^6 rounds per second.
+    usual_python_mhz: float = 11.0
     # Seconds that each of these measurements takes.
     speed_seconds: float = 0.2
 
