@@ -71,12 +71,7 @@ class Stubs:
     def start(self, task: Task, worker: str) -> None:
         """Do what the process would have done."""
         paths = [Path(word) for word in task.arguments if word.endswith(".toml")]
-        forecast = {
-            "peak_memory_bytes": 2e9,
-            "factor_seconds": 1.0 + task.number % 7,
-            "reduction_seconds": {},
-            "inputs": {},
-        }
+        forecast = {"peak_memory_bytes": 2e9, "seconds": {"factorise": 1.0 + task.number % 7}, "inputs": {}}
         documents: list[dict[str, object]] = [forecast for _ in paths]
         if task.arguments[0] == "reduce":
             attempt_at(load_job(paths[0]).output, task.arguments[-1]).write_bytes(b"a body")

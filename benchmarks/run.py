@@ -32,6 +32,7 @@ MODULES = {
     "frames": ("frames",),
     "published": ("published",),
     "jobs": ("million", "forecast"),
+    "job_times": ("forecast-time",),
     "switching": ("switching",),
     "deck_text": ("deck-text",),
     "budgets": ("budgets",),
@@ -46,6 +47,7 @@ CASES = {case: module for module, cases in MODULES.items() for case in cases}
 LONG = {
     "million": "80 minutes",
     "forecast": "an hour",
+    "forecast-time": "10 minutes",
     "krylov": "20 minutes",
     "budgets": "15 minutes",
     "workers": "10 minutes",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import stat
 import sys
 import tempfile
 from collections.abc import Mapping
@@ -40,7 +41,7 @@ def keep_cached(name: str, values: Mapping[str, object]) -> None:
     """Keep plain values under ``name``, for this user alone; nothing happens where the folder cannot be written."""
     with contextlib.suppress(OSError, RuntimeError):
         folder = cache_folder()
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder.mkdir(mode=stat.S_IRWXU, parents=True, exist_ok=True)
         # mkstemp makes files that others cannot read. Another run sees the old file or the whole new one.
         handle, new = tempfile.mkstemp(dir=folder, prefix=f"{name}.", suffix=".part")
         try:

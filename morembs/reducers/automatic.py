@@ -24,10 +24,12 @@ from morembs.base.errors import InputError, SolverError
 from morembs.base.limits import DampingFloor, RelativeError
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
+from morembs.linalg.sparse.threads import machine_slowness
 from morembs.problem import SOFTER, Problem
 from morembs.reducers.base import Basis, elastic_basis
 from morembs.reducers.families import OfResponses
 from morembs.reducers.family_search import FamilySearch
+from morembs.reducers.problem_summary import ProblemSummary
 from morembs.reducers.tolerances import TOL
 from morembs.responses.band import Band, band_frequencies
 from morembs.responses.certified import certified_reference, floor_of
@@ -64,6 +66,10 @@ class AutoReducer(OfResponses):
     inertia_loads: bool = False
     measure: Measure = "envelope"
     damping_floor: DampingFloor | None = None
+
+    def seconds(self, facts: ProblemSummary, factor_entries: int = 0) -> float | None:
+        known = super().seconds(facts, factor_entries)
+        return None if known is None else known + TOL.auto_seconds * machine_slowness()
 
     @property
     def computes_modes(self) -> bool:

@@ -219,7 +219,7 @@ class Coordinator:
         for name in document["inputs"]:
             note_input(name)
         forecast, most = float(document["peak_memory_bytes"]), self._workers.largest
-        seconds = float(document["factor_seconds"] + sum(document["reduction_seconds"].values()))
+        seconds = float(sum(document["seconds"].values()))
         if self._workers.limits and forecast > most.bytes:
             self._fail(
                 part,

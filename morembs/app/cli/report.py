@@ -29,6 +29,7 @@ LABELS = {
     "peak_memory_bytes": "peak memory",
     "factor_seconds": "factorisation in s",
     "reduction_seconds": "reductions",
+    "seconds": "whole job",
     "shift_factor_entries": "nonzeros of the largest factor at a shift",
     "shift_factor_bytes": "memory of that factor",
     "shift_seconds": "factorisations at shifts in s",
@@ -68,6 +69,8 @@ def _shown(key: str, value: Any) -> str:
     if key == "reduction_seconds":
         known = ", ".join(f"{name} {duration_words(seconds)}" for name, seconds in value.items())
         return f"{known} (within a factor of three)" if known else "no forecast"
+    if key == "seconds":
+        return f"about {duration_words(sum(value.values()))}, longest of it: {max(value, key=lambda name: value[name])}"
     if key == "extent":
         return " x ".join(f"{length:.4g}" for length in value) + " m"
     if key.endswith("_bytes"):

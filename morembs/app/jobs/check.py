@@ -13,6 +13,7 @@ from morembs.app.jobs.equations import equations_of_motion
 from morembs.app.jobs.files import prepare_output
 from morembs.app.jobs.solver import SolverTable, budget_of, solver_of
 from morembs.app.jobs.stages.couple import count_elements, damping_of, interfaces_of
+from morembs.app.jobs.stages.durations import known_seconds, stage_seconds
 from morembs.app.jobs.stages.forecast import (
     Cost,
     forecast_cost,
@@ -97,7 +98,7 @@ def _check(job: Job) -> JobForecast:
             list(shifted_of(job, facts).values()),
             SolverTable.of(job).workers,
         )
-        times = [stage.seconds(job, facts, cost.plan.factor_entries) for stage in asked(job)]
+        known = known_seconds(job, facts, cost.plan.factor_entries)
     x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()
     return JobForecast(
         **cost.told(),
@@ -111,7 +112,8 @@ def _check(job: Job) -> JobForecast:
         matrices_bytes=outline.matrices_bytes,
         extent=(x, y, z),
         interface_nodes={interface.name: len(interface.nodes) for interface in facts.interfaces},
-        reduction_seconds={name: seconds for known in times for name, seconds in known.items()},
+        reduction_seconds={name: known[f"reduce {name}"] for name in job.reducers if f"reduce {name}" in known},
+        seconds=stage_seconds(job, facts, cost, known),
         witness_bytes=sum(stage.witness_bytes(job, facts) for stage in asked(job)),
         warnings=(*outline.warnings, *_warnings(cost, solver.scratch)),
     )

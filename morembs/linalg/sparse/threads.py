@@ -81,6 +81,11 @@ def measured_speed() -> Speed:
     return kept_speed(blas_threads())
 
 
+def machine_slowness() -> float:
+    """How much longer Python takes here than where the times of stages were measured."""
+    return TOL.usual_python_mhz / measured_speed().python_mhz
+
+
 @lru_cache(maxsize=16)
 def kept_speed(threads: int) -> Speed:
     """As ``measured_speed``, of so many ``threads``, which are those of now."""
@@ -126,18 +131,16 @@ def _measure() -> Speed:
     stream = shortest_time(triad)
     loop = shortest_time(_loop)
     # 2 n^3 operations of the product; five arrays that are read or written: both in units of 1e9.
-    return Speed(
-        gemm_gflops=2e-9 * order**3 / gemm,
-        triad_gbs=5e-9 * a.nbytes / stream,
-        python_mhz=1e-6 * TOL.speed_rounds / loop,
-    )
+    gflops, gbs = 2e-9 * order**3 / gemm, 5e-9 * a.nbytes / stream
+    # In units of 1e6.
+    return Speed(gemm_gflops=gflops, triad_gbs=gbs, python_mhz=1e-6 * TOL.speed_rounds / loop)
 
 
 def _loop() -> dict[int, int]:
     """Rounds of what Python does most: a call, a look-up, a sum."""
-    found: dict[int, int] = {}
+    found, keys = dict[int, int](), TOL.speed_keys
     for i in range(TOL.speed_rounds):
-        found[i & 1023] = found.get(i & 1023, 0) + i
+        found[i % keys] = found.get(i % keys, 0) + i
     return found
 
 

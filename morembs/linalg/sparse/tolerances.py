@@ -153,6 +153,8 @@ class SolverTolerances:
     speed_bytes: int = 1 << 26
     # Rounds of a loop of Python whose speed is measured: 10 ms.
     speed_rounds: int = 100_000
+    # Keys of the dictionary in that loop: it stays in the cache of a core.
+    speed_keys: int = 1024
     # Speed of that loop on the machines where the times of stages were measured, in 10^6 rounds per second.
     usual_python_mhz: float = 11.0
     # Seconds that each of these measurements takes.

@@ -13,11 +13,13 @@ from morembs.app.jobs.stages.spin import SPINS
 from morembs.app.jobs.stages.stage import JobStage, Result, Results, Work
 from morembs.app.jobs.stages.unreduced import PARTS
 from morembs.app.jobs.tables import CurvePoints, Job, OptionalTable
+from morembs.app.jobs.tolerances import TOL
 from morembs.app.report.certificates import Certified, certificate_sections
 from morembs.app.report.sections import Section
 from morembs.base.errors import InputError
 from morembs.base.key_tables import described
 from morembs.base.limits import DampingFloor
+from morembs.linalg.sparse.threads import machine_slowness
 from morembs.reducers import ProblemSummary
 from morembs.reducers.cost import response_seconds
 from morembs.reducers.problem_summary import ShiftedFactorisations
@@ -97,6 +99,13 @@ class Certify(JobStage):
 
     def followed_seconds(self, job: Job, facts: ProblemSummary) -> Mapping[str, float]:
         return {} if CertifyTable.of(job) is None else {"[certify]": response_seconds(facts.size, facts.inputs)}
+
+    def seconds(self, job: Job, facts: ProblemSummary, factor_entries: int) -> Mapping[str, float]:
+        if CertifyTable.of(job) is None:
+            # The reductions have proven it on their way.
+            return {}
+        proof = TOL.certificate_dof_seconds * facts.size * machine_slowness()
+        return {self.step: proof + response_seconds(facts.size, facts.inputs, factor_entries)}
 
     def computes_modes(self, job: Job) -> bool:
         return CertifyTable.of(job) is not None

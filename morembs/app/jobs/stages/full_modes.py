@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -14,6 +15,7 @@ from morembs.app.jobs.stages.unreduced import PARTS
 from morembs.app.jobs.tables import Job, SingleTable
 from morembs.base.limits import number
 from morembs.reducers import ProblemSummary
+from morembs.reducers.cost import mode_seconds
 
 NOTES: Result[tuple[str, ...]] = Result("notes on full modes")
 
@@ -38,6 +40,9 @@ class FullModes(JobStage):
 
     def columns(self, job: Job, facts: ProblemSummary) -> int:
         return CheckTable.of(job).full_modes
+
+    def seconds(self, job: Job, facts: ProblemSummary, factor_entries: int) -> Mapping[str, float]:
+        return {self.step: mode_seconds(facts.size, CheckTable.of(job).full_modes, factor_entries)}
 
     def computes_modes(self, job: Job) -> bool:
         return True

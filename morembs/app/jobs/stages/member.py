@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from morembs.app.jobs.solver import SolverTable
+from morembs.app.jobs.stages.durations import START, least_seconds
 from morembs.app.jobs.stages.member_cost import cost_of, counts_of
 from morembs.app.jobs.stages.member_table import MemberTable, component_of, mesh_of
 from morembs.app.jobs.stages.reduction import ReduceTable, named_tables
@@ -81,11 +82,18 @@ class ReduceMember(JobStage):
     def prepare(self, job: Job) -> None:
         component_of(job)
 
+    def named_steps(self, job: Job) -> Sequence[str]:
+        return (*(f"reduce {name}" for name in _all_options(job)), "write")
+
     def forecast(self, job: Job) -> JobForecast:
         part = cost_of(component_of(job))
         equilibria = {name: _equilibria(options) for name, options in _all_options(job).items()}
         tables_bytes = TOL.numbers_per_equilibrium * 8 * part.dofs * max(equilibria.values())
         peak = resident_bytes() + part.factor_bytes + tables_bytes
+        times = {name: count * part.equilibrium_seconds for name, count in equilibria.items()}
+        seconds = {name: least_seconds(name, part.dofs) for name in (START, *self.named_steps(job))}
+        for name, more in times.items():
+            seconds[f"reduce {name}"] += more
         return JobForecast(
             solver=part.solver,
             choice=f"{part.solver}, for the equilibria of {part.what}",
@@ -113,7 +121,8 @@ class ReduceMember(JobStage):
             all_processes_bytes=peak,
             extent=part.extent,
             interface_nodes=part.interface_nodes,
-            reduction_seconds={name: count * part.equilibrium_seconds for name, count in equilibria.items()},
+            reduction_seconds=times,
+            seconds=seconds,
         )
 
     def run(self, work: Work) -> None:

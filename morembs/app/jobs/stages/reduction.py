@@ -71,7 +71,7 @@ class Reduction(JobStage):
 
     def seconds(self, job: Job, facts: ProblemSummary, factor_entries: int) -> Mapping[str, float]:
         times = {name: reducer.seconds(facts, factor_entries) for name, reducer in job.reducers.items()}
-        return {name: seconds for name, seconds in times.items() if seconds is not None}
+        return {f"reduce {name}": seconds for name, seconds in times.items() if seconds is not None}
 
     def followed_seconds(self, job: Job, facts: ProblemSummary) -> Mapping[str, float]:
         return {
@@ -82,6 +82,9 @@ class Reduction(JobStage):
 
     def computes_modes(self, job: Job) -> bool:
         return any(reducer.computes_modes for reducer in job.reducers.values())
+
+    def named_steps(self, job: Job) -> Sequence[str]:
+        return ("factorise", *(f"reduce {name}" for name in job.reducers))
 
     def run(self, work: Work) -> None:
         problem, reduced = work[PROBLEM], list[ReducedModel]()

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from morembs.app.jobs.compare import FrequencyResponse, certified_response, frequency_response
-from morembs.app.jobs.stages.certificate import CertifyTable
+from morembs.app.jobs.stages.certificate import CertifyTable, certified_band
 from morembs.app.jobs.stages.couple import PROBLEM
 from morembs.app.jobs.stages.full_modes import CheckTable
 from morembs.app.jobs.stages.preflight import refuse_responses
@@ -72,6 +72,14 @@ class Response(JobStage):
 
     def followed_seconds(self, job: Job, facts: ProblemSummary) -> Mapping[str, float]:
         return {} if ResponseTable.of(job) is None else {"[response]": response_seconds(facts.size, facts.inputs)}
+
+    def seconds(self, job: Job, facts: ProblemSummary, factor_entries: int) -> Mapping[str, float]:
+        return {name: response_seconds(facts.size, facts.inputs, factor_entries) for name in self.named_steps(job)}
+
+    def named_steps(self, job: Job) -> Sequence[str]:
+        # A picture shows the responses of the certificates where there are any.
+        drawn = job.picture is not None and certified_band(job) is None
+        return self.steps if ResponseTable.of(job) is not None or drawn else ()
 
     def run(self, work: Work) -> None:
         job, problem, bodies, parts = work.job, work[PROBLEM], work[BODIES], work.get(PARTS)

@@ -102,10 +102,12 @@ class JobForecast:
     in m.
 
     ``choice`` says in one line which solver will be taken and why; ``factor_seconds`` is that of the one
-    factorisation with ``threads`` threads at the speed of this machine now, ``reduction_seconds`` that of each
-    reduction beside it as far as it can be told, within a factor of three. ``shift_factor_...`` is of the largest
-    factor beside that of K, 0 where there is none, ``shift_seconds`` the time of all of these. Workers or ranks are
-    ``processes`` beside this one, of up to ``process_bytes`` each; ``all_processes_bytes`` is the peak of all at once.
+    factorisation with ``threads`` threads at the speed of this machine, ``reduction_seconds`` that of each
+    reduction beside it as far as it can be told, within a factor of three, ``seconds`` that of the whole job by stage,
+    named as in the document of the finished job, and of the ``start`` of the program. ``shift_factor_...`` is of the
+    largest factor beside that of K, 0 where there is none, ``shift_seconds`` the time of all of these. Workers or
+    ranks are ``processes`` beside this one, of up to ``process_bytes`` each; ``all_processes_bytes`` is the peak of all
+    at once.
     """
 
     solver: str
@@ -135,6 +137,7 @@ class JobForecast:
     extent: tuple[float, float, float]
     interface_nodes: dict[str, int]
     reduction_seconds: dict[str, float] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
     witness_bytes: int = 0
     warnings: tuple[str, ...] = ()
 
@@ -231,7 +234,10 @@ class JobStage:
         return 0
 
     def seconds(self, job: Job, facts: ProblemSummary, factor_entries: int) -> Mapping[str, float]:
-        """Time of the reductions that it makes, by name, as far as it can be told."""
+        """Time of its linear algebra by the names of its steps, factorisations not included, as far as it can be told.
+
+        What every step takes for each degree of freedom is added to it.
+        """
         return {}
 
     def followed_seconds(self, job: Job, facts: ProblemSummary) -> Mapping[str, float]:
@@ -241,6 +247,10 @@ class JobStage:
     def computes_modes(self, job: Job) -> bool:
         """True if it computes modes, which are counted."""
         return False
+
+    def named_steps(self, job: Job) -> Sequence[str]:
+        """Its steps in such a job, as documents name them."""
+        return (self.step,) if self.step else self.steps
 
     def run(self, work: Work) -> None:
         """Do the work and give its results."""
