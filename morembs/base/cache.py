@@ -1,7 +1,7 @@
 """The cache folder of the user: what takes time to find out about a machine, kept from run to run.
 
 Nothing depends on it. A folder that cannot be written and a file that cannot be read only mean that things are found
-out anew.
+out again.
 """
 
 from __future__ import annotations

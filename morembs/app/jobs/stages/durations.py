@@ -39,7 +39,7 @@ STEPS: Mapping[str, tuple[float, float]] = {
 
 
 def known_seconds(job: Job, facts: ProblemSummary, factor_entries: int) -> dict[str, float]:
-    """Time of the linear algebra of each step of a job, as far as it can be told."""
+    """Time of the linear algebra of each step of a job, as far as known."""
     found = (stage.seconds(job, facts, factor_entries) for stage in asked(job))
     return {name: seconds for known in found for name, seconds in known.items()}
 

@@ -234,7 +234,7 @@ class JobStage:
         return 0
 
     def seconds(self, job: Job, facts: ProblemSummary, factor_entries: int) -> Mapping[str, float]:
-        """Time of its linear algebra by the names of its steps, factorisations not included, as far as it can be told.
+        """Time of its linear algebra by the names of its steps, factorisations not included, as far as known.
 
         What every step takes for each degree of freedom is added to it.
         """
