@@ -98,7 +98,7 @@ def _check(job: Job) -> JobForecast:
             list(shifted_of(job, facts).values()),
             SolverTable.of(job).workers,
         )
-        known = known_seconds(job, facts, cost.plan.factor_entries)
+        times = known_seconds(job, facts, cost.plan.factor_entries)
     x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()
     return JobForecast(
         **cost.told(),
@@ -112,8 +112,8 @@ def _check(job: Job) -> JobForecast:
         matrices_bytes=outline.matrices_bytes,
         extent=(x, y, z),
         interface_nodes={interface.name: len(interface.nodes) for interface in facts.interfaces},
-        reduction_seconds={name: known[f"reduce {name}"] for name in job.reducers if f"reduce {name}" in known},
-        seconds=stage_seconds(job, facts, cost, known),
+        reduction_seconds={name: times[f"reduce {name}"] for name in job.reducers if f"reduce {name}" in times},
+        seconds=stage_seconds(job, facts, cost, times),
         witness_bytes=sum(stage.witness_bytes(job, facts) for stage in asked(job)),
         warnings=(*outline.warnings, *_warnings(cost, solver.scratch)),
     )
