@@ -90,6 +90,19 @@ def test_a_body_is_exported(line, example, tmp_path):
         assert "M2GG = MAAX, K2GG = KAAX" in text and "SPOINT" in text
 
 
+def test_a_deck_is_not_replaced_by_an_export_of_its_body(example, tmp_path):
+    for name in ("deck.inp", "deck.h5"):
+        shutil.copy(example / name, tmp_path / name)
+    deck = (tmp_path / "deck.inp").read_bytes()
+    done = morembs("export", "deck.h5", "--to", "abaqus", folder=tmp_path)
+    assert done.code == 2 and re.search(r"deck.inp is a file that body '[\w-]+' was made from", done.errors)
+    assert {path.name for path in tmp_path.iterdir()} == {"deck.inp", "deck.h5"}
+    assert (tmp_path / "deck.inp").read_bytes() == deck
+    # Another file of that name may be one of an export before.
+    (tmp_path / "deck.inp").write_text("** another deck\n")
+    run("export deck.h5 --to abaqus", tmp_path)
+
+
 def test_the_example_swings_in_exudyn(example, tmp_path):
     pytest.importorskip("exudyn", reason="Exudyn is not here: pip install exudyn")
     (tables,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)

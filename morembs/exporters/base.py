@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, ClassVar, final
 import numpy as np
 
 from morembs.base.arguments import check_options
-from morembs.base.errors import InputError, OutputError
+from morembs.base.errors import InputError, OutputError, OverwriteError
 from morembs.base.types import Floats
 from morembs.body.body import Body
 from morembs.body.stored import StoredBodies
@@ -20,6 +20,7 @@ from morembs.exporters.read_back import ReadBack, frequencies_between
 from morembs.exporters.tolerances import TOL
 from morembs.fem.fe_model import Component
 from morembs.problem.damping import frequency_domain_only
+from morembs.storage.contents import Content
 from morembs.storage.safefile import looked_at
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ class Destination:
 
         Raises:
             InputError: that is the body file itself.
+            OverwriteError: the body was made from it.
         """
         path = self.path.with_name(f"{self.path.name.removesuffix(self.path.suffix)}{ending}")
         self.refuse_source(path)
@@ -78,6 +80,20 @@ class ExportContext(Destination):
 
     source: StoredBodies
     body: Body
+
+    def refuse_source(self, path: Path) -> None:
+        """Refuse to write over the body file, or over a file that the body was made from.
+
+        Raises:
+            InputError: the former.
+            OverwriteError: the latter.
+        """
+        super().refuse_source(path)
+        read = np.atleast_1d((self.source.provenance.get("inputs") or {}).get("sha256", [])).tolist()
+        if read and path.is_file() and Content.of(path).sha256 in {_text(each) for each in read}:
+            raise OverwriteError(
+                f"{path} is a file that body {self.body.name!r} was made from; give another name for the output"
+            )
 
     @property
     def frame(self) -> FloatingFrame:
@@ -205,6 +221,7 @@ class Exporter(ABC):
 
         Raises:
             InputError: the body cannot be expressed in the target, or the output is the input.
+            OverwriteError: the body was made from a file that the output would replace.
             OutputError: the file cannot be written.
         """
         context = ExportContext(source=source, body=body, path=Path(path), file=file)
@@ -241,6 +258,10 @@ class Exporter(ABC):
         if read is not None:
             body = context.body
             read.refuse_others(context.path, frequencies_between(body.frequencies_hz, body.rigid_count))
+
+
+def _text(value: bytes | str) -> str:
+    return value.decode() if isinstance(value, bytes) else value
 
 
 def _same(path: Path, other: Path) -> bool:
