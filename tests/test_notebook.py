@@ -93,6 +93,7 @@ def test_eight_cells_show_what_matters_and_no_more(tmp_path: Path, monkeypatch: 
         assert len(table) < 1500 and table.count("<tr>") <= 8
         # Bodies and models are seen too, in a frame that needs nothing of the notebook.
         assert bool(frame) == isinstance(value, morembs.FEModel | morembs.Body)
+        assert not frame or picture.rpartition(">")[0].endswith("trust the notebook.</iframe")
         assert not frame or ("srcdoc=" in picture and "<script" not in picture and len(picture) < 300_000)
         # The table shows all that the text begins to say.
         for fact in flat.partition(": ")[2].removesuffix(" ...").split("; ")[:3]:

@@ -110,11 +110,15 @@ def viewer_head() -> str:
 
 
 def embedded(scene: Scene) -> str:
-    """The scene in a frame, as notebooks show it: nothing of it touches the page around."""
-    page = html.escape(viewer_page(scene))
+    """The scene in a frame, as notebooks show it: nothing of it touches the page around.
+
+    Notebooks that are not trusted take the frame away and leave its text.
+    """
+    page, title = html.escape(viewer_page(scene)), html.escape(scene.title)
     return (
-        f'<iframe title="{html.escape(scene.title)}" srcdoc="{page}" sandbox="allow-scripts allow-downloads" '
-        'allow="clipboard-write" loading="lazy" style="width:100%;height:36rem;border:0"></iframe>'
+        f'<iframe title="{title}" srcdoc="{page}" sandbox="allow-scripts allow-downloads" '
+        'allow="clipboard-write" loading="lazy" style="width:100%;height:36rem;border:0">'
+        f"{title} is not shown, as this notebook is not trusted: run the cell, or trust the notebook.</iframe>"
     )
 
 
