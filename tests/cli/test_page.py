@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 
 from morembs.app.cli import commands as cli
 from morembs.app.jobs.compare import recommended
+from morembs.app.pages.kept import sealed, sum_of
 from morembs.app.pages.page import write_report
 from morembs.app.pages.parts import Entry
 from morembs.body.file import read_body
@@ -177,6 +178,61 @@ def test_nothing_but_pictures_and_numbers_gets_out_of_an_old_report(report: Path
         path.write_text(old)
         write_report(path, [entry_of(body)], "x")
         assert path.read_text() == first
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("shown",), "other"),
+        (("mass_kg",), None),
+        (("warnings",), 3),
+        (("dofs",), 10**400),
+        (("origin",), ["x"]),
+        (("interfaces", "left"), None),
+        (("bodies", "cb", "band_hz"), [[]]),
+        (("bodies", "cb", "limits", "envelope"), "x"),
+        (("bodies", "cb", "asked"), {"modes": {}}),
+        (("stages", "read", "seconds"), True),
+        (("stages", "read"), {}),
+        (("center_of_mass_m", 0), "1e999"),
+    ],
+)
+def test_wrong_values_with_their_checksums_do_not_get_into_a_page(
+    report: Path, place: tuple[str | int, ...], value: object
+) -> None:
+    path, body = report.with_name("wrong.html"), report.parent / "long" / "part.h5"
+    write_report(path, [entry_of(body)], "x")
+    first, data = path.read_text(), path.with_suffix(".json")
+    document = json.loads(data.read_text())
+    at = document["parts"][0]["body_file"]
+    del at["seal"]
+    for key in place[:-1]:
+        at = at[key]
+    assert at[place[-1]] != value
+    at[place[-1]] = value
+    document["parts"][0]["body_file"] = sealed(document["parts"][0]["body_file"])
+    path.write_text(json.dumps(document).replace('"1e999"', "1e999"))
+    write_report(path, [entry_of(body)], "x")
+    assert path.read_text() == first
+
+
+@pytest.mark.parametrize("value", ["NaN", "1e999", "[1", "[" * 10**5])
+def test_charts_and_pictures_that_cannot_be_read_are_made_anew(report: Path, value: str) -> None:
+    path, body = report.with_name("charts.html"), report.parent / "long" / "part.h5"
+    write_report(path, [entry_of(body)], "x")
+    first, picture = path.read_text(), "iVBORw0KGgoAA="
+
+    def with_value(found: re.Match[str]) -> str:
+        return f'{found[1]}:charts" data-sum="{sum_of(value)}">{value}</script>'
+
+    old = re.sub(r'(data-key="[0-9a-f]{64}):charts" data-sum="[0-9a-f]{64}">[^<]*</script>', with_value, first)
+    old = re.sub(
+        r'(:row" data-sum=")[^"]*(" src="data:image/png;base64,)[^"]*', rf"\g<1>{sum_of(picture)}\2{picture}", old
+    )
+    assert picture in old and f">{value}</script>" in old
+    path.write_text(old)
+    write_report(path, [entry_of(body)], "x")
+    assert path.read_text() == first
 
 
 def test_names_that_are_no_utf_8_get_into_a_report(report: Path) -> None:

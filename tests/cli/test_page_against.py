@@ -70,6 +70,14 @@ def test_a_change_tells_its_share() -> None:
     assert [change.share for change in both] == [pytest.approx(0.01), pytest.approx(2.0)]
 
 
+def test_numbers_next_to_zero_are_red_and_have_no_share() -> None:
+    """A share beyond all numbers has no place in the JSON of a report."""
+    least = body(5e-324, 5e-324)
+    told = [*changes_of(part(mass=5e-324, seconds=5e-324, cb=least), part(cb=body()), ChangeLimits())]
+    assert [change.what for change in told] == ["mass", "frequencies", "error", "time"]
+    assert all(change.beyond and change.share is None and "%" not in change.words for change in told)
+
+
 def test_tolerances_are_given_by_name() -> None:
     limits = ChangeLimits.of("frequencies=0.01, time=2")
     assert (limits.frequencies, limits.time, limits.mass) == (0.01, 2.0, ChangeLimits().mass)

@@ -56,11 +56,12 @@ def batch(
     quiet: Quiet = False,
 ) -> None:
     """Run many jobs beside each other; those whose results are up to date are left alone."""
+    from morembs.app.batches.plan import parts_of
     from morembs.app.batches.run import batch as run
     from morembs.app.pages.page import write_report
     from morembs.app.pages.parts import Entry
 
-    wanted = requested(report, against, within)
+    wanted = requested(report, against, within, lambda: len(parts_of(jobs, changes or ())))
     with messages():
         with _shown(quiet) as listener:
             records = run(

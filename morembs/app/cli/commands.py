@@ -115,7 +115,7 @@ def reduce(
 
     if attached:
         leave_with_input()
-    wanted = requested(report, against, within)
+    wanted = requested(report, against, within, lambda: len(jobs))
     with messages():
         jobs, load = _loader(jobs, loads, outputs)
     short = {"reduce.method": method, "reduce.order": order, "reduce.modes": modes, "output.path": out}
@@ -202,7 +202,7 @@ def compare(
     from morembs.app.jobs.stages.certificate import certified_band
     from morembs.storage.safefile import check_writable, one_file
 
-    wanted = requested(report, against, within)
+    wanted = requested(report, against, within, lambda: len(jobs))
 
     def work(path: Path, progress: Progress) -> Done:
         if picture is not None:

@@ -275,14 +275,17 @@ def _do(work: Work, path: Path, as_json: bool, quiet: bool, documents: list[dict
             show()
 
 
-def requested(report: Path | None, against: Path | None, within: str | None) -> ReportRequest | None:
-    """The report that was asked for, checked before the work begins; a message and the end where it cannot be."""
+def requested(
+    report: Path | None, against: Path | None, within: str | None, parts: Callable[[], int]
+) -> ReportRequest | None:
+    """The report of so many ``parts`` that was asked for, checked before the work begins; a message and the end where
+    it cannot be."""
     if report is None and against is None and within is None:
         return None
     from morembs.app.pages.page import ReportRequest
 
     with messages():
-        return ReportRequest.of(report, against, within)
+        return ReportRequest.of(report, against, within, parts)
 
 
 def _write_report(report: ReportRequest, documents: Sequence[Mapping[str, Any]]) -> str:

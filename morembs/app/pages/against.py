@@ -153,7 +153,7 @@ def changes_of(old: PartState, new: PartState, limits: ChangeLimits) -> Iterator
     if old.mass is not None and new.mass is not None and old.mass != new.mass:
         share = new.mass / old.mass - 1 if old.mass else None
         words = f"{old.mass:.6g} -> {new.mass:.6g} kg{_percent(share)}"
-        yield Change(what="mass", share=share, words=words, beyond=share is None or abs(share) > limits.mass)
+        yield Change(what="mass", share=_number(share), words=words, beyond=share is None or abs(share) > limits.mass)
     for name, body in new.bodies.items():
         if name in old.bodies:
             yield from _of_bodies(name, old.bodies[name], body, limits)
@@ -167,7 +167,7 @@ def changes_of(old: PartState, new: PartState, limits: ChangeLimits) -> Iterator
         # Short times change with what else runs.
         if abs(share) > limits.time and abs(new.seconds - old.seconds) > TOL.noticed_seconds:
             words = f"{old.seconds:.3g} -> {new.seconds:.3g} s{_percent(share)}"
-            yield Change(what="time", share=share, words=words, beyond=share > 0)
+            yield Change(what="time", share=_number(share), words=words, beyond=share > 0)
 
 
 def _of_bodies(name: str, old: BodyState, new: BodyState, limits: ChangeLimits) -> Iterator[Change]:
@@ -180,7 +180,7 @@ def _of_bodies(name: str, old: BodyState, new: BodyState, limits: ChangeLimits) 
         if abs(share) > TOL.same_frequency:
             words = f"mode {number}: {f:,.6g} -> {g:,.6g} Hz{_percent(share)}"
             yield Change(
-                what="frequencies", body=name, share=share, words=words, beyond=abs(share) > limits.frequencies
+                what="frequencies", body=name, share=_number(share), words=words, beyond=abs(share) > limits.frequencies
             )
     if (old.certified, old.limit) != (new.certified, new.limit):
         shown = [
@@ -192,7 +192,7 @@ def _of_bodies(name: str, old: BodyState, new: BodyState, limits: ChangeLimits) 
         beyond = lost or (grown is not None and grown > limits.error)
         if beyond or grown is None or abs(grown) > TOL.same_frequency:
             yield Change(
-                what="error", body=name, share=grown, words=" -> ".join(shown) + _percent(grown), beyond=beyond
+                what="error", body=name, share=_number(grown), words=" -> ".join(shown) + _percent(grown), beyond=beyond
             )
 
 
@@ -202,7 +202,8 @@ def _number(value: Any) -> float | None:
 
 
 def _percent(share: float | None) -> str:
-    return "" if share is None else f" ({100 * share:+.3g} %)"
+    known = _number(share)
+    return "" if known is None else f" ({100 * known:+.3g} %)"
 
 
 def _of_report(document: Mapping[str, Any], folder: Path) -> Iterator[PartState]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import math
 import re
 from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping, MutableMapping
@@ -148,13 +149,19 @@ class KeptParts:
 
     def picture(self, key: str, make: Callable[[], bytes]) -> str:
         """The picture that was kept under ``key``, or a new one, as PNG in base64; empty where there is none."""
-        if key not in self._pictures:
-            self._pictures[key] = base64.b64encode(make()).decode()
+        with suppress(KeyError, ValueError):
+            base64.b64decode(self._pictures[key], validate=True)
+            return self._pictures[key]
+        self._pictures[key] = base64.b64encode(make()).decode()
         return self._pictures[key]
 
     def data(self, key: str, make: Callable[[], Any]) -> Any:
         """The plain values that were kept under ``key``, or new ones."""
-        return json.loads(self._data[key]) if key in self._data else make()
+        with suppress(KeyError, ValueError, RecursionError):
+            values = json.loads(self._data[key], parse_constant=_no_number)
+            as_json(values)  # infinite numbers have other spellings too
+            return values
+        return make()
 
 
 def _whole(pattern: re.Pattern[str], text: str) -> dict[str, str]:
@@ -172,9 +179,60 @@ def _seal(content: Mapping[str, Any]) -> str:
 
 
 def _is_whole(content: Any) -> bool:
-    if not isinstance(content, dict) or not isinstance(content.get("sha256"), str):
+    if not isinstance(content, dict):
         return False
-    return bool(content.get("seal") == _seal({key: value for key, value in content.items() if key != "seal"}))
+    said = {key: value for key, value in content.items() if key != "seal"}
+    # A checksum can be made anew by anybody: a page is made of values that it has places for alone.
+    return _has_form(said, _FORM) and said["shown"] in said["bodies"] and content.get("seal") == _seal(said)
+
+
+# What ``content_of`` and ``content_of_members`` give: a type, a list of one form, a table of these keys, or one of any
+# names (the key ``str``); one of several forms in parentheses.
+_FORM: dict[Any, Any] = {
+    "sha256": str,
+    "members": bool,
+    "bodies": {
+        str: {
+            "method": str,
+            "order": int,
+            "asked": {str: (str, int, float, bool)},
+            "frequencies_hz": [float],
+            "kind": str,
+            "measure": str,
+            "limits": {str: (float, None)},
+            "band_hz": ([float], None),
+            "notes": str,
+        }
+    },
+    "shown": str,
+    "dofs": (int, None),
+    "mass_kg": float,
+    "center_of_mass_m": [float],
+    "warnings": [str],
+    "interfaces": {str: {"coupling": str, "nodes": int}},
+    "stages": {str: {"seconds": float, "peak_memory_bytes": int}},
+    "inputs": {str: str},
+    "origin": {str: str},
+}
+# Of 64 bits, as in the files that they come from.
+_LARGEST_WHOLE = 2**63
+
+
+def _has_form(value: Any, form: Any) -> bool:
+    if isinstance(form, tuple):
+        return any(_has_form(value, each) for each in form)
+    if isinstance(form, list):
+        return isinstance(value, list) and all(_has_form(each, form[0]) for each in value)
+    if isinstance(form, dict) and isinstance(value, dict):
+        if str in form:
+            return all(_has_form(each, form[str]) for each in value.values())
+        # Of bodies nothing is said of members.
+        return {"members", *value} == {"members", *form} and all(_has_form(value[key], form[key]) for key in value)
+    if form is None or isinstance(form, dict):
+        return value is form
+    if type(value) is float and not math.isfinite(value):
+        return False
+    return type(value) is form and not (form is int and abs(value) >= _LARGEST_WHOLE)
 
 
 def key_of(sha256: str) -> str:

@@ -4,7 +4,7 @@ Up to some parts it needs no other file; of more it is their table, with a page 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,9 +30,11 @@ class ReportRequest:
     earlier: Earlier | None = None
 
     @classmethod
-    def of(cls, path: Path | None, against: Path | None = None, within: str | None = None) -> ReportRequest | None:
+    def of(
+        cls, path: Path | None, against: Path | None = None, within: str | None = None, parts: Callable[[], int] = int
+    ) -> ReportRequest | None:
         """Check, before the work begins, that a report can be written, and read what it is compared with, which the
-        work may replace; None where none was asked for.
+        work may replace; None where none was asked for. ``parts`` counts what it will have.
 
         Raises:
             InputError: another ending than .html, or no earlier report.
@@ -44,7 +46,7 @@ class ReportRequest:
                 raise InputError(f"{option} {wanted} was given; it needs {needs}")
         if path is None:
             return None
-        check_report(path)
+        check_report(path, parts)
         if against is None:
             return cls(path=path)
         # Not at the top: it knows of manifests, which few reports need.
@@ -53,8 +55,8 @@ class ReportRequest:
         return cls(path=path, earlier=Earlier.read(against, ChangeLimits.of(within or "")))
 
 
-def check_report(path: Path | None) -> None:
-    """Check, before the work begins, that a report can be written.
+def check_report(path: Path | None, parts: Callable[[], int] = int) -> None:
+    """Check, before the work begins, that a report can be written; with its folder, where so many ``parts`` need one.
 
     Raises:
         InputError: another ending than .html.
@@ -68,7 +70,12 @@ def check_report(path: Path | None) -> None:
     check_writable(path.with_suffix(".json"))
     folder = folder_beside(path)
     if folder.exists():
-        check_writable(folder / "part.html")
+        try:
+            check_writable(folder / "part.html")
+        except OutputError:
+            # A report of few parts does without, and to count those of a batch takes time.
+            if parts() > STYLE.sections_in_page:
+                raise
 
 
 def write_report(path: Path, entries: Sequence[Entry], title: str, earlier: Earlier | None = None) -> str:
