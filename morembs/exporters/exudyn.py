@@ -23,8 +23,16 @@ from morembs.exporters.base import ExportContext, Exported, Exporter
 from morembs.exporters.tolerances import TOL
 from morembs.fem import ElementBlock, Mesh, Nodes, skew
 from morembs.fem.elements import FACES, TYPES
+from morembs.fem.interface import Interface
+from morembs.fem.interface.nodes import condition_of
 from morembs.fem.surface import outer_faces
+from morembs.fem.tolerances import TOL as FEM
 from morembs.storage.writer import writing
+
+_SPAN = (
+    "its nodes are one node or lie on a line, and Exudyn takes rotations from nodes alone; reduce again with the nodes "
+    'of the face, such as nodes = "set:NAME", and coupling = "average"'
+)
 
 
 class FrameNode:
@@ -80,7 +88,7 @@ def exudyn_marker(source: StoredBodies, name: str) -> MarkerNodes:
     Exudyn takes the weighted mean of the nodes, as an average interface does; a rigid one has equal weights.
 
     Raises:
-        InputError: no such interface, or nodes that the file does not hold.
+        InputError: no such interface, nodes that the file does not hold, or that span no plane.
     """
     if name not in source.interfaces:
         raise InputError(f"there is no interface {name!r}; {nearest(name, source.interfaces)}")
@@ -90,10 +98,25 @@ def exudyn_marker(source: StoredBodies, name: str) -> MarkerNodes:
     if missing:
         raise InputError(f"the file lacks node {missing[0]} of the interface {name!r}; write it again")
     numbers = np.array([row[label] for label in interface.node_ids.tolist()], dtype=np.int64)
-    weights = interface.weights if interface.kind.weighted else np.ones(len(numbers))
+    weights = _weights(interface)
+    if not _follows_rotations(source, interface):
+        raise InputError(f"no marker of Exudyn can follow the interface {name!r}: {_SPAN}")
     used = weights != 0
     numbers, weights = numbers[used], weights[used] / weights.sum()
     return MarkerNodes(numbers, weights, interface.point - weights @ source.coordinates[numbers])
+
+
+def _follows_rotations(source: StoredBodies, interface: Interface) -> bool:
+    """True unless the nodes of an interface lie on a line, or are one reference node."""
+    if not len(interface.nodes):
+        return False
+    xyz, weights = source.coordinates[interface.nodes], _weights(interface)
+    arms = xyz - weights @ xyz / weights.sum()
+    return condition_of(arms, weights) < FEM.collinear_condition
+
+
+def _weights(interface: Interface) -> Floats:
+    return interface.weights if interface.kind.weighted else np.ones(len(interface.nodes))
 
 
 def _values(context: ExportContext, faces: Ints) -> Mapping[str, Any]:
@@ -213,6 +236,14 @@ def _notes(context: ExportContext, *, drawn: bool) -> tuple[str, ...]:
             "morembs.exporters.exudyn_system puts the body into a system with joints at its interfaces (README); "
             "nodes, weights and offset of their markers: morembs.exporters.exudyn.exudyn_marker"
         )
+        source = context.source
+        still = [
+            name
+            for name, each in source.interfaces.items()
+            if (each.nodes >= 0).all() and not _follows_rotations(source, each)
+        ]
+        if still:
+            notes.append(f"no marker of Exudyn can follow {', '.join(map(repr, still))}: {_SPAN}")
     return (*notes, *frame.notes)
 
 

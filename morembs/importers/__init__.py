@@ -48,6 +48,7 @@ READERS: dict[str, Callable[..., Mesh | Deck]] = {
     ".nas": read_nastran,
     ".fem": read_nastran,
     ".unv": read_unv,
+    ".cdb": read_ansys,
 }
 
 

@@ -19,6 +19,8 @@ from morembs.app.jobs.template import job_text
 from morembs.examples import EXAMPLES
 from tests.conftest import ROOT
 from tests.support import commands, structures
+from tests.support.mesh_decks import ansys_archive
+from tests.support.meshes import box
 
 RUNNER = CliRunner()
 MESHES = sorted((ROOT / "data" / "small_meshes").glob("*.[mi][sn][hp]"))
@@ -325,3 +327,11 @@ def test_inputs_of_a_file_of_matrices_become_the_interface(ending: str, tmp_path
     (body,) = morembs.read_body(tmp_path / "b.h5").bodies.values()
     exact = np.sqrt(np.linalg.eigvalsh(held["K"])) / (2 * np.pi)
     assert np.allclose(body.frequencies_hz, exact, rtol=1e-9)
+
+
+def test_an_archive_without_materials_is_a_mesh(folder: Path) -> None:
+    Path("part.cdb").write_text(ansys_archive(box("hex8", (4, 1, 1), (0.4, 0.1, 0.1))))
+    said("init", "part.cdb")
+    job = tomllib.loads(Path("part.toml").read_text())
+    assert job["model"]["mesh"] == "part.cdb" and len(job["material"]) == 1
+    assert "end_1 4, end_2 4" in said("check", "part.toml")

@@ -13,7 +13,7 @@ from morembs.body.file import read_body, write_body
 from morembs.body.floating.frame import floating_frame
 from morembs.exporters import EXPORTERS, export_body
 from morembs.exporters.exudyn import exudyn_marker
-from morembs.fem.interface import make_interface
+from morembs.fem.interface import Interface, make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import STEEL, box, steel, where
@@ -206,6 +206,30 @@ def test_marker_is_the_frame_of_the_interface(beam):
         assert np.abs(motion - frame.markers[name].motion[:3]).max() < 1e-9 * np.abs(cms.modeBasis).max()
     with pytest.raises(InputError, match="did you mean 'right'"):
         exudyn_marker(source, "rigth")
+
+
+def test_one_reference_node_has_no_marker(tmp_path):
+    """As of RBE2 and couplings of decks: Exudyn would fail as it assembles the system."""
+    path, model = tmp_path / "beam.h5", steel(box("hex8", (4, 1, 1), (LENGTH, WIDTH, HEIGHT)))
+    one = Interface(
+        name="hinge",
+        nodes=np.array([0]),
+        coupling="direct",
+        point=model.nodes.xyz[0].copy(),
+        weights=np.ones(1),
+        components=(0, 1, 2),
+    )
+    tip = make_interface(model, name="tip", nodes=where(model, 0, LENGTH))
+    with Problem(model, [one, tip]) as problem:
+        reduced = CraigBampton(modes=2).reduce(problem, "cb")
+        floating = floating_frame(problem, reduced, kind="tangent", interfaces=("tip",))
+        write_body(path, [elastic_body(problem, reduced, make_part(problem, nodes="all"), floating=floating)])
+    notes = " | ".join(export_body(path, "exudyn").notes)
+    assert "no marker of Exudyn can follow 'hinge': its nodes are one node" in notes
+    source = read_body(path)
+    with pytest.raises(InputError, match=r"no marker of Exudyn can follow the interface 'hinge'.*\"average\""):
+        exudyn_marker(source, "hinge")
+    assert len(exudyn_marker(source, "tip").numbers) == 4
 
 
 def test_notes_say_what_stays_behind(tmp_path):
