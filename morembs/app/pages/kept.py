@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 import re
+import sys
 from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping, MutableMapping
 from contextlib import suppress
@@ -214,8 +215,6 @@ _FORM: dict[Any, Any] = {
     "inputs": {str: str},
     "origin": {str: str},
 }
-# Of 64 bits, as in the files that they come from.
-_LARGEST_WHOLE = 2**63
 
 
 def _has_form(value: Any, form: Any) -> bool:
@@ -232,7 +231,8 @@ def _has_form(value: Any, form: Any) -> bool:
         return value is form
     if type(value) is float and not math.isfinite(value):
         return False
-    return type(value) is form and not (form is int and abs(value) >= _LARGEST_WHOLE)
+    # Whole numbers have 64 bits in the files that they come from.
+    return type(value) is form and not (form is int and abs(value) > sys.maxsize)
 
 
 def key_of(sha256: str) -> str:
