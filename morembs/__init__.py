@@ -3,8 +3,8 @@
 The straight line: ``read_mesh`` -> ``assemble`` -> ``make_interface`` -> ``Problem`` -> a reducer's
 ``reduce`` -> ``elastic_body`` -> ``write_body``. Everything inside is in SI units.
 
-Each name is imported when it is first used; ``__init__.pyi`` says from where. The examples of all names take what
-they use from here, and begin with this bar of four elements, free and held at its left end:
+Each name is imported when it is first used; ``__init__.pyi`` says from where. The examples of all names use the
+objects that are made here: a bar of four elements, free and held at its left end:
 
 >>> import numpy as np
 >>> from morembs import CraigBampton, Damping, DofMap, ElementBlock, FEModel, Mesh, Nodes, Problem

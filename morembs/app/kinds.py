@@ -16,7 +16,7 @@ HDF5 = (".h5", ".hdf5")
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of file: what it is called, and the command that takes it, with ``{}`` for its name."""
+    """A kind of file: its name in messages, and the command that takes it, with ``{}`` for the file."""
 
     name: str
     command: str
@@ -48,7 +48,7 @@ DECKS = ("abaqus", "nastran", "ansys")
 
 
 def kind_of(path: Path) -> Kind | None:
-    """The kind of a file by its ending, of TOML and HDF5 files by what they hold; None where neither says it."""
+    """The kind of a file by its ending, of TOML and HDF5 files by their contents; None where neither says it."""
     name = path.name.lower()
     if name.endswith(".toml"):
         return SYSTEM if _holds_system(path) else JOB

@@ -1,4 +1,4 @@
-"""From matrices to a reduced system in one call, for those who bring K, M and B and no mesh."""
+"""From matrices to a reduced system in one call, for users who bring K, M and B and no mesh."""
 
 from __future__ import annotations
 

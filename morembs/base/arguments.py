@@ -148,7 +148,7 @@ def check_value(name: str, value: object, hint: Any) -> None:
 
 
 def hints_of(target: Any) -> dict[str, Any]:
-    """Name of each field or parameter -> its hint with limits; those that only type checkers can know are left out."""
+    """Name of each field or parameter -> its hint with limits; hints for type checkers alone are left out."""
     return _hints_of(target)
 
 

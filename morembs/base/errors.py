@@ -39,7 +39,7 @@ class InputError(MorembsError, ValueError):
 
 
 class ArgumentError(InputError, TypeError):
-    """A call with arguments that a function does not have, or without those that it needs."""
+    """A call with arguments that a function does not have, or without required ones."""
 
 
 class SingularMatrixError(MorembsError, ArithmeticError):

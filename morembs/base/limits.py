@@ -15,7 +15,7 @@ _NUMBERS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "e
 
 @dataclass(frozen=True, eq=False)
 class Domain:
-    """``words`` for the values that pass a test, the test, and what a JSON schema says of it."""
+    """``words`` for the values that pass a test, the test, and its form in a JSON schema."""
 
     words: str
     passes: Callable[[Any], bool] = lambda _: True

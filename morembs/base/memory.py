@@ -1,4 +1,4 @@
-"""Memory of this process: what it has, what it had at most, what it can give back."""
+"""Memory of this process: present use, peak, and the release of free pages."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class PeakMemory:
         self._watcher: Thread | None = None
 
     def take(self) -> int:
-        """Bytes at most since the last call, or since the ``with`` began; begins anew."""
+        """Bytes at most since the last call, or since the ``with`` began; begins again."""
         self._look()
         with self._lock:
             counted = self._so_far()

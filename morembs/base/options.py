@@ -56,8 +56,8 @@ def read_options(
 
     Args:
         owner: whose options they are, such as ``export to 'sid'``.
-        where: what a message begins with, such as "[[reduce]] 'cb': ".
-        word: what an option is called.
+        where: beginning of a message, such as "[[reduce]] 'cb': ".
+        word: the word for an option.
         besides: names that are known too, for advice.
         cure: what to do about a missing option {key}.
         hidden: parameters of ``schema`` that are no options.
@@ -93,7 +93,7 @@ def _typed(hint: Any, key: str, value: object, where: str) -> Any:
 
 
 def readings(text: Text) -> list[object]:
-    """What a text may mean: a TOML value, itself, or words between commas. The last is what it most likely is."""
+    """Readings of a text: a TOML value, itself, or words between commas. The last is the most likely one."""
     values: list[object] = []
     for spelling in (text, text.lower()):
         try:

@@ -1,6 +1,6 @@
 """Tables that other packages add to, by entry points or by assignment.
 
-A package that is installed with this one names what it offers in its ``pyproject.toml``:
+A package that is installed with this one names its plugins in its ``pyproject.toml``:
 
     [project.entry-points."morembs.reducers"]
     my-method = "my_package:MyReducer"

@@ -13,7 +13,7 @@ _FLOATING_POINT = r".* encountered in "
 
 
 def speak_plainly() -> None:
-    """Say warnings plainly from now on; whoever asks Python for others (-W) gets these as they are."""
+    """Say warnings plainly from now on; warnings that a user asks of Python (-W) stay as they are."""
     if sys.warnoptions:
         return
     warnings.filterwarnings("ignore", _FLOATING_POINT, RuntimeWarning)

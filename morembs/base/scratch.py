@@ -175,7 +175,7 @@ def _ended(mark: bytes) -> bool:
 
 
 def _clear(folder: Path) -> None:
-    """Remove a folder, its mark only when nothing else is left, so that the next run removes the rest."""
+    """Remove a folder, its mark only when nothing else is left, so that the next run removes the leftovers."""
     marks = (_OWNER, _PROCESS, _UNKNOWN)
     for path in folder.iterdir():
         if path.is_dir() and not path.is_symlink():

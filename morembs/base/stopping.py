@@ -44,7 +44,7 @@ def check() -> None:
 
 @contextmanager
 def whole_step() -> Iterator[None]:
-    """A step of an instant that is done whole: what a signal asks for within it is heeded at its end."""
+    """A short step that is not interrupted: a signal within it is heeded at its end."""
     before = asked()
     _waiting.append(True)
     try:
@@ -57,12 +57,12 @@ def whole_step() -> Iterator[None]:
 
 @contextmanager
 def heeded(*, ends: bool = False, clock: Callable[[], float] = time.monotonic) -> Iterator[None]:
-    """Heed SIGINT, SIGTERM and SIGHUP within; those that this process was told to ignore stay ignored.
+    """Heed SIGINT, SIGTERM and SIGHUP within; signals that this process ignored before stay ignored.
 
     Python lets the main thread alone take signals: in another one they do what the program has them do.
 
-    A second request ends the process at once. ``ends`` says that the process ends afterwards: by the code of the
-    signal whoever ends it, and by the system when a signal comes later. Otherwise handlers are as they were before.
+    A second request ends the process at once. ``ends`` says that the process ends afterwards: with the code of
+    the signal on every way out, and by the system when a signal comes later. Otherwise handlers are as they were before.
     """
 
     def handle(number: int, _: object) -> None:
@@ -113,7 +113,7 @@ def heeded(*, ends: bool = False, clock: Callable[[], float] = time.monotonic) -
 
 
 def end_with(code: int) -> None:
-    """Have this process end with ``code`` whoever calls ``exit`` from now on; the last call counts.
+    """Have this process end with ``code`` on each call of ``exit`` from now on; the last call counts.
 
     The functions that the C library calls at the end run in the reverse of their order, and ``_exit`` is the last of
     any process. Where the C library cannot be asked nothing changes.

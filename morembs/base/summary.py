@@ -89,7 +89,7 @@ def _words(value: Any) -> str:
 
 
 def _shown(instance: Any) -> dict[str, str]:
-    """The facts in words, without those that are missing."""
+    """The facts in words, without missing ones."""
     return {name: _words(value) for name, value in _facts(instance).items() if value is not None and not _empty(value)}
 
 

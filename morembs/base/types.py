@@ -1,4 +1,4 @@
-"""Kinds of arrays, by what they hold; shapes stand where they are used."""
+"""Kinds of arrays, by their numbers; shapes stand where they are used."""
 
 from __future__ import annotations
 

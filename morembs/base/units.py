@@ -1,4 +1,4 @@
-"""Units of the input; everything inside morembs is SI (m, kg, s, N, Pa), and frequencies are told in Hz."""
+"""Units of the input; everything inside morembs is SI (m, kg, s, N, Pa), and frequencies are stated in Hz."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def _view(value: dict[Any, Any]) -> MappingProxyType[Any, Any]:
 
 
 class _Packer(pickle.Pickler):
-    """Writes large arrays to files in ``folder`` that begin with ``name``, and the rest to ``file``."""
+    """Writes large arrays to files in ``folder`` that begin with ``name``, and other objects to ``file``."""
 
     def __init__(self, file: io.BytesIO, folder: Path, name: str) -> None:
         super().__init__(file, protocol=5)
@@ -199,7 +199,7 @@ class WorkerPool(Closing):
             raise failure[1]
 
     def close(self) -> None:
-        """End the processes, those that work by force."""
+        """End the processes, working ones by force."""
         for worker in self._crew:
             worker.channel.close()
         for worker in self._crew:
@@ -304,9 +304,9 @@ def processors() -> int:
 
 @contextlib.contextmanager
 def _without_main(needed: bool) -> Iterator[None]:
-    """Processes take over the arguments of the command line, and run the main program again for what it defines.
+    """Processes take over the arguments of the command line, and run the main program again for its definitions.
 
-    The first are none of theirs; the second only if it is ``needed``: few programs guard what they do by __name__.
+    The first are none of theirs; the second only if it is ``needed``: few programs guard their actions by __name__.
     """
     arguments, sys.argv = sys.argv, sys.argv[:1]
     main = vars(sys.modules["__main__"])

@@ -1,4 +1,4 @@
-"""The reduced elastic body: what it holds, how it is built, its file."""
+"""The reduced elastic body: its contents, its construction, its file."""
 
 import lazy_loader
 

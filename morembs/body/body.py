@@ -1,4 +1,4 @@
-"""The elastic body, made of a reduced model or read from a file: what a simulator or a person needs of it. SI units."""
+"""The elastic body, made of a reduced model or read from a file, for simulators and their users. SI units."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Body(Viewed):
     symmetric; ``frequencies_hz`` (n,) eigenfrequencies of the reduced pencil in ascending order and
     ``full_frequencies_hz`` those of the full coupled model where they were computed, rigid ones zero; ``certificate``
     says how wrong the body is, if that was asked for;
-    ``floating`` is what a simulator with large rotations needs, None for a body that is held or not symmetric;
+    ``floating`` has the terms of large rotations, None for a body that is held or not symmetric;
     ``ranking`` says which of its terms matter, ``spin`` has the matrices of a frame that turns with the body.
 
     Large parts are read from a file when they are asked for: ``basis(columns)`` gives displacements (3 N, k) of the

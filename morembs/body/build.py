@@ -51,7 +51,7 @@ def elastic_body(
     certificate: Certificate | None = None,
     floating: FloatingFrame | None = None,
 ) -> Body:
-    """Body of a reduced model: its frequencies and what it shares with others of the same part.
+    """Body of a reduced model: its frequencies, and data shared with other bodies of the same part.
 
     ``floating`` by default has mean axes.
 

@@ -1,6 +1,6 @@
 """Checks a reduced body before it is handed over: symmetry, rigid-body motion in three ways, ground, mass, damping.
 
-The checks are those that are usual for Craig-Bampton models in spacecraft dynamics, for every kind of basis. Those of
+The checks are the usual ones of Craig-Bampton models in spacecraft dynamics, for every kind of basis. Those of
 rigid-body motion are in ``rigid_check``.
 """
 

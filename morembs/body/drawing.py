@@ -1,4 +1,4 @@
-"""Mode shapes drawn flat, without a display: what a picture, a report and a notebook show."""
+"""Mode shapes drawn flat, without a display, for pictures, reports and notebooks."""
 
 from __future__ import annotations
 

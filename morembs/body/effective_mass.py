@@ -23,7 +23,7 @@ class EffectiveMasses:
 
     ``participation`` (k, 6) are the factors phi' M R for unit motions R of the support along x, y, z and about them, in
     sqrt(kg) and sqrt(kg) m; their squares are the effective ``masses`` (k, 6) in kg and kg m2. ``total`` (6,) are mass
-    and inertia of the whole body, of which the modes have the rest of what moves with the held coordinates.
+    and inertia of the whole body: the sum of the masses of all modes and of the mass that moves with held coordinates.
 
     Source: Clough and Penzien (1975); Girard and Roy (2008).
     """

@@ -33,8 +33,8 @@ class Part:
     ``mass`` kg; ``center_of_mass`` (3,) m; ``inertia`` (3, 3) kg m2 about the centre of mass along the
     model's axes. ``nodes`` are the chosen nodes, ``cells`` the mesh between them, ``transformation``
     (3 n, Nc) gives their displacements (x, y, z of the first node, of the second, ...) from the coupled
-    dofs. ``interfaces`` keep rows of the full model; ``node_ids`` its labels of all nodes, ``warnings`` what it
-    differs in from its source.
+    dofs. ``interfaces`` keep rows of the full model; ``node_ids`` its labels of all nodes, ``warnings`` its
+    differences from its source.
     """
 
     mass: float

@@ -40,7 +40,7 @@ def eigh(K: Floats, M: Floats) -> tuple[Floats, Floats]:
 
 
 def rigid_coordinates(given: Delivered, Y: Floats) -> dict[str, Floats]:
-    """Way -> (n, 6) reduced coordinates of unit rigid motions about the origin of the model; those that can be told."""
+    """Way -> (n, 6) reduced coordinates of unit rigid motions about the origin of the model; known ways alone."""
     ways = {} if given.rigid is None else {"geometry": given.rigid}
     reference = _reference(given)
     if reference is None:

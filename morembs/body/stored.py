@@ -1,4 +1,4 @@
-"""What a body file holds: some of it at once, the rest when it is asked for."""
+"""Contents of a body file: small parts at once, large ones when they are asked for."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class FormatVersion:
 
 
 class ByName(dict[str, T], Generic[T]):
-    """Parts of a file by their names; a name that is not there is refused with those that are."""
+    """Parts of a file by their names; a missing name is refused with the present ones."""
 
     def __init__(self, what: str, parts: Mapping[str, T]) -> None:
         super().__init__(parts)
@@ -271,7 +271,7 @@ def basis_columns(data: Any, columns: slice) -> Floats:
     """Columns of a basis dataset, one by one: each lies in one piece, and several at once take far longer.
 
     Raises:
-        InputError: numbers that are not finite, or not those that were written.
+        InputError: numbers that are not finite, or differ from their checksum.
     """
     picked, checksums = range(data.shape[1])[columns], Checksums(data.file.filename, data.file)
     block = np.empty((data.shape[0], len(picked)))

@@ -24,7 +24,7 @@ def check_file(path: Path, file: Any) -> None:
     """Everything of an open body file, except bases and stress shapes, which are large: see ``refuse_not_finite``.
 
     Raises:
-        InputError: a dataset is missing, or is not what it should be; its name is in the message.
+        InputError: a dataset is missing, or has another kind, shape or value; its name is in the message.
     """
     check, sizes = TableCheck(path, file, "body file"), dict[str, tuple[int, str]]()
     check.table("", FILE, sizes)

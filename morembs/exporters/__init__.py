@@ -144,10 +144,10 @@ def export_body(
 def step_for_band(
     source: str | Path, to: str, band_hz: float, *, body: str | None = None, options: Mapping[str, object] | None = None
 ) -> tuple[RealTime, dict[str, float]]:
-    """The time step for motion up to ``band_hz`` in real time, and what it costs; nothing is written.
+    """The time step for motion up to ``band_hz`` in real time, and its loss of accuracy; nothing is written.
 
     Returns:
-        what the step leaves of the body, and the errors up to ``band_hz`` by kind of output; "steps" is that of the
+        the modes that the step leaves of the body, and the errors up to ``band_hz`` by kind of output; "steps" is that of the
         simulator.
 
     Raises:
@@ -171,7 +171,7 @@ def step_for_band(
 
 
 def _in_frame(body: Body, text: str) -> tuple[Body, tuple[str, ...]]:
-    """``body`` in the floating frame that ``text`` names, and what it lost on the way."""
+    """``body`` in the floating frame that ``text`` names, and notes on terms that the change of frame loses."""
     if body.floating is None:
         raise InputError(
             f"the body {body.name!r} has no floating frame (it is held, or not symmetric); leave it as it is"

@@ -40,7 +40,7 @@ LOSSES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Exported:
-    """Files that were written, and what a user of them has to know."""
+    """Files that were written, and notes for their users."""
 
     paths: tuple[Path, ...]
     notes: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""Nastran DMIG: reduced matrices on grids at the interfaces and scalar points for the rest."""
+"""Nastran DMIG: reduced matrices on grids at the interfaces and scalar points for other coordinates."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from morembs.storage.safefile import replacing
 
 
 class Code(IntEnum):
-    """Numbers of glTF 2.0, those of OpenGL: types of components, and what a piece of the buffer is for."""
+    """Numbers of glTF 2.0, those of OpenGL: types of components, and purposes of pieces of the buffer."""
 
     UNSIGNED_SHORT = 5123
     UNSIGNED_INT = 5125

@@ -37,7 +37,7 @@ OWN = frozenset(("Linear", "Floating", "MultiBody", "Modelica"))
 
 
 def identifiers(names: Iterable[str], taken: Iterable[str] = ()) -> dict[str, str]:
-    """Names -> Modelica identifiers, those that are some already as they stand, and no two alike."""
+    """Names -> Modelica identifiers: valid ones stay as they are, and no two are alike."""
     result: dict[str, str] = {}
     used = set(taken) | KEYWORDS
     for name in sorted(names, key=lambda name: not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII)):

@@ -65,7 +65,7 @@ def with_slides(
 
 
 def step_notes(context: ExportContext, found: RealTime, count: int) -> tuple[str, ...]:
-    """What the user is told of a model with ``count`` slides."""
+    """Notes for the user of a model with ``count`` slides."""
     first = f"modes from {found.kept + 1} on stand for the compliance of the others"
     slides = (first,) if count > found.kept else ()
     return (*found.notes, *slides, _integrator_note(found.step), *certificate_note(context.body))

@@ -64,7 +64,7 @@ class RealTime:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user of the export is told."""
+        """Notes for the user of the export."""
         if self.kept == self.count:
             return (f"time step {self.step:g} s: resolves all {self.count} modes, nothing was changed",)
         kind = "at most" if self.proven else f"sampled at {TOL.error_samples} frequencies"

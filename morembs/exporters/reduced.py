@@ -194,7 +194,7 @@ def held_and_free(C: Floats, name: str) -> tuple[Floats, Floats, bool]:
 
 
 def _first_label(source: StoredBodies, given: int | None, others: int, largest: int) -> tuple[int, tuple[str, ...]]:
-    """Label of the first frame, then come the rest of the frames and ``others``; and a note where it needs care."""
+    """Label of the first frame, then come the other frames and ``others``; and a note where it needs care."""
     known = [source.node_ids, *(interface.node_ids for interface in source.interfaces.values())]
     highest = max((int(ids.max()) for ids in known if len(ids)), default=0)
     label = highest + 1 if given is None else given

@@ -1,4 +1,4 @@
-"""Standard input data of a flexible body (Wallrapp 1993, 1994): what a SID_FEM file holds, and its reader.
+"""Standard input data of a flexible body (Wallrapp 1993, 1994): contents of a SID_FEM file, and its reader.
 
 The files of different programs lay out the columns of Gr and Ge in two ways; which one a file has follows from
 identities between its matrices: sym(Gr_l) = J1_l and Ge = 2 Cr1.

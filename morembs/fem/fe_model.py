@@ -146,7 +146,7 @@ class FEModel:
 
     ``K``, ``M`` and optionally ``D`` are symmetric (N, N), kept as sparse arrays in CSR form; sparse matrices and
     arrays of any form and dense arrays are taken too. ``mesh`` is None for models that came as matrices,
-    ``materials`` are those that its elements were assembled with. ``G`` is gyroscopic, skew-symmetric; ``N`` is
+    ``materials`` are those of its elements. ``G`` is gyroscopic, skew-symmetric; ``N`` is
     circulatory: its symmetric part joins K, so that it is skew-symmetric too.
 
     ``rigid`` and ``average`` elements and ``equations`` make dofs ``dependent`` on others, or hold them; the matrices
@@ -433,7 +433,7 @@ def refuse_unsymmetric(model: FEModel, names: Sequence[str] = ("K", "M", "D")) -
 def _unsymmetric(A: sp.csr_array) -> float:
     """How far ``A`` is from its transpose against its largest entry; 0 where that is round-off.
 
-    A z and A' z are compared for one fixed random z: vectors only, and no symmetric matrix is told.
+    A z and A' z are compared for one fixed random z: vectors only, and a symmetric matrix has no note.
     """
     z = np.random.default_rng(60).standard_normal(A.shape[0])
     largest = max(abs(float(A.data.max(initial=0.0))), abs(float(A.data.min(initial=0.0))))

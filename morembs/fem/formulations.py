@@ -1,8 +1,8 @@
 """How solid elements take the strain of their displacements, and their mass: formulations by name.
 
 A formulation is a matrix B at points of volume dV that takes the displacements of an element's nodes to strains, so
-that K = sum B' C B dV, and what it adds to K against shapes that no strain sees. Stresses and geometric stiffness take
-the strains of the same B. Programs mean different ones by their element types.
+that K = sum B' C B dV, and a stiffness against shapes that no strain sees. Stresses and geometric stiffness take
+the strains of the same B. Programs have different ones for their element types.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class Formulation:
     ``about`` says it in words. ``orders`` maps the types that it is for to the degree that its points integrate; None
     is every type with the degree of its field. ``mean`` takes the mean strain at one point in the centre; ``change``
     makes another B (ne, nq, 6, 3k) of that of the gradients, in place, and ``hourglass`` (ne, k, k) is added to the
-    stiffness along each axis. With ``has_modes`` these are dofs of the model, and ``change`` is what they add at rest.
+    stiffness along each axis. With ``has_modes`` these are dofs of the model, and ``change`` is their part of the strain at rest.
     """
 
     about: str

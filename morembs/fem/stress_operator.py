@@ -3,7 +3,7 @@
 The displacement gradient at the integration points of the stiffness is fitted in each element by its linear
 functions (least squares, Hinton and Campbell 1974), taken at the element's nodes, and averaged at a node over the
 elements of one material with their volumes as weights. All of that is one sparse operator G; strain and stress
-follow from G u. Where the formulation of the elements takes another strain, what it adds goes the same way.
+follow from G u. Where the formulation of the elements takes another strain, its extra terms go the same way.
 
 Tensors have the order xx, yy, zz, xy, yz, zx (that of VTK and ParaView) and tensor shears: a strain xy is half the
 engineering shear. Stresses are in Pa, along the axes of the model.

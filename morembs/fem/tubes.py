@@ -1,4 +1,4 @@
-"""Tubes of Bernoulli beam elements, and what a fluid that flows through them adds to a model.
+"""Tubes of Bernoulli beam elements, and the matrices of a fluid that flows through them.
 
 With the unit tangent t, the fluid mass per length m, its velocity v and the mass flow q = m v, motions u follow from
 

@@ -106,7 +106,7 @@ def _silence() -> Iterator[None]:
 
 
 def _solids(gmsh: Any, part: Path) -> list[int]:
-    """Tags of the solids; those that touch share their faces."""
+    """Tags of the solids; touching ones share their faces."""
     occ = gmsh.model.occ
     found = occ.importShapes(str(part))
     if not any(dimension == 3 for dimension, _ in found):

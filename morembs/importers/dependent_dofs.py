@@ -58,7 +58,7 @@ def dependent_dofs(
 ) -> DependentDofs | None:
     """Dofs that depend on others through elements and equations, None without any.
 
-    A dof may follow several of them: those that say nothing new are left out, by the rank of what they leave of the
+    A dof may follow several of them: redundant ones are left out, by the rank of their terms on
     independent dofs, and the others are solved for further dofs, of which ``warnings`` are added.
 
     Raises:
@@ -110,7 +110,7 @@ def _with_later(
     """S where motions of dofs that follow something else already hold too; ``owner`` gets the dofs that follow them.
 
     Raises:
-        InputError: so many that what they leave would fill the memory.
+        InputError: so many that their reduced equations would fill the memory.
     """
     counts = np.array([len(part.own) for part in later])
     start = np.cumsum(counts) - counts

@@ -82,7 +82,7 @@ def with_discrete(model: FEModel, elements: Sequence[DiscreteElement]) -> tuple[
 
 
 def _condensed(elements: Sequence[DiscreteElement], table: Ints, model: FEModel) -> list[DiscreteElement]:
-    """The springs, those that share rotations without a dof as one each, without these rotations."""
+    """The springs; springs that share rotations without a dof become one each, without these rotations."""
     width = table.shape[1]
     codes = [width * element.nodes + element.components for element in elements]
     loose = np.unique(np.concatenate([code[table.ravel()[code] < 0] for code in codes]))

@@ -1,4 +1,4 @@
-"""From files to what they hold together: one file with a whole model, or matrices in files of their own with a mesh."""
+"""From files to one model: one file with a whole model, or matrices in files of their own with a mesh."""
 
 from __future__ import annotations
 

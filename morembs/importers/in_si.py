@@ -20,7 +20,7 @@ from morembs.importers.imported import Imported
 def matrices_in_si(imported: Imported, dofs: DofMap, units: Units) -> list[sp.csr_array | None]:
     """K, M, D, G and N in N/m, kg and Ns/m; rows and columns of rotations are per rad.
 
-    A dof in rad has the force Nm: with w = 1 for displacements (and scalars, which are taken for such) and w = m per
+    A dof in rad has the force Nm: with w = 1 for displacements (and scalars, which count as such) and w = m per
     unit of length for rotations an entry is scaled by w_i w_j times the factor of displacements.
     """
     factors = {"K": units.stiffness, "M": units.mass, "N": units.stiffness}
@@ -43,7 +43,7 @@ def matrices_in_si(imported: Imported, dofs: DofMap, units: Units) -> list[sp.cs
 def forces_in_si(
     role: str, columns: NamedColumns | None, imported: Imported, dofs: DofMap, units: Units
 ) -> NamedColumns | None:
-    """The columns on the dofs of the model, of which those that elements brought come last.
+    """The columns on the dofs of the model, of which the dofs of elements come last.
 
     Generalised forces become N, and motions m: entries of displacements keep their values, those of rotations are
     lengths.

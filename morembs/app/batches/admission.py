@@ -26,7 +26,7 @@ from morembs.version import VERSION
 def admitted(
     client: Any, fresh: Mapping[str, Mapping[str, Any]], probes: Probes, seconds: float
 ) -> tuple[dict[str, Worker], dict[str, str]]:
-    """What new workers have, those that can be used, and what is wrong with the others; by their addresses.
+    """Resources of new workers that can be used, and faults of the others; by their addresses.
 
     Args:
         client: of dask.
@@ -113,7 +113,7 @@ def answer(path: Path, text: str) -> dict[str, str]:
 
 
 def _other_version(worker: str, there: Any) -> str:
-    """What differs on a worker, by what it says of itself."""
+    """Difference of versions between a worker (``there`` is its own account) and this machine, "" without one."""
     if not isinstance(there, dict):
         return f"worker {worker} does not say what is installed there; install morembs {VERSION}"
     version, python = there["packages"].get("morembs"), str(there["host"]["python"])

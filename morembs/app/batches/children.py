@@ -1,4 +1,4 @@
-"""Processes of this program that work for a batch: what they say comes over pipes, and they end with this process.
+"""Processes of this program that work for a batch: their output comes over pipes, and they end with this process.
 
 Each runs a verb of the command line with ``--json``. Its standard input stays open while this process lives: where that
 ends by whatever means, the child reads the end of its input and leaves, so that there are never two writers.
@@ -37,11 +37,11 @@ class _Child:
 
 
 class Children(Closing):
-    """The processes of a batch on this machine; ``close`` ends those that run.
+    """The processes of a batch on this machine; ``close`` ends the running ones.
 
     Args:
-        room: what they may take together.
-        cores: processors of this machine, dealt among those that run at once.
+        room: memory for all of them together.
+        cores: processors of this machine, dealt among the processes that run at once.
         program: how the command line is called.
     """
 
@@ -101,7 +101,7 @@ class Children(Closing):
         return _finished(child, printed)
 
     def close(self) -> None:
-        """End those that run: they may clean up for some seconds, and are killed then."""
+        """End the running processes: they may clean up for some seconds, and are killed then."""
         for child in self._children:
             _ask_to_end(child.process)
         end = time.monotonic() + TOL.leaving_seconds

@@ -1,4 +1,4 @@
-"""Workers of dask: those of a scheduler that is there, or those that a queue starts. The only file that imports
+"""Workers of dask, of a running scheduler or started by a queue. The only file that imports
 dask.distributed.
 
 A worker starts a process for each task, as this machine would, and that ends with the worker. Which task goes where is
@@ -74,7 +74,7 @@ def _client(scheduler: Any) -> Any:
 
 
 def _quiet() -> None:
-    """What dask logs of workers that come and go is told here."""
+    """Turn the logs of dask off: messages of this module say which workers come and go."""
     for name in list(logging.Logger.manager.loggerDict):
         if name.partition(".")[0] in ("distributed", "tornado"):
             logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -73,7 +73,7 @@ class Coordinator:
         self._checked = False
 
     def due(self, fresh: bool) -> list[Part]:
-        """The jobs that can begin: those that are unchanged or cannot be run have ended with this."""
+        """The jobs that can begin; this call ends jobs that are unchanged or cannot be run."""
         due: list[Part] = []
         while self._order.is_active() and (ready := self._order.get_ready()):
             for part in map(self._parts.__getitem__, ready):

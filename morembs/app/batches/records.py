@@ -1,4 +1,4 @@
-"""How the jobs of a batch went, and who is told of that while it goes on."""
+"""Records of the jobs of a batch, and listeners that hear of them while it runs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Listener(Protocol):
         """A job begins."""
 
     def said(self, part: Part, count: int, line: str) -> None:
-        """A job says what it does."""
+        """A job says its present step."""
 
     def ended(self, part: Part, count: int, record: Record) -> None:
         """A job is done, is found unchanged, or has failed."""

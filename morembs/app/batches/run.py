@@ -57,7 +57,7 @@ def batch(
         manifest: the file in which is remembered what was done; None: ``batch.manifest`` in the folder that
             holds all jobs, or the nearest above it within the working directory.
         fresh: run all, whatever is remembered.
-        check_only: check those that are due, and run none.
+        check_only: check the jobs that are due, and run none.
 
     Returns:
         A record for each job, in the order of the jobs.

@@ -46,8 +46,8 @@ class Heard:
 
 @dataclass(frozen=True, kw_only=True)
 class Finished:
-    """How the process of the task ``number`` ended: exit ``code``, negative by a signal, what it ``printed``, its last
-    words, and its peak memory as the system counts it, 0 where nobody knows. ``lost``: its worker is gone."""
+    """How the process of the task ``number`` ended: exit ``code``, negative by a signal, its output (``printed``), its
+    last words, and its peak memory as the system counts it, 0 where nobody knows. ``lost``: its worker is gone."""
 
     number: int
     code: int
@@ -85,7 +85,7 @@ class Workers(Protocol):
         """Threads of each of ``tasks`` that want ``asked``."""
 
     def want(self, needs: Iterable[Worker]) -> None:
-        """Say what the tasks that run or wait need, for those who get more workers or send some away."""
+        """Say what the running and waiting tasks need, for a cluster that grows or shrinks with them."""
 
     def start(self, task: Task, worker: str) -> None:
         """Begin a task."""

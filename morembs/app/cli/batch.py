@@ -1,4 +1,4 @@
-"""The verb ``batch``, and what it shows while it works."""
+"""The verb ``batch``, and its lines on the terminal while it works."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ app = typer.Typer()
 
 
 def expect_bodies(files: Any) -> Any:
-    """Callback of arguments that are body files: other kinds of files are told from them.
+    """Callback of arguments that are body files: other kinds of files are recognized.
 
     Raises:
         InputError: another kind of file; the message says the command for it.

@@ -1,4 +1,4 @@
-"""Verbs on the proofs of certificates: what a stranger needs for one, and the proof itself."""
+"""Verbs on the proofs of certificates: the files that a stranger needs for a proof, and the proof itself."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def certify(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write what a stranger needs to prove the certificates of a body again."""
+    """Write the files that a stranger needs to prove the certificates of a body again."""
     with messages(), progress_line(quiet):
         if model is None or witness is None:
             raise InputError(

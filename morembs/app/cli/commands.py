@@ -1,6 +1,6 @@
 """The command line: its verbs on jobs; those on body files are in ``bodies``, on models in ``models``.
 
-What a verb needs it imports itself: most of the time of short commands would go into what they do not use.
+Each verb imports its own modules: imports of all would take most of the time of short commands.
 """
 
 from __future__ import annotations
@@ -279,7 +279,7 @@ def schema(
 
 
 def _order(jobs: Sequence[Path], changes: Sequence[str], load: Load | None = None) -> Order:
-    """The order of jobs by their places; those that cannot be read say so in their turn."""
+    """The order of jobs by their places; jobs that cannot be read report it in their turn."""
     from morembs.app.jobs.job import load_job
     from morembs.app.jobs.order import order_of, read_ahead
 

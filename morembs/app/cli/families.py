@@ -114,7 +114,7 @@ def export_family(
 
 
 def _refuse_other_family(index: Path, stem: str, new: set[str]) -> None:
-    """Refuse to replace the ``index`` of another family, whose files have no other list; the same one is made anew,
+    """Refuse to replace the ``index`` of another family, whose files have no other list; the same one is made again,
     but not where files of its own would stay that are not among the ``new`` ones, and tell of other values.
 
     Raises:

@@ -45,7 +45,7 @@ class Failure(NamedTuple):
 
 
 def failure(error: Exception) -> Failure:
-    """What a user is told of ``error``; the traceback of a fault of the program goes to a file."""
+    """The message of ``error`` for a user; the traceback of a fault of the program goes to a file."""
     if isinstance(error, MorembsError):
         return Failure(str(error), ExitCode.BAD_INPUT)
     if isinstance(error, MemoryError):

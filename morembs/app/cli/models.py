@@ -236,7 +236,7 @@ def _material(text: str) -> Material:
 
 
 def _list_engines() -> dict[str, str]:
-    """A line for each program that may assemble decks: what it is, and where it is found."""
+    """A line for each program that may assemble decks: its description and its place."""
     from morembs.importers.engines import ENGINES
 
     lines = {}

@@ -46,7 +46,7 @@ BESIDE = (
 
 
 def print_forecast(console: Console, forecast: Mapping[str, Any]) -> None:
-    """A checked job and what it will need, by its document."""
+    """A checked job with the forecast of its time and memory, by its document."""
     rows = [
         (LABELS.get(key, key.removesuffix("_bytes").replace("_", " ")), _shown(key, value))
         for key, value in forecast.items()
@@ -81,7 +81,7 @@ def _shown(key: str, value: Any) -> str:
 
 
 def print_contenders(console: Console, job: str, compared: Sequence[Contender], written: Sequence[Path]) -> None:
-    """Reductions side by side; a star marks those that no other is both at most as large and as wrong as."""
+    """Reductions side by side; a star marks those on the Pareto front of size and error."""
     rows = []
     for contender in compared:
         known = contender.bound, contender.mean_error, contender.static_error, contender.held_error

@@ -26,8 +26,8 @@ PROOFS = "docs/background/proofs.md"
 
 
 def show(file: str | Path, documents: list[dict[str, Any]] | None, proof: bool = False) -> None:
-    """Print what a body file holds, with the ``proof`` of its limits, or add it to the ``documents``, and say what is
-    wrong with it.
+    """Print the contents of a body file, with the ``proof`` of its limits, or add them to the ``documents``, and say
+    its faults.
 
     Raises:
         InputError: the file cannot be used, or contradicts itself.
@@ -60,7 +60,7 @@ def show(file: str | Path, documents: list[dict[str, Any]] | None, proof: bool =
 
 
 def _show_members(path: Path, documents: list[dict[str, Any]] | None) -> bool:
-    """True if ``path`` is a file of planar members; what it holds is then shown, or added to the ``documents``.
+    """True if ``path`` is a file of planar members; its contents are then shown, or added to the ``documents``.
 
     Raises:
         InputError: the file is damaged, or of a newer version.
@@ -90,10 +90,10 @@ def _show_members(path: Path, documents: list[dict[str, Any]] | None) -> bool:
 
 
 def _refuse_model(path: Path) -> None:
-    """Say what a model file holds, if ``path`` is a sound one, and what it is for.
+    """Refuse a model file: say its contents and the commands that take it.
 
     Raises:
-        InputError: it is one.
+        InputError: ``path`` is a model file, sound or damaged.
     """
     from morembs.importers.model_file import is_model_file, read_model
 

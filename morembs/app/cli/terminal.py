@@ -98,9 +98,9 @@ class Verb(TyperCommand):
 
 
 class LineProgress:
-    """Lines on standard error where no terminal is: a stage that begins, and each quarter of a minute what it does.
+    """Lines on standard error where no terminal is: a stage that begins, and its progress each quarter of a minute.
 
-    A thread looks at the clock, so that long calls of libraries are told too, as far as they let other threads run.
+    A thread looks at the clock, so that long calls of libraries are shown too, as far as they let other threads run.
     Work that takes less than ``patience`` seconds writes nothing.
     """
 
@@ -223,7 +223,7 @@ def each_job(
     order: Order | None = None,
     report: ReportRequest | None = None,
 ) -> None:
-    """Do ``work`` for each job, assemblies after their parts, but for those that ``order`` refuses."""
+    """Do ``work`` for each job, assemblies after their parts, except jobs that ``order`` refuses."""
     sequence = range(len(jobs)) if order is None else order.sequence
     documents: list[dict[str, Any]] = []
     failed: list[Failure] = []

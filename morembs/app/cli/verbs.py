@@ -51,7 +51,7 @@ TOPICS = {
 
 
 class Verbs(TyperGroup):
-    """The verbs, each with a ledger of its own: none of its results takes the place of what it has read."""
+    """Each verb has a ledger of its own: no result replaces a file that the verb has read."""
 
     def main(self, args: Sequence[str] | None = None, standalone_mode: bool = True, **more: Any) -> Any:  # type: ignore[override]
         """As of typer, but what does not fit is answered in one line, with a command that fits."""

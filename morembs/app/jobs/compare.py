@@ -41,8 +41,8 @@ class FrequencyResponse:
 def know_frequencies(problem: Problem, count: int, *, insist: bool) -> tuple[str, ...]:
     """Have ``problem`` know its lowest ``count`` free-free frequencies, to compare bodies with; notes if it does not.
 
-    They are solved for, but not with a factor on disk unless ``insist`` says so: there it often takes longer than all
-    else.
+    They are solved for, but not with a factor on disk unless ``insist`` says so: there it often takes longer than
+    the other stages together.
     """
     count = min(count, problem.K.shape[0] - problem.rigid.shape[1])
     if not count or problem.knows_modes(count):

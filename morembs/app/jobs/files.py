@@ -1,4 +1,4 @@
-"""The files of a job, as its stages name them: those that it reads and those that it writes."""
+"""Input and output files of a job, as its stages name them."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ BYTES |= {"b": 1, "kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40}
 
 
 def job_tables() -> type[JobTables]:
-    """All tables that a job file may have: those that its stages read, as they run, and those of other commands."""
+    """All tables that a job file may have: tables of its stages in their order, and tables of other commands."""
     kinds = [kind for stage in in_order(list(STAGES.values())) for kind in stage.tables]
     return _together(tuple(dict.fromkeys([*kinds, ModesTable])))
 

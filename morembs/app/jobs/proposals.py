@@ -18,7 +18,7 @@ from morembs.fem.selection import nodes_in_region
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """An interface for a job: its name, its selection, what it is in words, rows of its nodes, and whether some of them
+    """An interface for a job: its name, its selection, its description, rows of its nodes, and whether some of them
     follow other nodes; or, in place of a selection, the ``matrix`` of its forces."""
 
     name: str

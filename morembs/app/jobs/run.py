@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JobResult:
-    """A finished job: what its stages have made, ``result[NAME]``, and what it cost. ``peak_memory_bytes`` is the peak
+    """A finished job: results of its stages, ``result[NAME]``, its time and memory. ``peak_memory_bytes`` is the peak
     resident memory of the process during the job; ``warnings`` are sentences about the model and the bodies."""
 
     job: Job

@@ -17,7 +17,7 @@ from morembs.linalg.sparse.solver import LinearSolver
 
 @dataclass(frozen=True, kw_only=True)
 class SolverTable(SingleTable):
-    """``[solver]``: which sparse solver, and what it may use."""
+    """``[solver]``: the sparse solver and its limits."""
 
     name: str = described('"auto" or a name that "morembs solvers" lists', "auto")
     memory: str | None = described('a text such as "4 GiB" or "500 MB"', None)

@@ -42,7 +42,7 @@ class JobTable(Table):
 
     @classmethod
     def entry(cls) -> tuple[Any, Any]:
-        """Its hint among all tables, and what it is where it is left out."""
+        """Its hint among all tables, and its value where it is left out."""
         raise NotImplementedError
 
 

@@ -97,7 +97,7 @@ Part = TypeVar("Part")
 
 
 def _made(kind: str, tables: Sequence[AnyNamed], make: Callable[[AnyNamed, str], Part]) -> dict[str, Part]:
-    """What is made of tables, by their names, or those that they have unless given."""
+    """Objects made of tables, by the names of these, or by default "KIND_NUMBER"."""
     made = {}
     for number, table in enumerate(tables, start=1):
         name = table.name or f"{kind}_{number}"
@@ -118,7 +118,7 @@ def axes_of(table: RotationTable | None) -> Floats | None:
 
 
 def _add_bodies(built: Built, carried: set[str]) -> None:
-    """All bodies but those that loads are ``carried`` by, whose start depends on them; all files are read."""
+    """Add all bodies except the ones that loads are ``carried`` by, whose start depends on them; all files are read."""
     read: dict[str, StoredBodies] = {}
     members: dict[str, Mapping[str, Parameterised]] = {}
     for table in built.tables.body:

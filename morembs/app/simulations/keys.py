@@ -32,7 +32,7 @@ def refuse_names(key: str, names: Iterable[str]) -> None:
 
 
 def refuse_foreign(table: Table, kind: str, keys: dict[str, set[str]]) -> None:
-    """Refuse keys that belong to another kind of a table; ``keys`` are those that one kind alone has, by its name.
+    """Refuse keys that belong to another kind of a table; ``keys`` are the keys of one kind alone, by its name.
 
     Raises:
         InputError: in these cases.

@@ -57,7 +57,7 @@ class BodyHistory:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointHistory:
-    """A joint and what it takes."""
+    """A joint and its arguments."""
 
     kind: str = dataset("text", doc="as in the system file")
     between: tuple[str, ...] = dataset("text", "2", "its markers")

@@ -27,7 +27,7 @@ from morembs.version import VERSION
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulationResult:
-    """A finished run: what was written, and what it cost."""
+    """A finished run: files that were written, time and memory."""
 
     built: Built
     result: Result

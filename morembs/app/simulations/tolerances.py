@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SimulationTolerances:
-    """Limits of what is told before a run, each named by its quantity."""
+    """Limits of warnings before a run, each named by its quantity."""
 
     # Steps in a period below which generalised-alpha changes its length by more than 3 % (Chung and Hulbert 1993).
     steps_per_period: int = 10

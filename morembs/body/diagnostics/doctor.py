@@ -66,7 +66,7 @@ def examine(
     solver: LinearSolver | None = None,
     up_to_hz: float | None = None,
 ) -> Diagnosis:
-    """What is wrong with a model, and what it is.
+    """Faults and facts of a model.
 
     Args:
         K, M, D: (N, N) as they came, half stored or not symmetric.
@@ -74,11 +74,11 @@ def examine(
         materials: those of the mesh.
         deep: factorise: count zero-energy motions, find mechanisms, estimate the lowest frequencies.
         units: of the input; SI where not given. Numbers in sentences have SI units only where the input has them.
-        declared: the units that the input was taken for before it was converted to ``units``, where it was.
+        declared: the units that the input was read as before it was converted to ``units``, where it was.
         solver: for ``deep``.
         up_to_hz: for ``deep``, count the modes below this exactly.
 
-    Facts, as far as they can be told: "dofs", "nodes", "mass", "center_of_mass", "inertia", "volume", "free_motions"
+    Facts, as far as they are known: "dofs", "nodes", "mass", "center_of_mass", "inertia", "volume", "free_motions"
     (of 6), "rigid_residual", "parts", "length", "speed_of_sound", "density", "dof_order", and with ``deep``
     "zero_modes", "frequencies_hz" (upper bounds), "modes_below".
 

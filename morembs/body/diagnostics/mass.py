@@ -1,4 +1,4 @@
-"""Mass, centre of mass and inertia as M has them, against what a body can have and against its mesh."""
+"""Mass, centre of mass and inertia as M has them, against the limits of real bodies and against the mesh."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Do the numbers look like the units they are taken for? Judged by speed of sound, density and size.
+"""Do the numbers look like the units they are read as? Judged by speed of sound, density and size.
 
 Wave speeds of solids lie between 30 m/s (soft rubber) and 18 km/s (diamond), densities between 10 (foam) and
 23,000 kg/m3. Matrices show both: c is near h sqrt(K_ii / M_ii) / 2 and the density near M_ii over its share of the
@@ -35,7 +35,7 @@ SYSTEMS = (
 
 
 def estimate(K: sp.csr_array, M: sp.csr_array, nodes: Nodes, dofs: DofMap) -> tuple[float, float] | None:
-    """Speed of sound and density in units of the input, within a factor of a few; None where they cannot be told.
+    """Speed of sound and density in units of the input, within a factor of a few; None where they are unknown.
 
     The density of beams and plates comes out too low.
     """
@@ -123,7 +123,7 @@ def unit_findings(
 ) -> list[Finding]:
     """True if numbers in ``units`` can be those of an elastic body of ``extent`` (3,) and ``mass`` (in the same units).
 
-    ``declared`` are the units that the numbers were taken for before they were converted to ``units``, where they were.
+    ``declared`` are the units that the numbers were read as before they were converted to ``units``, where they were.
     """
     size = float(np.linalg.norm(extent))
     if materials:

@@ -76,7 +76,7 @@ def examined(model: FEModel, *, declared: Units | None = None) -> tuple[str, ...
     """Warnings of the cheap examination of a model (SI), one sentence each; none where nothing looks wrong.
 
     Units are among them: numbers that no solid has, and the system that they look like. ``declared`` are the units
-    that the input was taken for, for that sentence.
+    that the input was read as, for that sentence.
 
     Raises:
         InputError: matrices that no reduction takes, or errors of the examination, all in one message.
@@ -108,7 +108,7 @@ def examined_mesh(model: FEModel, declared: Units | None = None) -> tuple[str, .
 def imported_warnings(model: FEModel, declared: Units) -> tuple[str, ...]:
     """Warnings about an imported model (SI, of an input in the units ``declared``) that cost next to nothing.
 
-    About its units, elements that are there twice and nodes that were not merged; ``diagnosis_of`` finds the rest.
+    About its units, elements that are there twice and nodes that were not merged; ``diagnosis_of`` finds other faults.
     """
     if model.mesh is not None and model.materials:
         return examined_mesh(model, declared)

@@ -1,4 +1,4 @@
-"""Reduced model -> elastic body in a floating frame of reference: what a simulator with large rotations integrates.
+"""Reduced model -> elastic body in a floating frame of reference, for simulators with large rotations.
 
 A node is at r + A (x + phi q): r and A are position and rotation of the frame, x undeformed positions from its
 origin, phi q a small deformation. Six conditions S u = 0 say how the frame follows the body (Schwertassek,
@@ -166,7 +166,7 @@ def _motion_of(point: Floats) -> Floats:
 
 
 def check_frame(kind: str, interfaces: Sequence[str], framed: Sequence[str]) -> None:
-    """Check that ``interfaces``, of those that have a frame (``framed``), define a frame of this kind.
+    """Check that ``interfaces`` have a frame each (``framed`` do) and define a floating frame of this kind.
 
     Raises:
         InputError: they do not.

@@ -43,7 +43,7 @@ class Preload:
     ``wrench`` interface -> three forces (N) and three moments (Nm) at its point. ``speed`` (rad/s) of a steady
     rotation about ``axis`` (3,) through ``point`` (3,) m. ``acceleration`` (3,) m/s2 of the body, gravity taken off.
     Interfaces ``held`` carry what is not in equilibrium; without any the inertia of the free body does. The loads keep
-    their direction to a frame that ``follows`` six dofs of these interfaces: by default those that are held, or else
+    their direction to a frame that ``follows`` six dofs of these interfaces: by default the held ones, or else
     all interfaces.
 
     Raises:

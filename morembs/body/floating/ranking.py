@@ -55,7 +55,7 @@ class _Motion:
 def ranked_terms(frame: FloatingFrame, envelope: Envelope) -> tuple[RankedTerm, ...]:
     """Terms of the equations of motion, the largest share first; what the envelope leaves open counts as zero.
 
-    Names as in ``ShapeIntegrals``; "rigid" is what a rigid body has, "Me, Ke" the elastic forces themselves.
+    Names as in ``ShapeIntegrals``; "rigid" are the terms of a rigid body, "Me, Ke" the elastic forces themselves.
 
     >>> terms = ranked_terms(body.floating, Envelope(acceleration=10.0, angular_acceleration=1.0, speed=10.0))
     >>> terms[0].share >= terms[1].share

@@ -130,7 +130,7 @@ def whirl_modes(M: Floats, K: Floats, D: Floats, spin: ReducedSpin, speed: float
 def whirl_of(values: Complexes, X: Complexes, C: Any, S: Any, M: Any, speed: float) -> Whirl:
     """Directions and inertial speeds of modes ``X`` (n, k): Im(conj(u_y) u_z) m, summed up, for an axis along x.
 
-    That sum is x^H C x with the Coriolis matrix; x^H S x is what a circle would have.
+    That sum is x^H C x with the Coriolis matrix; x^H S x is its value for a circular orbit.
     """
     turn, across, whole = (np.einsum("ij,ij->j", X.conj(), A @ X) for A in (C, S, M))
     part = np.divide(turn.imag, across.real, out=np.zeros(len(turn)), where=across.real > TOL.across_axis * whole.real)

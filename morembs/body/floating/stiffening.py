@@ -1,4 +1,4 @@
-"""Geometric stiffening of an elastic body in its floating frame: what it is, and which terms are worth keeping.
+"""Geometric stiffening of an elastic body in its floating frame: its matrices, and which terms are worth keeping.
 
 A body that is pulled grows stiffer, one that is pressed grows softer (the centrifugal load of a rotor blade, the
 force in a link). To first order in the load the elastic coordinates q see (Wallrapp and Schwertassek 1991)

@@ -128,7 +128,7 @@ def _unit_loads(problem: Problem, links: Links, origin: Floats) -> _Loads:
 
 
 def _balance(problem: Problem, frame: FloatingFrame, links: Links, loads: _Loads) -> list[int]:
-    """Adds the frame's reaction to the ``loads`` in place; returns those that still load the body."""
+    """Adds the frame's reaction to the ``loads`` in place; returns indices of loads that still load the body."""
     rows, R = frame_rows(problem, frame.kind, frame.interfaces), problem.coupling.R
     before = np.linalg.norm(loads.F, axis=0)
     share = np.linalg.solve(R.T @ rows, R.T @ loads.F)

@@ -1,4 +1,4 @@
-"""What a series shows of a recovery, and what a user should know of it: notes for a file and its reader."""
+"""Contents of a series that shows a recovery, and its limits: notes for a file and its reader."""
 
 from __future__ import annotations
 

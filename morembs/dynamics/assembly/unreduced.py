@@ -104,7 +104,7 @@ class Unreduced(Closing):
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Full:
     """An unreduced part: ``placed`` like its ``body``, which ``V`` (Nc, n) expands in its coupled dofs; ``turned``
-    (Nc, Nc) makes these of the assembly's axes, ``rest`` are those that are coordinates beside the interfaces."""
+    (Nc, Nc) makes these of the assembly's axes, ``rest`` are the coordinates beside the interfaces."""
 
     placed: Placed
     body: PlacedBody

@@ -21,8 +21,8 @@ FRAME_COORDINATES = tuple(f"{frame}.{part}" for frame in FRAMES for part in ("x"
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Configuration:
     """A member in static equilibrium: ``frames`` (6,) as ``FRAME_COORDINATES`` m and rad, bending amplitudes ``eta``
-    (m,), ``ends`` (2,) rad of the frames to the chord, ``energy`` J, ``loads`` (6,) N and N m of what holds the frames
-    on them, ``places`` (n, 2) m of all nodes, ``rotations`` (r,) rad of those that have one."""
+    (m,), ``ends`` (2,) rad of the frames to the chord, ``energy`` J, ``loads`` (6,) N and N m that hold the frames,
+    ``places`` (n, 2) m of all nodes, ``rotations`` (r,) rad of nodes that have one."""
 
     frames: Floats
     eta: Floats

@@ -19,7 +19,7 @@ _COEFFICIENTS = "coefficients of Chebyshev polynomials: "
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Parameterised:
-    """Tables of one member; see morembs.dynamics.gmp.shapes for what they mean.
+    """Tables of one member; morembs.dynamics.gmp.shapes has their meaning.
 
     ``count`` m bending modes are in use, the last of ``squares`` (m + e,) only tell what more would have answered.
 

@@ -106,7 +106,7 @@ class Sampling:
         return a * key[0] + b * key[1], c * key[0] + d * key[1]
 
     def ensure(self, keys: Iterable[Key]) -> None:
-        """Finds the equilibria of all ``keys``, those that are symmetric to others from these.
+        """Finds the equilibria of all ``keys``; an equilibrium that is symmetric to another one follows from it.
 
         Raises:
             NotFollowedError: a range that crosses a bifurcation or has no equilibrium.

@@ -135,7 +135,7 @@ def plane_bending_modes(solid: NonlinearSolid, count: int, solver: LinearSolver 
     """The lowest ``count`` modes of bending along y between held frames, with inertia along y only.
 
     Without the inertia across the plane the two bendings of a square section have no common frequency, so that they
-    do not mix; the modes are shapes, and whoever uses them takes their whole mass.
+    do not mix; the modes are shapes, and callers take their whole mass.
 
     Raises:
         InputError: the solid has fewer, or is not stable without load.

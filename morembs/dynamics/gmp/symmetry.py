@@ -76,7 +76,7 @@ def symmetries(component: Shaped, length: float) -> tuple[Symmetry, ...]:
 
 
 def _turning(component: Shaped) -> Ints | None:
-    """Rotations (n, 1 or 3) of every node, -1 where it has none; None if some cannot be told."""
+    """Rotations (n, 1 or 3) of every node, -1 where it has none; None if the nodes of some are unknown."""
     at = component.translations
     count = 1 if at.shape[1] == 2 else 3
     turning = np.full((len(at), count), -1, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Rigid bodies and elastic bodies in a floating frame, from what a user gives of them."""
+"""Rigid bodies and elastic bodies in a floating frame, from the data that a user gives."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class RigidBody(FloatingBody):
             self.marker_at(point, name=key)
 
     def marker_at(self, point: ArrayLike, *, axes: ArrayLike | None = None, name: str = "") -> Marker:
-        """Marker at ``point`` (3,) m of the body, with ``axes`` (3, 3) as columns, those of the body unless told.
+        """Marker at ``point`` (3,) m of the body, with ``axes`` (3, 3) as columns, by default those of the body.
 
         Raises:
             InputError: wrong shapes, or axes that are no rotation.

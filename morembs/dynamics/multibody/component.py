@@ -162,7 +162,7 @@ class Ground(VectorComponent):
         raise InputError(f"ground has no named markers, {name!r} was given; take ground.marker_at(point)")
 
     def marker_at(self, point: ArrayLike = (0.0, 0.0, 0.0), *, axes: ArrayLike | None = None, name: str = "") -> Marker:
-        """Marker at ``point`` (3,) m with ``axes`` (3, 3) as columns, the inertial ones unless told."""
+        """Marker at ``point`` (3,) m with ``axes`` (3, 3) as columns, by default the inertial ones."""
         turn = checked_rotation("axes of a ground marker", axes)
         place = MarkerState(position=vector("point of a ground marker", point), axes=turn, jacobian=np.zeros((6, 0)))
         return FixedMarker(self, name or "marker", place)

@@ -97,7 +97,7 @@ def equilibrium(
 
     Args:
         guess: where to begin; the start of the components unless given.
-        tolerance: of the forces that are left, relative to those that balance, in the norm of the mass matrix.
+        tolerance: of the residual forces, relative to the balancing ones, in the norm of the mass matrix.
         load_steps: gravity and point loads grow in so many steps, where Newton's method does not converge at once.
         time: of prescribed motions and loads that are functions of time, s.
         spin: steady rotation of the whole system, floating bodies only.

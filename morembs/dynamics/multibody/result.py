@@ -212,7 +212,7 @@ class Result:
 
 
 class ResultSensitivity:
-    """Derivatives of what a ``Result`` tells with respect to one ``parameter``, per unit of it.
+    """Derivatives of the values of a ``Result`` with respect to one ``parameter``, per unit of it.
 
     Angles and rest lengths that joints and springs keep from the start do not change. Elastic coordinates are those of
     the shapes at the value, which stay.

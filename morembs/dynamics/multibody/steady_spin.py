@@ -1,7 +1,7 @@
 """Steady spin: a system that turns as a whole about an axis, and small motion in the frame that turns with it.
 
 A floating body with its frame at r0, R has the velocity W x (r0 - p) + r' and the angular velocity R'W + w in its own
-axes, where r', w and q' are those that an observer who turns with W about p sees. Its accelerations are then
+axes, where r', w and q' are seen by an observer who turns with W about p. Its accelerations are then
 W x (W x (r0 - p)) + 2 W x r' + r'', w' - w x R'W and q'' (Geradin and Rixen 1997, ch. 2): with them the equations of
 motion are those of a system whose rest is to be found.
 """

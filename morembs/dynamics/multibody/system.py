@@ -27,7 +27,7 @@ Part = TypeVar("Part", bound=Component | Constraint | Force)
 class System:
     """Components, joints and forces under ``gravity`` (3,) m/s2.
 
-    ``add`` returns what it was given. A system may be simulated many times; each component starts as it was made.
+    ``add`` returns its argument. A system may be simulated many times; each component starts as it was made.
     """
 
     def __init__(self, *, gravity: ArrayLike = (0.0, 0.0, 0.0)) -> None:

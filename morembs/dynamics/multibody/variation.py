@@ -107,7 +107,7 @@ class Variation:
         return forces, Phi
 
     def _pulled(self, pull: Pull, state: State, x: Floats, forces: Floats, Phi: Floats) -> None:
-        """Adds to ``forces`` and ``Phi`` what a joint or force changes as its markers move with the parameter."""
+        """Adds to ``forces`` and ``Phi`` the changes of a joint or force as its markers move with the parameter."""
         if pull.bend is None:
             forces += slope_at_zero(lambda change: self._load(pull.part, state, change), self.step)
             return

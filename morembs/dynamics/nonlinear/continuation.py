@@ -134,7 +134,7 @@ def follow_equilibrium(
     Args:
         load: (N,) or a function of x that gives it. The tangent leaves out how a load changes with x, so that Newton's
             method converges linearly then. Moments on rotation vectors are such loads (``SpatialBeam.moment``).
-        x: a configuration in equilibrium without load, the reference unless told.
+        x: a configuration in equilibrium without load, by default the reference.
         steps: load steps at most of this share; steps that fail are divided and grow again.
         tolerance: last Newton step per size of the component, or rad.
         stable: refuse equilibria at which the tangent has a negative eigenvalue. Take False for moments on rotation

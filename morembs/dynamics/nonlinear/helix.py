@@ -1,4 +1,4 @@
-"""Elements of constant strain between two frames, and derivatives of their energy (spatial_beam tells the rest).
+"""Elements of constant strain between two frames, and derivatives of their energy (spatial_beam has the theory).
 
 chord = J(phi)^-1 d with d = R_A' (r_B - r_A), exp(phi) = R_A' R_B and J = T(phi)'. Derivatives are by the steps of
 both nodes and by spins a, b of both frames: R_A -> R_A exp(a), R_B -> R_B exp(b). All arrays have one row per element.

@@ -211,7 +211,7 @@ class PlanarBeam:
         return result
 
     def strain_stiffness(self, x: Floats) -> sp.csr_matrix:
-        """The part of the tangent (size, size) by which strains resist; the rest turns their forces."""
+        """The part of the tangent (size, size) by which strains resist; the other part turns their forces."""
         half, turn, p, _ = self._states(x)
         G = self._gradient(half, turn, p)[0] @ _T
         return self._assembled(np.einsum("eik,ei,eil->ekl", G, self._C, G))

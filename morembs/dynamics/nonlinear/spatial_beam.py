@@ -184,7 +184,7 @@ class SpatialBeam:
 
     @cached_property
     def M(self) -> sp.csr_matrix:
-        """Mass matrix without load; rotary inertia turns with the frames, the rest is constant."""
+        """Mass matrix without load; rotary inertia turns with the frames, other terms are constant."""
         shares = np.array([[2, 1], [1, 2]]) / 6
         J = np.einsum("nij,j,nkj->nik", self._frames, np.array(self.section.rotary), self._frames)
         blocks = np.zeros((len(self.lengths), 2, 6, 2, 6))

@@ -80,7 +80,7 @@ def equilibrium(
 ) -> Floats:
     """Coordinates (N,) in equilibrium under a dead ``load`` (N,) with ``held`` coordinates moved by ``motion``.
 
-    Load and motion grow together from ``x`` (the reference unless told) in ``steps``; a step that does not converge
+    Load and motion grow together from ``x`` (by default the reference) in ``steps``; a step that does not converge
     is halved.
 
     Raises:

@@ -151,7 +151,7 @@ def _variable(reference: int, entry: _Entry, *, second: bool) -> str:
 
 
 def _structure(entries: list[_Entry], *, second: bool) -> Iterator[str]:
-    """Outputs, rates, and what is calculated at the start, each with what it depends on, as some importers need."""
+    """Outputs, rates, and variables calculated at the start, each with its dependencies, as some importers need."""
     # Version 2 counts variables from one.
     of = {
         kind: [k + second for k, entry in enumerate(entries) if entry.causality == kind and entry.rate_of is None]

@@ -95,7 +95,7 @@ class System:
     """A body of one ``structure`` with n normal or elastic coordinates, ready to be written as C.
 
     ``tables`` and ``constants`` by the names that the C code has; ``buffers``: length of each array that its equations
-    work with. A "member" is a planar one of large deflections. ``real_time``: what a time step left of it.
+    work with. A "member" is a planar one of large deflections. ``real_time``: modes and errors at the time step.
     """
 
     structure: Literal["linear", "floating", "member"]

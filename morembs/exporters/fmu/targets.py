@@ -43,7 +43,7 @@ _DAY = (1980, 1, 1, 0, 0, 0)
 
 @dataclass(frozen=True, kw_only=True)
 class Equations(Exporter):
-    """What both targets are told.
+    """Options of both targets.
 
     ``structure`` "linear" (small motion, ``held`` at some interfaces or at none) or "floating" (large rotations;
     "auto": that where the body has a floating frame, no generalised forces, and nothing is held), labels of nodes
@@ -97,7 +97,7 @@ class Equations(Exporter):
 
     @abstractmethod
     def write_equations(self, system: System, to: Destination, body: str, notes: tuple[str, ...] = ()) -> Exported:
-        """The code of a ``system`` that stands for ``body``, with ``notes`` on what it is.
+        """The code of a ``system`` that stands for ``body``, with ``notes`` on it.
 
         Raises:
             InputError: a name or an option that does not fit.

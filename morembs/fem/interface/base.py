@@ -1,4 +1,4 @@
-"""An interface, and what a coupling kind says about it: the table ``COUPLINGS`` holds one object for each kind."""
+"""An interface, and its properties by coupling kind: the table ``COUPLINGS`` holds one object for each kind."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Interface:
     axes as rows (those of the model); ``weights`` (ns,) areas in m2 where the nodes carry whole faces,
     else ones; ``components`` the degrees of freedom 0..5 (translations, rotations) that are exposed, 6 for each of the
     generalised ``forces`` ("B:NAME", "C:NAME") of ``matrix_interface``. In a body from a file ``node_ids`` (ns,) are
-    labels of the nodes, and ``nodes`` rows of those that the file keeps, -1 for others.
+    labels of the nodes, and ``nodes`` rows of the nodes that the file keeps, -1 for others.
 
     >>> interfaces[0]
     Interface: name LEFT; coupling rigid; nodes 4; point [0.0, 0.025, 0.025]; components 0, 1, 2, 3, 4, 5

@@ -187,7 +187,7 @@ class Constraints:
         return nodes
 
     def coupling(self, placed: Placed, card: Card, kind: Card | None, rows: Rows) -> None:
-        """*COUPLING with what it is: *KINEMATIC or *DISTRIBUTING."""
+        """*COUPLING with its kind: *KINEMATIC or *DISTRIBUTING."""
         name = card.options.get("CONSTRAINT NAME", "")
         if kind is None:
             raise InputError(f"{card} {name!r} has neither *KINEMATIC nor *DISTRIBUTING; expected one")

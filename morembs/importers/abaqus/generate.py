@@ -21,7 +21,7 @@ _NOT_HERE = ("SYSTEM", "SINGULAR", "BIAS", "TWO STEP", "POLE", "REFLECT", "ALL N
 
 
 def generate(scope: Scope, card: Card, rows: Rows) -> dict[str, int]:
-    """Put what a keyword generates into its scope; how many elements of each type there are more.
+    """Put nodes and elements that a keyword generates into its scope; returns counts of new elements by type.
 
     Raises:
         InputError: options that are not supported, or labels and sets that are not there.

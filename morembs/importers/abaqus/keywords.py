@@ -63,7 +63,7 @@ def cards(
     ``outside`` allows to include files from beyond the folder of the deck; ``warnings`` about the text are added.
 
     Raises:
-        InputError: a file is missing, binary, includes what it must not, or does not begin with a keyword.
+        InputError: a file is missing, binary, includes a forbidden file, or does not begin with a keyword.
     """
     includes = Includes(path, outside, [] if warnings is None else warnings)
     for card, group in groupby(_stream(path, (), None, includes), key=itemgetter(0)):

@@ -71,7 +71,7 @@ class Names:
         self._cache: dict[tuple[int, str, str], Ints] = {}
 
     def split(self, placed: Placed, text: str) -> tuple[Placed, str]:
-        """The scope that a reference "INSTANCE.NAME" means and what it names there."""
+        """The scope of a reference "INSTANCE.NAME", and the name in that scope."""
         first, dot, rest = text.partition(".")
         if dot and placed is self.top and first.upper() in self.placed:
             return self.placed[first.upper()], rest

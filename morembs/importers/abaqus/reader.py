@@ -70,7 +70,7 @@ def read_deck(
     """The deck of a file; ``outside`` allows to include files from beyond its folder.
 
     ``dialect`` "auto" looks at keywords and at comments of the head; where they do not tell one program, a deck without
-    parts is taken for one of CalculiX. What a model cannot carry is among its ``problems``; where it
+    parts is read as one of CalculiX. What a model cannot carry is among its ``problems``; where it
     ``is_for_calculix``, keywords that CalculiX does not have.
 
     Raises:

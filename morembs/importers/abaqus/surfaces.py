@@ -28,7 +28,7 @@ def faces_of(kind: str) -> list[tuple[str, Ints]]:
 
 
 class Surfaces:
-    """The surfaces of an assembly by name, on rows of all nodes; ``notes`` on those that were left out."""
+    """The surfaces of an assembly by name, on rows of all nodes; ``notes`` on surfaces that were left out."""
 
     def __init__(self, assembly: Assembly) -> None:
         self.assembly = assembly

@@ -96,7 +96,7 @@ def mesh_deck(contents: Contents, assembly: Assembly, values: Values | None = No
 
 
 def _elements(contents: Contents, assembly: Assembly, values: Values) -> Iterator[Elements]:
-    """Solids by what they mean, then elements on single nodes, then others."""
+    """Solids by type, formulation and mass, then elements on single nodes, then others."""
     start = assembly.solids + len(assembly.discrete)
     codes = {contents.kind(code): code for code in reversed(contents.counts) if code in SOLIDS}
     while assembly.blocks:
@@ -147,7 +147,7 @@ def skipped_warnings(contents: Contents) -> list[str]:
 
 
 def _plain_warnings(contents: Contents, deck: Deck) -> list[str]:
-    """What shells and beams of Abaqus are taken for, a sentence each."""
+    """A sentence for each element type of Abaqus that is assembled as its plain one."""
     codes = {part.code for part in deck.elements if part.kind != "none"}
     return [
         f"{count} elements {code} are assembled as {PLAIN[code]} [hybrid-as-plain]"
@@ -157,7 +157,7 @@ def _plain_warnings(contents: Contents, deck: Deck) -> list[str]:
 
 
 def _supports(contents: Contents, assembly: Assembly, axes: Axes) -> tuple[dict[str, LeftOut], Supports]:
-    """Supports that are read, and what is left out with those that are not."""
+    """Cards that are left out, with reasons, and the supports that are read."""
     left_out = _left_out(contents)
     try:
         supports = supports_of(contents, assembly, axes)

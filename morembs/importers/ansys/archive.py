@@ -121,10 +121,10 @@ class Archive:
 
 
 def read_commands(path: Path, problems: Problems | None = None, options: DeckOptions | None = None) -> Archive:
-    """All commands of an archive that matter to a model; what a model cannot carry is among the ``problems``.
+    """All commands of an archive that matter to a model; commands that it cannot carry are among the ``problems``.
 
     Raises:
-        InputError: the file is missing, not an archive, cut off or damaged, or holds what a model cannot carry.
+        InputError: the file is missing, not an archive, cut off or damaged, or has commands that a model cannot carry.
     """
     archive = Archive(path.name)
     problems, options = problems or Problems(path.name), options or DeckOptions()

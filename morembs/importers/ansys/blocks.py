@@ -73,7 +73,7 @@ def layout(line: bytes, block: str, name: str) -> Layout:
 
 
 def columns(rows: BlockText, form: Layout, block: str, name: str) -> tuple[Ints, Floats]:
-    """Integers (k, whole) and reals (k, real) of lines; what a line leaves out is zero.
+    """Integers (k, whole) and reals (k, real) of lines; fields that a line leaves out are zero.
 
     Raises:
         InputError: a line that is too long, or something that is not a finite number.

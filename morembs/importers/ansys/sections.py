@@ -57,7 +57,7 @@ class SectionData:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Given:
-    """Of what a section is made: the number of its material, real constants, the section ``number`` of the archive."""
+    """Definition of a section: the number of its material, real constants, the section ``number`` of the archive."""
 
     what: str
     set: str

@@ -161,7 +161,7 @@ def _sentence(count: int, name: str, program: str, meaning: Meaning) -> str:
 
 
 def warnings_of(program: str, counts: Iterable[tuple[str, int, Meaning]]) -> list[str]:
-    """Sentences about elements (name, how many, what they mean) of a ``program``."""
+    """Sentences about elements (name, count, formulation) of a ``program``."""
     return [_sentence(count, name, program, meaning) for name, count, meaning in counts if meaning.differs]
 
 

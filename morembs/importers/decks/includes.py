@@ -1,6 +1,6 @@
 """Text of decks, and the files that decks include: where these may lie, how deep, how many and how large.
 
-A deck may come from a stranger, so what it includes stays in its folder, and no message quotes an included file before
+A deck may come from a stranger, so its included files lie in its folder, and no message quotes an included file before
 that file has shown itself to be a deck.
 """
 
@@ -135,7 +135,7 @@ class Includes:
         return path
 
     def _inside(self, resolved: Path | None, name: str, beside: tuple[Path, ...]) -> bool:
-        """True if a file, there or not, lies in the folder: what is outside is not even told to exist."""
+        """True if a file, there or not, lies in the folder: messages do not show whether a file outside exists."""
         try:
             place = resolved if resolved is not None else (beside[0] / name).resolve()
         except (OSError, ValueError, RuntimeError):

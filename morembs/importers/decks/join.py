@@ -36,7 +36,7 @@ _SILENT = ("Abaqus", "CalculiX")
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SolidMesh:
     """Solids of a deck on rows: ``mesh`` (None without any), its nodes first among ``nodes``; ``row`` (n,) of each
-    node of the deck, whose ``labels`` are here, -1 for those that were left out; notes on these."""
+    node of the deck, whose ``labels`` are here, -1 for nodes that were left out; notes on these."""
 
     mesh: Mesh | None
     nodes: Nodes

@@ -1,4 +1,4 @@
-"""Materials of a deck with those that a user gives: whole ones, and densities of sets that lack no more."""
+"""Materials of a deck with those of the user: whole ones, and densities of sets that lack nothing else."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def complete(deck: Tables, materials: Sequence[Material] = ()) -> Tables:
     """The deck with a material in each section that lacks one, as far as it is given, and in sections of other solids.
 
     A material that is given is whole: its density counts as it is. That of a set comes before the density of the deck's
-    options, and "all" stands behind both: for the rest.
+    options, and "all" stands behind both: for all other sets.
 
     Raises:
         InputError: a material or density for a set that is not there or lacks none, or both for one set.
@@ -91,7 +91,7 @@ def _density_of_sets(deck: DeckTables) -> dict[str, float]:
 
 
 def lacking_of(deck: DeckTables) -> dict[str, Lacking]:
-    """Sets of the sections that have no stiffness or no mass, and what they lack."""
+    """Sets of the sections that have no stiffness or no mass, and the missing properties."""
     return {section.set: lack for section in deck.sections if (lack := _lack(deck, section)) is not None}
 
 

@@ -36,7 +36,7 @@ class Deck(DeckTables):
 
     @advising(PYTHON)
     def with_materials(self, materials: Sequence[Material] = ()) -> Self:
-        """The deck with what a user gives in its sections: ``materials``, and densities of the options of its reading.
+        """The deck with data of the user in its sections: ``materials``, and densities of the options of its reading.
 
         Args:
             materials: of element sets that lack stiffness or density, or that are in no section ("all": of all such),
@@ -99,7 +99,7 @@ class Deck(DeckTables):
 
         Raises:
             DeckError: the deck has ``problems``, which the written deck would not show.
-            InputError: an unknown format, or what it cannot say.
+            InputError: an unknown format, or features that it does not have.
             OverwriteError: ``path`` is a file that the deck was read from.
             OutputError: the file cannot be written; an old one is kept.
         """

@@ -2,8 +2,8 @@
 
 A decimal number is an integer of at most 19 digits times a power of ten. Where the integer is below 2^53 and the power
 at most 10^22, both are doubles and one operation rounds once (Clinger 1990, How to read floating-point numbers
-accurately); else the product is taken in two doubles (Dekker 1971), which tells the rounding but for one number in
-10^13. That one, and what is written otherwise, is left to ``float``. So all values are those that ``float`` has.
+accurately); else the product is taken in two doubles (Dekker 1971), which gives the rounding but for one number in
+10^13. That one, and numbers that are written otherwise, are left to ``float``. So all values agree with ``float``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a user answers to a deck that lacks something, or holds what a linear model cannot carry."""
+"""Options of a user for a deck that lacks data, or has features that a linear model cannot carry."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class DeckOptions:
     def completed(
         self, materials: Sequence[Material], lacking: Mapping[str, Lacking], sets: Collection[str] | None = None
     ) -> tuple[tuple[Material, ...], dict[str, Lacking], list[str]]:
-        """Materials with those that the given densities complete, what is lacking still, and warnings.
+        """Materials, completed by the given densities, data that is missing still, and warnings.
 
         Args:
             sets: those of elements in the deck, where they are known.

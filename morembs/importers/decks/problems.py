@@ -219,7 +219,7 @@ def _line(same: list[Problem]) -> str:
 
 
 def _joined(flags: Iterable[str]) -> list[str]:
-    """The options once each, quoted for a shell; those that take a list joined by commas."""
+    """The options once each, quoted for a shell; lists are joined by commas."""
     values: dict[str, list[str]] = {}
     for flag in dict.fromkeys(flags):
         name, _, value = flag.partition(" ")

@@ -40,8 +40,8 @@ _KINDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Engine:
-    """A ``program`` by the name of people: what it is in one line, the ``formats`` of decks that it reads and what
-    people call them, how it is found (given a path or ""), the function that reads a deck, and one that raises where a
+    """A ``program`` by the name of people: its description in one line, the ``formats`` of decks that it reads and their
+    usual names, how it is found (given a path or ""), the function that reads a deck, and one that raises where a
     deck cannot be for it."""
 
     about: str

@@ -101,7 +101,7 @@ def _first(error: InputError) -> str:
 
 
 def _needs(error: InputError) -> tuple[bool, int, int]:
-    """How much an answer to an error takes: whether options answer it at all, what it loses, and problems."""
+    """Cost of an answer to an error: whether options answer it at all, features that it skips, and problems."""
     problems = error.problems if isinstance(error, DeckError) else (Problem(what=str(error)),)
     flags = [flag for problem in problems for flag in problem.flags]
     lost = sum(flag.startswith("--skip") for flag in flags)

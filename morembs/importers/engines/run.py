@@ -1,4 +1,4 @@
-"""External programs that assemble models: finding them, running them within limits, and what they said."""
+"""External programs that assemble models: finding them, running them within limits, and their output."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TRACEBACK = re.compile(r"Program received signal|Backtrace for this error|forrt
 
 @dataclass(frozen=True, kw_only=True)
 class Program:
-    """An external program: its name for people, ``path``, and what it says of its ``version``."""
+    """An external program: its name for people, ``path``, and its own ``version``."""
 
     name: str
     path: Path

@@ -68,7 +68,7 @@ def import_dmig(
     D: str | None = None,
     allow_includes_outside: bool = False,
 ) -> Imported:
-    """DMIG matrices of a Nastran file by their names (KAAX and MAAX are taken for K and M), with node labels.
+    """DMIG matrices of a Nastran file by their names (KAAX and MAAX are read as K and M), with node labels.
 
     Where the file has a GRID for each of them, nodes are at their places. Scalar points become scalar dofs.
 

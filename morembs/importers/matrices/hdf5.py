@@ -66,7 +66,7 @@ def _refuse_body(source: str, file: Any) -> None:
 
 
 def _collect(source: str, group: Any, at: str, matrices: Matrices, other: Matrices, wanted: set[str]) -> None:
-    """All matrices below ``group`` by their path; those that are not square are ``other``, if they are ``wanted``."""
+    """All matrices below ``group`` by their path; rectangular ones are ``other``, if they are ``wanted``."""
     for name, item in group.items():
         here = f"{at}{name}"
         if here.startswith("#refs#") or item is None:

@@ -167,7 +167,7 @@ class _Reader:
 
 
 def _variable(reader: _Reader) -> tuple[str, Values | sp.csr_array | str]:
-    """Name and matrix of a variable, or in words what it is."""
+    """Name and matrix of a variable, or its kind in words."""
     if not reader.body:
         return "", "nothing"
     flags = reader.numbers("flags")

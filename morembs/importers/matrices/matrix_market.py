@@ -80,7 +80,7 @@ def _unreadable(name: str, why: str) -> InputError:
 
 
 def _head(block: bytes, name: str, plain: bool) -> tuple[_Head, bytes]:
-    """What the first lines say, and the rest of the block."""
+    """Header of the first lines, and the remainder of the block."""
     lines = block.splitlines(keepends=True)
     words = lines[0].decode("latin-1").lower().split() if lines else []
     if not words or words[0] != BANNER.decode():

@@ -1,7 +1,7 @@
 """Numbers in text, read fast: the parts that readers of matrices in text files share.
 
 Numbers are turned from text by SciPy's Matrix Market reader (Lugowski's fast_matrix_market), which is about ten
-times as fast as ``numpy.loadtxt`` but skips what it does not recognise ("1.0+3" is 1.0 to it). So every block is
+times as fast as ``numpy.loadtxt`` but skips text that it does not recognise ("1.0+3" is 1.0 to it). So every block is
 checked first: no letters but exponents, exponents as C writes them, the same count of numbers in each line.
 """
 
@@ -242,7 +242,7 @@ def integers(values: Floats, what: str, name: str) -> Ints:
     """``values`` as integers.
 
     Raises:
-        InputError: one is not; ``what`` says what they are.
+        InputError: a value is no integer; ``what`` names the values.
     """
     result = values.astype(np.int64, casting="unsafe") if (np.abs(values) < TOL.largest_label).all() else None
     if result is None or not np.array_equal(result, values):

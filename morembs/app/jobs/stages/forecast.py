@@ -75,8 +75,8 @@ class Cost:
 @dataclass(frozen=True, kw_only=True)
 class Shift:
     """The largest factor beside that of K, what one takes that is made here, the time of all of them; and how many
-    other processes there are of how many bytes each: those that make them, or ranks. ``beside``: the one that workers
-    are copied from."""
+    other processes there are of how many bytes each: workers that make factors, or ranks. ``beside``: the
+    process that workers are copied from."""
 
     entries: int = 0
     kept: int = 0

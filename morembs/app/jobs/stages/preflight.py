@@ -33,7 +33,7 @@ def preflight(job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
     """Warnings about what the reductions of ``job`` will cost; ``rigid`` is the number of rigid-body motions.
 
     Raises:
-        InputError: whatever ``reduce`` would refuse after the factorisation, as far as it can be told before.
+        InputError: a model that ``reduce`` would refuse after the factorisation, as far as that is known before.
     """
     warnings = [warning for stage in asked(job) for warning in stage.check(job, facts, rigid)]
     return (*_many_motions(job, facts), *warnings)

@@ -71,11 +71,11 @@ class Results:
 
 @dataclass(kw_only=True, eq=False)
 class Work(Results):
-    """A job at work: its means, what its stages have given so far, and what there is to say of it.
+    """A job at work: its means, results of its stages so far, and its warnings.
 
     ``start`` is the resident memory of the process before any model was read, ``counts_modes`` says whether modes are
-    computed. ``warnings`` are those of the job,
-    ``stored`` those that go into the body file, ``recipe`` is what stages add to the recipe of the file.
+    computed. ``warnings`` are those of the job, ``stored`` those of the body file, ``recipe`` has entries that
+    stages add to the recipe of the file.
     """
 
     job: Job
@@ -103,7 +103,7 @@ class JobForecast:
 
     ``choice`` says in one line which solver will be taken and why; ``factor_seconds`` is that of the one
     factorisation with ``threads`` threads at the speed of this machine, ``reduction_seconds`` that of each
-    reduction beside it as far as it can be told, within a factor of three, ``seconds`` that of the whole job by stage,
+    reduction beside it where it can be estimated, within a factor of three, ``seconds`` that of the whole job by stage,
     named as in the document of the finished job, and of the ``start`` of the program. ``shift_factor_...`` is of the
     largest factor beside that of K, 0 where there is none, ``shift_seconds`` the time of all of these. Workers or
     ranks are ``processes`` beside this one, of up to ``process_bytes`` each; ``all_processes_bytes`` is the peak of all
@@ -149,9 +149,9 @@ class JobForecast:
 class JobStage:
     """A stage of a job: all that is known of one feature. A new one is a file here and a line in ``STAGES``.
 
-    ``tables`` are the tables of the job file that it reads. It runs after all stages that give what it ``needs``; a
-    result that it needs and ``gives`` it changes. Results in ``needs`` that no stage of a job gives are absent. Those
-    that it ``tells`` of, in ``document``, stay until the job is done.
+    ``tables`` are the tables of the job file that it reads. It runs after all stages that give the results in ``needs``;
+    it changes a result that it needs and ``gives``. Results in ``needs`` that no stage of a job gives are absent.
+    Results that it ``tells`` of, in ``document``, stay until the job is done.
 
     A job that has it has none of the stages ``instead``.
 
@@ -217,7 +217,7 @@ class JobStage:
         """Warnings before anything is factorised; ``rigid`` is the number of rigid-body motions.
 
         Raises:
-            InputError: what ``run`` would refuse, as far as it can be told.
+            InputError: input that ``run`` would refuse, as far as that is known before.
         """
         return ()
 
@@ -297,7 +297,7 @@ def in_order(stages: Sequence[JobStage]) -> Iterator[JobStage]:
 
 
 def _waits(stage: JobStage, other: JobStage) -> bool:
-    """True if ``stage`` needs what ``other`` gives; a change does not come before what it needs of ``stage``."""
+    """True if ``stage`` needs a result of ``other``; a change does not come before its inputs from ``stage``."""
     changes_later = not set(stage.gives).isdisjoint(other.needs)
     return stage is not other and any(
         result in other.gives and not (result in other.needs and changes_later) for result in stage.needs
@@ -307,12 +307,12 @@ def _waits(stage: JobStage, other: JobStage) -> bool:
 def run_stages(
     work: Work, stages: Sequence[JobStage], kept: Sequence[Result[Any]] = (), until: Result[Any] | None = None
 ) -> list[JobStage]:
-    """Run the stages, or those ``until`` a result is there; returns those that are left.
+    """Run the stages, or those ``until`` a result is there; returns the stages that are left.
 
     A result is closed and forgotten after the last stage that needs it, if it is not ``kept``.
 
     Raises:
-        MorembsError: what a stage refuses.
+        MorembsError: a stage refuses its input or fails.
     """
     left = list(stages)
     try:

@@ -57,7 +57,7 @@ class CoupleTable(RepeatedTable):
 
 
 class UnreducedParts(JobStage):
-    """The unreduced parts, coupled, where the job names those that made its bodies."""
+    """The unreduced parts, coupled, where the job names the models of its bodies."""
 
     tables = (SubstructureTable,)
     needs = (PROBLEM,)

@@ -1,4 +1,4 @@
-"""``[certify] witness``: beside the body file what a stranger needs to prove its certificates again."""
+"""``[certify] witness``: files beside the body with which a stranger proves its certificates again."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ class ContactReactions(Reactions):
         self.force[rows], self.friction[rows], self.sliding[rows] = forces.normal, forces.friction, forces.sliding
 
     def _hold(self) -> None:
-        """Hold the points that press, those that stick also along the surface, others with the friction of sliding."""
+        """Hold pressing points: sticking ones also along the surface, others with the friction of sliding."""
         pressed, group = self.force > 0, self.contacts
         slips = self.sliding & pressed
         self._ratio = np.zeros((group.count, 2))

@@ -67,8 +67,8 @@ class ContactSegment:
 class ContactResult(Result):
     """A run with contact; times of impacts and other restarts occur twice, before and after.
 
-    ``group`` are its contacts, ``touches`` what they did in each segment, ``impacts`` all impacts in their order. What
-    is asked of a contact that was not in the run is an InputError.
+    ``group`` are its contacts, ``touches`` their states in each segment, ``impacts`` all impacts in their order. A
+    question about a contact that was not in the run is an InputError.
     """
 
     group: Contacts

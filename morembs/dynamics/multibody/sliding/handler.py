@@ -1,4 +1,4 @@
-"""The switch that follows sliders: active sets move with them, a log says when, runs that fail keep what they have."""
+"""The switch that follows sliders: active sets move with them, a log says when, failed runs keep their results."""
 
 from __future__ import annotations
 

@@ -156,7 +156,7 @@ class PathSupport(Force, Slider):
     Only across the directions of the candidates; others are rigid and belong to joints.
 
     Raises:
-        InputError: a negative compliance, or what a ``PointOnPath`` refuses.
+        InputError: a negative compliance, or arguments that ``PointOnPath`` refuses.
     """
 
     first: PathMarker

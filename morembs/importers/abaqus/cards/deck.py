@@ -1,7 +1,7 @@
 """One flat deck for CalculiX from the tables of a deck: parts in their places, labels from 1 without gaps.
 
 CalculiX knows no parts, allocates memory by the largest label, and wants sets before their use. So nodes, elements,
-sets and names are written anew; of all other keywords the table ``CARDS`` says what stands in their data lines.
+sets and names are renumbered; of all other keywords the table ``CARDS`` says what stands in their data lines.
 """
 
 from __future__ import annotations
@@ -139,11 +139,11 @@ class FlatText:
         return f"{key}={self.translated(_OPTIONS.get(key, '.'), placed, text, card)}"
 
     def name(self, kind: str, placed: Placed, text: str) -> str:
-        """A new name for what a scope calls ``text``."""
+        """A new name for the object that a scope calls ``text``."""
         return self.names.setdefault((kind, id(placed), text.upper()), f"{kind.upper()}{len(self.names) + 1}")
 
     def known(self, kind: str, placed: Placed, text: str, card: Card) -> str:
-        """The name of what a scope, or the assembly, has defined as ``text``."""
+        """The name of the object that a scope, or the assembly, has defined as ``text``."""
         for scope in (placed, self.assembly.top):
             if (kind, id(scope), text.upper()) in self.names:
                 return self.names[kind, id(scope), text.upper()]

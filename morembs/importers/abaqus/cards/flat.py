@@ -39,7 +39,7 @@ def flat_deck(deck: Contents, tables: DeckTables, assembly: Assembly, choices: C
     """The deck that CalculiX reads; ``tables`` are its mesh and sets.
 
     Raises:
-        InputError: what it holds is no linear model, or names what is not there.
+        InputError: the deck is no linear model, or names objects that it does not define.
     """
     if not assembly.solids and not any(nodes.shape[1] for *_, nodes in assembly.others):
         refuse_no_elements(deck.problems)

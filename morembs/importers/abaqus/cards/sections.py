@@ -1,4 +1,4 @@
-"""Sections and materials of a deck for CalculiX, with those that a user gives where they lack."""
+"""Sections and materials of a deck for CalculiX, with those of the user where the deck has none."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class Flat:
     """The flat deck, and what the model gets from elsewhere: ``average`` elements; ``bodies``, the reference nodes of
     rigid bodies and couplings in the order of the deck; ``turning`` label of a rotation node -> its reference node;
     nodes whose conditions are in axes ``turned`` by *TRANSFORM; nodes of pre-tension sections (``cuts``); element types
-    that are taken for others, counted (``replaced``: as it is written, as it is taken); what is to be said."""
+    that are read as others, counted (``replaced``: as it is written, as it is taken); what is to be said."""
 
     deck: FlatText
     constraints: Constraints

@@ -1,4 +1,4 @@
-"""Shells and beams of a deck as solids, as CalculiX expands them: one deck becomes another, which all else is made of.
+"""Shells and beams of a deck as solids, as CalculiX expands them: one deck becomes another, the source of all later steps.
 
 ``sections`` says what each element is made of, ``normals`` which elements share a fibre or cross-section at a node,
 ``solids`` where the nodes of these are, ``equations`` how those of one node hang together, ``names`` what sets and
@@ -28,7 +28,7 @@ from morembs.importers.decks.tables import DeckTables, Elements
 
 
 def expanded(deck: DeckTables, problems: Problems) -> DeckTables:
-    """The deck with solids for its shells and beams; those that own assembly has not are added to ``problems``.
+    """The deck with solids for its shells and beams; unsupported ones are added to ``problems``.
 
     Raises:
         InputError: elements without a size or a direction, or labels that are not there.

@@ -63,7 +63,7 @@ def _surface(surface: Surface, became: Mapping[int, Ints]) -> Surface:
 
 
 def _shared(nodes: Ints, weights: Floats, became: Mapping[int, Ints]) -> tuple[Ints, Floats]:
-    """Nodes with what they became in place of them, and weights that these share."""
+    """Nodes, replaced by the nodes of their expansion, and weights that these share."""
     own = [became.get(int(node), np.array([node])) for node in nodes]
     shares = [np.full(len(part), weight / len(part)) for part, weight in zip(own, weights, strict=True)]
     return np.concatenate([nodes[:0], *own]), np.concatenate([weights[:0], *shares])

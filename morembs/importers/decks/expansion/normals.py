@@ -23,8 +23,8 @@ class Corners:
     """Nodes (m,) of elements, one of an element after the other: ``node`` rows of the deck, ``label`` of the element.
 
     ``normal`` (m, 3) of shells, or the second section axis of beams, whose axis is ``tangent`` (m, 3). ``alike``
-    (m, 5): thicknesses, distances from the node to the middle, and a number for the profile, which those that share a
-    fibre have in common. ``is_beam``, ``is_linear``, ``is_middle`` (m,): of beams, of those with two nodes, at the
+    (m, 5): thicknesses, distances from the node to the middle, and a number for the profile, which corners that share
+    a fibre have in common. ``is_beam``, ``is_linear``, ``is_middle`` (m,): of beams, of those with two nodes, at the
     third node of others; ``is_hinged`` (m,): of membranes and trusses, which share none; ``is_given`` (m,): the normal
     is said by the deck.
     """

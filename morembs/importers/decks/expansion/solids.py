@@ -109,8 +109,8 @@ def corners_of(part: Structure, xyz: Floats, nodes: Ints) -> Corners:
 class FibreNodes:
     """Nodes of fibres (g,): ``labels`` (g, WIDTH), 0 where no solid has one, and places ``xyz`` (g, WIDTH, 3).
 
-    The node with the label ``parent`` (g,) is at the mean of those that are ``is_corner`` (g, WIDTH); ``is_there``
-    (g, WIDTH) are those that count for a knot.
+    The node with the label ``parent`` (g,) is at the mean of the nodes with ``is_corner`` (g, WIDTH); nodes with
+    ``is_there`` (g, WIDTH) count for a knot.
     """
 
     labels: Ints

@@ -160,7 +160,7 @@ class MeshText:
         return self._sets[key]
 
     def rows_of_set(self, name: str) -> Ints:
-        """Rows of the elements of a set of the deck among those that are written."""
+        """Rows of the elements of a set of the deck among the written elements."""
         return np.flatnonzero(in_ranges(self.elements.ids, self.deck.ranges(name)))
 
     # Mesh

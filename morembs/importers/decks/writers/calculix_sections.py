@@ -79,7 +79,7 @@ class SectionText(MeshText):
             yield "\n".join(lines)
 
     def _variants(self, section: Section, rows: Ints) -> Iterator[tuple[Section, Ints]]:
-        """The section with what its elements in ``rows`` have of their own, and rows of those that have the same."""
+        """Sections with the own values of elements in ``rows``, each with the rows that share it."""
         # Offsets of beams are looked at together, and normals have cards of their own.
         alike = (("beam", "offset"), ("beam", "normal"), ("shell", "normal"), ("membrane", "normal"))
         if all((part.kind, name) in alike for part in self.parts for name in part.values):
@@ -96,10 +96,10 @@ class SectionText(MeshText):
         yield from ((own, np.array(members)) for own, members in groups.values())
 
     def _own(self, part: Elements, section: Section, i: int) -> dict[str, object]:
-        """What the element in row ``i`` of a part has otherwise than its section.
+        """Values of the element in row ``i`` of a part that differ from its section.
 
         Raises:
-            InputError: what a section of the program cannot say.
+            InputError: values that a section of the program cannot have.
         """
         given = {name: value[i] for name, value in part.values.items() if np.isfinite(value[i]).any()}
         what = f"{self.deck.name}: {part.code} {part.ids[i]}"

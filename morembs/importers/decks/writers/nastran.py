@@ -1,4 +1,4 @@
-"""Bulk data of Nastran of what a ``Deck`` holds, in fields of 16 columns: numbers have 11 digits at least."""
+"""Bulk data of Nastran of a ``Deck``, in fields of 16 columns: numbers have 11 digits at least."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def assemble_with_calculix(
     Args:
         program: ccx, as ``find_ccx`` gives it.
         seconds: for each run of it.
-        keep: a folder for what it read and wrote.
+        keep: a folder for its input and output files.
 
     Raises:
         DeckError: all that keeps the deck from becoming a model.

@@ -67,7 +67,7 @@ class Exported:
         return self._joined(mapped, node, direction, S, choices)
 
     def _followers(self, ccx: Ccx, mapped: RowMap, *, outside: bool) -> tuple[Ints, Ints, sp.csr_array | None]:
-        """Label and direction of dofs without rows, and S (k, N), how they follow those that have one."""
+        """Label and direction of dofs without rows, and S (k, N), how they follow dofs that have one."""
         node, direction = self._missing(mapped, outside=outside)
         if not len(node):
             return node, direction, None
@@ -163,7 +163,7 @@ class Exported:
         return warnings
 
     def _on_expanded(self, item: AverageElement, row: Ints, at: Ints, mapped: RowMap) -> AverageElement:
-        """The element on rows of the model; nodes of shells and beams share their weights among what they became."""
+        """The element on rows of the model; nodes of shells and beams share their weights among their expanded nodes."""
         if self.expanded is None:
             return on_rows([item], row)[0]
         nodes, weights = [], []
@@ -181,10 +181,10 @@ class Exported:
     def _with_own_nodes(
         self, nodes: Nodes, row: Ints, mapped: RowMap, named: dict[str, Ints], named_by: NDArray[np.bool_]
     ) -> tuple[Nodes, Ints]:
-        """Nodes with those that CalculiX made, and the node row (N,) of each row of the export.
+        """Nodes, with new ones of CalculiX, and the node row (N,) of each row of the export.
 
         Expanded nodes get labels beyond the deck and are in the sets of their parents; modes inside elements belong
-        to the first node that K couples them to, those that equations name (``named_by``) have a node of their own.
+        to the first node that K couples them to, modes that equations name (``named_by``) have a node of their own.
         """
         first = 10 ** len(str(int(self.flat.ids.max())))
         at = np.full(len(mapped.owner), -1, dtype=np.int64)

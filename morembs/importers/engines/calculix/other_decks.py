@@ -106,7 +106,7 @@ def _with_reduced(deck: Deck) -> Deck:
 
 
 class _FlatText(CalculixText):
-    """Cards of a deck, and what they say of its nodes, as of ``FlatDeck``; types of its solids as they are written."""
+    """Cards of a deck, and their data on its nodes, as of ``FlatDeck``; types of its solids as they are written."""
 
     def split(self) -> tuple[str, str]:
         """Nodes, and all other cards."""

@@ -112,7 +112,7 @@ class Ccx(Closing):
         """S (k, N): how the dofs ``direction`` 1..3 of the deck's nodes ``node`` (k,) follow the rows of ``plain``.
 
         Raises:
-            InputError: springs change the rest of the model, so that S cannot be told.
+            InputError: springs change other rows of the model, so that S is not determined.
         """
         count, first = len(node), len(self.flat.ids) + 1
         far = 2.0 * np.ptp(self.flat.xyz, axis=0).max() + 1.0

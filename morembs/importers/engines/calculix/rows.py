@@ -1,7 +1,7 @@
 """Which node and direction each row of an export of CalculiX is.
 
 CalculiX writes label and direction, but nodes of expanded shells and beams carry the label of their parent, and nodes
-that it made for itself one beyond the deck. What such rows are is told by rigid motion R, which K leaves free of force:
+that it made for itself one beyond the deck. Rigid motion R identifies such rows, which K leaves free of force:
 with R known on rows k, K_uu R_u = -K_uk R_k gives it on the rows u. A displacement at x has the row [e, -x~ e], a
 rotation [0, e], a mode inside an element or across a section zero.
 """
@@ -166,7 +166,7 @@ class _Solved:
         self.R[likely, 3 + self.component[likely]] = 1.0 / length
 
     def mapped(self, xyz: Floats, expanded: Expanded | None, turning: Mapping[int, int]) -> RowMap:
-        """Rows by what their rigid motion is; those that it does not explain relative to others."""
+        """Rows identified by their rigid motion; unexplained ones relative to others."""
         self._expect(xyz, expanded, turning)
         rows = self.known[self.given.group]
         self.R[~rows] = _motion(self.K, self.R, rows)

@@ -194,8 +194,8 @@ class _Deck:
         self.nodes = replace(solids.nodes, sets=sets)
 
     def _without_mass(self, problems: Problems) -> set[str]:
-        """Sets of shells, beams and trusses without stiffness. What lacks stiffness or mass is a problem; bars of bulk
-        data without mass are told where something else has some."""
+        """Sets of shells, beams and trusses without stiffness. Sets without stiffness or mass are problems; bars of
+        bulk data without mass are a warning where something else has some."""
         deck = self.deck
         kinds = {own.set: own.kind for own in deck.sections}
         lacking = {name: lack for name, lack in lacking_of(deck).items() if kinds[name] != "solid"}

@@ -50,7 +50,7 @@ _NUMBER = re.compile(r"\b(ELEMENT|ELEM|GRID POINT|GRID)( ID)?( NUMBER)?( *= *| +
 
 
 def find_mystran(given: str = "") -> Program:
-    """The program with what it says of its version.
+    """The program with its own statement of its version.
 
     Raises:
         InputError: there is none.
