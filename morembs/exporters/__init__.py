@@ -147,8 +147,8 @@ def step_for_band(
     """The time step for motion up to ``band_hz`` in real time, and its loss of accuracy; nothing is written.
 
     Returns:
-        the modes that the step leaves of the body, and the errors up to ``band_hz`` by kind of output; "steps" is that of the
-        simulator.
+        the modes that the step leaves of the body, and the errors up to ``band_hz`` by kind of output; "steps" is that
+        of the simulator.
 
     Raises:
         InputError: as ``export_body``, or a target that knows no time step.

@@ -103,8 +103,8 @@ def state_space(
         body: an elastic body, or what ``read_body`` gave, and then the ``name`` of one where there are several.
         inputs: such as "tip:force" or "base:acceleration:z": interface, quantity and, unless all are meant, components
             (x, y, z, rx, ry, rz, names of generalised forces) with + between them. The interface of "acceleration" and
-            "displacement" is a support with prescribed motion. A displacement is three inputs: ``x``, ``v`` and ``a`` are
-            the displacement and its derivatives, which no state space of finite order can take from it.
+            "displacement" is a support with prescribed motion. A displacement is three inputs: ``x``, ``v`` and ``a``
+            are the displacement and its derivatives, which no state space of finite order can take from it.
         outputs: likewise, "displacement", "velocity", "acceleration", and "reaction", the force of a support on the
             body.
         held: interfaces, or "base:x+y" some of their components, that stay at rest.

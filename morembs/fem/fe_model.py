@@ -433,7 +433,7 @@ def refuse_unsymmetric(model: FEModel, names: Sequence[str] = ("K", "M", "D")) -
 def _unsymmetric(A: sp.csr_array) -> float:
     """How far ``A`` is from its transpose against its largest entry; 0 where that is round-off.
 
-    A z and A' z are compared for one fixed random z: vectors only, and a symmetric matrix has no note.
+    A z and A' z are compared for one fixed random z: vectors only, and no symmetric matrix is reported.
     """
     z = np.random.default_rng(60).standard_normal(A.shape[0])
     largest = max(abs(float(A.data.max(initial=0.0))), abs(float(A.data.min(initial=0.0))))

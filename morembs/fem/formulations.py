@@ -101,7 +101,8 @@ class Formulation:
     ``about`` says it in words. ``orders`` maps the types that it is for to the degree that its points integrate; None
     is every type with the degree of its field. ``mean`` takes the mean strain at one point in the centre; ``change``
     makes another B (ne, nq, 6, 3k) of that of the gradients, in place, and ``hourglass`` (ne, k, k) is added to the
-    stiffness along each axis. With ``has_modes`` these are dofs of the model, and ``change`` is their part of the strain at rest.
+    stiffness along each axis. With ``has_modes`` these are dofs of the model, and ``change`` is their part
+    at rest.
     """
 
     about: str

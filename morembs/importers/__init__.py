@@ -60,7 +60,7 @@ _NO_OPTIONS = ("budget",)
 
 @dataclass(frozen=True, kw_only=True)
 class Importer:
-    """A format: its description in one line, the endings of its files, the function that reads one (a ``Deck`` becomes an
+    """A format: its line of description, the endings of its files, the function that reads one (a ``Deck`` becomes an
     ``Imported``)."""
 
     about: str

@@ -38,8 +38,8 @@ def write_model(
     A model file of that name is replaced, any other file is kept.
 
     Args:
-        files: those that the model came from; their names and SHA-256 are kept.
-        importer: the name of the format they were read as, ``units`` those that they had.
+        files: sources of the model; their names and SHA-256 are kept.
+        importer: the name of the format they were read as, ``units`` their units.
         findings: sentences of the examination.
 
     Raises:

@@ -41,10 +41,10 @@ class Version(IntEnum):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelFile:
-    """All of a model file: the ``model``, and what it was made of.
+    """All of a model file: the ``model``, and its sources.
 
     ``files`` are the names of the sources and ``sha256`` their checksums, ``importer`` the name of the format that they
-    were read as, ``units`` those that they had; ``findings`` are sentences of the examination.
+    were read as, ``units`` their units; ``findings`` are sentences of the examination.
     """
 
     @derived("text", doc=f"`{FORMAT}`")

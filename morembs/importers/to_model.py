@@ -46,7 +46,7 @@ def refuse_mass_integration(rule: str, what: str) -> None:
 
 
 def model_of(imported: Imported, units: Units | None = None, *, mass_integration: str = "element") -> FEModel:
-    """Model in SI units of what a file holds in ``units`` (None: SI).
+    """Model in SI units of the data of a file in ``units`` (None: SI).
 
     Matrices of the file are taken as they are, real or complex, symmetric or not; without any the mesh is assembled
     with the materials. Nodes of solid elements come first, three dofs each; masters of rigid elements, references of

@@ -139,7 +139,7 @@ def _dense(body: ConstrainedStatics, M: sp.csr_array, count: int | None, below: 
 
 
 def _refine_by_inverse_iteration(body: ConstrainedStatics, M: sp.csr_array, V: Floats) -> tuple[Floats, Floats]:
-    """Modes near span(V) (N, k), M-orthonormal, by inverse iteration: to eps of what they are made of."""
+    """Modes near span(V) (N, k), M-orthonormal, by inverse iteration: to eps of the vectors that they combine."""
     for _ in range(2):
         V = body.flexibility(M @ V)
         V /= m_norms(V, M @ V)

@@ -60,7 +60,7 @@ class WeightedSVD:
 class StreamedSVD:
     """SVD of snapshots of length N that arrive in blocks, in the inner product of ``space``, a sparse SPD X (N, N).
 
-    Every block is split by an orthogonalisation into its part in the known span and the rest, and the SVD of the
+    Every block is split by an orthogonalisation into its part in the known span and the remainder, and the SVD of the
     small triangle of coefficients turns and truncates the basis (Brand 2006): the Gram matrix of the snapshots,
     which would square their condition, is never formed. At most ``capacity`` columns come in all.
     Peak memory: min(capacity, N) columns of length N where its budget wants them, and four times one block.

@@ -2,7 +2,7 @@
 
 Under a motion phi that strains nothing the terms of a row of K phi cancel, and what is left is round-off of these
 terms: at most a few eps (|K| |phi|) in that row. A support leaves more in its own row, however stiff other rows are,
-and independent of the mesh, the units and the rest of the body. Only what cancels in the row itself is lost.
+and independent of the mesh, the units and other rows. Only what cancels in the row itself is lost.
 
 Numbers that were written with few digits, and bodies far from the origin, leave more than eps in most rows. Such
 residuals do work of either sign, while a soft ground (positive semidefinite) does positive work at all its nodes. So
@@ -47,11 +47,11 @@ def rigid_null_space(
     """Bases (N, r) of the motions ``Phi`` (N, k) that ``K`` leaves free of strain, and (N, k - r) of those it holds.
 
     ``Phi`` are independent geometric rigid motions of comparable displacements; ``size`` (N, k) sums up the magnitudes
-    that cancel in K Phi, those that cancelled while K was made among them: eps of it is round-off. ``node`` (N,) says
+    that cancel in K Phi, with terms that cancelled in the assembly of K: eps of it is round-off. ``node`` (N,) says
     which rows belong together; entries are known to the part ``last`` of them.
 
     Raises:
-        InputError: a support so soft that it cannot be told from round-off.
+        InputError: a support so soft that it cannot be distinguished from round-off.
     """
     ratio, level = _forces(K, Phi, size, node, last)
     loaded = np.abs(ratio).max(axis=1, initial=0.0) > level

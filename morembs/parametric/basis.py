@@ -297,7 +297,7 @@ class GreedySearch:
         return float((at.error(omega) / at.envelope(omega)).max())
 
     def _decomposition(self, model: ParametricModel) -> Floats:
-        """(n, n) orthonormal directions in the space: those that are kept, then those of responses, the largest first.
+        """(n, n) orthonormal directions in the space: the kept ones, then those of responses, the largest first.
 
         Responses count relative to the envelope, in the inner product of K_a + mu M_a.
         """

@@ -79,7 +79,7 @@ class BoundAt:
         return "the round-off of K and M outweighs what is left of K - omega^2 M beside a resonance"
 
     def residual(self, omega: Floats) -> Floats:
-        """(nf,) |r|_2 |r|_F over the envelope: what a bound is without resonances."""
+        """(nf,) |r|_2 |r|_F over the envelope: the bound where there are no resonances."""
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         norm_2, norm_F = self._residual(self._a(omega)[0], omega)
         return np.asarray(norm_2 * norm_F / self.envelope(omega))

@@ -143,8 +143,8 @@ class Proofs:
         return replace(cell, alpha=TOL.sampled_share * max(min(values), 0.0))
 
     def least(self, cells: list[Cell], F: Floats, sigma: float, enough: float, *, proof: bool) -> BoxCells:
-        """``cells`` with their Lam^ for W = M_a V ``F`` (n, k), as the reduced terms have it, or with ``proof``; those
-        that have not ``enough`` are split, as K and M on halves are less apart."""
+        """``cells`` with their Lam^ for W = M_a V ``F`` (n, k), as the reduced terms have it, or with ``proof``; cells
+        with less than ``enough`` are split, as K and M on halves are less apart."""
         space, problem = self.space, self.problem
         reduced = space.reduced()
         W = np.asarray(problem.M @ (space.columns() @ F)) if proof else None

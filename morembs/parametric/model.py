@@ -185,7 +185,7 @@ def _stored_model(
     bound: dict[str, Any] | None = None,
     **own: Any,
 ) -> ParametricModel:
-    """A model of what a file has of it; its loads are those of the body."""
+    """A model of its datasets in a file; its loads are those of the body."""
     from morembs.problem.damping import Damping
 
     first, second = (
@@ -314,7 +314,7 @@ def _clusters(values: Floats) -> list[NDArray[np.int64]]:
 class Sensitivity:
     """Derivatives at one value, by the names of the parameters: ``K``, ``M`` (n, n) and elastic ``frequencies_hz``
     (e,). ``clustered`` (e,) marks frequencies that lie together, whose derivatives are those of the branches,
-    ``in_band`` (e,) those that the reduction had to keep: others and their derivatives may differ by percents from the
+    ``in_band`` (e,) the ones that the reduction had to keep: others and their derivatives may differ by percents from the
     full model's."""
 
     at: ModelAt

@@ -181,7 +181,7 @@ class Morph:
         )
 
     def groups(self) -> Iterator[tuple[int, dict[int, NDArray[np.bool_]]]]:
-        """Bits of the morphs, and which elements of each block (by identity) are those that they deform."""
+        """Bits of the morphs, and the elements of each block (by identity) that exactly these deform."""
         codes = self.deforming()
         for bits in range(1, 1 << len(self.which)):
             chosen = {id(b): code == bits for b, code in zip(self.mesh.blocks, codes, strict=True)}

@@ -150,7 +150,7 @@ class Box:
         return replace(nominal, **values) if values else nominal
 
     def point(self, values: Mapping[str, float]) -> Floats:
-        """Values (P,) of all parameters; those that are not named are nominal.
+        """Values (P,) of all parameters; omitted ones are nominal.
 
         Raises:
             InputError: an unknown name, or a value outside its range.

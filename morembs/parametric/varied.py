@@ -95,7 +95,7 @@ class VariedModel:
 
     @cached_property
     def law_K(self) -> Law:
-        """Coefficients of the terms of the stiffness: those of elements, then those that are ``added``."""
+        """Coefficients of the terms of the stiffness: those of elements, then the ``added`` ones."""
         law, P = self.stiffness.law, len(self.parameters)
         rows = np.full((len(self.added), P), ONE)
         for row, (number, _) in zip(rows, self.added, strict=True):

@@ -240,7 +240,7 @@ class Problem(Closing):
         return self.shared(CONSTRAINT, self.fixed_interface.solve_constraint_modes)
 
     def keep_constraint_modes(self, modes: Floats, stiffness: Floats) -> None:
-        """Take ``modes``, columns of an array that is kept anyway, in the place of those that were computed."""
+        """Take ``modes``, columns of an array that is kept anyway, in the place of the computed ones."""
         self._shared[CONSTRAINT] = modes, stiffness
 
     def static_response(self) -> Floats:
@@ -297,7 +297,7 @@ class Problem(Closing):
         self.stiffness.close()
 
     def release(self) -> None:
-        """As ``close``, but the problem can be used again: factors and solutions are made anew where they are needed.
+        """As ``close``, but the problem can be used again: factors and solutions are made again where they are needed.
 
         Of use between two reductions that share nothing, where memory is short. Modes stay.
         """

@@ -38,7 +38,7 @@ def rigid_motions(
     """M-orthonormal bases of the rigid motions (Nc, r) that K leaves free of strain and (Nc, h) that it holds.
 
     Raises:
-        InputError: a support so soft that it cannot be told from round-off, parts that move against each other without
+        InputError: a support so soft that it is hidden by round-off, parts that move against each other without
             strain, or motions without stiffness and mass.
         SolverError: a large model without places, of which K cannot be factorised.
     """
@@ -76,7 +76,7 @@ def terms_in_rows(model: FEModel, coupling: Coupling, A: sp.csr_array, Phi: Floa
 
 
 def nodes_of_rows(model: FEModel, coupling: Coupling) -> Ints:
-    """Node (Nc,) that each coupled dof moves, the first of those that a frame moves."""
+    """Node (Nc,) that each coupled dof moves, the first of several nodes of a frame."""
     T = sp.csc_array(coupling.T)
     of_entry = np.asarray(model.dofs.node, dtype=np.int64)[T.indices]
     return np.minimum.reduceat(of_entry, T.indptr[:-1])
@@ -169,7 +169,7 @@ def _refuse_free_parts(
 
 
 def _parts(model: FEModel, coupling: Coupling, group: Ints) -> Ints:
-    """The part (groups,) of each group of coupled dofs; those that move one node belong together."""
+    """The part (groups,) of each group of coupled dofs; groups that move one node belong together."""
     T, count = sp.coo_array(coupling.T), int(group.max()) + 1
     ends = count + model.dofs.node[T.coords[0]]
     links = sp.csr_array(

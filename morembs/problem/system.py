@@ -102,7 +102,7 @@ class System:
             yield solve
 
     def elastic_part(self, X: Values) -> Values:
-        """Motions ``X`` (Nc, k), overwritten, without rigid motion, unless damping couples it to the rest."""
+        """Motions ``X`` (Nc, k), overwritten, without rigid motion, unless damping couples it to elastic motion."""
         if self.rigid.shape[1] and not self.damps_rigid_motion:
             X -= self.rigid @ (self.rigid.T @ (self.M @ X))
         return X

@@ -171,8 +171,8 @@ class ReducedModel(TransferFunction):
 class Reducer(ABC):
     """Options of a reduction method; its fields are the keys of ``[[reduce]]`` in a job file.
 
-    Limits of options stand with their types (``morembs.base.limits``) and are checked here. A method states itself what
-    others need from it: what it cannot reduce (``why_not``), what it costs, and the properties below.
+    Limits of options stand with their types (``morembs.base.limits``) and are checked here. A method states its own
+    limits (``why_not``), its cost, and the properties below.
     """
 
     method: ClassVar[str]

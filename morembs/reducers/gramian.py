@@ -187,7 +187,7 @@ class Gramian(OfResponses):
         svd: WeightedSVD | StreamedSVD,
         notes: dict[str, object],
     ) -> tuple[Floats, Floats]:
-        """Static directions that are kept (n, j) and the dominant ones of the rest, all X-orthonormal."""
+        """Static directions that are kept (n, j) and the dominant ones of the remainder, all X-orthonormal."""
         first = orthonormal(statics, X) if self.static else np.zeros((len(statics), 0))
         energy = 0.0
         for S in snapshots:

@@ -1,4 +1,4 @@
-"""Models to pyMOR and back, so that its reductors can be used, and what they give certified."""
+"""Models to pyMOR and back, so that its reductors can be used, and their results certified."""
 
 from __future__ import annotations
 
@@ -56,13 +56,13 @@ def from_pymor(
         V: (Nc, n) basis of the displacements in coupled dofs, such as ``reductor.V.to_numpy()``, by which a body
             expands its motion; None where only the matrices are needed, as in ``certify``.
         W: (Nc, n) basis that the equations were tested with, where it is another. Without it, matrices that are
-            symmetric but for round-off are taken for those of a Galerkin projection.
+            symmetric but for round-off count as a Galerkin projection.
         rigid_count: rigid-body modes that the coordinates span; those of a model that is not symmetric come first.
 
     Raises:
         InputError: pyMOR is not installed, outputs of velocities or a feedthrough, matrices that do not fit V.
 
-    >>> rom = to_pymor(reduced)                                      # or what a reductor of pyMOR gives
+    >>> rom = to_pymor(reduced)                                      # or the result of a reductor of pyMOR
     >>> from_pymor(rom, V=reduced.V, rigid_count=6).order
     18
     """

@@ -13,7 +13,7 @@ real and symmetric. The forces of dampers are loads of the space, so that heavy 
 
 Between the middle m of a cell and its ends A_r^-1 b is a Taylor series, A_m y_j = -A' y_{j-1} - A'' y_{j-2}; with
 alpha = |A_m^-1 A'|, beta = |A_m^-1 A''| and rho^2 = h alpha rho + h^2 beta, h^j |y_j| <= rho^j |y_0|, which bounds the
-rest. All of this is in coordinates scaled by the roots of Theta.
+remainder. All of this is in coordinates scaled by the roots of Theta.
 """
 
 from __future__ import annotations

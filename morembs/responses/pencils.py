@@ -123,7 +123,7 @@ def _first_order(
 
 
 def _biorthogonal(L: Complexes, X: Complexes) -> Complexes:
-    """``X`` (n, n) with L'X = I for left vectors ``L`` (n, n) of the same poles, also of those that coincide, as the
+    """``X`` (n, n) with L'X = I for left vectors ``L`` (n, n) of the same poles, also of coincident ones, as the
     bending modes of a square section do: an eigensolver gives any basis of their spaces, on each side another."""
     try:
         return np.asarray(np.linalg.solve((L.T @ X).T, X.T).T)

@@ -110,7 +110,7 @@ def reference_model(
 
     Forces and moments are scaled to equal static energy for that. With modal damping every Ritz mode has the ratio of
     its own frequency. Where a modal table jumps beside unresolved modes, the error may be up to ``TOL.jump_error``:
-    ``Reference.error`` says what it is. Peak memory: the Krylov space, up to some hundred columns of length N.
+    ``Reference.error`` is its value. Peak memory: the Krylov space, up to some hundred columns of length N.
 
     Args:
         inertia_loads: also follow the inertia loads of the moving frame, as ``loads.inertia_loads`` gives them.
@@ -222,7 +222,7 @@ class ReferenceSpace:
         """The space, grown until the error with ``damping`` is below ``tolerance`` at ``omega``.
 
         Raises:
-            SolverError: it stands still above, or the space has ``TOL.max_order`` columns.
+            SolverError: the error stagnates above it, or the space has ``TOL.max_order`` columns.
         """
         lanczos, errors = self.lanczos, list[float]()
         while True:
@@ -262,7 +262,7 @@ class ReferenceSpace:
                 return self._refine_soft_modes(reference, worst)
 
     def extend(self, error: float, advice: str = "") -> bool:
-        """One block more; False where there is none. ``error`` and ``advice`` are told where there is no room.
+        """One block more; False where there is none. ``error`` and ``advice`` are in the message where there is no room.
 
         Raises:
             SolverError: the space has ``TOL.max_order`` columns.

@@ -127,7 +127,7 @@ class StaticModeTables:
         return np.asarray(table[offsets, np.maximum(i, j)])
 
     def R(self, rows: Ints, columns: Ints | None = None) -> Floats:
-        """Psi' K Psi of candidates ``rows`` and ``columns`` (the same unless told), m/N.
+        """Psi' K Psi of candidates ``rows`` and ``columns`` (by default the same), m/N.
 
         Raises:
             InputError: a pair that the band does not hold.
@@ -224,7 +224,7 @@ class Span:
         return {}
 
     def rows(self, candidates: Ints) -> Floats:
-        """(4, 3, k) of the displacement for a run of ``candidates``; zero for those that it does not depend on."""
+        """(4, 3, k) of the displacement for a run of ``candidates``; zero for candidates that it does not depend on."""
         key = (int(candidates[0]), len(candidates)) if len(candidates) else (0, 0)
         rows = self._rows.get(key)
         if rows is None:
@@ -289,7 +289,7 @@ class Curve:
     def rows(self, candidates: Ints, derivative: bool = False) -> Floats:
         """(3, k): displacement of the path here per unit displacement of each candidate, or its derivative by s.
 
-        ``candidates`` follow each other; those that the place does not depend on give zero.
+        ``candidates`` follow each other; candidates that the place does not depend on give zero.
         """
         table = self.span.rows(candidates)
         weights = self.rate if derivative else self.value

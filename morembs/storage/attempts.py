@@ -1,4 +1,4 @@
-"""Attempts at files: several processes may try to write the same ones, and whoever watches them takes one attempt.
+"""Attempts at files: several processes may try to write the same ones, and their watcher takes one attempt.
 
 An attempt lies hidden beside the file that it is for, under a name with a token that no other attempt has. No lock is
 needed, on network disks neither: only the one who watches gives an attempt the name of the file.

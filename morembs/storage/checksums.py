@@ -23,7 +23,7 @@ GROUP = "checksums"
 
 
 def seal(group: Any, *, apart: Sequence[str] = ()) -> None:
-    """Store the checksums of all below an open HDF5 ``group`` in place of those that it has.
+    """Store the checksums of all below an open HDF5 ``group`` in place of its present ones.
 
     Whoever changes a file on purpose calls this afterwards, or removes the group ``checksums``.
 

@@ -1,5 +1,5 @@
-"""The ledger of what a calculation opens: under which names, where links led, what was there; and that no result
-takes the place of any of it."""
+"""The ledger of files that a calculation opens: their names, targets of links, contents; and the rule that no result
+replaces one of them."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class Content:
 
 
 class Ledger:
-    """The files that are opened for reading while it is kept, and those that are to be written."""
+    """The files that are opened for reading while it is kept, and the files that are to be written."""
 
     def __init__(self) -> None:
         # The name that was opened, whole but with its links and dots, and where it led.
@@ -119,7 +119,7 @@ class Ledger:
 def keeping_ledger() -> Iterator[Ledger]:
     """Within, all that is opened for reading is kept in a ledger, and no result takes the place of any of it.
 
-    Includes and companions are known to the readers alone, of which there are many: Python itself says what it opens,
+    Includes and companions are known to the readers alone, of which there are many: Python itself reports the files that it opens,
     and ``storage.hdf5`` says it for the HDF5 library.
     """
     if not _hooked:

@@ -20,7 +20,7 @@ def read_table(
 ) -> dict[str, NDArray[np.float64]]:
     """Columns (k,) by their names: those ``needed`` in that order, then the ``optional`` ones that are there.
 
-    ``optional`` None takes any name. Empty rows and those that begin with # are left out.
+    ``optional`` None takes any name. Empty rows and comments, which begin with #, are left out.
 
     Raises:
         InputError: no such file or rows, other columns, or a row that is not of as many finite numbers.

@@ -1,4 +1,4 @@
-"""What datasets hold: how values become arrays in a file, and how those that were read become values."""
+"""Kinds of datasets: conversion of values to arrays in a file, and of arrays to values."""
 
 from __future__ import annotations
 

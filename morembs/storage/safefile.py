@@ -136,8 +136,8 @@ def replacing(path: Path) -> Iterator[SafeFile]:
 def replacing_all(paths: Sequence[Path]) -> Iterator[tuple[SafeFile, ...]]:
     """Files that belong together: all take the places of ``paths`` when the ``with`` ends well, else none does.
 
-    Names change only once every file is complete and on the disk. Where one of them then cannot change, those that
-    did get their old files back. A power cut at just that time can leave some of each.
+    Names change only once every file is complete and on the disk. Where one of them then cannot change, changed
+    ones get their old files back. A power cut at just that time can leave some of each.
 
     Raises:
         OverwriteError: one of ``paths`` was read.
@@ -240,7 +240,7 @@ def take_names(places: Sequence[Place]) -> None:
 
 
 def _undone(place: Place, existed: bool) -> bool:
-    """True if the file is again what it was before."""
+    """True if the old file is in place again."""
     try:
         if existed:
             os.replace(place.old, place.target)
@@ -347,7 +347,7 @@ def _refuse_planted(path: Path) -> None:
 def _output_error(
     path: Path, error: OSError, doing: str, places: Sequence[Place] = (), mixed: Sequence[Place] = ()
 ) -> OutputError:
-    """What went wrong, what it left behind (of ``places``, ``mixed`` are new already), and what to do."""
+    """The error with its cause, files that are left behind (of ``places``, ``mixed`` are new already), and the cure."""
     reason = error.strerror or str(error)
     cure = "check the disk, then run again"
     if error.errno in _FULL:

@@ -32,12 +32,12 @@ class Row:
         kind: one of ``KINDS``, or a table.
         shape: sizes apart by blanks. A letter is a size that the first dataset with it gives and all others share,
             with a number before it that many times it; ``any`` is any size.
-        about: what it is, the attribute ``description``; ``units`` the attribute of that name.
+        about: the attribute ``description``; ``units`` the attribute of that name.
         doc: what the documentation says instead of ``about``.
         since: version that wrote it first: files of earlier ones lack it.
         when: may be absent: in the words of the documentation, when.
         most: whole numbers from 0 to this: a number or a size, ``6`` or ``n``, or places on it, ``n-1``.
-        known: texts, or names of a group's members, that are expected: these, or those that gave a size.
+        known: texts, or names of a group's members, that are expected: these, or the ones that gave a size.
         positive: a number above zero.
         counts: the whole number is itself a size, this letter.
         field: where the value is found, and is put when it was read; by default the last part of ``name``.
@@ -147,7 +147,7 @@ class Table:
         return iter(self.rows)
 
     def flat(self, whole: Any) -> dict[str, Any]:
-        """Values of an object by the paths of its datasets, ``None`` for those that it lacks."""
+        """Values of an object by the paths of its datasets, ``None`` for missing ones."""
         source = self.parts(whole)
         return {name: value for row in self for name, value in row.parts(row.of(source))}
 
@@ -216,7 +216,7 @@ def listed(own: Table, name: str = "") -> Table:
 
 
 def variants(kinds: Mapping[str, type], about: Row, *more: Row) -> Table:
-    """Objects of several dataclasses, told apart by their names in the dataset ``about``; datasets of one name mean the
+    """Objects of several dataclasses, distinguished by their names in the dataset ``about``; datasets of one name mean the
     same in all. Of ``more`` rows a mapping that is written has the values."""
     tables = {name: table_of(kind) for name, kind in kinds.items()}
     rows = {row.name: replace(row, field=row.name, write=None) for table in tables.values() for row in table}

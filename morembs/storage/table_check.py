@@ -32,7 +32,7 @@ class TableCheck:
         """All rows of a table below ``at``; ``sizes`` are those of the letters so far, which groups within share.
 
         Raises:
-            InputError: a dataset is missing, or is not what it should be; its name is in the message.
+            InputError: a dataset is missing, or has another kind, shape or value; its name is in the message.
         """
         missing: list[str] = []
         self._kinds(at, table, sizes, missing)
@@ -63,7 +63,7 @@ class TableCheck:
                 raise self.refuse(place, "is a group", "a dataset")
 
     def _row(self, name: str, item: Any, row: Row, sizes: Sizes) -> None:
-        """One group, or one dataset: its kind, its shape, and what it holds."""
+        """One group, or one dataset: its kind, its shape, and its values."""
         if isinstance(row.kind, Table):
             self.table(f"{name}/", row.kind, dict(sizes))
             return
@@ -125,7 +125,7 @@ class TableCheck:
                     raise self.refuse(name, f"{verb} {text!r}", f"one of {', '.join(known) or 'none'}{where}")
 
     def at_most(self, name: str, most: int, why: str = "", where: Any = slice(None), least: int = 0) -> None:
-        """Whole numbers from ``least`` to ``most``, those that ``where`` picks.
+        """Whole numbers from ``least`` to ``most``, in the part that ``where`` picks.
 
         Raises:
             InputError: another one is among them.

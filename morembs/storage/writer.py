@@ -1,4 +1,4 @@
-"""HDF5 files of morembs: written whole or not at all, sealed with checksums, every dataset with what it is."""
+"""HDF5 files of morembs: written whole or not at all, sealed with checksums, every dataset with its description."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Columns:
 
 @dataclass(frozen=True)
 class Writer:
-    """Stores datasets in an open HDF5 group; ``safe`` is told which, and asked after each whether that went well."""
+    """Stores datasets in an open HDF5 group; ``safe`` hears their names, and reports a failed write after each."""
 
     file: Any
     safe: SafeFile | None = None
@@ -72,7 +72,7 @@ class Writer:
             self.safe.check()
 
     def put(self, name: str, data: Any, about: str = "", units: str = "") -> None:
-        """Store one dataset with what it is and its units."""
+        """Store one dataset with its description and units."""
         self.doing(name)
         self._mark(self.file.create_dataset(name, data=data), about, units)
 

@@ -32,8 +32,8 @@ class Conservative(Protocol):
     A component with rotation vectors may have ``shortened(x, held)``, the same configuration by vectors below half a
     turn, but for those with a held coordinate; one that can be in an impossible state ``examine(x)``, which raises
     SolverError.
-    The geometric part of the tangent takes the stress of the last linear step, which is what a formulation with stress
-    as unknowns comes to: Newton's method then does not see the false stretch of large turns (Magisano, Leonetti,
+    The geometric part of the tangent takes the stress of the last linear step, as a formulation with stress
+    as unknowns does: Newton's method then does not see the false stretch of large turns (Magisano, Leonetti,
     Garcea 2017).
     """
 

@@ -39,7 +39,7 @@ class Glue:
     """The equations of *TIE and of glued contact, with notes and warnings.
 
     Slave nodes are moved to the master's faces, as the programs do unless ADJUST=NO; nodes that are ``taken`` follow
-    something else already and are left to it. Which other nodes are tied is decided as in the program of the deck: Abaqus
+    something else already and are left to it. Other nodes are tied as the program of the deck does: Abaqus
     ties those whose nearest point of the master is within a tolerance, CalculiX those of ``Facing``.
     """
 

@@ -40,7 +40,7 @@ _KINDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Engine:
-    """A ``program`` by the name of people: its description in one line, the ``formats`` of decks that it reads and their
+    """A ``program`` by the name of people: its line of description, the ``formats`` of decks that it reads and their
     usual names, how it is found (given a path or ""), the function that reads a deck, and one that raises where a
     deck cannot be for it."""
 

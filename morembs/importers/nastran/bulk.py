@@ -1,4 +1,4 @@
-"""The cards of a file of Nastran bulk data, sorted by what they are."""
+"""The cards of a file of Nastran bulk data, sorted by kind."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ADDED = re.compile(r"^[ \t]*([KMB]2(?:GG|PP)|K42GG|A2GG|TFL)[ \t]*=[ \t]*(\S+)"
 
 
 class Bulk:
-    """Grids, solids, systems and the ``rows`` of cards that are read; those that cannot be carried are ``problems``.
+    """Grids, solids, systems and the ``rows`` of cards that are read; unsupported cards are ``problems``.
 
     ``lines`` has the line of each row.
     """
@@ -110,7 +110,7 @@ class Bulk:
         ]
 
     def chosen(self, word: str, cure: str = "") -> tuple[set[int], bool]:
-        """Numbers of the sets that case control asks for by a ``word`` (SPC, MPC), with those that they add up (SPCADD,
+        """Numbers of the sets that case control asks for by a ``word`` (SPC, MPC), with the members of their sums (SPCADD,
         MPCADD), and whether there is a case control.
 
         Raises:

@@ -241,10 +241,10 @@ def _letters(codes: Bytes) -> NDArray[np.bool_]:
 
 
 def tables(text: BulkText, read: Container[str] | None = None) -> Iterator[Table]:
-    """The cards of bulk data, with fields of those that are ``read`` (None: of all).
+    """The cards of bulk data, with fields of cards that are ``read`` (None: of all).
 
     Raises:
-        InputError: what ``BulkText`` and ``Cards`` refuse.
+        InputError: a file or card that ``BulkText`` or ``Cards`` refuses.
     """
     for piece in text:
         yield from Cards(piece, text).tables(read)

@@ -152,7 +152,7 @@ def _unused(bulk: Bulk, sections: Sequence[Section], materials: Materials) -> di
 
 
 def _skipped_warnings(bulk: Bulk) -> list[str]:
-    """Warnings of cards that were skipped, and of those that make materials depend on temperature."""
+    """Warnings of cards that were skipped, and of cards that make materials depend on temperature."""
     skipped = [left_out(name, count) for name, count in bulk.skipped.items()]
     cold = [
         f"{name} makes materials depend on temperature; their own values were taken [temperature-first-row]"

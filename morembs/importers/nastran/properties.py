@@ -40,7 +40,7 @@ def by_number(file: str, name: str, rows: Rows) -> dict[int, list[str]]:
 
 
 class Materials:
-    """Materials by number, of which those that are ``known`` by name were read, and sections of PSOLID; densities are
+    """Materials by number, of which the ``known`` ones were read by name, and sections of PSOLID; densities are
     times PARAM WTMASS, the ``scale``."""
 
     def __init__(self, file: str, rows: dict[str, Rows], scale: float) -> None:

@@ -24,7 +24,7 @@ _ALL = (0, 1, 2, 3, 4, 5)
 class Ties:
     """RBE1, RBE2, RBE3, RBAR, RROD, RTRPLT, MPC and CONM2 as rows of grids.
 
-    What fits a rigid or an average element of a model becomes one, the rest equations; ``solid`` (grids,) are those of
+    Cards that fit a rigid or an average element of a model become one, others equations; ``solid`` (grids,) are those of
     solids, which have no rotations.
     """
 
@@ -92,7 +92,7 @@ class Ties:
         self._add(what, A, motions, [dependent])
 
     def _rigid_grids(self, name: str, grids: list[str], kept: list[str], led: list[str]) -> None:
-        """Grids of one rigid body with independent components ``kept`` and dependent ones ``led``, blank: the rest."""
+        """Grids of one rigid body with independent components ``kept`` and dependent ones ``led``, blank: all others."""
         what = f"{self.grids.file}: {name}"
         rows = [self.motions.row(label, what) for label in grids]
         if any(text.upper() in ("0", "") for text in kept):

@@ -49,7 +49,7 @@ class Piece:
 
 
 class BulkText:
-    """The text of a file of bulk data, which may be packed (gzip), and of those that it includes.
+    """The text of a file of bulk data, which may be packed (gzip), and of its included files.
 
     ``head`` is what stands above BEGIN BULK, empty without it.
 
@@ -93,7 +93,7 @@ class BulkText:
         """Pieces in the order of the cards, INCLUDE followed.
 
         Raises:
-            InputError: a file is missing, binary, or includes what it must not.
+            InputError: a file is missing, binary, or includes a forbidden file.
         """
         yield from self._pieces(self.path, (), self._start)
 

@@ -168,7 +168,7 @@ def _level(A: sp.csr_array, P: sp.csr_array, unit: float) -> _Level:
 def by_nodes(A: sp.csr_array, near: Floats | None, starts: Ints) -> tuple[sp.bsr_matrix, Ints, Floats]:
     """``A`` in blocks of one node each, the place (n,) of its rows there, and the near-nullspace there.
 
-    Rows of equal pattern, which begin at ``starts``, are taken for a node, three at a time; a node with fewer gets
+    Rows of equal pattern, which begin at ``starts``, are treated as a node, three at a time; a node with fewer gets
     rows of its own that touch nothing. Without a near-nullspace it is one constant for each unknown of a node.
     """
     n = A.shape[0]

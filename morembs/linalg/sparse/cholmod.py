@@ -130,7 +130,7 @@ class _CholmodSession(Session):
     def _solve_side_by_side(self, X: Values) -> None:
         """Overwrite ``X`` in parts, one for each thread of the BLAS.
 
-        The many small products of a solve gain little from threads of their own; parts share what they read.
+        The many small products of a solve gain little from threads of their own; parts share their input.
         """
         threads = max((library.num_threads for library in self._blas.lib_controllers), default=1)
         parts = min(threads, X.shape[1] // TOL.columns_per_thread)

@@ -193,7 +193,7 @@ def _preprocessed(body: str) -> str:
 
 
 def _open(path: str, header: Path) -> Library:
-    """Load a library and compare its version, and what it writes into its structure, with the header."""
+    """Load a library and compare its version, and the values that it writes into its structure, with the header."""
     version, structures = parse_header(header.read_text(encoding="latin-1"))
     try:
         library = open_deep(path)

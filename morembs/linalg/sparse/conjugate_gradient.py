@@ -53,7 +53,7 @@ def conjugate_gradients(
     A column is done when ||precondition(r)||, an estimate of its error, is below ``accuracy`` ||x||, or when its
     residual is round-off, ||r|| <= ``backward`` (``norm`` ||x|| + ||b||). It then leaves the block.
     Peak memory in columns of length n: 5 k with X and the results of ``apply`` and ``precondition`` (4 k while these
-    run, with what they need and return); k more if they return arrays that are not in Fortran order, or if ``B``
+    run, with their workspace and results); k more if they return arrays that are not in Fortran order, or if ``B``
     is not. Besides the two calls a step costs about 14 n k^2 operations, all in products of dense matrices.
 
     Args:

@@ -1,4 +1,4 @@
-"""What a factorisation will need, and what it has cost."""
+"""Forecast and measured cost of a factorisation."""
 
 from __future__ import annotations
 

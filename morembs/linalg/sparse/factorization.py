@@ -167,7 +167,7 @@ class Analysis(_Resource):
 
     @abstractmethod
     def factorize_unchecked(self, A: Lower) -> Factorization:
-        """Factor of a matrix with the pattern of this analysis, for those who check it or only count its pivots.
+        """Factor of a matrix with the pattern of this analysis, for callers that check it or only count its pivots.
 
         Raises:
             SingularMatrixError: the backend came upon a pivot that it cannot take.

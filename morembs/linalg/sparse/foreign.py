@@ -1,7 +1,7 @@
 """Libraries written in C: opening them, and the layout of their structures as their headers give it.
 
 A structure changes between releases, and a wrong layout corrupts memory. So it is read from the header that was
-installed with the library, and whoever opens the library checks that the versions of the two agree.
+installed with the library, and each function that opens the library checks that the versions of the two agree.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def padded(data: type[ctypes.Structure], padding: int) -> Any:
 
 
 def refuse_missing(fields: Fields, needed: set[str], what: str) -> None:
-    """Raise UnusableError where ``fields`` lack some of those that are ``needed``."""
+    """Raise UnusableError where ``fields`` lack some of the ``needed`` ones."""
     missing = sorted(needed - {name for name, _ in fields})
     if missing:
         raise UnusableError(f"{what} of its header lacks {', '.join(missing)}")

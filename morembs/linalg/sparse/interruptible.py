@@ -49,7 +49,7 @@ class ForeignObject(ABC):
         """``function(*args)``.
 
         Args:
-            news: told to the listener with the seconds so far, twice a second; nothing without it.
+            news: passed to the listener with the seconds so far, twice a second; nothing without it.
 
         Raises:
             SolverError: a call before was abandoned.
@@ -77,7 +77,7 @@ class ForeignObject(ABC):
 
 
 class _Job(Generic[T]):
-    """One call and what it gave."""
+    """One call and its result."""
 
     def __init__(self, function: Callable[..., T], args: tuple[object, ...], free: Callable[[], object]) -> None:
         self._function, self._args, self._free = function, args, free

@@ -138,7 +138,7 @@ class _MixedFactor(Factorization):
 class Mixed(LinearSolver):
     """MUMPS in single precision, or with low-rank blocks, and conjugate gradients in double precision.
 
-    ``low_rank`` is the relative size of what a low-rank block drops (0: full rank); with it, ``precision``
+    ``low_rank`` is the relative size of terms that a low-rank block drops (0: full rank); with it, ``precision``
     "double" keeps the entries in double precision.
     """
 

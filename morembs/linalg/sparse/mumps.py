@@ -257,7 +257,7 @@ class MumpsSession(Session):
 class MumpsSolver(SessionSolver):
     """What the libraries share.
 
-    ``precision`` "single" and ``low_rank`` (relative size of what a low-rank block drops, 0 for none) make
+    ``precision`` "single" and ``low_rank`` (relative size of dropped terms of a low-rank block, 0 for none) make
     a rough factor: a preconditioner, which does not pass the check of ``factorize``.
     ``discard`` throws the factor away while it is computed: only the inertia is known then.
     """

@@ -31,7 +31,7 @@ _LOCK = threading.RLock()
 
 @dataclass(frozen=True)
 class RanksLibrary(Library):
-    """MUMPS on ``count`` ranks. Its structures stay here; what they hold goes there with each call, and comes back."""
+    """MUMPS on ``count`` ranks. Its structures stay here; their contents go there with each call, and come back."""
 
     count: int = 2
     scratch: Path | None = None

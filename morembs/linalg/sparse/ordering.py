@@ -1,4 +1,4 @@
-"""Fill-reducing order by METIS on the graph of rows that cannot be told apart.
+"""Fill-reducing order by METIS on the graph of indistinguishable rows.
 
 The three displacements of one finite-element node have the same pattern. Merging them makes the graph
 nine times smaller, the ordering faster, and keeps them together in one pivot block.

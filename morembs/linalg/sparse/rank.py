@@ -142,7 +142,7 @@ class Rank:
         return data
 
     def _give(self, number: int, data: Any, command: dict[str, Any]) -> None:
-        """Map the arrays of a command; those that it does not name are taken back."""
+        """Map the arrays of a command; arrays that it does not name are taken back."""
         arrays = self._held[number]
         for name in COUNTS:
             setattr(data, name, command["counts"][name])
@@ -186,7 +186,7 @@ def _die_with_parent() -> None:
 
 
 def main(folder: Path) -> None:
-    """Serve until told to end."""
+    """Serve until the command to end."""
     _die_with_parent()
     library = ctypes.CDLL("libmpi.so.40", mode=ctypes.RTLD_GLOBAL)
     lifeline = None

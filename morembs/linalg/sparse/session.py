@@ -66,7 +66,7 @@ class Session(ForeignObject):
 
     @abstractmethod
     def _analyse(self, A: Lower) -> Forecast:
-        """Make the symbolic factor of the pattern of ``A``, and say what a numeric one will need."""
+        """Make the symbolic factor of the pattern of ``A``, and say the need of a numeric one."""
 
     @abstractmethod
     def _factorize(self, A: Lower) -> FactorSize:

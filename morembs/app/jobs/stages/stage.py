@@ -149,7 +149,7 @@ class JobForecast:
 class JobStage:
     """A stage of a job: all that is known of one feature. A new one is a file here and a line in ``STAGES``.
 
-    ``tables`` are the tables of the job file that it reads. It runs after all stages that give the results in ``needs``;
+    ``tables`` are the tables of the job file that it reads. It runs after all stages that give results in ``needs``;
     it changes a result that it needs and ``gives``. Results in ``needs`` that no stage of a job gives are absent.
     Results that it ``tells`` of, in ``document``, stay until the job is done.
 

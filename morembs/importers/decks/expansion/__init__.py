@@ -1,4 +1,4 @@
-"""Shells and beams of a deck as solids, as CalculiX expands them: one deck becomes another, the source of all later steps.
+"""Shells and beams of a deck as solids, as CalculiX expands them: one deck becomes another, for all later steps.
 
 ``sections`` says what each element is made of, ``normals`` which elements share a fibre or cross-section at a node,
 ``solids`` where the nodes of these are, ``equations`` how those of one node hang together, ``names`` what sets and

@@ -163,7 +163,7 @@ class Exported:
         return warnings
 
     def _on_expanded(self, item: AverageElement, row: Ints, at: Ints, mapped: RowMap) -> AverageElement:
-        """The element on rows of the model; nodes of shells and beams share their weights among their expanded nodes."""
+        """The element on rows of the model; nodes of shells and beams share weights among their expanded nodes."""
         if self.expanded is None:
             return on_rows([item], row)[0]
         nodes, weights = [], []

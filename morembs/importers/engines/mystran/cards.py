@@ -165,7 +165,7 @@ def _mass_by_area(deck: DeckTables, section: Section) -> float:
 
 
 def lacked_elements(deck: DeckTables) -> Iterator[Problem]:
-    """A problem for elements of each kind and shape that MYSTRAN does not have, and for kinds that no program can carry."""
+    """A problem for elements of each kind and shape that MYSTRAN does not have, and for those of no program."""
     has_others = any((part.kind, part.shape) in KNOWN for part in deck.elements)
     for part in deck.elements:
         if part.kind in ("point", "none"):
