@@ -62,7 +62,7 @@ def heeded(*, ends: bool = False, clock: Callable[[], float] = time.monotonic) -
     Python lets the main thread alone take signals: in another one they do what the program has them do.
 
     A second request ends the process at once. ``ends`` says that the process ends afterwards: with the
-    code of the signal on every way out, and by the system when one comes later. Otherwise handlers are as they were before.
+    code of the signal on every way out, and by the system when one comes later. Otherwise handlers are as before.
     """
 
     def handle(number: int, _: object) -> None:

@@ -136,8 +136,8 @@ def solved_for_first(name: str, sums: Iterable[tuple[str, list[Term]]]) -> Equat
     """Equations of sums that vanish, 0 = sum of coefficient * u[node, component], each solved for its first term.
 
     Args:
-        sums: what to call each of them in messages, and its terms (node, component, coefficient); terms on one dof
-            are added up, those that vanish are left out.
+        sums: the name of each in messages, and its terms (node, component, coefficient); terms on one dof
+            are added up, zero terms are left out.
 
     Raises:
         InputError: no terms, a first coefficient that is zero, or coefficients that are not finite.

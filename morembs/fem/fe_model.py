@@ -350,7 +350,7 @@ def _canonical(A: Any) -> sp.csr_array:
 def split_unsymmetric(model: FEModel) -> FEModel:
     """The same model with the skew parts of its ``K`` and ``D`` in ``N`` and ``G``: both are then symmetric.
 
-    Any real matrix is a symmetric and a skew one, in one way only: the equations of motion stay what they are.
+    Any real matrix is a symmetric and a skew one, in one way only: the equations of motion stay the same.
 
     Raises:
         InputError: M is not symmetric.

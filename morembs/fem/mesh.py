@@ -92,7 +92,7 @@ class ElementBlock:
 class Mesh:
     """Nodes, solid elements and named element sets (name -> for each block the rows it holds).
 
-    ``warnings`` say in a sentence each what a model assembled from the mesh will have otherwise than its source.
+    ``warnings`` are sentences about differences of a model assembled from the mesh from its source.
 
     Raises:
         InputError: coordinates beyond ``TOL.largest_number``.

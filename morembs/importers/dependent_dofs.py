@@ -124,7 +124,7 @@ def _with_later(
     example, first = later[0].own[0], names[owner[later[0].own[0]]]
     both = f"{_dof_name(model, example)} follows both {first!r} and {names[later[0].number]!r}"
     if left.shape[0] * len(used) > TOL.max_spread_entries:
-        raise InputError(f"{both}, as {left.shape[0]} dofs do, too many to be told apart; leave one of the two out")
+        raise InputError(f"{both}, as {left.shape[0]} dofs do, too many to be distinguished; leave one of the two out")
     A = left[:, used].toarray()
     R, pivot = sl.qr(A, mode="r", pivoting=True)
     size = np.abs(np.diagonal(R)) if A.size else np.empty(0)

@@ -181,7 +181,7 @@ class Proofs:
         promised, at_corners = float(values.min()), float(values[self._corners(len(values))].min())
         if W is None or not promised > 0:
             return TOL.sampled_share * max(promised, 0.0), at_corners, False
-        progress.update(f"modes beside those that are known on {self._words(cell.low, cell.high)}")
+        progress.update(f"modes beside the known ones on {self._words(cell.low, cell.high)}")
         proven_part = next((part for part in TRIED if self._holds(rows, part * promised, W, sigma)), 0.0)
         return proven_part * promised, at_corners, proven_part > 0
 

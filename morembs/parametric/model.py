@@ -314,8 +314,8 @@ def _clusters(values: Floats) -> list[NDArray[np.int64]]:
 class Sensitivity:
     """Derivatives at one value, by the names of the parameters: ``K``, ``M`` (n, n) and elastic ``frequencies_hz``
     (e,). ``clustered`` (e,) marks frequencies that lie together, whose derivatives are those of the branches,
-    ``in_band`` (e,) the ones that the reduction had to keep: others and their derivatives may differ by percents from the
-    full model's."""
+    ``in_band`` (e,) the ones that the reduction had to keep: others and their derivatives may differ by percents from
+    the full model's."""
 
     at: ModelAt
     K: Mapping[str, Floats]

@@ -59,9 +59,9 @@ class Updated:
     """Parameters as the measurement has them.
 
     ``p`` (P,) the estimate, ``sigma`` (P,) its standard deviation, infinite where the data do not tell it, and
-    ``covariance`` (P, P) of the determined directions; ``singular_values`` of the derivatives of frequencies over their standard
-    deviation by parameters over their range, ``untold`` the directions that the frequencies do not tell, each as
-    changes relative to the value (to the range, where the nominal value is zero). ``at_end`` names estimates at the
+    ``covariance`` (P, P) of the determined directions; ``singular_values`` of the derivatives of frequencies over their
+    standard deviation by parameters over their range, ``untold`` the directions that the frequencies do not tell, each
+    as changes relative to the value (to the range, where the nominal value is zero). ``at_end`` names estimates at the
     end of their range. ``frequencies_hz`` (k,) are those of the body at ``p``, in the order measured; ``above`` numbers
     those above the band for which the body was made, where nothing says how wrong they are.
     """

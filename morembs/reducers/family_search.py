@@ -236,7 +236,7 @@ class FamilySearch:
         return np.asarray(U[:, s > TOL.direction_noise * s[0]])
 
     def _leading(self, snapshots: Floats) -> Floats:
-        """``fixed`` and behind it the principal vectors of the remainder of the snapshots (k, j), in the energy norm."""
+        """``fixed``, then the principal vectors of the remainder of the snapshots (k, j), in the energy norm."""
         weight = np.sqrt(self.reference.values + self.omega.mean() ** 2)[:, None]
         start = np.linalg.qr(weight * self.fixed)[0]
         X = weight * snapshots

@@ -8,8 +8,8 @@ Each further step takes V and its own matrices in the place of Psi, M_r and K_r 
 frequencies converge to frequencies of the full model: the lowest ones, or the lowest of each symmetry.
 
 Lower modes z with B'z = 0, of which the interfaces see nothing, are in V by round-off alone. A step multiplies them by
-the eigenvalue of the highest mode of V over their own, which is above one, and the distance of other vectors in V to their
-limit by ratios below one. So the largest change of a frequency falls from step to step until such modes, or the
+the eigenvalue of the highest mode of V over their own, which is above one, and the distance of other vectors in V to
+their limit by ratios below one. So the largest change of a frequency falls from step to step until such modes, or the
 round-off of K and M, take over: the iteration ends with the last step before it rises.
 """
 

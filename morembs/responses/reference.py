@@ -262,7 +262,7 @@ class ReferenceSpace:
                 return self._refine_soft_modes(reference, worst)
 
     def extend(self, error: float, advice: str = "") -> bool:
-        """One block more; False where there is none. ``error`` and ``advice`` are in the message where there is no room.
+        """One block more; False where there is none. ``error`` and ``advice`` are for the message of a full space.
 
         Raises:
             SolverError: the space has ``TOL.max_order`` columns.

@@ -119,8 +119,8 @@ class Ledger:
 def keeping_ledger() -> Iterator[Ledger]:
     """Within, all that is opened for reading is kept in a ledger, and no result takes the place of any of it.
 
-    Includes and companions are known to the readers alone, of which there are many: Python itself reports the files that it opens,
-    and ``storage.hdf5`` says it for the HDF5 library.
+    Includes and companions are known to the readers alone, of which there are many: Python itself reports its
+    open files, and ``storage.hdf5`` says it for the HDF5 library.
     """
     if not _hooked:
         _hooked.append(True)

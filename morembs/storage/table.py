@@ -216,8 +216,8 @@ def listed(own: Table, name: str = "") -> Table:
 
 
 def variants(kinds: Mapping[str, type], about: Row, *more: Row) -> Table:
-    """Objects of several dataclasses, distinguished by their names in the dataset ``about``; datasets of one name mean the
-    same in all. Of ``more`` rows a mapping that is written has the values."""
+    """Objects of several dataclasses, distinguished by their names in the dataset ``about``; datasets of one name mean
+    the same in all. Of ``more`` rows a mapping that is written has the values."""
     tables = {name: table_of(kind) for name, kind in kinds.items()}
     rows = {row.name: replace(row, field=row.name, write=None) for table in tables.values() for row in table}
     for name, row in rows.items():

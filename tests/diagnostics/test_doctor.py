@@ -481,7 +481,7 @@ def test_units_declared_wrongly_are_named_with_the_right_ones(wrong, true):
         assert f'"{true}"' in seen.cure and f"--units {true}" in seen.cure
     if (wrong, true) == ("mm-t-s", "m-kg-s"):
         unknown = finding(examine_model(model), "units")
-        assert "as declared" not in unknown.sentence and f"{true} that was taken for {wrong}" in unknown.sentence
+        assert "as declared" not in unknown.sentence and f"{true} that was read as {wrong}" in unknown.sentence
         assert "again with --units m-kg-s" in unknown.cure
 
 

@@ -674,7 +674,7 @@ ONE = {".dof": "1.1\n1.2\n1.3\n", ".sti": "1 1 1.\n2 2 1.\n3 3 1.\n", ".mas": "1
         (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 1.\n"}, said="Job finished"), "no diagonal entry for row 3"),
         (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 9 1.\n3 3 1.\n"}, said="Job finished"), "row or column 9"),
         (WRITES.format(files={**ONE, ".dof": "\x00\x01"}, said="Job finished"), "not a text of lines"),
-        (WRITES.format(files=ONE, said="Job finished"), "springs to them change the rest"),
+        (WRITES.format(files=ONE, said="Job finished"), "springs to them change other rows"),
     ],
     ids=["hangs", "error", "status", "crash", "none", "lost", "nan", "half", "short", "size", "garbage", "other"],
 )

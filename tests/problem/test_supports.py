@@ -115,7 +115,7 @@ def test_automatic_on_soft_springs_keeps_its_promise() -> None:
 
 
 def test_a_support_within_round_off_is_refused() -> None:
-    with pytest.raises(InputError, match=r"cannot be told from round-off.*leave the support out"):
+    with pytest.raises(InputError, match=r"cannot be distinguished from round-off.*leave the support out"):
         Problem(block(1e11, spring=4e-3, everywhere=True))
 
 
@@ -306,7 +306,7 @@ def test_a_support_beside_numbers_of_few_digits_is_not_lost(part: float) -> None
     for dof in model.dofs.of_nodes(node).ravel():
         K[dof, dof] *= 1 + part
     if part == 1e-8:
-        with pytest.raises(InputError, match="cannot be told from round-off"):
+        with pytest.raises(InputError, match="cannot be distinguished from round-off"):
             Problem(replace(model, K=K))
         return
     with Problem(replace(model, K=K)) as problem:

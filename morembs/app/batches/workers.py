@@ -1,4 +1,4 @@
-"""Who does the work of a batch: what a task asks for, what workers have, and what is heard of them."""
+"""Workers of a batch: needs of a task, resources of workers, and events that they report."""
 
 from __future__ import annotations
 

@@ -323,7 +323,7 @@ def solvers(
             return
         for name, reason in known.items():
             typer.echo(f"{name}: {reason or 'available'}")
-        typer.echo('Models differ: "auto" weighs those that can run for each one, and says which it takes and why.')
+        typer.echo('Models differ: "auto" weighs the available solvers for each one, and says which it takes and why.')
 
 
 def _list_tolerances(as_json: bool) -> None:

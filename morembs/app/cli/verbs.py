@@ -41,7 +41,7 @@ TOPICS = {
     "units": 'units = "mm-t-s" under [model] of a job, --units mm-t-s of init and import: length, mass and time of all '
     "numbers of an input. In mm-t-s forces are in N, moduli in MPa, densities in t/mm3 (steel 7.85e-9); in m-kg-s "
     "in N, Pa and kg/m3. Body files are in m, kg and s.",
-    "formats": "morembs import --list names the formats that are read, morembs export --list those that are written.",
+    "formats": "morembs import --list names the formats of input, morembs export --list the formats of output.",
     "methods": 'method = "NAME" under [[reduce]] of a job, or morembs reduce --method NAME '
     "(docs/background/methods.md).",
     "systems": "A system of bodies is a TOML file with the table [simulation], which morembs simulate runs "

@@ -52,8 +52,8 @@ def know_frequencies(problem: Problem, count: int, *, insist: bool) -> tuple[str
         return ()
     return (
         "no free-free frequencies of the full model are known to compare the bodies with: they would take an "
-        f"eigensolution with a factor on disk, which often takes longer than all else; [check] full_modes = {count} "
-        "asks for it",
+        f"eigensolution with a factor on disk, which often takes longer than the other stages "
+        f"together; [check] full_modes = {count} asks for it",
     )
 
 

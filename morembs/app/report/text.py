@@ -36,7 +36,7 @@ def print_sections(console: Console, sections: Sequence[Section]) -> None:
 def print_document(
     console: Console, document: Mapping[str, Any], sections: Sequence[Section], told: Sequence[str] = ()
 ) -> None:
-    """A finished job by the ``sections`` of its document; a terminal has shown the warnings ``told`` already."""
+    """A finished job by the ``sections`` of its document; a terminal omits the warnings of ``told``."""
     first, *others = [line for section in sections if section.place == Place.SUMMARY for line in section.lines]
     console.print(f"[bold]{Path(document['job']).name}[/]: {escape(first)}", highlight=False, soft_wrap=True)
     say(console, *others)

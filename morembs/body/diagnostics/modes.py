@@ -113,7 +113,7 @@ def _mechanism(
         if len(moving):
             labels = names.node_labels(hinges if len(hinges) else moving)
             words = listed(names.node_labels(moving), len(moving), "node")
-            sentence += f"; {words} {'moves' if len(moving) == 1 else 'move'} against the rest"
+            sentence += f"; {words} {'moves' if len(moving) == 1 else 'move'} against the other nodes"
             if len(hinges):
                 sentence += f", about {listed(labels, len(hinges), 'node')}"
             return Finding(code="mechanism", severity="error", sentence=sentence, cure=cure, where=labels)

@@ -30,7 +30,7 @@ def rigid_findings(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: Dof
     if worst <= FEM.rounded_force:
         return []
     if not bad.any():
-        sentence = f"the stiffness under rigid motion is {worst:.1e} of what it should cancel: rounded numbers"
+        sentence = f"the stiffness under rigid motion is {worst:.1e} of its terms, which should cancel: rounded numbers"
         cure = "export with 15 digits if low frequencies matter"
         return [Finding(code="few-digits", severity="note", sentence=sentence, cure=cure)]
     if doubled_diagonal(K, residuals):
@@ -39,7 +39,9 @@ def rigid_findings(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: Dof
         return [Finding(code="doubled-diagonal", severity="error", sentence=sentence, cure=cure)]
     held = mounted(residuals, nodes, dofs)
     if share > FEM.most_dofs and worst < FEM.few_digits and not held:
-        sentence = f"the stiffness under rigid motion is {worst:.1e} of what it should cancel, all over the model"
+        sentence = (
+            f"the stiffness under rigid motion is {worst:.1e} of its terms, which should cancel, all over the model"
+        )
         cure = "export it with more digits (15); or a preload is in it, which is no mistake"
         return [Finding(code="few-digits", severity="warning", sentence=sentence, cure=cure)]
     shifted = float(residuals.ratio[:, :3].max())

@@ -180,7 +180,7 @@ def _wrong(c: float, rho: float, meters: float, units: Units, declared: Units | 
         for name in SYSTEMS:
             likely = likely_units(*_written(c, rho, meters, parse_units(name)), parse_units(name), TOL.near_metal)
             if likely is not None:
-                words = f"the numbers look like {likely} that was taken for {name}"
+                words = f"the numbers look like {likely} that was read as {name}"
                 cure = f"if the model was imported, import it again with --units {likely}"
                 break
     if not words:

@@ -84,7 +84,7 @@ class Joints:
         first, second = self.table[sides[0]][:, components], self.table[sides[1][match]][:, components]
         both = (first >= 0) & (second >= 0)
         if ((first >= 0) != (second >= 0)).any() or not both.any():
-            raise InputError(f"{what} do not have the same components {components}; name those that both have")
+            raise InputError(f"{what} do not have the same components {components}; name components that both have")
         return first[both], second[both]
 
     def leading(self, rows: Ints) -> Ints:

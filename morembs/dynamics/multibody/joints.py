@@ -1,7 +1,7 @@
 """Joints between two markers: rows of constraints Phi(x, t) = 0 with their Jacobians.
 
-Axes are given along the axes of the first marker. The place of the second relative to the first at the start
-fixes what a joint keeps.
+Axes are given along the axes of the first marker. The relative position that a joint keeps is that of its
+markers at the start.
 """
 
 from __future__ import annotations

@@ -110,7 +110,7 @@ class Bulk:
         ]
 
     def chosen(self, word: str, cure: str = "") -> tuple[set[int], bool]:
-        """Numbers of the sets that case control asks for by a ``word`` (SPC, MPC), with the members of their sums (SPCADD,
+        """Numbers of the sets that case control asks for by a ``word`` (SPC, MPC), with the members of sums (SPCADD,
         MPCADD), and whether there is a case control.
 
         Raises:

@@ -24,8 +24,8 @@ _ALL = (0, 1, 2, 3, 4, 5)
 class Ties:
     """RBE1, RBE2, RBE3, RBAR, RROD, RTRPLT, MPC and CONM2 as rows of grids.
 
-    Cards that fit a rigid or an average element of a model become one, others equations; ``solid`` (grids,) are those of
-    solids, which have no rotations.
+    Cards that fit a rigid or an average element of a model become one, others equations; ``solid`` (grids,) are those
+    of solids, which have no rotations.
     """
 
     def __init__(self, grids: Grids, systems: Systems, scale: float, solid: NDArray[np.bool_] | None = None) -> None:
@@ -92,7 +92,7 @@ class Ties:
         self._add(what, A, motions, [dependent])
 
     def _rigid_grids(self, name: str, grids: list[str], kept: list[str], led: list[str]) -> None:
-        """Grids of one rigid body with independent components ``kept`` and dependent ones ``led``, blank: all others."""
+        """Grids of one rigid body with independent components ``kept`` and dependent ones ``led``, blank: all other."""
         what = f"{self.grids.file}: {name}"
         rows = [self.motions.row(label, what) for label in grids]
         if any(text.upper() in ("0", "") for text in kept):

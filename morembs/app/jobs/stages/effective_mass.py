@@ -119,6 +119,6 @@ class EffectiveMass(JobStage):
                 title=f"effective masses of {told['body']} with {held} held, in % of the body",
                 columns=("mode", "Hz", *WAYS),
                 rows=rows,
-                lines=["  the rest to 100 % moves with the support, or in modes that the body does not have"],
+                lines=["  the remainder to 100 % moves with the support, or in modes that the body does not have"],
             )
         ]

@@ -190,8 +190,8 @@ class Ccx(Closing):
 
 
 _UNTOLD = (
-    "how dependent dofs follow others could not be read from ccx: springs to them change the rest of its model; please "
-    "report it with the files that --keep-files DIR leaves"
+    "how dependent dofs follow others could not be read from ccx: springs to them change other rows of its model; "
+    "please report it with the files that --keep-files DIR leaves"
 )
 
 

@@ -285,8 +285,8 @@ class _Deck:
     def _differing(self) -> list[str]:
         """In what the model differs from that of the deck, a sentence each."""
         said = [
-            "MYSTRAN has formulations of its own, consistent masses of solids and lumped ones of all else (also with "
-            "PARAM COUPMASS): frequencies are those of Nastran as far as these agree [formulation-differs]"
+            "MYSTRAN has formulations of its own, consistent masses of solids and lumped ones of other elements (also "
+            "with PARAM COUPMASS): frequencies are those of Nastran as far as these agree [formulation-differs]"
         ]
         beams = sum(len(part.ids) for part in self.deck.elements if part.code == "CBEAM")
         if beams:
