@@ -64,9 +64,9 @@ def rigid_null_space(
     if unclear.any():
         raise InputError(
             "the body is held so softly that its support cannot be distinguished from round-off: rigid motion leaves "
-            f"forces of {residuals[unclear].max():.1e} of the terms that cancel in their rows of the stiffness matrix, and "
-            f"round-off reaches {level:.0e}; leave the support out of the model (and give it to the simulation), or "
-            "make the stiff entries in these rows (links, penalty springs) softer"
+            f"forces of {residuals[unclear].max():.1e} of the terms that cancel in their rows of the stiffness matrix, "
+            f"and round-off reaches {level:.0e}; leave the support out of the model (and give it to the simulation), "
+            "or make the stiff entries in these rows (links, penalty springs) softer"
         )
     free = residuals <= level
     if free.any() and s[free].max() > TOL.mixed_motion * s[~free].min():

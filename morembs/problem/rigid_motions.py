@@ -159,7 +159,7 @@ def _refuse_free_parts(
     if len(counts) == 1:
         raise InputError(
             f"the model has a mechanism: {int(found.sum())} rigid-body modes where {expected}: dofs at node {loose} "
-            "move against the others; look for parts that touch in a node or an edge only, or nodes that should be merged"
+            "move against others; look for parts that touch in a node or an edge only, or nodes that should be merged"
         )
     raise InputError(
         f"the model has {len(counts)} unconnected parts (of {', '.join(map(str, counts[:5].tolist()))} dofs) and "

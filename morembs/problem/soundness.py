@@ -20,8 +20,8 @@ from morembs.problem.system import System
 from morembs.problem.tolerances import TOL
 
 SOFTER = (
-    "make stiff links and penalty springs softer (a thousand times the stiffness of the parts that they join is rigid enough) "
-    "or replace them by rigid couplings, or leave a soft support to the simulation"
+    "make stiff links and penalty springs softer (a thousand times the stiffness of the parts that they join is rigid "
+    "enough) or replace them by rigid couplings, or leave a soft support to the simulation"
 )
 
 

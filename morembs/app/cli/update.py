@@ -78,7 +78,13 @@ def _document(result: Updated, written: list[str]) -> dict[str, object]:
 
 def _print(result: Updated, units: tuple[str, ...], written: list[str]) -> None:
     for name, value, sigma, unit in zip(result.names, result.p, result.sigma, units, strict=True):
-        spread = "kept" if sigma == 0 else f"+- {sigma:.2g}" if math.isfinite(sigma) else "not set by these frequencies"
+        spread = (
+            "kept"
+            if sigma == 0
+            else f"+- {sigma:.2g}"
+            if math.isfinite(sigma)
+            else "not determined by these frequencies"
+        )
         typer.echo(f"{name} = {value:.6g} {unit}".rstrip() + f"  {spread}")
     typer.echo("mode   measured, Hz   body, Hz       difference in standard deviations")
     rows = zip(
