@@ -79,9 +79,9 @@ class ParametricBound:
     ``rest_M`` (J, n), ``rest_F`` (k,) norms of the parts outside these coordinates; ``motion_F`` (n, k) is V'W and
     ``sigma`` its weight in (rad/s)2. ``anchor``, ``soft`` (P,) values of the parameters. ``highest`` upper end of the
     band in rad/s. ``eps`` relative error of K(p) as a quadratic form (a geometry that is interpolated), else 0.
-    ``rounding_K`` (Q, n, n), ``rounding_M`` (J, n, n) limit what round-off makes of the quadratic forms of the terms; None where
-    it is not known. ``rigid`` (n, 6, 1 + morphs): motions that springs alone hold, where these are not in K_SS; else
-    None.
+    ``rounding_K`` (Q, n, n), ``rounding_M`` (J, n, n) limit what round-off makes of the quadratic forms of the terms;
+    None where it is not known. ``rigid`` (n, 6, 1 + morphs): motions that springs alone hold, where these are not in
+    K_SS; else None.
     """
 
     law_K: Law
