@@ -1,4 +1,4 @@
-"""Memory of this process: present use, peak, and the release of free pages."""
+"""Memory of this process and machine: present use, peak, free and installed memory, and the release of free pages."""
 
 from __future__ import annotations
 

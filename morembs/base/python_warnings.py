@@ -13,7 +13,7 @@ _FLOATING_POINT = r".* encountered in "
 
 
 def speak_plainly() -> None:
-    """Say warnings plainly from now on; warnings that a user asks of Python (-W) stay as they are."""
+    """Say warnings plainly from now on; with the option -W of Python they stay as Python shows them."""
     if sys.warnoptions:
         return
     warnings.filterwarnings("ignore", _FLOATING_POINT, RuntimeWarning)

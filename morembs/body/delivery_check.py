@@ -261,7 +261,7 @@ def delivered_warnings(bodies: Sequence[Body]) -> tuple[str, ...]:
 
 
 def stored_findings(file: StoredBodies) -> dict[str, Diagnosis]:
-    """Faults of each body of a file: statements about it that do not follow from its matrices."""
+    """Faults of each body of a file: statements in the file that do not follow from its matrices."""
     return {name: check_delivery(body, file) for name, body in file.bodies.items()}
 
 

@@ -53,7 +53,7 @@ class Krylov(Reducer):
             means as many as ``order`` needs.
         order: elastic coordinates that are kept, those with most energy in the responses between zero and the highest
             shift, where each frequency counts alike; moments are then matched approximately.
-        tangential: number of load directions at each point, the worst ones of the basis so far; all by default.
+        tangential: number of load directions at each point, those of the largest residual so far; all by default.
         two_sided: test the equations with columns from the interfaces ``outputs``.
         inputs: names of the interfaces whose loads are followed; all by default.
         outputs: names of interfaces, with ``two_sided``.

@@ -167,7 +167,7 @@ class StaticModesSwitching(Reducer):
 
 
 def _constant_flexibility(problem: Problem, reduced: ReducedModel) -> Callable[[Floats], tuple[Floats, Floats]]:
-    """psi = (G - W (W' K W)^-1 W') f, W the elastic columns of V (with the interfaces held, if V does so);
+    """psi = (G - W (W' K W)^-1 W') f, W the elastic columns of V (its fixed-interface modes, if it has any);
     and f' G f."""
     if "constraint" in reduced.mode_kind:
         count, pencil = reduced.mode_kind.count("constraint"), problem.fixed_interface

@@ -82,7 +82,7 @@ def _below(K: sp.csr_array, M: sp.csr_array, sigma: float, solver: LinearSolver)
 
 
 def _lowest(K: sp.csr_array, M: sp.csr_array, sigma: float, solver: LinearSolver) -> tuple[Floats, Floats]:
-    """Estimates of the lowest eigenvalues (k,), converged ones alone, and the vectors (N, z) without energy."""
+    """Estimates of the lowest eigenvalues (k,), up to the first poor one, and the vectors (N, z) without energy."""
     block = min(TOL.block_columns, max(1, K.shape[0] // 3))
     with solver.factorize(sp.csr_array(K + sigma * M), "spd", what="K + sigma M") as factor:
         rng = np.random.default_rng(12)

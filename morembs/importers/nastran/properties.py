@@ -40,8 +40,8 @@ def by_number(file: str, name: str, rows: Rows) -> dict[int, list[str]]:
 
 
 class Materials:
-    """Materials by number, of which the ``known`` ones were read by name, and sections of PSOLID; densities are
-    times PARAM WTMASS, the ``scale``."""
+    """Materials by number, and sections of PSOLID; ``known`` has materials that were read, by name; densities
+    are times PARAM WTMASS, the ``scale``."""
 
     def __init__(self, file: str, rows: dict[str, Rows], scale: float) -> None:
         self.file, self.scale = file, scale

@@ -1,7 +1,7 @@
 """One flat deck for CalculiX from the tables of a deck: parts in their places, labels from 1 without gaps.
 
 CalculiX knows no parts, allocates memory by the largest label, and wants sets before their use. So nodes, elements,
-sets and names are renumbered; of all other keywords the table ``CARDS`` says what stands in their data lines.
+sets and names are rewritten; of all other keywords the table ``CARDS`` says what stands in their data lines.
 """
 
 from __future__ import annotations
