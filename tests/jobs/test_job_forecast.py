@@ -48,6 +48,11 @@ def test_stages_of_a_job_are_those_of_its_forecast(tmp_path: Path, name: str) ->
     assert min(forecast.values()) > 0
 
 
+def test_longest_stage_is_named_in_words(tmp_path: Path) -> None:
+    ended = RUNNER.invoke(cli.app, ["check", str(folder(tmp_path, {}))])
+    assert "longest of it: start of Python" in " ".join(ended.stdout.split())
+
+
 def test_every_step_that_a_stage_can_have_takes_time() -> None:
     steps = {step for stage in STAGES.values() for step in (stage.step, *stage.steps) if step}
     assert {START, *steps} == STEPS.keys()

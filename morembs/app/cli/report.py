@@ -16,8 +16,9 @@ from morembs.app.report.text import print_sections, print_written, say
 from morembs.app.report.words import bytes_words
 from morembs.base.progress import duration_words
 
-# Rows of a forecast that their keys do not explain.
+# Rows and stages of a forecast that their keys do not explain.
 LABELS = {
+    "start": "start of Python",
     "stiffness_nonzeros": "nonzeros of K",
     "mass_nonzeros": "nonzeros of M",
     "matrices_bytes": "memory of K and M",
@@ -70,7 +71,8 @@ def _shown(key: str, value: Any) -> str:
         known = ", ".join(f"{name} {duration_words(seconds)}" for name, seconds in value.items())
         return f"{known} (within a factor of three)" if known else "no forecast"
     if key == "seconds":
-        return f"about {duration_words(sum(value.values()))}, longest of it: {max(value, key=lambda name: value[name])}"
+        longest = max(value, key=lambda name: value[name])
+        return f"about {duration_words(sum(value.values()))}, longest of it: {LABELS.get(longest, longest)}"
     if key == "extent":
         return " x ".join(f"{length:.4g}" for length in value) + " m"
     if key.endswith("_bytes"):

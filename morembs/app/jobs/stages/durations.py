@@ -13,9 +13,9 @@ from morembs.app.jobs.tables import Job
 from morembs.linalg.sparse.threads import machine_slowness
 from morembs.reducers import ProblemSummary
 
-START = "start of Python"
+START = "start"
 # Seconds of a step, and seconds for each 1000 degrees of freedom, on a machine of the usual speed of Python: processor
-# time of the jobs of benchmarks/job_times.py. "start of Python" counts what it loads too.
+# time of the jobs of benchmarks/job_times.py. "start" is that of the interpreter and of what it loads.
 STEPS: Mapping[str, tuple[float, float]] = {
     START: (2.0, 0.0),
     "read": (0.05, 0.0025),
