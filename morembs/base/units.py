@@ -54,7 +54,8 @@ def parse_units(given: str | Mapping[str, str]) -> Units:
     if isinstance(given, str):
         parts = given.split("-")
         if len(parts) != 3:
-            raise InputError(f'units = "{given}" was given; expected "length-mass-time" such as "mm-t-s" or, for SI, "m-kg-s"')
+            expected = '"length-mass-time" such as "mm-t-s" or, for SI, "m-kg-s"'
+            raise InputError(f'units = "{given}" was given; expected {expected}')
         given = dict(zip(("length", "mass", "time"), parts, strict=True))
     tables = {"length": LENGTH, "mass": MASS, "time": TIME}
     for key in given:
