@@ -234,7 +234,8 @@ def _notes(context: ExportContext, *, drawn: bool) -> tuple[str, ...]:
     if context.source.interfaces:
         notes.append(
             "morembs.exporters.exudyn_system puts the body into a system with joints at its interfaces "
-            "(docs/howto/recipes.md); nodes, weights and offset of their markers: morembs.exporters.exudyn.exudyn_marker"
+            "(docs/howto/recipes.md); nodes, weights and offset of their markers: "
+            "morembs.exporters.exudyn.exudyn_marker"
         )
         source = context.source
         still = [
