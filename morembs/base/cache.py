@@ -33,7 +33,11 @@ def cache_folder() -> Path:
 def read_cached(name: str) -> object:
     """What was kept under ``name``; None where nothing is, or nothing that can be read."""
     with contextlib.suppress(OSError, RuntimeError, ValueError):
-        return json.loads((cache_folder() / f"{name}.json").read_bytes())
+        path = cache_folder() / f"{name}.json"
+        # A pipe would wait for ever, and a device never end.
+        if path.is_file():
+            with path.open("rb") as file:
+                return json.loads(file.read(1 << 16))
     return None
 
 

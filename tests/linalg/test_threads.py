@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -119,6 +120,20 @@ def test_damaged_cache_is_measured_again(measured: list[str], damage: bytes) -> 
     threads.kept_speed.cache_clear()
     # The damaged file is replaced.
     assert measured_speed() == speed and len(measured) == 6
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes and devices of POSIX systems")
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_what_is_no_file_in_the_cache_is_replaced(measured: list[str], kind: str) -> None:
+    speed = measured_speed()
+    (kept,) = cache_folder().iterdir()
+    kept.unlink()
+    if kind == "pipe":
+        os.mkfifo(kept)
+    else:
+        kept.symlink_to("/dev/zero")
+    threads.kept_speed.cache_clear()
+    assert measured_speed() == speed and len(measured) == 6 and stat.S_ISREG(kept.lstat().st_mode)
 
 
 @pytest.mark.parametrize("where", ["under a file", "file is a folder"])
