@@ -55,7 +55,7 @@ def stage_seconds(job: Job, facts: ProblemSummary, cost: Cost, known: Mapping[st
         if names and (shifts := sum(each.count for found in stage.shifted(job, facts).values() for each in found)):
             counts[names[-1]] = shifts
     for name, more in [("factorise", cost.seconds), *known.items()]:
-        seconds[name] += more
+        seconds[name] = seconds.get(name, 0.0) + more
     for name, count in counts.items():
         seconds[name] += cost.shift.seconds * count / sum(counts.values())
     return seconds
@@ -63,6 +63,6 @@ def stage_seconds(job: Job, facts: ProblemSummary, cost: Cost, known: Mapping[st
 
 def least_seconds(name: str, size: int) -> float:
     """Time of a step in a job of ``size`` dofs without its linear algebra, at the speed of this machine, in s."""
-    # Each reduction is a step with its own name.
-    once, each = STEPS[name if name in STEPS else name.partition(" ")[0]]
+    # Each reduction is a step with its own name; stages of other packages say all of their time by ``seconds``.
+    once, each = STEPS.get(name) or STEPS.get(name.partition(" ")[0]) or (0.0, 0.0)
     return (once + each * size / 1000) * machine_slowness()
