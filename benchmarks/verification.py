@@ -6,8 +6,8 @@ Models, bodies and bands are those of ``certificates.py``. A false certificate h
 construction: a limit below an error that is computed exactly, a mode dropped below the shift, a stiffness or mass that
 was changed so that the exact error exceeds the limit, cells left out, or the model of another trial. Others say what
 is not so, or is not known: a mode of negative stiffness and mass, a peak outside of the band, a band that is reversed,
-other rigid motions, axes or inputs, entries that are there twice, a damping matrix, another one or
-none, or a ratio below zero.
+other rigid motions, axes or inputs, entries that are there twice, a damping matrix, another one or none, or a ratio
+below zero.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ BLOCK = 512
 TAMPERS = (
     *("limit", "mode", "stiffness", "cells", "model"),
     *("negative mass", "outer peak", "band", "rigid inertia", "rigid damping", "axes", "entry twice", "own damping"),
-    *("ratio", "inputs"),
+    *("ratio", "inputs", "damping", "no damping"),
 )
 
 

@@ -71,23 +71,7 @@ NAMES = {
     "morembs.storage.checksums": ("seal",),
     "morembs.storage.safefile": ("replacing_all",),
 }
-# Job that every command has something to tell of, and tables that one of them needs.
-JOB = """
-[model]
-mesh = "bracket.msh"
-units = "mm-t-s"
-[[material]]
-set = "all"
-young = 210000
-poisson = 0.3
-density = 7.85e-09
-[[interface]]
-name = "PIN"
-nodes = "set:PIN"
-[[interface]]
-name = "BOLTS"
-nodes = "set:BOLTS"
-"""
+# Reductions and further tables, one of them for each command, of the model of the example.
 BODY = '[[reduce]]\nmethod = "craig-bampton"\nmodes = 4\n'
 ADDED = {
     "part": BODY + "[certify]\nband_hz = [0, 500]\nwitness = true\n[modes]\ncount = 4\n",
@@ -212,8 +196,9 @@ def documents() -> dict[str, list[str]]:
         folder = Path(temporary)
         for example in ("bracket", "matrices"):
             command(folder, "init", "--example", example)
+        model = (folder / "bracket.toml").read_text(encoding="utf-8").partition("[[reduce]]")[0]
         for name, tables in ADDED.items():
-            (folder / f"{name}.toml").write_text(f'{JOB}{tables}[output]\npath = "{name}.h5"\n', encoding="utf-8")
+            (folder / f"{name}.toml").write_text(f'{model}{tables}[output]\npath = "{name}.h5"\n', encoding="utf-8")
         for line in COMMANDS.strip().splitlines():
             prepare(folder, line)
             said = json.loads(command(folder, *line.split(), "--json"))

@@ -186,6 +186,20 @@ def without_a_mode(file, _):
 
 
 LIMITS, CERTIFICATE = "bodies/{}/certificate/limits/", "bodies/{}/certificate/"
+
+
+def refuse_changed(files, folder, which, change, lemma):
+    """One of the ``files``, changed and sealed anew, is refused by its lemma."""
+    copies = [Path(shutil.copy(file, folder)) for file in files]
+    with h5py.File(copies[0]) as file:
+        place = next(iter(file["bodies"]))
+    with h5py.File(copies[which], "r+") as file:
+        change(file, place)
+    reseal(*copies)
+    belongs, proven, said = morembs_verify.verify(*map(str, copies))
+    assert belongs and not proven and f"not verified: lemma {lemma} fails" in said, said
+
+
 CELLS = "cells-of-the-band"
 
 
@@ -228,15 +242,7 @@ CELLS = "cells-of-the-band"
     ],
 )
 def test_what_is_false_by_hand_is_refused_by_its_lemma(sound, tmp_path, which, change, lemma):
-    files, _ = sound
-    copies = [Path(shutil.copy(file, tmp_path)) for file in files]
-    with h5py.File(copies[0]) as file:
-        place = next(iter(file["bodies"]))
-    with h5py.File(copies[which], "r+") as file:
-        change(file, place)
-    reseal(*copies)
-    belongs, proven, said = morembs_verify.verify(*map(str, copies))
-    assert belongs and not proven and f"not verified: lemma {lemma} fails" in said, said
+    refuse_changed(sound[0], tmp_path, which, change, lemma)
 
 
 def test_negative_mass_hides_no_mode(sound, tmp_path):
@@ -575,14 +581,7 @@ def test_limits_of_a_model_with_dashpots_are_proven_again(dashpot):
     ],
 )
 def test_false_limits_of_dashpots_are_refused_by_their_lemma(dashpot, tmp_path, which, change, lemma):
-    copies = [Path(shutil.copy(file, tmp_path)) for file in dashpot[0]]
-    with h5py.File(copies[0]) as file:
-        place = next(iter(file["bodies"]))
-    with h5py.File(copies[which], "r+") as file:
-        change(file, place)
-    reseal(*copies)
-    belongs, proven, said = morembs_verify.verify(*map(str, copies))
-    assert belongs and not proven and f"not verified: lemma {lemma} fails" in said, said
+    refuse_changed(dashpot[0], tmp_path, which, change, lemma)
 
 
 @pytest.mark.parametrize("number", range(3))

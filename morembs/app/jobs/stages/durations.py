@@ -14,8 +14,9 @@ from morembs.linalg.sparse.threads import machine_slowness
 from morembs.reducers import ProblemSummary
 
 START = "start"
-# Seconds of a step, and seconds for each 1000 degrees of freedom, on a machine of the usual speed of Python: processor
-# time of the jobs of benchmarks/job_times.py. "start" is that of the interpreter and of what it loads.
+# Seconds of a step, and seconds for each 1000 degrees of freedom, on a machine of the usual speed of Python: fitted to
+# the processor time of jobs of benchmarks/job_times.py. "start" is that of the interpreter and of what it loads. No job
+# was measured for "preload", "couple parts", "spin", "spin modes" and "effective mass": those are guesses.
 STEPS: Mapping[str, tuple[float, float]] = {
     START: (2.0, 0.0),
     "read": (0.05, 0.0025),
