@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import fcntl
 import io
 import json
 import os
@@ -162,8 +163,9 @@ def browser(folder: Path) -> Iterator[Page]:
     (to_read, write), (read, to_write) = os.pipe(), os.pipe()
 
     def take_pipes() -> None:
-        # The protocol wants to read from 3 and to write to 4; copies first, as these may be taken.
-        kept = [os.dup(to_read), os.dup(to_write)]
+        # The protocol wants to read from 3 and to write to 4. Copies beyond these come first: either may be taken, and
+        # one that was free would be copied onto itself, which does not stay open in the browser.
+        kept = [fcntl.fcntl(end, fcntl.F_DUPFD, 5) for end in (to_read, to_write)]
         os.dup2(kept[0], 3)
         os.dup2(kept[1], 4)
 
