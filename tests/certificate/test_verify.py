@@ -25,9 +25,10 @@ from morembs.certificate import morembs_verify
 from morembs.certificate.certify import certify
 from morembs.certificate.witness import write_witness
 from morembs.fem.interface import make_interface
-from morembs.importers.model_file import write_model
+from morembs.importers.model_file import read_model, write_model
 from morembs.problem import Damping, Problem
 from morembs.reducers import BalancedTruncation, CraigBampton, FreeInterface
+from tests.responses.test_direct import dense_response
 from tests.support.meshes import beam as beam_of_blocks
 from tests.support.meshes import box, ends, steel, where
 
@@ -582,6 +583,31 @@ def test_limits_of_a_model_with_dashpots_are_proven_again(dashpot):
 )
 def test_false_limits_of_dashpots_are_refused_by_their_lemma(dashpot, tmp_path, which, change, lemma):
     refuse_changed(dashpot[0], tmp_path, which, change, lemma)
+
+
+def test_damping_that_couples_the_vectors_with_the_complement_counts(dashpot, tmp_path):
+    # u v' + v u' with V'u = 0 adds nothing to V'D V; 1e3 N s/m of it change the response by an eighth of its peak.
+    files, certificate = dashpot
+    copies = [Path(shutil.copy(file, tmp_path)) for file in files]
+    with h5py.File(files[2]) as file:
+        V = file["vectors"][...]
+    model = read_model(files[1])
+    with Problem(model, ends(model)) as problem:
+        T = problem.coupling.T.tocsc()
+        free = np.flatnonzero(np.diff(T.indptr) == 1)
+        u = np.random.default_rng(3).standard_normal(len(free))
+        u -= V[free] @ np.linalg.lstsq(V[free], u)[0]
+        v = T[:, free] @ V[free, 5]
+        u = T[:, free] @ (u / np.linalg.norm(u))
+        coupled = sp.csr_array(1e3 * (np.outer(u, v) + np.outer(v, u)))
+        omega = 2 * np.pi * np.linspace(*BAND, 60)[1:]
+        H = [dense_response(problem, omega, (T.T @ D @ T).toarray()) for D in (model.D, model.D + coupled)]
+    off = np.linalg.norm(H[1] - H[0], axis=(1, 2)).max() / np.linalg.norm(H[0], axis=(1, 2)).max()
+    assert off > 100 * certificate.limits["peak"].upper
+    write_model(copies[1], replace(model, D=model.D + coupled))
+    reseal(*copies)
+    _, proven, said = morembs_verify.verify(*map(str, copies))
+    assert not proven and f"lemma {CELLS} fails" in said, said
 
 
 @pytest.mark.parametrize("number", range(3))
