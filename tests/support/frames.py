@@ -43,10 +43,10 @@ def beam_element(
     return K, M
 
 
-def beams(xyz: np.ndarray, pairs: Sequence[tuple[int, int]], radius: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
+def beams(xyz: np.ndarray, pairs: Sequence[tuple[int, int]], radius: float = 0.01) -> tuple[sp.csr_array, sp.csr_array]:
     """K and M (6 n, 6 n) of round steel beams between nodes (n, 3)."""
     A, second = np.pi * radius**2, np.pi * radius**4 / 4
-    K, M = np.zeros((6 * len(xyz),) * 2), np.zeros((6 * len(xyz),) * 2)
+    places, elements = [], ([], [])
     for a, b in pairs:
         d = xyz[b] - xyz[a]
         L = float(np.linalg.norm(d))
@@ -54,9 +54,14 @@ def beams(xyz: np.ndarray, pairs: Sequence[tuple[int, int]], radius: float = 0.0
         up = np.eye(3)[int(np.argmin(np.abs(t)))]
         y = np.cross(up, t) / np.linalg.norm(np.cross(up, t))
         T = np.kron(np.eye(4), np.stack([t, y, np.cross(t, y)]))
-        at = np.concatenate([6 * a + np.arange(6), 6 * b + np.arange(6)])
-        for whole, own in zip((K, M), beam_element(2.1e11, 8e10, A, second, 2 * second, 7850.0, L), strict=True):
-            whole[np.ix_(at, at)] += T.T @ own @ T
+        places.append(np.concatenate([6 * a + np.arange(6), 6 * b + np.arange(6)]))
+        for made, own in zip(elements, beam_element(2.1e11, 8e10, A, second, 2 * second, 7850.0, L), strict=True):
+            made.append(T.T @ own @ T)
+    at = np.array(places)
+    row, column = np.broadcast_arrays(at[:, :, None], at[:, None, :])
+    K, M = (
+        sp.csr_array((np.ravel(made), (row.ravel(), column.ravel())), shape=(6 * len(xyz),) * 2) for made in elements
+    )
     return K, M
 
 
@@ -83,15 +88,19 @@ def springs(
 
 
 def model_on(
-    K: np.ndarray, M: np.ndarray, xyz: np.ndarray, components: Sequence[int], kept: np.ndarray | None = None
+    K: np.ndarray | sp.csr_array,
+    M: np.ndarray | sp.csr_array,
+    xyz: np.ndarray,
+    components: Sequence[int],
+    kept: np.ndarray | None = None,
 ) -> FEModel:
     """Model with ``components`` at each node, of which the rows ``kept`` (all by default) stay; all nodes stay."""
     node = np.repeat(np.arange(len(xyz)), len(components))
     component = np.tile(np.array(components), len(xyz))
     rows = np.arange(len(node)) if kept is None else np.asarray(kept)
     return FEModel(
-        K=sp.csr_array(K[np.ix_(rows, rows)]),
-        M=sp.csr_array(M[np.ix_(rows, rows)]),
+        K=sp.csr_array(K)[rows][:, rows],
+        M=sp.csr_array(M)[rows][:, rows],
         nodes=Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz),
         dofs=DofMap(node=node[rows], component=component[rows]),
         source="frame",
