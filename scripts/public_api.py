@@ -12,8 +12,6 @@ import contextlib
 import importlib
 import inspect
 import json
-import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -22,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from typer.testing import CliRunner
 
 from morembs.app.batches.manifest import ManifestFormat
 from morembs.app.cli.commands import app
@@ -229,10 +228,10 @@ def prepare(folder: Path, line: str) -> None:
 
 def command(folder: Path, *arguments: str) -> str:
     """What a command prints on standard output."""
-    whole = [sys.executable, "-m", "morembs", *arguments]
-    ended = subprocess.run(whole, cwd=folder, capture_output=True, text=True, env={**os.environ, "MPLBACKEND": "agg"})
-    if ended.returncode:
-        raise SystemExit(f"morembs {' '.join(arguments)} ended with {ended.returncode}:\n{ended.stderr}")
+    with contextlib.chdir(folder):
+        ended = CliRunner().invoke(app, arguments)
+    if ended.exit_code:
+        raise SystemExit(f"morembs {' '.join(arguments)} ended with {ended.exit_code}:\n{ended.stderr}")
     return ended.stdout
 
 
