@@ -7,6 +7,7 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -24,8 +25,10 @@ from morembs.app.jobs.stages.couple import interfaces_of
 from morembs.app.jobs.stages.forecast import outlined
 from morembs.app.jobs.stages.model import materials_of, mesh_of
 from morembs.app.jobs.viewing import scene_of_files
+from morembs.app.pages import page as report_page
 from morembs.app.pages.page import check_report, write_report
 from morembs.app.pages.parts import Entry
+from morembs.app.report.style import STYLE
 from morembs.base.errors import OutputError
 from morembs.body.file import read_body
 from morembs.body.recovery.recover import recover
@@ -421,13 +424,23 @@ def report_of(bodies: Sequence[Path], path: Path) -> str:
     return path.read_text()
 
 
-def test_two_parts_of_one_name_have_pages_of_their_own(folder: Path, tmp_path: Path) -> None:
-    bodies = [folder / "part.h5", *[folder / "other.h5"] * 20]
+@pytest.fixture
+def two_sections(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A report of more than two parts has a page for each, as that of more than twenty has."""
+    monkeypatch.setattr(report_page, "STYLE", replace(STYLE, sections_in_page=2))
+
+
+def test_reports_of_up_to_twenty_parts_have_sections() -> None:
+    assert STYLE.sections_in_page == 20
+
+
+def test_two_parts_of_one_name_have_pages_of_their_own(two_sections: None, folder: Path, tmp_path: Path) -> None:
+    bodies = [folder / "part.h5", *[folder / "other.h5"] * 2]
     entries = [Entry(name="part", job="j.toml", output=str(body), state="done") for body in bodies]
     write_report(tmp_path / "night.html", entries, "night")
     links = re.findall(r'<a href="(night_files/[^"]+)"', (tmp_path / "night.html").read_text())
     one, two, *_ = [(tmp_path / link).read_text() for link in links]
-    assert len(links) == 21 and len(set(links)) == 2 and one != two
+    assert len(links) == 3 and len(set(links)) == 2 and one != two
 
 
 OPENED = "document.querySelector('.morembs-look').open = true, 1"
@@ -452,14 +465,14 @@ def test_a_report_has_a_viewer_a_part_that_begins_when_it_is_opened(page: Page, 
 
 
 @needs_browser
-def test_many_parts_have_pages_of_their_own(page: Page, folder: Path, tmp_path: Path) -> None:
+def test_many_parts_have_pages_of_their_own(two_sections: None, page: Page, folder: Path, tmp_path: Path) -> None:
     """They are written again where something of them has changed alone, and hold all that a section does."""
     body = tmp_path / "body.h5"
     body.write_bytes((folder / "part.h5").read_bytes())
-    bodies = [body, *[folder / "other.h5"] * 20]
+    bodies = [body, *[folder / "other.h5"] * 3]
     text = report_of(bodies, tmp_path / "night.html")
     pages = sorted((tmp_path / "night_files").glob("part-*.html"))
-    assert len(pages) == 21 and 'class="morembs-viewer"' not in text and "<section" not in text
+    assert len(pages) == 4 and 'class="morembs-viewer"' not in text and "<section" not in text
     assert sorted(re.findall(r'<a href="([^"]+)">&lt;i&gt;part', text)) == [
         f"night_files/{each.name}" for each in pages
     ]
@@ -484,46 +497,48 @@ def test_many_parts_have_pages_of_their_own(page: Page, folder: Path, tmp_path: 
 
 
 def test_the_page_of_many_parts_is_small_and_draws_nothing_twice(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    two_sections: None, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What 2,000 parts cost a browser: 5 kB and 20 elements each, where a section has 100 kB and more."""
-    bodies = [folder / "other.h5"] * 40
+    bodies = [folder / "other.h5"] * 8
     text = report_of(bodies, tmp_path / "night.html")
-    few = report_of(bodies[:21], tmp_path / "few.html")
-    assert (len(text) - len(few)) / 19 < 5_000 and (text.count("<") - few.count("<")) / 19 < 40
+    few = report_of(bodies[:3], tmp_path / "few.html")
+    assert (len(text) - len(few)) / 5 < 5_000 and (text.count("<") - few.count("<")) / 5 < 40
     monkeypatch.setattr(Figure, "__init__", None)
     monkeypatch.setattr(h5py, "File", None)
     assert report_of(bodies, tmp_path / "night.html") == text
 
 
-def test_the_folder_of_pages_is_looked_at_before_anything_runs(folder: Path, tmp_path: Path) -> None:
+def test_the_folder_of_pages_is_looked_at_before_anything_runs(
+    two_sections: None, folder: Path, tmp_path: Path
+) -> None:
     report = tmp_path / "night.html"
     (tmp_path / "night_files").write_text("mine")
     with pytest.raises(OutputError, match="is not a folder"):
-        check_report(report, lambda: 21)
+        check_report(report, lambda: 3)
     # A report of few parts does without.
     few = RUNNER.invoke(cli.app, ["batch", str(tmp_path / "nothing"), "--report", str(report)])
     assert "is not a folder" not in few.stderr
-    check_report(report, lambda: 20)
+    check_report(report, lambda: 2)
     report_of([folder / "other.h5"], report)
     report.unlink()
     with pytest.raises(OutputError, match="cannot be made"):
-        report_of([folder / "other.h5"] * 21, report)
+        report_of([folder / "other.h5"] * 3, report)
     assert not report.exists() and (tmp_path / "night_files").read_text() == "mine"
 
 
-def test_hostile_names_lead_to_the_pages_of_their_parts(folder: Path, tmp_path: Path) -> None:
+def test_hostile_names_lead_to_the_pages_of_their_parts(two_sections: None, folder: Path, tmp_path: Path) -> None:
     """Of the report, of its parts and of their body files."""
     place = tmp_path / """a <b> "q" 'q' # % ü &.d"""
     place.mkdir()
     body = place / "p#%41 <i>.h5"
     body.write_bytes((folder / "other.h5").read_bytes())
     report = place / 'n#1 %20 <x>&".html'
-    entries = [Entry(name=f'"><i>{n} %', job=str(place / "j#.toml"), output=str(body), state="done") for n in range(21)]
+    entries = [Entry(name=f'"><i>{n} %', job=str(place / "j#.toml"), output=str(body), state="done") for n in range(3)]
     write_report(report, entries, "<i>night")
     text = report.read_text()
     links = [unquote(html.unescape(link)) for link in re.findall(r'<a href="([^"#]+)">', text)]
-    assert len(links) == 21 and "<i>" not in text
+    assert len(links) == 3 and "<i>" not in text
     for link in links:
         own = (place / link).read_text()
         assert "<i>" not in own
