@@ -7,7 +7,6 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -25,7 +24,6 @@ from morembs.app.jobs.stages.couple import interfaces_of
 from morembs.app.jobs.stages.forecast import outlined
 from morembs.app.jobs.stages.model import materials_of, mesh_of
 from morembs.app.jobs.viewing import scene_of_files
-from morembs.app.pages import page as report_page
 from morembs.app.pages.page import check_report, write_report
 from morembs.app.pages.parts import Entry
 from morembs.app.report.style import STYLE
@@ -416,28 +414,22 @@ def test_what_cannot_be_shown_is_answered(
 # --- In reports
 
 
-def report_of(bodies: Sequence[Path], path: Path) -> str:
+def report_of(bodies: Sequence[Path], path: Path, sections: int = STYLE.sections_in_page) -> str:
     entries = [
         Entry(name=f"<i>part {n}", job="j.toml", output=str(body), state="done") for n, body in enumerate(bodies)
     ]
-    write_report(path, entries, "night")
+    write_report(path, entries, "night", sections=sections)
     return path.read_text()
-
-
-@pytest.fixture
-def two_sections(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A report of more than two parts has a page for each, as that of more than twenty has."""
-    monkeypatch.setattr(report_page, "STYLE", replace(STYLE, sections_in_page=2))
 
 
 def test_reports_of_up_to_twenty_parts_have_sections() -> None:
     assert STYLE.sections_in_page == 20
 
 
-def test_two_parts_of_one_name_have_pages_of_their_own(two_sections: None, folder: Path, tmp_path: Path) -> None:
+def test_two_parts_of_one_name_have_pages_of_their_own(folder: Path, tmp_path: Path) -> None:
     bodies = [folder / "part.h5", *[folder / "other.h5"] * 2]
     entries = [Entry(name="part", job="j.toml", output=str(body), state="done") for body in bodies]
-    write_report(tmp_path / "night.html", entries, "night")
+    write_report(tmp_path / "night.html", entries, "night", sections=2)
     links = re.findall(r'<a href="(night_files/[^"]+)"', (tmp_path / "night.html").read_text())
     one, two, *_ = [(tmp_path / link).read_text() for link in links]
     assert len(links) == 3 and len(set(links)) == 2 and one != two
@@ -465,12 +457,12 @@ def test_a_report_has_a_viewer_a_part_that_begins_when_it_is_opened(page: Page, 
 
 
 @needs_browser
-def test_many_parts_have_pages_of_their_own(two_sections: None, page: Page, folder: Path, tmp_path: Path) -> None:
+def test_many_parts_have_pages_of_their_own(page: Page, folder: Path, tmp_path: Path) -> None:
     """They are written again where something of them has changed alone, and hold all that a section does."""
     body = tmp_path / "body.h5"
     body.write_bytes((folder / "part.h5").read_bytes())
     bodies = [body, *[folder / "other.h5"] * 3]
-    text = report_of(bodies, tmp_path / "night.html")
+    text = report_of(bodies, tmp_path / "night.html", 2)
     pages = sorted((tmp_path / "night_files").glob("part-*.html"))
     assert len(pages) == 4 and 'class="morembs-viewer"' not in text and "<section" not in text
     assert sorted(re.findall(r'<a href="([^"]+)">&lt;i&gt;part', text)) == [
@@ -478,12 +470,12 @@ def test_many_parts_have_pages_of_their_own(two_sections: None, page: Page, fold
     ]
     times = {each: each.stat().st_mtime_ns for each in pages}
     body.write_bytes((folder / "other.h5").read_bytes())
-    report_of(bodies, tmp_path / "night.html")
+    report_of(bodies, tmp_path / "night.html", 2)
     assert sum(each.stat().st_mtime_ns != times[each] for each in pages) == 1
     # A page that was edited by hand is written anew.
     own = pages[3].read_bytes()
     pages[3].write_bytes(own.replace(b"</main>", b"<p>no</p></main>"))
-    report_of(bodies, tmp_path / "night.html")
+    report_of(bodies, tmp_path / "night.html", 2)
     assert pages[3].read_bytes() == own
     page.faults.clear(), page.requests.clear()
     page.open(tmp_path / "night.html")
@@ -497,37 +489,35 @@ def test_many_parts_have_pages_of_their_own(two_sections: None, page: Page, fold
 
 
 def test_the_page_of_many_parts_is_small_and_draws_nothing_twice(
-    two_sections: None, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What 2,000 parts cost a browser: 5 kB and 20 elements each, where a section has 100 kB and more."""
     bodies = [folder / "other.h5"] * 8
-    text = report_of(bodies, tmp_path / "night.html")
-    few = report_of(bodies[:3], tmp_path / "few.html")
+    text = report_of(bodies, tmp_path / "night.html", 2)
+    few = report_of(bodies[:3], tmp_path / "few.html", 2)
     assert (len(text) - len(few)) / 5 < 5_000 and (text.count("<") - few.count("<")) / 5 < 40
     monkeypatch.setattr(Figure, "__init__", None)
     monkeypatch.setattr(h5py, "File", None)
-    assert report_of(bodies, tmp_path / "night.html") == text
+    assert report_of(bodies, tmp_path / "night.html", 2) == text
 
 
-def test_the_folder_of_pages_is_looked_at_before_anything_runs(
-    two_sections: None, folder: Path, tmp_path: Path
-) -> None:
+def test_the_folder_of_pages_is_looked_at_before_anything_runs(folder: Path, tmp_path: Path) -> None:
     report = tmp_path / "night.html"
     (tmp_path / "night_files").write_text("mine")
     with pytest.raises(OutputError, match="is not a folder"):
-        check_report(report, lambda: 3)
+        check_report(report, lambda: 3, sections=2)
     # A report of few parts does without.
     few = RUNNER.invoke(cli.app, ["batch", str(tmp_path / "nothing"), "--report", str(report)])
     assert "is not a folder" not in few.stderr
-    check_report(report, lambda: 2)
+    check_report(report, lambda: 2, sections=2)
     report_of([folder / "other.h5"], report)
     report.unlink()
     with pytest.raises(OutputError, match="cannot be made"):
-        report_of([folder / "other.h5"] * 3, report)
+        report_of([folder / "other.h5"] * 3, report, 2)
     assert not report.exists() and (tmp_path / "night_files").read_text() == "mine"
 
 
-def test_hostile_names_lead_to_the_pages_of_their_parts(two_sections: None, folder: Path, tmp_path: Path) -> None:
+def test_hostile_names_lead_to_the_pages_of_their_parts(folder: Path, tmp_path: Path) -> None:
     """Of the report, of its parts and of their body files."""
     place = tmp_path / """a <b> "q" 'q' # % ü &.d"""
     place.mkdir()
@@ -535,7 +525,7 @@ def test_hostile_names_lead_to_the_pages_of_their_parts(two_sections: None, fold
     body.write_bytes((folder / "other.h5").read_bytes())
     report = place / 'n#1 %20 <x>&".html'
     entries = [Entry(name=f'"><i>{n} %', job=str(place / "j#.toml"), output=str(body), state="done") for n in range(3)]
-    write_report(report, entries, "<i>night")
+    write_report(report, entries, "<i>night", sections=2)
     text = report.read_text()
     links = [unquote(html.unescape(link)) for link in re.findall(r'<a href="([^"#]+)">', text)]
     assert len(links) == 3 and "<i>" not in text

@@ -55,8 +55,9 @@ class ReportRequest:
         return cls(path=path, earlier=Earlier.read(against, ChangeLimits.of(within or "")))
 
 
-def check_report(path: Path | None, parts: Callable[[], int] = int) -> None:
-    """Check, before the work begins, that a report can be written; with its folder, where so many ``parts`` need one.
+def check_report(path: Path | None, parts: Callable[[], int] = int, *, sections: int = STYLE.sections_in_page) -> None:
+    """Check, before the work begins, that a report can be written; with its folder, where more ``parts`` than
+    ``sections`` need one.
 
     Raises:
         InputError: another ending than .html.
@@ -74,13 +75,20 @@ def check_report(path: Path | None, parts: Callable[[], int] = int) -> None:
             check_writable(folder / "part.html")
         except OutputError:
             # A report of few parts does without, and to count those of a batch takes time.
-            if parts() > STYLE.sections_in_page:
+            if parts() > sections:
                 raise
 
 
-def write_report(path: Path, entries: Sequence[Entry], title: str, earlier: Earlier | None = None) -> str:
+def write_report(
+    path: Path,
+    entries: Sequence[Entry],
+    title: str,
+    earlier: Earlier | None = None,
+    *,
+    sections: int = STYLE.sections_in_page,
+) -> str:
     """Write the report of some jobs, from the body files that they wrote: a page, and its data as JSON beside it. Of
-    many parts the page is their table, and each has a page of its own in a folder beside it.
+    more parts than ``sections`` the page is their table, and each has a page of its own in a folder beside it.
 
     What the report that is there says and draws of body files that are the same now is taken from it. What changed
     since an earlier one is said in a sentence, "" where there is none.
@@ -89,7 +97,7 @@ def write_report(path: Path, entries: Sequence[Entry], title: str, earlier: Earl
         OutputError: a file cannot be written.
     """
     kept = KeptParts([path] if earlier is None else [path, earlier.path])
-    folder = _folder_of(path) if len(entries) > STYLE.sections_in_page else None
+    folder = _folder_of(path) if len(entries) > sections else None
     pairs = [
         part_of(number, entry, PartPlace.of(entry, path, folder), kept) for number, entry in enumerate(entries, start=1)
     ]
